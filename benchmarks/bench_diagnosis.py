@@ -17,7 +17,7 @@ import numpy as np
 from measuring import alternated, at_least, at_most, median_ratio
 from scipy.integrate import solve_ivp
 
-from trackres_ros.diagnosis import diagnose, load_base, read_recordings
+from trackres_ros.diagnosis import DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.base.base import Acting, Predicted
 from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
@@ -116,9 +116,11 @@ def _diagnosed(loaded: Any, count: int, minutes: float, step_s: float, quick: bo
         diagnosis = diagnose(
             recordings,
             loaded,
-            seed=SEED,
-            quick=quick,
-            on_stage=lambda stage: stages.append((_STAGE.match(stage)[0].rstrip(), time.perf_counter())),
+            DiagnosisOptions(
+                seed=SEED,
+                quick=quick,
+                on_stage=lambda stage: stages.append((_STAGE.match(stage)[0].rstrip(), time.perf_counter())),
+            ),
         )
         assert diagnosis.verdict.sentence
     return recordings, [*stages, ("", time.perf_counter())]

@@ -146,7 +146,7 @@ WAYS = (
         "the files of a bag read one by one, past what joins them",
         True,
         READING,
-        (("recording/rosbag.py", "[*files] if files else [(reader, wanted)]", "[(reader, wanted)]"),),
+        (("recording/bag_opening.py", "[*files] if files else [(reader, wanted)]", "[(reader, wanted)]"),),
     ),
     Way(
         "batches of 512 messages",

@@ -1,6 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
+import importlib.util
 import io
 import shutil
 import signal
@@ -50,6 +51,19 @@ def carrier():
 @pytest.fixture(scope="session")
 def repository():
     return Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def imported(repository):
+    """A module by its path in the repository, which is in no package."""
+
+    def made(path):
+        spec = importlib.util.spec_from_file_location(Path(path).stem, repository / path)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return made
 
 
 @pytest.fixture(scope="session")

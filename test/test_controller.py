@@ -3,19 +3,14 @@
 
 """The controller of docs/controller.md is the example that runs, and takes the feed-forward only when it may."""
 
-import importlib.util
 import itertools
 
 import pytest
 
 
 @pytest.fixture(scope="module")
-def example(repository):
-    path = repository / "examples" / "07_controller.py"
-    found = importlib.util.spec_from_file_location("controller", path)
-    module = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
-    return module
+def example(imported):
+    return imported("examples/07_controller.py")
 
 
 def test_the_page_shows_the_example(repository):

@@ -3,7 +3,6 @@
 
 """The controller's rules in C++: compiled with every warning, laws of what it adds, and the same as the example in Python."""
 
-import importlib.util
 import itertools
 import math
 import shutil
@@ -74,11 +73,8 @@ def program(tmp_path_factory, repository):
 
 
 @pytest.fixture(scope="module")
-def python(repository):
-    found = importlib.util.spec_from_file_location("controller", repository / "examples" / "07_controller.py")
-    module = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
-    return module
+def python(imported):
+    return imported("examples/07_controller.py")
 
 
 def timed(steps):

@@ -4,7 +4,6 @@
 """The house: rooms need only those before them, each says what it is for, the page of it is true, and test names are short."""
 
 import ast
-import importlib.util
 import re
 from graphlib import CycleError
 
@@ -12,11 +11,8 @@ import pytest
 
 
 @pytest.fixture(scope="module")
-def rooms(repository):
-    spec = importlib.util.spec_from_file_location("rooms", repository / "tools" / "rooms.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def rooms(imported):
+    return imported("tools/rooms.py")
 
 
 def test_no_room_needs_one_that_needs_it(rooms):
@@ -119,11 +115,6 @@ REASONS = {
     "test_routes.session_of": ONE_BY_ONE, "test_verdict.said": ONE_BY_ONE, "test_scored.scored": ONE_BY_ONE,
     "conftest.__init__": ONE_BY_ONE,
 }  # fmt: skip
-TO_SPLIT = {
-    "fitting._finished", "reading._assembled", "next_drives.menu", "verdict.judge", "fitting.fit", "pipeline.diagnose",
-    "resample.resample", "constants.make_constants", "compound.compound", "indentation.indentation",
-    "spectrum._spectrum_figure", "truth._run", "run.run", "operating_point.explain", "node._configure", "plots._line",
-}  # fmt: skip
 
 
 def test_a_long_function_has_a_reason(repository):
@@ -140,4 +131,4 @@ def test_a_long_function_has_a_reason(repository):
             names = [one.arg for one in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs) if one.arg != "self"]
             if node.end_lineno - node.lineno + 1 - text > MOST_LINES or len(names) > MOST_PARAMETERS:
                 large.add(f"{path.stem}.{node.name}")
-    assert large == REASONS.keys() | TO_SPLIT
+    assert large == REASONS.keys()

@@ -14,7 +14,7 @@ from worlds import Model, World
 
 import trackres_ros.diagnosis.report
 from trackres_ros.cli.main import cli
-from trackres_ros.diagnosis import diagnose, load_base, read_recordings
+from trackres_ros.diagnosis import DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.search.choice import Choice
 from trackres_ros.diagnosis.search.explanations import Search
@@ -86,7 +86,9 @@ def diagnoses(recorded, loaded):
 
     def make(*names, seed=1):
         if (*names, seed) not in made:
-            made[(*names, seed)] = diagnose(read_recordings(recorded(*names), None), loaded, quick=True, seed=seed)
+            made[(*names, seed)] = diagnose(
+                read_recordings(recorded(*names), None), loaded, DiagnosisOptions(quick=True, seed=seed)
+            )
         return made[(*names, seed)]
 
     return make

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import trackres_ros as tr
-from trackres_ros.diagnosis import diagnose, read_recordings
+from trackres_ros.diagnosis import DiagnosisOptions, diagnose, read_recordings
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.diagnosis.report.pictures import draw_all
 from trackres_ros.estimator.disturbance import BLOCK_S
@@ -42,7 +42,7 @@ def test_a_torque_in_left_turns_alone_is_described_and_written(recorded, loaded,
         return TURN_NM * ((at(r, "yaw_rate", times) > 0.01) & (at(r, "speed", times) > 0.1))
 
     recordings = with_added(read_recordings(recorded(), None), adds)
-    found = diagnose(recordings, loaded, quick=True)
+    found = diagnose(recordings, loaded, DiagnosisOptions(quick=True))
     assert found.verdict.status == "described"
     assert found.verdict.grade == "confirmed"
     assert found.found == ()
@@ -72,7 +72,7 @@ def pumped(recorded, loaded):
         return PUMP_NM * runs(changes[-1], times) * (at(r, "speed", times) > 0.1)
 
     recordings = with_added(read_recordings(recorded(count=3), None), adds)
-    return recordings, diagnose(recordings[:2], loaded, quick=True), changes
+    return recordings, diagnose(recordings[:2], loaded, DiagnosisOptions(quick=True)), changes
 
 
 def runs(changes, times):
@@ -138,7 +138,7 @@ def test_a_drift_is_judged_by_following_it_and_written_as_such(recorded, loaded,
         return np.interp(times, np.arange(len(wander)), wander) * (at(r, "speed", times) > 0.1)
 
     recordings = with_added(read_recordings(recorded(minutes=15.0), None), adds)
-    found = diagnose(recordings, loaded, quick=True)
+    found = diagnose(recordings, loaded, DiagnosisOptions(quick=True))
     assert (found.verdict.status, found.verdict.grade) == ("described", "confirmed")
     assert "a zero of the torque sensor that drifts" in found.verdict.sentence
     said = report(found, [])
@@ -159,7 +159,7 @@ def test_a_lasting_level_change_is_described_and_never_written(recorded, loaded,
         since = SINCE_S if "drive_1" in r.name else 0.0
         return FOR_GOOD_NM * (times > since) * (at(r, "speed", times) > 0.1)
 
-    found = diagnose(with_added(read_recordings(recorded(), None), adds), loaded, quick=True)
+    found = diagnose(with_added(read_recordings(recorded(), None), adds), loaded, DiagnosisOptions(quick=True))
     assert found.verdict.status == "described"
     assert found.verdict.grade == "confirmed"
     (told,) = found.described
@@ -182,7 +182,7 @@ def test_a_torque_repeated_at_a_place_is_described_never_written(recorded, loade
         place = np.cumsum(speed * np.gradient(times)) % LAP_M
         return SLOPE_NM * ((place > BEGIN_M) & (place < END_M)) * (speed > 0.1)
 
-    found = diagnose(with_added(read_recordings(recorded(), None), adds), loaded, quick=True)
+    found = diagnose(with_added(read_recordings(recorded(), None), adds), loaded, DiagnosisOptions(quick=True))
     assert found.verdict.status == "described"
     assert found.verdict.grade == "confirmed"
     (told,) = found.described
@@ -199,6 +199,6 @@ def test_a_torque_repeated_at_a_place_is_described_never_written(recorded, loade
 
 @pytest.mark.long
 def test_where_nothing_is_hidden_nothing_is_described(recorded, loaded):
-    found = diagnose(read_recordings(recorded(), None), loaded, quick=True)
+    found = diagnose(read_recordings(recorded(), None), loaded, DiagnosisOptions(quick=True))
     assert found.described == ()
     assert found.verdict.status == "none"

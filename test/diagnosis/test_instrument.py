@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trackres_ros.diagnosis import diagnose, read_recordings
+from trackres_ros.diagnosis import DiagnosisOptions, diagnose, read_recordings
 from trackres_ros.diagnosis.base.instrument import MOST_DELAY_S, MOST_GAIN, MOST_OFFSET_NM, instrument
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.effects import Active
@@ -84,7 +84,7 @@ def diagnosed_with(loaded, effects, tmp_path):
         rng = np.random.default_rng(7)
         sessions = drives(loaded.base, loaded.known.max_speed, 2, 10.0, rng)
         paths = write_recordings(loaded.base, tmp_path, sessions, sensors(effects, values), rng)
-        return diagnose(read_recordings(paths, None), loaded, quick=True)
+        return diagnose(read_recordings(paths, None), loaded, DiagnosisOptions(quick=True))
 
     return it
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trackres_ros.diagnosis import diagnose, read_recordings
+from trackres_ros.diagnosis import DiagnosisOptions, diagnose, read_recordings
 from trackres_ros.diagnosis.findings.residual_sources import residual_sources
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare import resample as resample_module
@@ -283,7 +283,7 @@ def test_the_residual_of_a_coarse_speed_falls(recorded, loaded, check_form, monk
     def left(sessions, predicted):
         return np.concatenate([(s.torque - p.torque)[s.used] for s, p in zip(sessions, predicted, strict=True)]).std()
 
-    found = diagnose(recordings, loaded, quick=True)
+    found = diagnose(recordings, loaded, DiagnosisOptions(quick=True))
     smooth = left(found.gated.sessions, found.refitted.predicted)
     monkeypatch.setattr(resample_module, "smooth_speed", unsmoothed)
     sessions = gate(recordings, loaded.known).sessions

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trackres_ros.diagnosis import diagnose, load_base, read_recordings
+from trackres_ros.diagnosis import DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.evaluation.closed_loop import left_by_diagnosis
 from trackres_ros.evaluation.field.bus import LONG_STRETCH_S, TOPICS, VEHICLE, mass_of_joined, missions
 from trackres_ros.evaluation.field.data import car
@@ -35,7 +35,7 @@ def test_drives_that_all_begin_cold_have_a_start_state_of_one(tmp_path):
 @pytest.mark.skipif(not DATA.is_dir(), reason="no real recordings on this machine")
 def test_a_route_driven_twice_repeats_residuals_but_not_as_slope(tmp_path):
     paths = [car(DATA, name, tmp_path) for name in TWICE]
-    found = diagnose(read_recordings(paths, None), load_base("bmw_i3"), hide=["grade"], quick=True)
+    found = diagnose(read_recordings(paths, None), load_base("bmw_i3"), DiagnosisOptions(hide=["grade"], quick=True))
     tried = FieldTrial("one route twice", "elevation", NOTHING, UPHILL, found)
     assert tried.outcome == "right"
     repeated = twice(tried)
@@ -49,7 +49,7 @@ def test_a_route_driven_twice_repeats_residuals_but_not_as_slope(tmp_path):
 def test_without_altitude_a_bus_diagnosis_names_only_the_slope():
     topics = Topics.load(TOPICS)
     recordings = read_recordings(missions(DATA), topics)
-    found = diagnose(recordings, load_base(VEHICLE, topics=topics), hide=["altitude"], quick=True)
+    found = diagnose(recordings, load_base(VEHICLE, topics=topics), DiagnosisOptions(hide=["altitude"], quick=True))
     assert found.verdict.status == "named"
     assert [f.name for f in found.found] == ["grade"]
     assert not found.described

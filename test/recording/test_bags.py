@@ -9,7 +9,7 @@ import itertools
 import shutil
 import sys
 import tracemalloc
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,10 @@ TOPICS = Topics.parse(
     },
     "topics.yaml",
 )
+
+
+def lines_of(*roles: str) -> dict[str, dict[str, str]]:
+    return {role: {"topic": TOPICS[role].topic, "type": TOPICS[role].type, "field": TOPICS[role].field} for role in roles}
 
 
 def header(store: Any, stamp_ns: int, frame: str) -> Any:
@@ -88,23 +92,22 @@ def write(path: Path, storage: str = "sqlite3", compression: str = "", **kwargs:
     writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()])
     if compression:
         writer.set_compression(CompressionMode[compression.upper()], CompressionFormat.ZSTD)
-    with writer:
-        open_topics: dict[str, Any] = {}
-        for topic, msgtype, log_ns, message in traffic(STORE, **kwargs):
-            if topic not in open_topics:
-                open_topics[topic] = writer.add_connection(topic, msgtype, typestore=STORE)
-            writer.write(open_topics[topic], log_ns, STORE.serialize_cdr(message, msgtype))
+    fill(writer, STORE, STORE.serialize_cdr, **kwargs)
     return path
 
 
 def write1(path: Path, **kwargs: int) -> Path:
-    with Writer1(path) as writer:
-        open_topics: dict[str, Any] = {}
-        for topic, msgtype, log_ns, message in traffic(STORE1, **kwargs):
-            if topic not in open_topics:
-                open_topics[topic] = writer.add_connection(topic, msgtype, typestore=STORE1)
-            writer.write(open_topics[topic], log_ns, STORE1.serialize_ros1(message, msgtype))
+    fill(Writer1(path), STORE1, STORE1.serialize_ros1, **kwargs)
     return path
+
+
+def fill(closed: Any, store: Any, serialize: Callable[[Any, str], Any], **kwargs: int) -> None:
+    with closed as writer:
+        open_topics: dict[str, Any] = {}
+        for topic, msgtype, log_ns, message in traffic(store, **kwargs):
+            if topic not in open_topics:
+                open_topics[topic] = writer.add_connection(topic, msgtype, typestore=store)
+            writer.write(open_topics[topic], log_ns, serialize(message, msgtype))
 
 
 def by_library(path: Path) -> list[tuple[str, int, int, float]]:
@@ -147,15 +150,7 @@ def in_order(rows: list[tuple[str, int, int, float]]) -> list[tuple[str, int, in
 
 @pytest.mark.parametrize(
     ("storage", "compression"),
-    [
-        ("sqlite3", ""),
-        ("sqlite3", "file"),
-        ("sqlite3", "message"),
-        ("mcap", ""),
-        ("mcap", "file"),
-        ("mcap", "message"),
-        ("mcap", "storage"),
-    ],
+    [*itertools.product(("sqlite3", "mcap"), ("", "file", "message")), ("mcap", "storage")],
 )
 def test_ros2_bags(tmp_path: Path, storage: str, compression: str) -> None:
     path = write(tmp_path / "bag", storage, compression)
@@ -247,7 +242,7 @@ def test_guessed_without_a_topics_file(tmp_path: Path) -> None:
     ],
 )
 def test_refused_with_what_is_there(tmp_path: Path, role: str, change: dict[str, str], says: list[str]) -> None:
-    lines = {name: {"topic": TOPICS[name].topic, "type": TOPICS[name].type, "field": TOPICS[name].field} for name in TOPICS}
+    lines = lines_of(*TOPICS)
     lines[role].update(change)
     with pytest.raises(InputError) as caught:
         open_source([write(tmp_path / "bag", count=3)], Topics.parse(lines, "topics.yaml"))
@@ -288,11 +283,7 @@ def test_damaged_and_odd_messages_are_counted_and_kept(tmp_path: Path) -> None:
             writer.write(odom, START + row, raw[:40] if row == 20 else raw)
             names = ["left"] if row < 5 else ["right"]
             writer.write(joint, START + row, STORE.serialize_cdr(joints(STORE, START + row, names, [1.0]), JOINTS))
-    chosen = {
-        role: {"topic": TOPICS[role].topic, "type": TOPICS[role].type, "field": TOPICS[role].field}
-        for role in ("speed", "torque")
-    }
-    recording = Recording.from_source(open_source([tmp_path / "bag"], Topics.parse(chosen)))
+    recording = Recording.from_source(open_source([tmp_path / "bag"], Topics.parse(lines_of("speed", "torque"))))
     assert np.flatnonzero(np.isnan(recording.series["speed"].value)).tolist() == [20]
     assert recording.series["speed"].stamp_ns[20] == START + 20
     assert len(recording.series["torque"]) == 45

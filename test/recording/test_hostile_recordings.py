@@ -11,7 +11,6 @@ import os
 import socket
 import sqlite3
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,6 +30,13 @@ from trackres_ros.recording.readers.csv_table import MAX_ROW_BYTES, CsvTable
 from trackres_ros.recording.reading import OWN_FAULT, reading
 from trackres_ros.recording.recording import Recording
 
+pytest.importorskip("rosbags")
+
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+STORE = get_typestore(Stores.LATEST)
 TWIST = "geometry_msgs/msg/TwistStamped"
 FLOATS = "std_msgs/msg/Float64MultiArray"
 START = 1_700_000_000 * 10**9
@@ -282,29 +288,23 @@ def test_parquet_in_bounded_memory_and_damage_in_it(tmp_path):
 
 # --- bags
 
-rosbags = pytest.importorskip("rosbags")
 
-
-def twist(store: Any, number: float) -> bytes:
-    types = store.types
+def twist(number: float) -> bytes:
+    types = STORE.types
     vector = types["geometry_msgs/msg/Vector3"]
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(START, 10**9)), "")
     message = types[TWIST](header, types["geometry_msgs/msg/Twist"](vector(number, 0.0, 0.0), vector(0.0, 0.0, 0.0)))
-    return bytes(store.serialize_cdr(message, TWIST))
+    return bytes(STORE.serialize_cdr(message, TWIST))
 
 
 def folder_bag(path: Path, storage: str = "SQLITE3", compression: str = "", count: int = 20) -> Path:
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.LATEST)
     writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage])
     if compression:
         writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
     with writer:
-        topic = writer.add_connection("/speed", TWIST, typestore=store)
+        topic = writer.add_connection("/speed", TWIST, typestore=STORE)
         for row in range(count):
-            writer.write(topic, START + row, twist(store, float(row)))
+            writer.write(topic, START + row, twist(float(row)))
     return path
 
 
@@ -312,9 +312,7 @@ def mcap_bag(
     path: Path, messages: list[tuple[int, bytes]], schema: str = "", msgtype: str = TWIST, compression: str = "NONE"
 ) -> Path:
     writing = pytest.importorskip("mcap.writer")
-    from rosbags.typesys import Stores, get_typestore
-
-    text = schema or get_typestore(Stores.LATEST).generate_msgdef(msgtype, ros_version=2)[0]
+    text = schema or STORE.generate_msgdef(msgtype, ros_version=2)[0]
     with path.open("wb") as file:
         writer = writing.Writer(file, compression=writing.CompressionType[compression])
         writer.start("ros2", "test")
@@ -327,10 +325,7 @@ def mcap_bag(
 
 
 def messages(count: int) -> list[bytes]:
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.LATEST)
-    return [twist(store, float(row)) for row in range(count)]
+    return [twist(float(row)) for row in range(count)]
 
 
 def test_log_times_beyond_the_clock_are_counted(tmp_path):
@@ -422,12 +417,9 @@ def test_a_chunk_that_unpacks_to_more_than_any_chunk_has(tmp_path, refused, monk
     if kind == "mcap":
         path = mcap_bag(tmp_path / "run.mcap", [(START + row, raw) for row, raw in enumerate(messages(50))], compression="ZSTD")
     else:
-        from rosbags.rosbag1 import Writer
-        from rosbags.typesys import Stores, get_typestore
-
         store, path = get_typestore(Stores.ROS1_NOETIC), tmp_path / "run.bag"
-        writer = Writer(path)
-        writer.set_compression(Writer.CompressionFormat.BZ2)
+        writer = Writer1(path)
+        writer.set_compression(Writer1.CompressionFormat.BZ2)
         with writer:
             number = "std_msgs/msg/Float64"
             topic = writer.add_connection("/speed", number, typestore=store)
@@ -465,17 +457,13 @@ def test_a_folder_called_like_a_bag_of_ros_1(tmp_path):
 
 @pytest.mark.parametrize("counts", [(3,), (0,), (3, 200)])
 def test_an_element_beyond_the_end_of_an_array(tmp_path, refused, counts):
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.LATEST)
-    types = store.types
+    types = STORE.types
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        topic = writer.add_connection("/speed", FLOATS, typestore=store)
+        topic = writer.add_connection("/speed", FLOATS, typestore=STORE)
         for row in range(10):
             layout = types["std_msgs/msg/MultiArrayLayout"]([], 0)
             message = types[FLOATS](layout, np.ones(counts[row % len(counts)]))
-            writer.write(topic, START + row, store.serialize_cdr(message, FLOATS))
+            writer.write(topic, START + row, STORE.serialize_cdr(message, FLOATS))
     topics = Topics.parse({"speed": {"topic": "/speed", "type": FLOATS, "field": "data[99]"}}, "topics.yaml")
     only = f"the array data has {'only 3 elements' if counts[0] else 'no elements'}"
     if len(counts) == 1:

@@ -89,8 +89,8 @@ def diagnose(
     a measured torque: without it there is nothing to compare
     """
     from trackres_ros import checks
+    from trackres_ros.diagnosis import DiagnosisOptions, diagnose
     from trackres_ros.diagnosis.base.loading import load_base
-    from trackres_ros.diagnosis.pipeline import diagnose
     from trackres_ros.diagnosis.prepare.order import in_order
     from trackres_ros.diagnosis.prepare.refuse import Refusal, each_usable
     from trackres_ros.recording.reading import check_there
@@ -116,7 +116,8 @@ def diagnose(
     if effects == "":
         raise InputError("effects", "", "a folder with Python files, or None")
     folder = None if effects is None else Path(effects)
-    found = diagnose(sessions, loaded, hide, holdout, seed, quick, folder, keep_suspected, on_stage, refused)
+    options = DiagnosisOptions(hide, holdout, seed, quick, folder, keep_suspected, on_stage, refused)
+    found = diagnose(sessions, loaded, options)
     used = {session.name for session in found.sessions}
     paths = [path for session in sessions if session.name in used for path in (session.paths or (Path(session.name),))]
     return DiagnosisResult(found, loaded, paths, sessions[0].bindings, time.monotonic() - begun)

@@ -247,8 +247,10 @@ def _of_law(
     energy = None
     if found.law.name == ARRHENIUS:
         energy = best.value(lambda theta: found.law.shift(inner(theta)).activation_energy)
-    power = None if raised is None else (raised.value(lambda theta: theta[-1]), raised.rms)
-    return _finished(sweep, found.law.name, why, shift, values, seen, energy, power, at)
+    power, rms = (None, None) if raised is None else (raised.value(lambda theta: theta[-1]), raised.rms)
+    master = master_curve(sweep, shift, at)
+    prony = fit_prony(sweep, shift, master)
+    return CompoundFit(sweep, found.law.name, why, shift, values, seen, energy, power, rms, master, prony)
 
 
 def _kept(sweep: Sweep, vehicle: Vehicle, at: float, why: str) -> CompoundFit:
@@ -259,20 +261,5 @@ def _kept(sweep: Sweep, vehicle: Vehicle, at: float, why: str) -> CompoundFit:
         q = vehicle.parameters[f"rubber.{name}"]
         values[name] = Value(getattr(rubber, name), q.low, q.high)
     shift = Shift.of_wlf(rubber.glass_transition, rubber.wlf_c1, rubber.wlf_c2)
-    return _finished(sweep, KEPT, why, shift, values, False, None, None, at)
-
-
-def _finished(
-    sweep: Sweep,
-    law: str,
-    why: str,
-    shift: Shift,
-    values: dict[str, Value],
-    seen: bool,
-    energy: Value | None,
-    power: tuple[Value, tuple[float, float]] | None,
-    at: float,
-) -> CompoundFit:
     master = master_curve(sweep, shift, at)
-    found, rms = power or (None, None)
-    return CompoundFit(sweep, law, why, shift, values, seen, energy, found, rms, master, fit_prony(sweep, shift, master))
+    return CompoundFit(sweep, KEPT, why, shift, values, False, None, None, None, master, fit_prony(sweep, shift, master))

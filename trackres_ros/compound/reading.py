@@ -51,6 +51,7 @@ NEEDED = {
     (LOSS, TANGENT): "a loss modulus (E'' or G'') or tan delta",
 }
 WHAT = "table of a DMA sweep as text"
+UNIT_REMEDY = "check its unit; a row that the instrument could not measure may be deleted"
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,6 +277,52 @@ def _number(text: str, comma: bool, where: str) -> float:
     return float(plain)
 
 
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Numbers of a sweep with their lines, as given and in SI, each of shape (rows, columns)."""
+
+    name: str
+    columns: Sequence[DmaColumn]
+    lines: Sequence[int]
+    given: Array
+    si: Array
+
+    @classmethod
+    def of(cls, name: str, columns: Sequence[DmaColumn], rows: Sequence[tuple[int, list[float]]]) -> _Table:
+        given = np.array([row for _, row in rows])
+        with np.errstate(over="ignore"):  # infinite is out of limits
+            si = given * np.array([c.scale for c in columns]) + np.array([c.offset for c in columns])
+        return cls(name, columns, [line for line, _ in rows], given, si)
+
+    def of_role(self, role: str) -> list[int]:
+        return [k for k, column in enumerate(self.columns) if column.role == role]
+
+    def of_frequency(self, role: str, storage: DmaColumn) -> int | None:
+        """Place of the column of the storage modulus' frequency; one that says none is of the only storage modulus there is."""
+        listed = self.of_role(role)
+        same = [k for k in listed if self.columns[k].frequency == storage.frequency]
+        if not same and len(listed) == 1 and None in (self.columns[listed[0]].frequency, storage.frequency):
+            same = listed
+        return same[0] if same else None
+
+    def checked(
+        self, k: int, limits: QuantityLimits, to_limits: float = 1.0, values: Array | None = None, remedy: str = UNIT_REMEDY
+    ) -> Array:
+        """Values of a column in SI, or made with it, that are within limits."""
+        values = self.si[:, k] if values is None else values
+        shown = values / to_limits
+        bad = ~((shown >= limits.low) & (shown <= limits.high))
+        if bad.any():
+            at = int(np.argmax(bad))
+            given = figures(float(self.given[at, k])) if math.isfinite(self.given[at, k]) else str(self.given[at, k])
+            raise InputError(
+                f"{self.name}: line {self.lines[at]}, column {self.columns[k].name}",
+                f"{given} ({figures(float(shown[at]), 4)} {limits.unit})",
+                f"{limits.meaning} of {limits.low:g} to {limits.high:g} {limits.unit}", remedy,
+            )  # fmt: skip
+        return values
+
+
 def _assembled(
     path: Path,
     name: str,
@@ -285,74 +332,52 @@ def _assembled(
     notes: list[str],
 ) -> Sweep:
     """SI, a row for each frequency and temperature, within what rubber can have."""
-    by_role: dict[str, list[tuple[int, DmaColumn]]] = {}
-    for k, column in enumerate(columns):
-        by_role.setdefault(column.role, []).append((k, column))
     if not rows:
         raise InputError(name, "no row of numbers", f"at least {FEWEST_ROWS}")
-    table = np.array([row for _, row in rows])
-    lines = np.array([line for line, _ in rows])
-    with np.errstate(over="ignore"):  # infinite is out of limits
-        si = table * np.array([c.scale for c in columns]) + np.array([c.offset for c in columns])
-
-    def checked(k: int, values: Array, limits: QuantityLimits, to_limits: float, remedy: str) -> Array:
-        shown = values / to_limits
-        bad = ~((shown >= limits.low) & (shown <= limits.high))
-        if bad.any():
-            at = int(np.argmax(bad))
-            given = figures(float(table[at, k])) if math.isfinite(table[at, k]) else str(table[at, k])
-            of = columns[k].name
-            raise InputError(
-                f"{name}: line {lines[at]}, column {of}", f"{given} ({figures(float(shown[at]), 4)} {limits.unit})",
-                f"{limits.meaning} of {limits.low:g} to {limits.high:g} {limits.unit}", remedy,
-            )  # fmt: skip
-        return values
-
-    unit = "check its unit; a row that the instrument could not measure may be deleted"
-    (k_temp, _), *_ = by_role[TEMPERATURE]
-    temp_degc = checked(k_temp, si[:, k_temp], SWEEP_DEGC, 1.0, unit)
+    table = _Table.of(name, columns, rows)
+    temp_degc = table.checked(table.of_role(TEMPERATURE)[0], SWEEP_DEGC)
     parts = []
-    for k, column in by_role[STORAGE]:
-        storage = checked(k, si[:, k], SWEEP_STORAGE, 1e6, unit)
-        others = {role: _of_frequency(by_role.get(role, []), column) for role in (LOSS, TANGENT)}
-        k_loss, k_tan = others[LOSS], others[TANGENT]
-        if k_loss is None and k_tan is None:
-            raise InputError(name, column.name, "a loss modulus or tan delta of the same frequency beside each storage modulus")
-        if k_tan is not None:
-            checked(k_tan, si[:, k_tan], SWEEP_TAN_DELTA, 1.0, unit)
-        loss = storage * si[:, k_tan] if k_tan is not None else si[:, 0]
-        if k_loss is not None:
-            loss = checked(k_loss, si[:, k_loss], SWEEP_LOSS, 1e6, unit)
-            checked(k_loss, loss / storage, SWEEP_TAN_DELTA, 1.0, "loss over storage modulus: check that both have the same unit")
-        elif k_tan is not None:
-            checked(k_tan, loss, SWEEP_LOSS, 1e6, unit)
-        if k_loss is not None and k_tan is not None:
-            apart = float(np.median(np.abs(np.log(loss / storage / si[:, k_tan]))))
-            if apart > TANGENT_DIFFERS:
-                raise InputError(
-                    name, f"{columns[k_tan].name} that is {100 * apart:.0f} % off loss over storage modulus",
-                    f"within {100 * TANGENT_DIFFERS:g} %",
-                    "check the units of both moduli, or delete one of the columns",
-                )  # fmt: skip
-        if FREQUENCY in by_role:
-            k_frequency = by_role[FREQUENCY][0][0]
-            frequency = checked(k_frequency, si[:, k_frequency], FREQUENCIES, 1.0, unit)
-        else:
-            frequency = np.full(len(rows), frequency_hz if frequency_hz is not None else column.frequency)
-            if not (FREQUENCIES.low <= frequency[0] <= FREQUENCIES.high):
-                raise InputError(f"{name}: {column.name}", frequency[0], f"{FREQUENCIES.low:g} to {FREQUENCIES.high:g} Hz")
-        parts.append((frequency, temp_degc, storage, loss))
+    for k in table.of_role(STORAGE):
+        storage = table.checked(k, SWEEP_STORAGE, 1e6)
+        loss = _loss(table, columns[k], storage)
+        parts.append((_frequency(table, columns[k], frequency_hz), temp_degc, storage, loss))
     f, t, e1, e2 = (np.concatenate(each) for each in zip(*parts, strict=True))
     _enough(name, f, t)
     return Sweep(path, f, t, e1, e2, tuple(notes))
 
 
-def _of_frequency(listed: Sequence[tuple[int, DmaColumn]], storage: DmaColumn) -> int | None:
-    """Place of the column of the storage modulus' frequency; one that says none is of the only storage modulus there is."""
-    same = [k for k, column in listed if column.frequency == storage.frequency]
-    if not same and len(listed) == 1 and None in (listed[0][1].frequency, storage.frequency):
-        same = [listed[0][0]]
-    return same[0] if same else None
+def _loss(table: _Table, column: DmaColumn, storage: Array) -> Array:
+    """Loss modulus [Pa] of the frequency of a column with the storage modulus: measured, or by tan delta."""
+    k_loss, k_tan = (table.of_frequency(role, column) for role in (LOSS, TANGENT))
+    if k_loss is None:
+        if k_tan is None:
+            needed = "a loss modulus or tan delta of the same frequency beside each storage modulus"
+            raise InputError(table.name, column.name, needed)
+        return table.checked(k_tan, SWEEP_LOSS, 1e6, storage * table.checked(k_tan, SWEEP_TAN_DELTA))
+    if k_tan is not None:
+        table.checked(k_tan, SWEEP_TAN_DELTA)
+    loss = table.checked(k_loss, SWEEP_LOSS, 1e6)
+    remedy = "loss over storage modulus: check that both have the same unit"
+    by_moduli = table.checked(k_loss, SWEEP_TAN_DELTA, 1.0, loss / storage, remedy)
+    if k_tan is not None:
+        apart = float(np.median(np.abs(np.log(by_moduli / table.si[:, k_tan]))))
+        if apart > TANGENT_DIFFERS:
+            raise InputError(
+                table.name, f"{table.columns[k_tan].name} that is {100 * apart:.0f} % off loss over storage modulus",
+                f"within {100 * TANGENT_DIFFERS:g} %", "check the units of both moduli, or delete one of the columns",
+            )  # fmt: skip
+    return loss
+
+
+def _frequency(table: _Table, column: DmaColumn, frequency_hz: float | None) -> Array:
+    """Frequency of each row [Hz]: a column's, the one given for the sweep, or that in the name of the storage modulus."""
+    measured = table.of_role(FREQUENCY)
+    if measured:
+        return table.checked(measured[0], FREQUENCIES)
+    frequency = np.full(len(table.lines), frequency_hz if frequency_hz is not None else column.frequency)
+    if not (FREQUENCIES.low <= frequency[0] <= FREQUENCIES.high):
+        raise InputError(f"{table.name}: {column.name}", frequency[0], f"{FREQUENCIES.low:g} to {FREQUENCIES.high:g} Hz")
+    return frequency
 
 
 def _enough(name: str, frequency: Array, temp_degc: Array) -> None:

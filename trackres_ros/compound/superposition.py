@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import t as student
 
 from trackres_ros.compound.master import Smooth, chosen_penalty, smooth
@@ -105,27 +105,23 @@ def fitted(sweep: Sweep, law: Law, at: float) -> FittedShift:
     def residuals(theta: Array, penalty: Array, scale: Array) -> Array:
         return np.asarray((law.smooth(sweep, theta, at, penalty).penalised / scale).ravel(order="F"))
 
-    penalty, scale = FIRST_PENALTY, FIRST_SCALE
-    theta = min(inner, key=lambda start: float((residuals(start, penalty, scale) ** 2).sum()))
-    for _ in range(ROUNDS):
-        theta = least_squares(
+    def solved(theta: Array, penalty: Array, scale: Array) -> OptimizeResult:
+        return least_squares(
             residuals,
             theta,
             bounds=(law.low, law.high),
             x_scale=np.maximum(np.abs(theta), 0.1),
             args=(penalty, scale),
             max_nfev=MOST_STEPS,
-        ).x
+        )
+
+    penalty, scale = FIRST_PENALTY, FIRST_SCALE
+    theta = min(inner, key=lambda start: float((residuals(start, penalty, scale) ** 2).sum()))
+    for _ in range(ROUNDS):
+        theta = solved(theta, penalty, scale).x
         penalty = UNDERSMOOTHED * chosen_penalty(law.levelled(sweep, theta), law.shift(theta), at)
         scale = np.maximum(np.sqrt((law.smooth(sweep, theta, at, penalty).residuals ** 2).mean(axis=0)), 1e-6)
-    found = least_squares(
-        residuals,
-        theta,
-        bounds=(law.low, law.high),
-        x_scale=np.maximum(np.abs(theta), 0.1),
-        args=(penalty, scale),
-        max_nfev=MOST_STEPS,
-    )
+    found = solved(theta, penalty, scale)
     last = law.smooth(sweep, found.x, at, penalty).residuals
     scores = len(last) * np.log((last**2).mean(axis=0)).sum()
     independent = np.linalg.pinv(found.jac.T @ found.jac) * float((last / scale).ravel() @ (last / scale).ravel())

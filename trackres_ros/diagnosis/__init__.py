@@ -5,5 +5,6 @@
 
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.diagnosis.pipeline import Diagnosis, diagnose, read_recordings
+from trackres_ros.diagnosis.stages.options import DiagnosisOptions
 
-__all__ = ["Diagnosis", "diagnose", "load_base", "read_recordings"]
+__all__ = ["Diagnosis", "DiagnosisOptions", "diagnose", "load_base", "read_recordings"]

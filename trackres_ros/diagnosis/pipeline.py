@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,14 +27,13 @@ from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.inference.noise import Noise
 from trackres_ros.diagnosis.prepare.gate import Gated
 from trackres_ros.diagnosis.prepare.order import in_order
-from trackres_ros.diagnosis.prepare.refuse import Refusal
 from trackres_ros.diagnosis.prepare.session import DriveSession, Split
 from trackres_ros.diagnosis.selection.confirm import Graded
 from trackres_ros.diagnosis.selection.held_out import HeldOut, Improvement
 from trackres_ros.diagnosis.selection.naming import Step
 from trackres_ros.diagnosis.stages.conclude import conclude
 from trackres_ros.diagnosis.stages.judge import bounds_of, judge
-from trackres_ros.diagnosis.stages.options import DiagnosisOptions
+from trackres_ros.diagnosis.stages.options import BY_DEFAULT, DiagnosisOptions
 from trackres_ros.diagnosis.stages.prepare import prepare
 from trackres_ros.diagnosis.stages.refit import refit
 from trackres_ros.diagnosis.stages.search import search
@@ -134,49 +133,21 @@ def read_recordings(paths: Sequence[Path], topics: Topics | None) -> list[Record
     return in_order([Recording.from_source(open_source([path], topics)) for path in paths])
 
 
-def diagnose(
-    recordings: Sequence[Recording],
-    vehicle: LoadedBase,
-    hide: Sequence[str] = (),
-    holdout: int | Sequence[str] | None = None,
-    seed: int = 1,
-    quick: bool = False,
-    effects_dir: Path | None = None,
-    keep_suspected: bool = False,
-    on_stage: Callable[[str], None] = lambda _: None,
-    unread: Sequence[Refusal] = (),
-) -> Diagnosis:
+def diagnose(recordings: Sequence[Recording], vehicle: LoadedBase, options: DiagnosisOptions = BY_DEFAULT) -> Diagnosis:
     """Find where recordings part from a base model, which effect is left out, and what a model with it is worth.
 
     Parameters
     ----------
     vehicle
         See `loading.load_base`.
-    hide
-        Roles that are not to be read.
-    holdout
-        See `gate.split`.
-    seed
-        Of all that is drawn: equal seeds give equal results.
-    quick
-        Fewer draws.
-    effects_dir
-        Folder with effects of the user's own.
-    keep_suspected
-        Whether effects that fit and that held-out laps do not confirm are kept too.
-    on_stage
-        Takes the name of each stage.
-    unread
-        Recordings that could not be read.
 
     Raises
     ------
     InputError
         If the recordings cannot be used; says why.
     """
-    options = DiagnosisOptions(vehicle, hide, holdout, seed, quick, effects_dir, keep_suspected, on_stage, unread)
-    rng = np.random.default_rng(seed)
-    prepared = prepare(recordings, options)
+    rng = np.random.default_rng(options.seed)
+    prepared = prepare(recordings, vehicle, options)
     base = refit(prepared, options, rng)
     chosen = search(prepared, base, options, rng)
     judged = judge(prepared, base, chosen, options, rng)

@@ -178,9 +178,6 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
     acting = effect_table(vehicle.own, vehicle.surroundings, machine=machine)
     frame = frame_of(vehicle.route)
 
-    def ns(seconds: float) -> int:
-        return int(round(seconds * 1e9))
-
     fed: dict[str, Any] = {f"feed_{part}": float(part in settings.feedforward_parts) for part in PARTS}
     number = Numbers(
         with_uncertainty=True,
@@ -204,18 +201,8 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
         belt_measured_variance=settings.belt_measured_std_k**2,
         gap=settings.gap_s,
         bridge=settings.bridge_s,
-        clock_jump_ns=ns(settings.clock_jump_s),
         jumps_to_accept=int(settings.jumps_to_accept),
-        load_hold_ns=ns(settings.load_hold_s),
-        passengers_hold_ns=ns(settings.passengers_hold_s),
         passenger_weight=settings.passenger_kg * GRAVITY,
-        ambient_hold_ns=ns(settings.ambient_hold_s),
-        motion_hold_ns=ns(settings.motion_hold_s),
-        torque_hold_ns=ns(settings.torque_hold_s),
-        position_hold_ns=ns(settings.position_hold_s),
-        stuck_ns=ns(settings.stuck_s),
-        enable_hold_ns=ns(settings.enable_hold_s),
-        disagreeing_ns=ns(settings.speed_max_age_s),
         max_acceleration=chassis.max_acceleration,
         speed_slack=ROLLS_FROM * settings.speed_std_mps + LATEST_S * chassis.max_acceleration,
         speed_variance=settings.speed_std_mps**2,
@@ -226,6 +213,7 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
         speed_max_age=settings.speed_max_age_s,
         feedforward_fade=settings.feedforward_fade_s,
         belt_std_warn=settings.belt_std_warn_k,
+        **_times_ns(settings),
         **fed,
         **runs_on.numbers,
     )
@@ -240,6 +228,23 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
         *followed_in(vehicle.route, frame),
         work_space(vehicle_constants(vehicle), len(vehicle.assemblies)),
     )
+
+
+def _times_ns(settings: Settings) -> dict[str, Any]:
+    """Times of the settings that are compared with those of messages [ns]."""
+    seconds = {
+        "clock_jump": settings.clock_jump_s,
+        "load_hold": settings.load_hold_s,
+        "passengers_hold": settings.passengers_hold_s,
+        "ambient_hold": settings.ambient_hold_s,
+        "motion_hold": settings.motion_hold_s,
+        "torque_hold": settings.torque_hold_s,
+        "position_hold": settings.position_hold_s,
+        "stuck": settings.stuck_s,
+        "enable_hold": settings.enable_hold_s,
+        "disagreeing": settings.speed_max_age_s,
+    }
+    return {f"{name}_ns": int(round(value * 1e9)) for name, value in seconds.items()}
 
 
 def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:

@@ -74,55 +74,75 @@ def run(
     for channel in hide:
         one_of(base_role(channel), "--hide", ROLES)
     dataset.prepare()
-    index, counts = dataset.index(), RunCounts()
-
-    for place in recordings:  # what could not be looked into may be otherwise now
-        before = index.get(place)
-        if before is not None and not before.stamp:
-            index.pop(place).file.unlink(missing_ok=True)
-
-    def put(row: dict[str, Any]) -> None:
-        before = index.get(row["url"])
-        if row["status"] == SAME and before is not None:
-            dataset.put({**dataset.of(before), "stamp": row["stamp"]}, before.file)
-            counts.kept += 1
-            return
-        dataset.put(row, before.file if before else None)
-        if row["status"] == BROKEN:
-            counts.broken += 1
-            if len(counts.reasons) < MOST_REASONS:
-                counts.reasons.append(row["reason"])
-        else:
-            counts.good += 1
-
-    def tasks() -> Iterator[Task]:
-        for found in find_recordings(recordings):
-            counts.found += 1
-            task = _task(found, fleet, hide)
-            inputs = task.inputs if isinstance(task, Task) else UNKNOWN
-            before = index.get(found.url)
-            if _is_kept(before, found, inputs):
-                counts.kept += 1
-            elif isinstance(task, Task):
-                yield task if before is None or before.inputs != inputs else replace(task, known=before.content)
-            else:
-                put(broken(found, NO_VEHICLE, UNKNOWN, task))
-
-    new = tasks()
+    this_run = _Run(recordings, fleet, dataset, hide)
+    this_run.forget_unread()
+    counts, new = this_run.counts, this_run.tasks()
     first = next(new, None)
     if first is not None:
-        advance = on_begin(_how_many(recordings, fleet, hide, index))
+        advance = on_begin(this_run.how_many())
         with engine(address, workers) as client:
             if page := dashboard(client):
                 on_dashboard(page)
             for row in rows(done(client, analyse, chain([first], new))):
-                put(row)
+                this_run.put(row)
                 advance(1)
     if not counts.found:
         raise InputError("recordings", ", ".join(recordings), "paths, folders, globs or URLs of recordings")
     if not counts.kept + counts.good:
         raise InputError("recordings", f"{counts.broken} that cannot be used", "one at least that can", counts.reasons[0])
     return counts
+
+
+class _Run:
+    """What is to be done in one run, and what became of it."""
+
+    def __init__(self, recordings: Sequence[str], fleet: Fleet, dataset: FleetDataset, hide: tuple[str, ...]) -> None:
+        self._recordings, self._fleet, self._dataset, self._hide = recordings, fleet, dataset, hide
+        self._index, self.counts = dataset.index(), RunCounts()
+
+    def forget_unread(self) -> None:
+        """What could not be looked into may be otherwise now."""
+        for place in self._recordings:
+            before = self._index.get(place)
+            if before is not None and not before.stamp:
+                self._index.pop(place).file.unlink(missing_ok=True)
+
+    def tasks(self) -> Iterator[Task]:
+        """The recordings that have no row yet, or that changed; rows of what no vehicle is known for are put at once."""
+        for found in find_recordings(self._recordings):
+            self.counts.found += 1
+            task = _task(found, self._fleet, self._hide)
+            inputs = task.inputs if isinstance(task, Task) else UNKNOWN
+            before = self._index.get(found.url)
+            if _is_kept(before, found, inputs):
+                self.counts.kept += 1
+            elif isinstance(task, Task):
+                yield task if before is None or before.inputs != inputs else replace(task, known=before.content)
+            else:
+                self.put(broken(found, NO_VEHICLE, UNKNOWN, task))
+
+    def how_many(self) -> int:
+        """How many tasks there will be, for the time that is left."""
+        count = 0
+        for found in find_recordings(self._recordings):
+            task = _task(found, self._fleet, self._hide)
+            count += isinstance(task, Task) and not _is_kept(self._index.get(found.url), found, task.inputs)
+        return count
+
+    def put(self, row: dict[str, Any]) -> None:
+        """Write a row into the dataset and count it."""
+        before, counts = self._index.get(row["url"]), self.counts
+        if row["status"] == SAME and before is not None:
+            self._dataset.put({**self._dataset.of(before), "stamp": row["stamp"]}, before.file)
+            counts.kept += 1
+            return
+        self._dataset.put(row, before.file if before else None)
+        if row["status"] == BROKEN:
+            counts.broken += 1
+            if len(counts.reasons) < MOST_REASONS:
+                counts.reasons.append(row["reason"])
+        else:
+            counts.good += 1
 
 
 def rows(results: Iterable[tuple[Task, Any]]) -> Iterator[dict[str, Any]]:
@@ -146,12 +166,3 @@ def _task(found: FoundRecording, fleet: Fleet, hide: tuple[str, ...]) -> Task | 
 
 def _is_kept(kept: CachedRow | None, found: FoundRecording, inputs: str) -> bool:
     return kept is not None and (kept.stamp, kept.inputs) == (found.stamp, inputs)
-
-
-def _how_many(recordings: Sequence[str], fleet: Fleet, hide: tuple[str, ...], index: dict[str, CachedRow]) -> int:
-    """How many tasks there will be, for the time that is left."""
-    count = 0
-    for found in find_recordings(recordings):
-        task = _task(found, fleet, hide)
-        count += isinstance(task, Task) and not _is_kept(index.get(found.url), found, task.inputs)
-    return count

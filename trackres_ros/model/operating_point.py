@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -57,47 +58,24 @@ def explain(
     ambient = vehicle.chassis.ambient if ambient_degc is None else ambient_degc
     weight = vehicle.weight if weight_n is None else weight_n
     nominal = vehicle.nominal_loads()
-    loads = weight * nominal / nominal.sum()
     models = {name: track_model(vehicle, name) for name in vehicle.tracks}
-    chassis, direction = vehicle.chassis, float(resistance.direction(speed))
-    wind = float(resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density))
     usable, left_out = _effects(vehicle)
     at = conditions(vehicle_constants(vehicle), speed, weight=weight, ambient=ambient, belt=belt_degc)
-    warms = _together(usable, at)
-    loss_factor = float(warms.loss_factor) * math.exp(-warms.softening * (belt_degc - SOFTENING_FROM_DEGC))
-    assemblies: list[dict[str, Any]] = []
-    heat = cooling = 0.0
+    steady = _SteadyState(vehicle, speed, belt_degc, ambient, weight, _together(usable, at))
+    assemblies = [
+        steady.assembly(models[assembly.track], load)
+        for assembly, load in zip(vehicle.assemblies, weight * nominal / nominal.sum(), strict=True)
+    ]
     torque = dict.fromkeys((*RESISTANCE_PARTS, "inertia"), 0.0)
-    for assembly, load in zip(vehicle.assemblies, loads, strict=True):
-        model = models[assembly.track]
-        radius = model.track.sprocket_radius
-        bearing = float(resistance.bearing_force(speed, load, chassis.bearing_friction))
-        drive = 0.0
-        for _ in range(DRIVE_PASSES):
-            loss = model.loss.loss_force(speed, belt_degc, load, drive)
-            total = float(loss.total) * loss_factor
-            drive = radius * (total * direction + bearing + wind * load / weight)
-        torque["hysteresis"] += radius * total * direction
-        torque["bearing"] += radius * bearing
-        torque["wind"] += radius * wind * load / weight
-        network = model.network
-        slope = network.film_slope * float(warms.film_slope_factor)
-        film = float(film_coefficient(speed, network.film_offset * float(warms.film_offset_factor), slope))
-        heat += total * abs(speed) + float(warms.heat)
-        cooling += film * network.area * (belt_degc - ambient) + float(warms.conductance) * (belt_degc - float(warms.sink))
-        assemblies.append(
-            {
-                "name": assembly.name,
-                "load_n": float(load),
-                "film_w_m2k": film,
-                "drive_torque_nm": drive,
-                "loss_force_n": {**{part: float(f) * loss_factor for part, f in loss._asdict().items()}, "total": total},
-                "surface_degc": float(surface_temperature(belt_degc, ambient, film, network.area, network.inner_conductance)),
-            }
-        )
+    heat = cooling = 0.0
+    for one in assemblies:
+        heat += one.heat
+        cooling += one.cooling
+        for part, value in one.torque.items():
+            torque[part] += value
     torque["effects"] = _effects_torque(usable, at, torque["hysteresis"] + torque["bearing"] + torque["wind"])
     first, model = assemblies[0], models[vehicle.assemblies[0].track]
-    contacts = model.loss.contacts(speed, belt_degc, first["load_n"])
+    contacts = model.loss.contacts(speed, belt_degc, first.load)
     return {
         "vehicle": vehicle.name,
         "method": vehicle.hysteresis,
@@ -105,26 +83,83 @@ def explain(
         "belt_degc": float(belt_degc),
         "ambient_degc": float(ambient),
         "weight_n": float(weight),
-        "assemblies": [a["name"] for a in assemblies],
+        "assemblies": [a.name for a in vehicle.assemblies],
         "wheel_loads_n": [
-            wheel_loads(models[a.track].track, load).tolist() for a, load in zip(vehicle.assemblies, loads, strict=True)
+            wheel_loads(models[a.track].track, one.load).tolist() for a, one in zip(vehicle.assemblies, assemblies, strict=True)
         ],
         "contact": [
             {"half_length_m": float(a), "max_strain": float(e), "frequency_hz": float(f), "modulus_mpa": float(m) / 1e6}
             for a, e, f, m in zip(*contacts, strict=True)
         ],
         "tension_n": steady_tension(model, belt_degc, speed),
-        "loss_force_n": first["loss_force_n"],
-        "loss_force_by_assembly_n": [a["loss_force_n"] for a in assemblies],
+        "loss_force_n": first.loss_force,
+        "loss_force_by_assembly_n": [a.loss_force for a in assemblies],
         "torque_nm": {**torque, "resistance": sum(torque[part] for part in RESISTANCE_PARTS)},
         "effects_left_out": left_out,
         "remarks": beyond_data(vehicle, speed, {a.name: belt_degc for a in vehicle.assemblies}),
         "heat_w": heat,
         "cooling_w": cooling,
-        "film_coefficient_w_m2k": first["film_w_m2k"],
-        "surface_degc": [a["surface_degc"] for a in assemblies],
-        "rainflow": rainflow_matrix(model, speed, belt_degc, first["load_n"], first["drive_torque_nm"]),
+        "film_coefficient_w_m2k": first.film,
+        "surface_degc": [a.surface_degc for a in assemblies],
+        "rainflow": rainflow_matrix(model, speed, belt_degc, first.load, first.drive_torque),
     }
+
+
+@dataclass(frozen=True, eq=False)
+class _AssemblyState:
+    """One assembly in a steady state; torques are its shares [Nm], film coefficient in W/m^2/K, heat and cooling in W."""
+
+    load: float
+    loss_force: dict[str, float]
+    drive_torque: float
+    torque: dict[str, float]
+    film: float
+    heat: float
+    cooling: float
+    surface_degc: float
+
+
+@dataclass(frozen=True, eq=False)
+class _SteadyState:
+    """Speed [m/s], temperatures [degC], weight [N] and what effects do."""
+
+    vehicle: Vehicle
+    speed: float
+    belt_degc: float
+    ambient: float
+    weight: float
+    effects: Terms
+
+    def assembly(self, model: TrackModel, load: float) -> _AssemblyState:
+        """What an assembly does under a load [N]."""
+        speed, belt_degc, effects = self.speed, self.belt_degc, self.effects
+        chassis, direction = self.vehicle.chassis, float(resistance.direction(speed))
+        wind = float(resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density))
+        loss_factor = float(effects.loss_factor) * math.exp(-effects.softening * (belt_degc - SOFTENING_FROM_DEGC))
+        radius, network = model.track.sprocket_radius, model.network
+        bearing = float(resistance.bearing_force(speed, load, chassis.bearing_friction))
+        drive = 0.0
+        for _ in range(DRIVE_PASSES):
+            loss = model.loss.loss_force(speed, belt_degc, load, drive)
+            total = float(loss.total) * loss_factor
+            drive = radius * (total * direction + bearing + wind * load / self.weight)
+        slope = network.film_slope * float(effects.film_slope_factor)
+        film = float(film_coefficient(speed, network.film_offset * float(effects.film_offset_factor), slope))
+        by_sink = float(effects.conductance) * (belt_degc - float(effects.sink))
+        return _AssemblyState(
+            load=float(load),
+            loss_force={**{part: float(f) * loss_factor for part, f in loss._asdict().items()}, "total": total},
+            drive_torque=drive,
+            torque={
+                "hysteresis": radius * total * direction,
+                "bearing": radius * bearing,
+                "wind": radius * wind * load / self.weight,
+            },
+            film=film,
+            heat=total * abs(speed) + float(effects.heat),
+            cooling=film * network.area * (belt_degc - self.ambient) + by_sink,
+            surface_degc=float(surface_temperature(belt_degc, self.ambient, film, network.area, network.inner_conductance)),
+        )
 
 
 def explain_road(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -183,20 +183,9 @@ def _draw_belt(axes: Axes, x: Array, columns: Mapping[str, Array], measured: Arr
     axes.set_ylabel("temperature [°C]")
 
 
-def _line(
-    axes: Axes,
-    x: Array,
-    y: ArrayLike,
-    label: str,
-    colour: str,
-    linewidth: float = 1.5,
-    linestyle: str = "-",
-    marker: str = "",
-    markersize: float = 0.0,
-) -> None:
-    axes.plot(
-        *thinned(x, y), label=label, color=colour, linewidth=linewidth, linestyle=linestyle, marker=marker, markersize=markersize
-    )
+def _line(axes: Axes, x: Array, y: ArrayLike, label: str, colour: str, **look: Any) -> None:
+    """Draw a line; `look` are keywords of `Axes.plot`."""
+    axes.plot(*thinned(x, y), label=label, color=colour, **{"linewidth": 1.5, **look})
 
 
 def _band(axes: Axes, x: Array, middle: Array, std: Array, colour: str) -> None:

@@ -23,7 +23,6 @@ SECOND_NS = 1_000_000_000
 MOST_S = 2**63 // SECOND_NS - 1
 """Of what fits in 64 bits as nanoseconds: the years from 1678 to 2262."""
 MOST_MONTHS = 12
-EXAMPLES = "2026-11-23T10:00:00.5Z or 23.11.2026 10:00:00"
 
 Order = Literal["dmy", "mdy", ""]
 

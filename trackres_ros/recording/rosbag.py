@@ -7,19 +7,18 @@ from __future__ import annotations
 
 import itertools
 import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
-from trackres_ros.errors import InputError, MissingExtraError, nearest, one_line
-from trackres_ros.recording.bag_counts import counts_of, storages_of
+from trackres_ros.errors import InputError, nearest, one_line
+from trackres_ros.recording.bag_counts import counts_of
+from trackres_ros.recording.bag_opening import READABLE, is_ros1, messages, open_bag, remedy
 from trackres_ros.recording.bag_types import types_of
 from trackres_ros.recording.binding import NO_FIX, TopicBinding
 from trackres_ros.recording.bindings import Topics
@@ -27,38 +26,18 @@ from trackres_ros.recording.cdr import Encoding, FieldReader
 from trackres_ros.recording.guess import guess
 from trackres_ros.recording.message_types import Definitions, check_field, stamp_path
 from trackres_ros.recording.position_units import PositionUnits
-from trackres_ros.recording.reading import check_file, check_there, reading
-from trackres_ros.recording.ros_bag import RosBag, RosTopic
+from trackres_ros.recording.reading import reading
 from trackres_ros.recording.samples import Finding, IntArray, SampleBlock
 from trackres_ros.recording.sums import Sums, readings_of
 from trackres_ros.recording.torque_candidates import note_of, of_topics
-from trackres_ros.recording.unfinished import UnfinishedBag, is_unfinished
-from trackres_ros.recording.unpacking import (
-    MAX_CHUNK_BYTES,
-    MAX_MESSAGE_BYTES,
-    TooLargeError,
-    check_space,
-    set_ceilings,
-    unpack_message,
-)
 
 if TYPE_CHECKING:
-    from rosbags.interfaces import Connection as RosbagsConnection
-    from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag2 import Reader as Reader2
-
-    Connection = RosbagsConnection | RosTopic
-    Reader = Reader1 | Reader2 | RosBag
+    from trackres_ros.recording.bag_opening import Connection, Reader
 
 BATCH_ROWS, BATCH_BYTES = 2048, 32 * 2**20
 """Serialised messages held at once: few stay in the cache of the processor, and large ones do not fill the memory."""
-READABLE = "a bag that can be read to its end"
-REMEDIES = {".mcap": "try: mcap recover", ".bag": "try: rosbag reindex"}
 MAX_LOG_NS = 2**62
 """Log times from 1970 to 2116 are accepted: differences of two of them fit in 64 bits [ns]."""
-MAX_METADATA_BYTES, MAX_METADATA_DEPTH = 2**24, 50
-"""Of the metadata.yaml of a bag; ten hours in files of a minute fill a hundredth of it, and the deepest value has 8 above it."""
-SQLITE_LIMIT_LENGTH = 0
 TOPICS_SHOWN = 50
 
 
@@ -336,120 +315,6 @@ class BagSource:
             yield Finding("", "unknown_topic", tally.unknown, float("nan"), text)
         for remark in dict.fromkeys(tally.remarks):
             yield Finding("", "structure", 1, float("nan"), remark)
-
-
-def is_ros1(path: Path) -> bool:
-    """Whether a path is a bag of ROS 1: a file; a folder of such a name is a rosbag2."""
-    return path.suffix == ".bag" and not path.is_dir()
-
-
-def remedy(path: Path) -> str:
-    """What may help where a bag cannot be read."""
-    return "try: ros2 bag reindex" if path.is_dir() else REMEDIES.get(path.suffix, "try: ros2 bag reindex")
-
-
-def open_bag(path: Path) -> Reader:
-    """Open one bag for reading; it is the caller's to close.
-
-    With the library rosbags where that is installed, else with those of ROS 2, which do not read bags of ROS 1.
-
-    Raises
-    ------
-    InputError
-        It is no bag, or asks for more memory or space than is there.
-    MissingExtraError
-        rosbags is not installed, and nothing else that reads the bag.
-    """
-    opened = _opener(path)
-    check_there(path)
-    if path.is_dir():
-        _check_folder(path)
-    else:
-        check_file(path)
-    with reading(path, READABLE, remedy(path)):
-        reader = opened(path)
-        try:
-            for storage in storages_of(reader):
-                _check_storage(storage)
-        except BaseException:
-            reader.close()
-            raise
-    return reader
-
-
-def _opener(path: Path) -> Callable[[Path], Reader]:
-    """Return what opens a bag with the library that is there."""
-    try:
-        from rosbags.rosbag1 import Reader as Reader1
-        from rosbags.rosbag2 import Reader as Reader2
-    except ImportError:
-        if is_ros1(path) or not find_spec("rosbag2_py"):
-            raise MissingExtraError("reading bags", "rosbags", "bags") from None
-        return RosBag
-
-    def opened(path: Path) -> Reader:
-        set_ceilings()
-        place: Any = UnfinishedBag(path) if path.is_file() and is_unfinished(path) else path
-        reader: Reader1 | Reader2 = Reader1(path) if is_ros1(path) else Reader2(place)
-        reader.open()
-        return reader
-
-    return opened
-
-
-def _check_folder(path: Path) -> None:
-    """Refuse a rosbag2 folder in which there is more, or something else, than recorders write."""
-    for inside in sorted(path.iterdir()):
-        check_there(inside)
-        if inside.suffix == ".zstd":
-            check_space(inside)
-    metadata = path / "metadata.yaml"
-    if not metadata.is_file():
-        return
-    if metadata.stat().st_size > MAX_METADATA_BYTES:
-        raise InputError(str(metadata), f"{metadata.stat().st_size} bytes", f"at most {MAX_METADATA_BYTES}")
-    depth = 0
-    with reading(metadata, "YAML as ros2 bag writes it", "try: ros2 bag reindex"):
-        for event in yaml.parse(metadata.read_text(encoding="utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
-            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if isinstance(event, yaml.AliasEvent) or depth > MAX_METADATA_DEPTH:
-                given = "an alias" if depth <= MAX_METADATA_DEPTH else f"more than {MAX_METADATA_DEPTH} values in one another"
-                raise InputError(str(metadata), given, "YAML as ros2 bag writes it", "try: ros2 bag reindex")
-
-
-def _check_storage(storage: Any) -> None:
-    """Refuse what would fill the memory when it is read."""
-    database = getattr(storage, "dbconn", None)
-    if database is not None:
-        limit = getattr(database, "limit", None) or database.setlimit
-        limit(SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
-    together, most = 0, 0
-    spans = [(one.message_start_time, one.message_end_time, one.uncompressed_size) for one in getattr(storage, "chunks", ())]
-    ends = [(end, 1, -size) for _, end, size in spans]
-    for _, _, size in sorted([(start, 0, size) for start, _, size in spans] + ends):
-        together += size
-        most = max(most, together)
-    if most > MAX_CHUNK_BYTES:
-        raise TooLargeError(f"chunks of the same span of time that unpack to {most} bytes; at most {MAX_CHUNK_BYTES} are read")
-
-
-def messages(reader: Any, wanted: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-    """Return the messages of a bag, file after file; those that are packed one by one are unpacked here, up to a ceiling."""
-    kinds = {(one.topic, one.msgtype) for one in wanted}
-    files = [(file, [one for one in file.connections if (one.topic, one.msgtype) in kinds]) for file in storages_of(reader)]
-    parts: list[tuple[Any, Sequence[Connection]]] = [*files] if files else [(reader, wanted)]
-    found = itertools.chain.from_iterable(part.messages(ones) for part, ones in parts if ones)
-    return _unpacked(found) if getattr(reader, "compression_mode", None) == "message" else found
-
-
-def _unpacked(packed: Iterator[tuple[Connection, int, bytes]]) -> Iterator[tuple[Connection, int, bytes]]:
-    for connection, stamp, raw in packed:
-        try:
-            yield connection, stamp, unpack_message(raw)
-        except TooLargeError as error:
-            raise TooLargeError(f"a message of {connection.topic}: {error}") from None
-        except Exception:
-            yield connection, stamp, b""  # what cannot be unpacked is malformed, and counted so
 
 
 def _times(stamps: Sequence[object]) -> IntArray | None:

@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -143,31 +144,52 @@ def _groups(names: Sequence[str], tied: set[frozenset[str]]) -> tuple[tuple[str,
     return tuple(sorted((tuple(n for n in names if n in group) for group in groups), key=lambda g: names.index(g[0])))
 
 
-def menu(weight: float, max_speed: float) -> dict[str, Callable[[DriveSession], DriveSession]]:
+@dataclass(frozen=True)
+class Manoeuvre:
+    """Makes a session like one that was recorded.
+
+    Attributes
+    ----------
+    weight
+        Of the vehicle file [N].
+    points
+        Times [s] with speeds [m/s], straight lines between them.
+    load
+        Shares of the weight, one after the other.
+    curvature, slope
+        In every second minute [1/m]; to one side in one minute, to the other in the next.
+    """
+
+    weight: float
+    points: Sequence[tuple[float, float]]
+    load: Sequence[float] = (1.0,)
+    curvature: float = 0.0
+    slope: float = 0.0
+
+    def __call__(self, like: DriveSession) -> DriveSession:
+        """The session."""
+        end = self.points[-1][0]
+        time = np.arange(0.0, end, STEP_S)
+        at, speed_at = np.array([p[0] for p in self.points]), np.array([p[1] for p in self.points])
+        edges = np.interp(np.append(time, end), at, speed_at)
+        speed = 0.5 * (edges[1:] + edges[:-1])
+        n = len(time)
+        odd_minute = (time // 60.0) % 2 == 1
+        turning = np.where(odd_minute, self.curvature, 0.0) * speed
+        return replace(
+            like, name="manoeuvre", time=time, speed=speed, accel=np.diff(edges) / STEP_S,
+            weight=self.weight * np.repeat(self.load, -(-n // len(self.load)))[:n], ambient=np.full(n, like.ambient[0]),
+            grade=np.where(odd_minute, self.slope, -self.slope), yaw_rate=turning, heading=np.cumsum(turning) * STEP_S,
+            distance=np.cumsum(np.abs(speed)) * STEP_S, torque=np.zeros(n), belt=np.full(n, np.nan),
+            used=np.ones(n, dtype=bool), block=np.zeros(n, dtype=np.int64), gap=np.inf,
+            given=like.given | {"grade"} if self.slope else like.given,
+        )  # fmt: skip
+
+
+def menu(weight: float, max_speed: float) -> dict[str, Manoeuvre]:
     """Manoeuvres by name; each makes a session like one that was recorded."""
     fast, slow = 0.7 * max_speed, 0.25 * max_speed
-
-    def drive(
-        points: Sequence[tuple[float, float]], load: Sequence[float] = (1.0,), curvature: float = 0.0, slope: float = 0.0
-    ) -> Callable[[DriveSession], DriveSession]:
-        def made(like: DriveSession) -> DriveSession:
-            time = np.arange(0.0, points[-1][0], STEP_S)
-            at, speed_at = np.array([p[0] for p in points]), np.array([p[1] for p in points])
-            edges = np.interp(np.append(time, points[-1][0]), at, speed_at)
-            speed = 0.5 * (edges[1:] + edges[:-1])
-            n = len(time)
-            weights = weight * np.repeat(load, -(-n // len(load)))[:n]
-            turning = np.where((time // 60.0) % 2 == 1, curvature, 0.0) * speed
-            grade = np.where((time // 60.0) % 2 == 1, slope, -slope)
-            return replace(
-                like, name="manoeuvre", time=time, speed=speed, accel=np.diff(edges) / STEP_S, weight=weights,
-                ambient=np.full(n, like.ambient[0]), grade=grade, yaw_rate=turning, heading=np.cumsum(turning) * STEP_S,
-                distance=np.cumsum(np.abs(speed)) * STEP_S, torque=np.zeros(n), belt=np.full(n, np.nan),
-                used=np.ones(n, dtype=bool), block=np.zeros(n, dtype=np.int64), gap=np.inf,
-                given=like.given | {"grade"} if slope else like.given,
-            )  # fmt: skip
-
-        return made
+    drive = partial(Manoeuvre, weight)
 
     def times(count: int, points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
         """The same again and again, from standstill to standstill."""

@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -42,14 +42,24 @@ from trackres_ros.diagnosis.selection.confirm import Graded, far_from_file, move
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut
 from trackres_ros.text.numbers import figures
 
-__all__ = ["MOST_STRAY", "Changed", "NamedEffect", "Told", "Verdict", "by_weight", "changed_values", "judge", "likelier"]
+__all__ = [
+    "MOST_STRAY",
+    "Changed",
+    "Findings",
+    "NamedEffect",
+    "Told",
+    "Verdict",
+    "by_weight",
+    "changed_values",
+    "judge",
+    "likelier",
+]
 
 LACK_OF_FIT_P = 0.01
 MOST_STRAY = 0.015  # of the torque, in means over half a minute
 LEFT_SHARE = 0.5  # of what the effects explain: more left over, and the names explain little
 LEAST_GAIN = 0.01  # of the mean error on hold-out laps: a re-fit that gains more says which values were off
 MOST_CHANGED = 3  # values that a sentence lists
-NO_SHARES: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,30 +95,18 @@ class Verdict:
         return self.status in ("named", "one_of", "described")
 
 
-def judge(
-    found: Sequence[NamedEffect],
-    terms: Sequence[Told],
-    refuted: Sequence[Graded],
-    refitted: Fit,
-    at_end: RegimeMap,
-    left_over: SlowResidual,
-    hint: str,
-    held_out: HeldOut,
-    drift: Told | None = None,
-    changed: Sequence[Changed] = (),
-    shares: Mapping[str, float] = NO_SHARES,
-    spread: Described | None = None,
-    later: tuple[float, float] | None = None,
-) -> Verdict:
-    """The verdict.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Findings:
+    """What a verdict is made of.
 
-    It begins with the confirmed term that takes most off the error of the hold-out laps. Where none is confirmed it begins with
-    where and by how much the measured torque differs; suspected terms are only listed.
-
-    Parameters
+    Attributes
     ----------
     found, terms, refuted
         Effects and terms without a name that fit, and those that fit and that the hold-out laps reject.
+    refitted, at_end, left_over
+        The re-fitted base; the residual by regime of the last fit, and the slow part of it.
+    hint, held_out
+        What would nearly be found, if anything; and the errors on hold-out laps.
     drift
         The slow residual as a level of each recording, or one that drifts, if it is either.
     changed
@@ -121,69 +119,130 @@ def judge(
     later
         Errors on the fitted and on the hold-out laps [Nm], where the latter differ plainly more, see `locate.only_later`.
     """
-    left = [b for b in at_end.bins if b.p < LACK_OF_FIT_P]
-    both = by_weight([*found, *terms])
-    sure, unsure = ([t for t in both if (t.graded.grade == CONFIRMED) == want] for want in (True, False))
-    listed = possible(unsure, sure, shares)
-    shakes = [] if spread is None else [spread.sentence, look_for(spread.mechanisms)]
-    after = [*doubts([t.graded for t in unsure]), *rejected(refuted)]
-    if sure:
-        return _confirmed(sure, left, left_over, held_out, listed, [*shakes, may_be(listed, also=True), *after])
-    far = far_from_file(refitted)
-    if far:
-        seen, *more = file_is_off(far)
-        worth = mean_error(held_out.mae["nominal"], held_out.mae["refitted"]) + " with that re-fit"
-        return Verdict("unexplained", SUSPECTED, joined([seen, *more, worth, *shakes, may_be(listed), *after]), (), listed, seen)
-    strays = left_over.share > MOST_STRAY
-    if drift is not None and drift.graded.grade == CONFIRMED and _lasts(drift, left, strays):
-        lines = [*_of_drift(drift), *shakes, may_be(listed, also=True), *after]
-        return Verdict("described", CONFIRMED, joined(lines), (), listed)
-    large = [t for t in unsure if not is_small(t)]
-    refit = held_out.of_refit
-    worth = mean_error(refit.before, refit.after) + " with a re-fit of the vehicle file" if refit.grade == CONFIRMED else ""
-    beside = max([*(abs(b.mean_residual) for b in left), left_over.size if strays else 0.0])
-    shaking = spread is not None and beside <= LEFT_SHARE * spread.size_nm
-    if (left or strays or large or later) and not shaking:
-        if later and not left:
-            seen, *more = only_later(*later)
-        else:
-            seen, *more = [unexplained(left)] if left else slow(left_over) if strays else [differs(large[0])]
-        nothing = "No effect of the catalogue explains it" if left and not listed else ""
-        grade = REFUTED if refuted and not unsure else SUSPECTED
-        lines = [seen, *more, nothing, *shakes, may_be(listed), *after, worth]
-        return Verdict("unexplained", grade, joined(lines), (), listed, seen)
-    if shaking:
-        lines = [*shakes, may_be(listed, also=True), *after, *_rest(left, left_over), worth]
-        return Verdict("described", CONFIRMED, joined(lines), (), listed)
-    return _nothing_missing(refitted, hint, held_out, changed, listed, [may_be(listed, also=True), *after])
+
+    found: Sequence[NamedEffect]
+    terms: Sequence[Told]
+    refuted: Sequence[Graded]
+    refitted: Fit
+    at_end: RegimeMap
+    left_over: SlowResidual
+    hint: str
+    held_out: HeldOut
+    drift: Told | None = None
+    changed: Sequence[Changed] = ()
+    shares: Mapping[str, float] = field(default_factory=dict)
+    spread: Described | None = None
+    later: tuple[float, float] | None = None
+
+    @cached_property
+    def left(self) -> list[Bin]:
+        """Regimes in which the last fit and the measured torque differ."""
+        return [b for b in self.at_end.bins if b.p < LACK_OF_FIT_P]
+
+    @property
+    def strays(self) -> bool:
+        """Whether the slow residual is large."""
+        return self.left_over.share > MOST_STRAY
+
+    @cached_property
+    def sure(self) -> list[NamedEffect | Told]:
+        """What the hold-out laps confirm, the weightiest first."""
+        return [t for t in by_weight([*self.found, *self.terms]) if t.graded.grade == CONFIRMED]
+
+    @cached_property
+    def unsure(self) -> list[NamedEffect | Told]:
+        """What they do not."""
+        return [t for t in by_weight([*self.found, *self.terms]) if t.graded.grade != CONFIRMED]
+
+    @cached_property
+    def listed(self) -> Possible:
+        """What is possible and not confirmed."""
+        return possible(self.unsure, self.sure, self.shares)
+
+    @property
+    def shakes(self) -> list[str]:
+        """Sentences about where the torque shakes."""
+        return [] if self.spread is None else [self.spread.sentence, look_for(self.spread.mechanisms)]
+
+    @property
+    def after(self) -> list[str]:
+        """Sentences that end each verdict."""
+        return [*doubts([t.graded for t in self.unsure]), *rejected(self.refuted)]
+
+    @property
+    def rest(self) -> list[str]:
+        """What is left beside what is confirmed."""
+        return [
+            f"Something small is left, {range_of(self.left[0])}" if self.left else "",
+            *(slow(self.left_over) if self.strays else []),
+        ]
+
+    @property
+    def worth_of_refit(self) -> str:
+        """What a re-fit gains, where that is confirmed."""
+        refit = self.held_out.of_refit
+        return mean_error(refit.before, refit.after) + " with a re-fit of the vehicle file" if refit.grade == CONFIRMED else ""
 
 
-def _confirmed(
-    sure: Sequence[NamedEffect | Told],
-    left: Sequence[Bin],
-    left_over: SlowResidual,
-    held_out: HeldOut,
-    listed: Possible,
-    after: Sequence[str],
-) -> Verdict:
+def judge(f: Findings) -> Verdict:
+    """The verdict.
+
+    It begins with the confirmed term that takes most off the error of the hold-out laps. Where none is confirmed it begins with
+    where and by how much the measured torque differs; suspected terms are only listed.
+    """
+    if f.sure:
+        return _confirmed(f)
+    if far_from_file(f.refitted):
+        return _far_from_file(f)
+    if f.drift is not None and f.drift.graded.grade == CONFIRMED and _lasts(f.drift, f.left, f.strays):
+        lines = [*_of_drift(f.drift), *f.shakes, may_be(f.listed, also=True), *f.after]
+        return Verdict("described", CONFIRMED, joined(lines), (), f.listed)
+    beside = max([*(abs(b.mean_residual) for b in f.left), f.left_over.size if f.strays else 0.0])
+    if f.spread is not None and beside <= LEFT_SHARE * f.spread.size_nm:
+        lines = [*f.shakes, may_be(f.listed, also=True), *f.after, *f.rest, f.worth_of_refit]
+        return Verdict("described", CONFIRMED, joined(lines), (), f.listed)
+    return _unexplained(f) or _nothing_missing(f)
+
+
+def _confirmed(f: Findings) -> Verdict:
     """The verdict where terms are confirmed, unless what is left is large beside what they explain."""
-    added = np.concatenate([sum(x) for x in zip(*(t.adds for t in sure), strict=True)])
+    after = [*f.shakes, may_be(f.listed, also=True), *f.after]
+    added = np.concatenate([sum(x) for x in zip(*(t.adds for t in f.sure), strict=True)])
     explained = float(np.percentile(np.abs(added), 95.0))  # where they act: some do for minutes of an hour
-    if max((abs(b.mean_residual) for b in left), default=0.0) > LEFT_SHARE * explained:
-        partly = f"{' and '.join(map(short, sure))} would explain a part of it, but too much is left to believe that"
-        return Verdict("unexplained", SUSPECTED, joined([unexplained(left), partly, *after]), (), listed, unexplained(left))
-    named = [t for t in sure if isinstance(t, NamedEffect)]
-    status = "described" if not named else "named" if all(len(f.step.members) <= 1 for f in named) else "one_of"
-    lines = [*confirmed_terms(sure, held_out), *after, *_rest(left, left_over)]
-    return Verdict(status, CONFIRMED, joined(lines), (), listed)
+    if max((abs(b.mean_residual) for b in f.left), default=0.0) > LEFT_SHARE * explained:
+        partly = f"{' and '.join(map(short, f.sure))} would explain a part of it, but too much is left to believe that"
+        seen = unexplained(f.left)
+        return Verdict("unexplained", SUSPECTED, joined([seen, partly, *after]), (), f.listed, seen)
+    named = [t for t in f.sure if isinstance(t, NamedEffect)]
+    status = "described" if not named else "named" if all(len(t.step.members) <= 1 for t in named) else "one_of"
+    return Verdict(status, CONFIRMED, joined([*confirmed_terms(f.sure, f.held_out), *after, *f.rest]), (), f.listed)
 
 
-def _rest(left: Sequence[Bin], left_over: SlowResidual) -> list[str]:
-    """What is left beside what is confirmed."""
-    return [
-        f"Something small is left, {range_of(left[0])}" if left else "",
-        *(slow(left_over) if left_over.share > MOST_STRAY else []),
-    ]
+def _far_from_file(f: Findings) -> Verdict:
+    """The verdict where the re-fit is too far from the vehicle file to be believed."""
+    seen, *more = file_is_off(far_from_file(f.refitted))
+    worth = mean_error(f.held_out.mae["nominal"], f.held_out.mae["refitted"]) + " with that re-fit"
+    lines = [seen, *more, worth, *f.shakes, may_be(f.listed), *f.after]
+    return Verdict("unexplained", SUSPECTED, joined(lines), (), f.listed, seen)
+
+
+def _unexplained(f: Findings) -> Verdict | None:
+    """The verdict where the measured torque differs and nothing explains it; None where it does not differ."""
+    large = [t for t in f.unsure if not is_small(t)]
+    if f.left:
+        seen, *more = [unexplained(f.left)]
+    elif f.later:
+        seen, *more = only_later(*f.later)
+    elif f.strays:
+        seen, *more = slow(f.left_over)
+    elif large:
+        seen, *more = [differs(large[0])]
+    else:
+        return None
+    nothing = "No effect of the catalogue explains it" if f.left and not f.listed else ""
+    grade = REFUTED if f.refuted and not f.unsure else SUSPECTED
+    lines = [seen, *more, nothing, *f.shakes, may_be(f.listed), *f.after, f.worth_of_refit]
+    return Verdict("unexplained", grade, joined(lines), (), f.listed, seen)
 
 
 def _lasts(drift: Told, left: Sequence[Bin], strays: bool) -> bool:
@@ -201,13 +260,13 @@ def _of_drift(drift: Told) -> list[str]:
     ]
 
 
-def _nothing_missing(
-    refitted: Fit, hint: str, held_out: HeldOut, changed: Sequence[Changed], listed: Possible, after: Sequence[str]
-) -> Verdict:
+def _nothing_missing(f: Findings) -> Verdict:
     """The verdict where no physics is missing: values of the file were off, or nothing was."""
-    if hint:
-        after = [*after, f"{hint} would fit, but the model's own error can look the same"]
-    out_of_range = moved_parameters(refitted)
+    held_out, changed, listed = f.held_out, f.changed, f.listed
+    after = [may_be(listed, also=True), *f.after]
+    if f.hint:
+        after = [*after, f"{f.hint} would fit, but the model's own error can look the same"]
+    out_of_range = moved_parameters(f.refitted)
     refit = held_out.of_refit
     worth = mean_error(held_out.mae["nominal"], held_out.mae["refitted"])
     if refit.grade == CONFIRMED and (out_of_range or refit.after < (1.0 - LEAST_GAIN) * refit.before):

@@ -243,6 +243,93 @@ def free_parameters(base: Base, effects: Sequence[Effect]) -> tuple[Free, ...]:
     return (*found[:of_sensors], *map(_of_base, base.parameters), *found[of_sensors:])
 
 
+@dataclass(frozen=True, eq=False)
+class _Parameters:
+    """The free parameters of a fit as one point, and what the model is there; `given` are those that are held."""
+
+    problem: Problem
+    instrument: tuple[Effect, ...]
+    effects: tuple[Effect, ...]
+    given: Mapping[tuple[str, str], float]
+
+    @property
+    def acting(self) -> tuple[Effect, ...]:
+        return (*self.instrument, *self.effects)
+
+    @cached_property
+    def free(self) -> tuple[Free, ...]:
+        return tuple(f for f in free_parameters(self.problem.base, self.acting) if f.key not in self.given)
+
+    @cached_property
+    def low(self) -> Array:
+        return np.array([f.low for f in self.free])
+
+    @cached_property
+    def high(self) -> Array:
+        return np.array([f.high for f in self.free])
+
+    @cached_property
+    def scale(self) -> Array:
+        return np.array([f.scale for f in self.free])
+
+    @cached_property
+    def std(self) -> Array:
+        return np.array([f.std for f in self.free])
+
+    def start(self, given: Mapping[tuple[str, str], float]) -> Array:
+        """Where to begin: given, typical or nominal values within bounds."""
+        typical = {(e.name, q.name): q.start for e in self.acting for q in e.parameters}
+        begun = {**typical, **given}
+        return np.clip(
+            [begun.get(f.key, f.nominal) for f in self.free], self.low + 1e-9 * self.scale, self.high - 1e-9 * self.scale
+        )
+
+    def off_nominal(self, at: Array) -> Array:
+        """Distance from the nominal values, in standard deviations of the priors."""
+        return np.asarray((at - np.array([f.nominal for f in self.free])) / self.std)
+
+    def model(self, at: Array) -> tuple[dict[str, float], tuple[Active, ...]]:
+        """Values of the base, and the effects with theirs."""
+        shape = {(e.name, q.name): q.start for e in self.acting for q in e.parameters if not q.fitted}
+        values = {**shape, **self.given, **{f.key: float(x) for f, x in zip(self.free, at, strict=True)}}
+        base = {name: value for (effect, name), value in values.items() if not effect}
+        return base, tuple(Active(e, {q.name: values[e.name, q.name] for q in e.parameters}) for e in self.acting)
+
+    def residuals(self, at: Array) -> list[Array]:
+        return self.problem.residuals(self.problem.predict(*self.model(at)))
+
+    def expected(self, at: Array) -> Array:
+        return np.concatenate(self.problem.expected(self.problem.predict(*self.model(at))))
+
+
+class _Objective:
+    """What is minimised, under noise that changes from round to round."""
+
+    def __init__(self, parameters: _Parameters, noises: Mapping[str, Noise]) -> None:
+        self._parameters, self.noises = parameters, dict(noises)
+        self._linear: tuple[Array, Array] | None = None  # a point, and the derivatives of what is simulated there
+
+    def value(self, at: Array) -> Array:
+        """Roots of what each whitened residual and each prior takes off the likelihood."""
+        return np.concatenate((self._of_residuals(at, Noise.deviance_root), self._parameters.off_nominal(at)))
+
+    def derivatives(self, at: Array) -> Array:
+        """Of the value; of what is simulated as they were nearby, where that is as good."""
+        p = self._parameters
+        if self._linear is None or np.linalg.norm(self._white(self._linear[1]) @ (at - self._linear[0])) > NEARBY:
+            self._linear = at.copy(), jacobian(p.expected, at, p.free)
+        slope = self._of_residuals(at, Noise.deviance_slope)
+        return np.concatenate((-slope[:, np.newaxis] * self._white(self._linear[1]), np.diag(1.0 / p.std)))
+
+    def _of_residuals(self, at: Array, function: Callable[[Noise, Array], Array]) -> Array:
+        problem = self._parameters.problem
+        return of_rows(problem, problem.white(self._parameters.residuals(at), self.noises), function, self.noises)
+
+    def _white(self, rows: Array) -> Array:
+        problem = self._parameters.problem
+        return valid_rows(problem.white(problem.split(rows), self.noises))
+
+
 def fit(
     problem: Problem,
     effects: Sequence[Effect] = (),
@@ -267,76 +354,37 @@ def fit(
     largest_root
         Bound on the roots of the noise's autoregression.
     """
-    held = dict(fixed or {})
     named = [e.name for e in effects]
-    sensed = [e for e in instrument(problem.base) if e.name not in named]
-    everything = [*sensed, *effects]
-    shape = {(e.name, q.name): q.start for e in everything for q in e.parameters if not q.fitted}
-    free = tuple(f for f in free_parameters(problem.base, everything) if f.key not in held)
-    low, high = np.array([f.low for f in free]), np.array([f.high for f in free])
-    scale = np.array([f.scale for f in free])
-    nominal, std = np.array([f.nominal for f in free]), np.array([f.std for f in free])
-    given = {**{(e.name, q.name): q.start for e in everything for q in e.parameters}, **(start or {})}
-    point = np.clip([given.get(f.key, f.nominal) for f in free], low + 1e-9 * scale, high - 1e-9 * scale)
-
-    def model(at: Array) -> tuple[dict[str, float], tuple[Active, ...]]:
-        values = {**shape, **held, **{f.key: float(x) for f, x in zip(free, at, strict=True)}}
-        base = {name: value for (effect, name), value in values.items() if not effect}
-        return base, tuple(Active(e, {q.name: values[e.name, q.name] for q in e.parameters}) for e in everything)
-
-    def residuals(at: Array) -> list[Array]:
-        return problem.residuals(problem.predict(*model(at)))
-
-    def expected(at: Array) -> Array:
-        return np.concatenate(problem.expected(problem.predict(*model(at))))
-
-    current = dict(noises or problem.noises(residuals(point), largest_root))
-    linear: tuple[Array, Array] | None = None  # a point, and the derivatives of what is simulated there
-
-    def objective(at: Array) -> Array:
-        """Roots of what each whitened residual and each prior takes off the likelihood."""
-        robust = of_rows(problem, problem.white(residuals(at), current), Noise.deviance_root, current)
-        return np.concatenate((robust, (at - nominal) / std))
-
-    def derivatives(at: Array) -> Array:
-        """Of the objective; of what is simulated as they were nearby, where that is as good."""
-        nonlocal linear
-
-        def white() -> Array:
-            assert linear
-            return valid_rows(problem.white(problem.split(linear[1]), current))
-
-        if linear is None or np.linalg.norm(white() @ (at - linear[0])) > NEARBY:
-            linear = at.copy(), jacobian(expected, at, free)
-        slope = of_rows(problem, problem.white(residuals(at), current), Noise.deviance_slope, current)
-        return np.concatenate((-slope[:, np.newaxis] * white(), np.diag(1.0 / std)))
-
+    sensed = tuple(e for e in instrument(problem.base) if e.name not in named)
+    p = _Parameters(problem, sensed, tuple(effects), dict(fixed or {}))
+    point = p.start(start or {})
+    objective = _Objective(p, noises or problem.noises(p.residuals(point), largest_root))
     solution, before = None, -np.inf
     for turn in range(MOST_ROUNDS if rounds is None else rounds):
         solution = least_squares(
-            objective,
+            objective.value,
             point,
-            jac=derivatives,
-            bounds=(low, high),
-            x_scale=scale,
+            jac=objective.derivatives,
+            bounds=(p.low, p.high),
+            x_scale=p.scale,
             max_nfev=MOST_STEPS,
             ftol=1e-7,
             xtol=1e-7,
         )
         point = solution.x
-        left = residuals(point)
-        current = problem.noises(left, largest_root)
-        likelihood = log_likelihood(problem, left, current) - 0.5 * float((((point - nominal) / std) ** 2).sum())
+        left = p.residuals(point)
+        objective.noises = problem.noises(left, largest_root)
+        likelihood = log_likelihood(problem, left, objective.noises) - 0.5 * float((p.off_nominal(point) ** 2).sum())
         if rounds is None and turn + 1 >= ROUNDS and likelihood - before < SETTLED:
             break
         before = likelihood
     assert solution is not None
-    scaled = solution.jac * scale  # in units of each parameter's scale: they differ by many orders of magnitude
-    covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14, hermitian=True) * np.outer(scale, scale)
-    values, active = model(point)
+    scaled = solution.jac * p.scale  # in units of each parameter's scale: they differ by many orders of magnitude
+    covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14, hermitian=True) * np.outer(p.scale, p.scale)
+    values, active = p.model(point)
     return Fit(
-        problem, values, active[len(sensed) :], active[: len(sensed)], free, point, covariance, current, likelihood,
-        len(solution.fun) - len(free), tuple(problem.predict(values, active)),
+        problem, values, active[len(sensed) :], active[: len(sensed)], p.free, point, covariance, objective.noises, likelihood,
+        len(solution.fun) - len(p.free), tuple(problem.predict(values, active)),
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -91,6 +91,83 @@ def is_hidden(role: str, hide: Collection[str]) -> bool:
     return role in hide or role.partition("/")[0] in hide
 
 
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Channels of a recording that may be read, and the even grid that they are put on; what is assumed is added to the notes."""
+
+    name: str
+    series: dict[str, Series]
+    start: int
+    edges: Array
+    step: float
+    settings: GateSettings
+    notes: list[str]
+
+    @property
+    def count(self) -> int:
+        return len(self.edges) - 1
+
+    @property
+    def nan(self) -> Array:
+        return np.full(self.count, np.nan)
+
+    @property
+    def nowhere(self) -> Mask:
+        return np.zeros(self.count, dtype=bool)
+
+    def has(self, role: str) -> bool:
+        return role in self.series and bool(np.isfinite(self.series[role].value).any())
+
+    def samples(self, role: str) -> tuple[Array, Array]:
+        return ordered(self.series[role], self.start)
+
+    def held(self, role: str, default: float) -> Array:
+        return held(self.series[role], self.start, self.edges, default) if role in self.series else np.full(self.count, default)
+
+
+@dataclass(frozen=True, eq=False)
+class _Speed:
+    """Samples of the speed, its means, in which steps it is known, acceleration with its noise, and speed by the odometer."""
+
+    at: Array
+    raw: Array
+    mean: Array
+    known: Mask
+    accel: Array
+    accel_noise: float
+    by_way: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Torque:
+    """Samples of each part, means of the sum, in which steps it is known, and its noise."""
+
+    samples: list[tuple[Array, Array]]
+    mean: Array
+    known: Mask
+    noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Position [rad], altitude [m], and which of them were recorded."""
+
+    latitude: Array
+    longitude: Array
+    altitude: Array
+    given: frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
+class _Load:
+    """Weight of the whole and of the passengers [N], their number, and what of it was recorded."""
+
+    weight: Array
+    payload: Array
+    passengers: Array
+    given: frozenset[str]
+
+
 def resample(
     recording: Recording,
     step: float,
@@ -130,127 +207,162 @@ def resample(
     """
     series = {role: s for role, s in recording.series.items() if not is_hidden(role, hide)}
     check_compared(recording.name, series, shortest_s, recording.torque_candidates)
-    torques = [role for role in series if role.partition("/")[0] == "torque" and np.isfinite(series[role].value).any()]
-    start = recording.start_ns
-    speed_at, raw_speed = ordered(series["speed"], start)
-    edges = np.arange(0.0, speed_at[-1] + 1e-9, step)
-    count = len(edges) - 1
+    edges = np.arange(0.0, ordered(series["speed"], recording.start_ns)[0][-1] + 1e-9, step)
     notes += check_units(recording.name, series, settings.weight)
-    scale = pace(step)
-    unit = settings.slowest / SLOWEST_MPS if scale < 1.0 else 1.0  # of speed and of its noise, which is as much smaller
-    smoothed = smooth_speed(speed_at / scale, raw_speed / unit, edges / scale, LONGEST_HOLD_S)
-    at_edges = unit * smoothed.speed if smoothed else np.interp(edges, speed_at, raw_speed)
-    speed, known = means(speed_at, raw_speed, edges)
-    if "torque" in torques:
-        torques = ["torque"]
-    torque, measured = np.zeros(count), ~_nowhere(count)
-    torque_noise, torque_samples = 0.0, [ordered(series[role], start) for role in torques]
-    for samples in torque_samples:
-        part, there = means(*samples, edges)
-        torque, measured = torque + part, measured & there
-        torque_noise = float(np.hypot(torque_noise, noise_of_means(*samples, step)))
-
-    def held_on(role: str, default: float) -> Array:
-        return held(series[role], start, edges, default) if role in series else np.full(count, default)
-
-    given = frozenset(role for role in CHANNELS if role in series and np.isfinite(series[role].value).any())
-    accel, accel_noise = np.diff(at_edges) / step, unit * smoothed.typical_change_std / step if smoothed else 0.0
-    way = series.get("distance")
-    by_way = np.diff(np.interp(edges, *ordered(way, start))) / step if way and np.isfinite(way.value).any() else None
-    notes += check_speed_unit(recording.name, speed, accel, held_on("accel", np.nan) if "accel" in given else None, by_way)
-    if "accel" in given:
-        mean, there = means(*ordered(series["accel"], start), edges)
-        accel, accel_noise = np.where(there, mean, accel), 0.0
-    weight, of_load = _weight(series, start, edges, settings.weight)
-    given |= {"load"} if of_load else frozenset()
-    passengers = carried(series["passengers"], start, edges) if "passengers" in series else np.full(count, np.nan)
-    payload = np.zeros(count)
-    if np.isfinite(passengers).any():
-        given |= {"passengers"}
-        notes.append(_of_passengers(recording.name, passengers, step, settings.passenger_kg, of_load))
-        if not of_load:
-            payload = np.nan_to_num(passengers) * settings.passenger_kg * GRAVITY
-            weight = weight + payload
-    latitude, longitude = _position(series, start, edges)
-    given |= {"position"} if np.isfinite(latitude).any() else frozenset()
-    altitude = read_off(series["altitude"], start, edges) if "altitude" in series else np.full(count, np.nan)
-    given |= {"altitude"} if np.isfinite(altitude).any() else frozenset()
-    steering = np.full(count, np.nan)
-    if "steering_angle" in series and np.isfinite(series["steering_angle"].value).sum() > 1:
-        given |= {"steering_angle"}
-        angle, there = means(*ordered(series["steering_angle"], start), edges)
-        steering = np.where(there, angle, np.nan)
-    belts = [held(series[role], start, edges, np.nan) for role in series if role.partition("/")[0] == "belt"]
-    belt = np.mean(belts, axis=0) if belts else np.full(count, np.nan)
-    given |= {"belt"} if belts and np.isfinite(belt).any() else frozenset()
-    heading, yaw_rate = held_on("heading", np.nan), np.full(count, np.nan)
-    if "yaw_rate" in given and not np.ptp(series["yaw_rate"].value[np.isfinite(series["yaw_rate"].value)]):
-        given -= {"yaw_rate"}  # a gyroscope that is there is never still
-        notes.append(f"{recording.name}: yaw_rate never changes; taken for not recorded")
-    if "yaw_rate" in given:
-        yaw_rate = means(*ordered(series["yaw_rate"], start), edges)[0]
-    if "yaw_rate" not in given and (made := turning(series, start, edges, speed, settings.slowest, settings.track_width)):
-        known_turns = np.isfinite(made.yaw_rate)
-        if known_turns.mean() > 1.0 - MOST_UNKNOWN:
-            yaw_rate = np.interp(edges[:-1], edges[:-1][known_turns], made.yaw_rate[known_turns])
-            given |= {"yaw_rate"}
-            notes.append(f"{recording.name}: the yaw rate is made of {made.made_of}")
-    if "yaw_rate" in given and "heading" not in given:
-        heading = np.cumsum(np.nan_to_num(yaw_rate)) * step
-        given |= {"heading"}
-        notes.append(f"{recording.name}: heading is integrated from the yaw rate")
-    no_slope = steps_without_value(ordered(series["grade"], start)[0], edges) if "grade" in given else _nowhere(count)
-    if no_slope.mean() > MOST_UNKNOWN:
-        notes.append(f"{recording.name}: the slope is not known for {no_slope.mean():.0%} of it; taken for not recorded")
-        given, no_slope = given - {"grade"}, _nowhere(count)
-    braked = _nowhere(count)
-    if "brake" in series and np.isfinite(series["brake"].value).any():
-        given |= {"brake"}
-        value = series["brake"].value[np.isfinite(series["brake"].value)]
-        from_on = recording.bindings.get("brake", TopicBinding()).brakes_from(value)
-        braked = any_from(series["brake"], start, edges, from_on)
-        notes.append(
-            f"{recording.name}: brakes count as on from {from_on:g}; whatever else slows it down is in the measured torque"
-        )
+    grid = _Grid(recording.name, series, recording.start_ns, edges, step, settings, notes)
+    speed, torque, load, place = _speed(grid), _torque(grid), _load(grid), _place(grid)
+    belts = [grid.held(role, np.nan) for role in series if role.partition("/")[0] == "belt"]
+    belt = np.mean(belts, axis=0) if belts else grid.nan
+    steering = _steering(grid)
+    given = frozenset(role for role in CHANNELS if grid.has(role)) | load.given | place.given
+    given |= {role for role, there in (("belt", np.isfinite(belt).any()), ("steering_angle", steering is not None)) if there}
+    yaw_rate, heading, given = _turning(grid, speed, given)
+    no_slope, given = _slope(grid, given)
+    braked = _braked(grid, recording.bindings.get("brake", TopicBinding()))
+    given |= frozenset() if braked is None else {"brake"}
     session = DriveSession(
         name=recording.name,
         step=step,
         time=edges[:-1],
-        speed=speed,
-        accel=accel,
-        weight=weight,
-        ambient=held_on("ambient", settings.ambient),
-        grade=held_on("grade", 0.0) if "grade" in given else np.zeros(count),
+        speed=speed.mean,
+        accel=speed.accel,
+        weight=load.weight,
+        ambient=grid.held("ambient", settings.ambient),
+        grade=grid.held("grade", 0.0) if "grade" in given else np.zeros(grid.count),
         yaw_rate=yaw_rate,
         heading=heading,
-        distance=np.cumsum(_driven(speed, by_way)) * step,
-        torque=torque,
+        distance=np.cumsum(_driven(speed.mean, speed.by_way)) * step,
+        torque=torque.mean,
         belt=belt,
-        used=~_nowhere(count),
-        block=np.zeros(count, dtype=np.int64),
+        used=~grid.nowhere,
+        block=np.zeros(grid.count, dtype=np.int64),
         given=given,
-        torque_course=_course(torque_samples),
-        accel_noise=accel_noise,
-        torque_noise=torque_noise,
+        torque_course=_course(torque.samples),
+        accel_noise=speed.accel_noise,
+        torque_noise=torque.noise,
         belt_shows_surface=settings.belt_shows_surface,
-        start_s=start * 1e-9 if start * 1e-9 > EARLIEST_CLOCK_S else np.nan,
-        latitude=latitude,
-        longitude=longitude,
-        altitude=altitude,
-        steering_angle=steering,
-        passengers=passengers,
-        payload=payload,
-        way=_way(series, start, speed_at, raw_speed, edges) if "position" in given else None,
+        start_s=grid.start * 1e-9 if grid.start * 1e-9 > EARLIEST_CLOCK_S else np.nan,
+        latitude=place.latitude,
+        longitude=place.longitude,
+        altitude=place.altitude,
+        steering_angle=grid.nan if steering is None else steering,
+        passengers=load.passengers,
+        payload=load.payload,
+        way=_way(grid, speed) if "position" in given else None,
     )
     return session, {
-        "no speed": ~known,
-        "no torque": ~measured,
-        **filled_steps(
-            (speed_at / scale, raw_speed), [(at / scale, value) for at, value in torque_samples], edges / scale, settings.slowest
-        ),
+        "no speed": ~speed.known,
+        "no torque": ~torque.known,
+        **_filled(grid, speed, torque),
         "slope not known": no_slope,
-        BRAKES_ON: braked,
+        BRAKES_ON: grid.nowhere if braked is None else braked,
     }
+
+
+def _filled(grid: _Grid, speed: _Speed, torque: _Torque) -> dict[str, Mask]:
+    scale, torques = pace(grid.step), torque.samples
+    return filled_steps(
+        (speed.at / scale, speed.raw), [(at / scale, value) for at, value in torques], grid.edges / scale, grid.settings.slowest
+    )
+
+
+def _speed(grid: _Grid) -> _Speed:
+    """The speed, and the acceleration as measured, or by it."""
+    at, raw = grid.samples("speed")
+    scale = pace(grid.step)
+    unit = grid.settings.slowest / SLOWEST_MPS if scale < 1.0 else 1.0  # of speed and of its noise, which is as much smaller
+    smoothed = smooth_speed(at / scale, raw / unit, grid.edges / scale, LONGEST_HOLD_S)
+    at_edges = unit * smoothed.speed if smoothed else np.interp(grid.edges, at, raw)
+    mean, known = means(at, raw, grid.edges)
+    accel, accel_noise = np.diff(at_edges) / grid.step, unit * smoothed.typical_change_std / grid.step if smoothed else 0.0
+    by_way = np.diff(np.interp(grid.edges, *grid.samples("distance"))) / grid.step if grid.has("distance") else None
+    measured = grid.held("accel", np.nan) if grid.has("accel") else None
+    grid.notes.extend(check_speed_unit(grid.name, mean, accel, measured, by_way))
+    if measured is not None:
+        mean_accel, there = means(*grid.samples("accel"), grid.edges)
+        accel, accel_noise = np.where(there, mean_accel, accel), 0.0
+    return _Speed(at, raw, mean, known, accel, accel_noise, by_way)
+
+
+def _torque(grid: _Grid) -> _Torque:
+    """The torque as such, or the sum of its parts."""
+    roles = [role for role in grid.series if role.partition("/")[0] == "torque" and grid.has(role)]
+    samples = [grid.samples(role) for role in (["torque"] if "torque" in roles else roles)]
+    torque, known, noise = np.zeros(grid.count), ~grid.nowhere, 0.0
+    for of_part in samples:
+        part, there = means(*of_part, grid.edges)
+        torque, known = torque + part, known & there
+        noise = float(np.hypot(noise, noise_of_means(*of_part, grid.step)))
+    return _Torque(samples, torque, known, noise)
+
+
+def _load(grid: _Grid) -> _Load:
+    """The weight as measured, or the vehicle file's with that of passengers on top."""
+    weight, of_load = _weight(grid.series, grid.start, grid.edges, grid.settings.weight)
+    given, payload = frozenset({"load"} if of_load else ()), np.zeros(grid.count)
+    passengers = carried(grid.series["passengers"], grid.start, grid.edges) if "passengers" in grid.series else grid.nan
+    if np.isfinite(passengers).any():
+        given |= {"passengers"}
+        grid.notes.append(_of_passengers(grid.name, passengers, grid.step, grid.settings.passenger_kg, of_load))
+        if not of_load:
+            payload = np.nan_to_num(passengers) * grid.settings.passenger_kg * GRAVITY
+            weight = weight + payload
+    return _Load(weight, payload, passengers, given)
+
+
+def _place(grid: _Grid) -> _Place:
+    latitude, longitude = _position(grid.series, grid.start, grid.edges)
+    altitude = read_off(grid.series["altitude"], grid.start, grid.edges) if "altitude" in grid.series else grid.nan
+    there = (("position", latitude), ("altitude", altitude))
+    return _Place(latitude, longitude, altitude, frozenset(role for role, values in there if np.isfinite(values).any()))
+
+
+def _steering(grid: _Grid) -> Array | None:
+    if "steering_angle" not in grid.series or np.isfinite(grid.series["steering_angle"].value).sum() < 2:
+        return None
+    angle, there = means(*grid.samples("steering_angle"), grid.edges)
+    return np.where(there, angle, np.nan)
+
+
+def _turning(grid: _Grid, speed: _Speed, given: frozenset[str]) -> tuple[Array, Array, frozenset[str]]:
+    """Yaw rate and heading, measured or made of what is, and what is given with them."""
+    series, edges, settings = grid.series, grid.edges, grid.settings
+    heading, yaw_rate = grid.held("heading", np.nan), grid.nan
+    if "yaw_rate" in given and not np.ptp(series["yaw_rate"].value[np.isfinite(series["yaw_rate"].value)]):
+        given -= {"yaw_rate"}  # a gyroscope that is there is never still
+        grid.notes.append(f"{grid.name}: yaw_rate never changes; taken for not recorded")
+    if "yaw_rate" in given:
+        yaw_rate = means(*grid.samples("yaw_rate"), edges)[0]
+    elif made := turning(series, grid.start, edges, speed.mean, settings.slowest, settings.track_width):
+        known_turns = np.isfinite(made.yaw_rate)
+        if known_turns.mean() > 1.0 - MOST_UNKNOWN:
+            yaw_rate = np.interp(edges[:-1], edges[:-1][known_turns], made.yaw_rate[known_turns])
+            given |= {"yaw_rate"}
+            grid.notes.append(f"{grid.name}: the yaw rate is made of {made.made_of}")
+    if "yaw_rate" in given and "heading" not in given:
+        heading = np.cumsum(np.nan_to_num(yaw_rate)) * grid.step
+        given |= {"heading"}
+        grid.notes.append(f"{grid.name}: heading is integrated from the yaw rate")
+    return yaw_rate, heading, given
+
+
+def _slope(grid: _Grid, given: frozenset[str]) -> tuple[Mask, frozenset[str]]:
+    """Steps without a slope; where they are most of all it counts as not recorded."""
+    unknown = steps_without_value(grid.samples("grade")[0], grid.edges) if "grade" in given else grid.nowhere
+    if unknown.mean() > MOST_UNKNOWN:
+        grid.notes.append(f"{grid.name}: the slope is not known for {unknown.mean():.0%} of it; taken for not recorded")
+        return grid.nowhere, given - {"grade"}
+    return unknown, given
+
+
+def _braked(grid: _Grid, binding: TopicBinding) -> Mask | None:
+    """Steps with brakes on; None where that was not recorded."""
+    if not grid.has("brake"):
+        return None
+    value = grid.series["brake"].value
+    from_on = binding.brakes_from(value[np.isfinite(value)])
+    grid.notes.append(f"{grid.name}: brakes count as on from {from_on:g}; whatever else slows it down is in the measured torque")
+    return any_from(grid.series["brake"], grid.start, grid.edges, from_on)
 
 
 def _driven(speed: Array, by_way: Array | None) -> Array:
@@ -261,10 +373,6 @@ def _driven(speed: Array, by_way: Array | None) -> Array:
     found = np.abs(by_way)
     agrees = np.abs(found - by_speed) <= ODOMETER_OFF * by_speed + SLOWEST_MPS
     return np.where(agrees & (by_speed > SLOWEST_MPS), found, by_speed)  # at rest what it moves by is noise
-
-
-def _nowhere(count: int) -> Mask:
-    return np.zeros(count, dtype=bool)
 
 
 def _course(torques: Sequence[tuple[Array, Array]]) -> Cumulative:
@@ -292,12 +400,12 @@ def _position(series: dict[str, Series], start: int, edges: Array) -> tuple[Arra
     return np.where(known, latitude, np.nan), np.where(known, longitude, np.nan)
 
 
-def _way(series: dict[str, Series], start: int, speed_at: Array, speed: Array, edges: Array) -> Way:
+def _way(grid: _Grid, speed: _Speed) -> Way:
     """Where it was at the middle of each `STEP_S` of all steps, or of each step where they are shorter."""
-    each = min(STEP_S, edges[1] - edges[0])
-    fine = np.arange(0.0, edges[-1] + 0.5 * each, each)
-    driven = Cumulative.of(speed_at, np.abs(speed))
-    latitude, longitude = _position(series, start, fine)
+    each = min(STEP_S, grid.edges[1] - grid.edges[0])
+    fine = np.arange(0.0, grid.edges[-1] + 0.5 * each, each)
+    driven = Cumulative.of(speed.at, np.abs(speed.raw))
+    latitude, longitude = _position(grid.series, grid.start, fine)
     return Way(latitude, longitude, np.interp(middles(fine), driven.at, driven.integral))
 
 

@@ -5,22 +5,17 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.variables import BY_NAME
-from trackres_ros.diagnosis.empirical.terms import Described
-from trackres_ros.diagnosis.findings.found import NamedEffect, Told
-from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, against_travel, evenly_filled, smoothed, swings_of
+from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, smoothed, swings_of
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.believed_pictures import draw_believed
 from trackres_ros.diagnosis.report.noise_pictures import draw_noise
-from trackres_ros.diagnosis.report.picture import WIDTH, Picture
+from trackres_ros.diagnosis.report.picture import MOST_POINTS, TITLE_LETTERS, WIDTH, Picture
 from trackres_ros.diagnosis.report.route_pictures import draw_route
 from trackres_ros.diagnosis.report.series import (
     bins_by_variable,
@@ -32,16 +27,14 @@ from trackres_ros.diagnosis.report.series import (
     stages,
     uncertainty,
 )
+from trackres_ros.diagnosis.report.term_pictures import draw_effect, draw_term
 from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, picture, picture_with_legend, shortened, thinned
 from trackres_ros.text.numbers import alike, decimals, figures
 
 Array = NDArray[np.float64]
 
-TITLE_LETTERS = 88  # that a title over the whole width holds
 LONGEST_SHOWN_S = 400.0
-MOST_POINTS = 1500  # of a line: all that paper shows
 PIECE_S = 30.0  # mean errors of longer pieces hardly hang together
-SHOWN_BINS = 24
 ROUTE_PICTURES = "route.svg", "route_beside.svg"
 DARK = "#333333"
 IN_ONE_COLUMN, MOST_RECORDINGS = 8, 24
@@ -55,9 +48,9 @@ def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
         draw_times(d, folder / "where_time.svg"),
         draw_regimes(d, folder / "where_regime.svg"),
     ]
-    found += [_partial(d, f, folder / f"effect_{f.name}.svg") for f in d.found]
+    found += [draw_effect(d, f, folder / f"effect_{f.name}.svg") for f in d.found]
     by_place = [route.candidate.name for route in d.routes]
-    found += [_term(d, t, folder / f"term_{t.described.name}.svg") for t in d.described if t.described.name not in by_place]
+    found += [draw_term(d, t, folder / f"term_{t.described.name}.svg") for t in d.described if t.described.name not in by_place]
     found += [draw_route(route, d.final, folder / name) for name, route in zip(ROUTE_PICTURES, d.routes, strict=False)]
     found.append(_laps(d, folder / "held_out.svg"))
     found.append(draw_noise(d, folder / "noise.svg"))
@@ -192,153 +185,6 @@ def draw_regimes(d: Diagnosis, path: Path) -> Picture:
 def _at(b: Bin) -> str:
     low, high = alike((b.low, b.high), b.high - b.low)
     return f"at {b.variable} {low} to {high} {b.unit}"
-
-
-def _partial(d: Diagnosis, found: NamedEffect, path: Path) -> Picture:
-    """What is left without the effect, and what the effect adds, over the variable that it follows best."""
-    fit = d.final
-    left_over = [s.torque - p.torque for s, p in zip(d.sessions, fit.predicted, strict=True)]
-    if found.acts_on != "sensor":
-        left_over = against_travel(d.sessions, left_over)
-    variable = BY_NAME[found.acts.variable]
-    course = [variable.of(s, p) for s, p in zip(d.sessions, fit.predicted, strict=True)]
-    return _over(
-        d, course, found.resists, left_over, f"{variable.name} [{variable.unit}]", found.name, f"{found.name}: {found.text}", path
-    )
-
-
-def _term(d: Diagnosis, told: Told, path: Path) -> Picture:
-    """The same for a term without a name: over what it follows, or over time where it follows nothing."""
-    of = told.described
-    left_over = against_travel(d.sessions, [s.torque - p.torque for s, p in zip(d.sessions, d.final.predicted, strict=True)])
-    adds = against_travel(d.sessions, told.adds)
-    if told.course:
-        label = f"{of.variable} [{of.unit}]" if of.unit else of.variable or of.gate
-        return _over(d, told.course, adds, left_over, label, of.name, of.sentence, path)
-    if of.stretches:
-        return _by_stretch(d, of, path)
-    if of.form == "level_change":
-        return _over_recordings(d, adds, left_over, of.name, of.sentence, path)
-    return _over_time(d, adds, left_over, of.name, of.sentence, path)
-
-
-def _label(axis: Any, along: str, title: str) -> None:
-    """Labels of a picture of a term: what it is shown along, and its sentence."""
-    axis.set_xlabel(along)
-    axis.set_ylabel("torque against travel [Nm]")
-    axis.set_title(textwrap.fill(title, TITLE_LETTERS))
-
-
-def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], name: str, title: str, path: Path) -> Picture:
-    """All recordings, one after the other."""
-    unit, word = clock(d)
-    begins = np.cumsum([0.0, *(s.time[-1] + s.step for s in d.sessions)]) / unit
-    with picture_with_legend(path, WIDTH, 3.0) as body:
-        axis = body.subplots()
-        for session, begin, left, term in zip(d.sessions, begins[:-1], left_over, adds, strict=True):
-            time = begin + session.time / unit
-            without = smoothed(session, left + term)
-            axis.plot(
-                *thinned(time, without, MOST_POINTS),
-                color=BLUE,
-                label=f"left without the term, means over {lasting(d, SMOOTHED_S)}",
-            )
-            axis.plot(time, np.where(session.used, term, np.nan), color=VERMILION, label=f"{name} as found")
-            axis.axvline(begin, color=GREY, linestyle="--", linewidth=0.8, label="a recording begins")
-        axis.axhline(0.0, color=GREY, linewidth=0.8)
-        _label(axis, f"time in the recordings, one after the other [{word}]", title)
-    return Picture(
-        path,
-        f"The term: {name}",
-        "What is left without the term, and the term, over all recordings one after the other; on laps that were not used for "
-        "fitting it is there by their time alone.",
-    )
-
-
-def _by_stretch(d: Diagnosis, of: Described, path: Path) -> Picture:
-    """The mass of each stretch with its interval, all recordings one after the other."""
-    begins = dict(
-        zip((s.name for s in d.sessions), np.cumsum([0.0, *(s.time[-1] + s.step for s in d.sessions[:-1])]), strict=True)
-    )
-    edges = np.array([[s.begin_s, s.end_s] for s in of.stretches]) + np.array([[begins[s.recording]] for s in of.stretches])
-    mass, std = np.array([s.mass for s in of.stretches]), np.array([s.std for s in of.stretches])
-    with picture_with_legend(path, WIDTH, 3.0) as body:
-        axis = body.subplots()
-        axis.errorbar(
-            edges.mean(axis=1) / 60.0, mass, 1.96 * std, 0.5 * np.diff(edges, axis=1)[:, 0] / 60.0, fmt="none", color=VERMILION,
-            linewidth=1.2, label="a stretch between stops, and its 95 % interval",
-        )  # fmt: skip
-        axis.axhline(0.0, color=GREY, linewidth=0.8)
-        axis.set_xlabel("time in the recordings, one after the other [min]")
-        axis.set_ylabel("mass beside the model's [kg]")
-        axis.set_title(textwrap.fill(of.sentence, TITLE_LETTERS))
-    return Picture(
-        path,
-        f"The term: {of.name}",
-        "Mass of each stretch between stops that was used for fitting, beside that of the model, told by what it takes to speed "
-        "up, to roll and to climb.",
-    )
-
-
-def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], name: str, title: str, path: Path) -> Picture:
-    """The recording in which a term acts most."""
-    acts = [float(np.abs(x[s.used]).sum()) for x, s in zip(adds, d.sessions, strict=True)]
-    i = int(np.argmax(acts))
-    session = d.sessions[i]
-    left = smoothed(session, left_over[i] + adds[i])
-    with picture_with_legend(path, WIDTH, 3.0) as body:
-        axis = body.subplots()
-        axis.plot(session.time, left, color=BLUE, label=f"left without the term, means over {lasting(d, SMOOTHED_S)}")
-        axis.plot(session.time, np.where(session.used, adds[i], np.nan), color=VERMILION, label=f"{name} as found")
-        axis.axhline(0.0, color=GREY, linewidth=0.8)
-        _label(axis, f"time in {shortened(Path(session.name).name, TITLE_LETTERS - 40)} [s]", title)
-    return Picture(
-        path,
-        f"The term: {name}",
-        "What is left without the term, and the term, over the recording in which it acts most; on laps that were not used for "
-        "fitting the term is what one expects who has seen the torque up to a few seconds before.",
-    )
-
-
-def _over(
-    d: Diagnosis,
-    course: list[Array],
-    adds_: list[Array],
-    left_over: list[Array],
-    label: str,
-    name: str,
-    title: str,
-    path: Path,
-) -> Picture:
-    """What is left without a term, and what it adds, over what it follows."""
-    used = np.concatenate([s.used for s in d.sessions])
-    adds, residual, x = (np.concatenate(series)[used] for series in (adds_, left_over, course))
-    _, place = evenly_filled(x, SHOWN_BINS)
-    count = np.bincount(place)
-    middle, term, left = (np.bincount(place, weights=w) / np.maximum(count, 1) for w in (x, adds, adds + residual))
-    spread = np.sqrt(np.bincount(place, weights=(residual - (left - term)[place]) ** 2) / np.maximum(count, 1))
-    with picture_with_legend(path, WIDTH, 3.0) as body:
-        axis = body.subplots()
-        shown = count > 0
-        axis.errorbar(
-            middle[shown],
-            left[shown],
-            spread[shown],
-            fmt="o",
-            color=BLUE,
-            ecolor=GREY,
-            markersize=4,
-            linewidth=1.0,
-            label="left without it, mean and spread",
-        )
-        axis.plot(middle[shown], term[shown], color=VERMILION, label=f"{name} as fitted")
-        _label(axis, label, title)
-    return Picture(
-        path,
-        f"The term: {name}",
-        f"What is left without {name}, and the fitted term, over {label}; "
-        f"from {decimals(term[shown].min())} to {decimals(term[shown].max())} Nm.",
-    )
 
 
 def _laps(d: Diagnosis, path: Path) -> Picture:

@@ -42,7 +42,7 @@ def conclude(
     """Decide what is kept, and what to drive next."""
     options.on_stage("what to drive next")
     of_vehicle = all(s.pace == 1.0 for s in prepared.sessions)  # the menu of manoeuvres is one for drivers
-    advice = [a for step in chosen.steps.values() if of_vehicle for a in advise(step, options.vehicle.known.max_speed)]
+    advice = [a for step in chosen.steps.values() if of_vehicle for a in advise(step, prepared.vehicle.known.max_speed)]
     keep_suspected, final = options.keep_suspected, chosen.final
     kinds = {name: effect.belongs_to for name, effect in prepared.effects.items()}
     believed = believed_in(judged.found, judged.terms, judged.verdict, kinds, keep_suspected)

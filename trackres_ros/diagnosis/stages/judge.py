@@ -29,7 +29,7 @@ from trackres_ros.diagnosis.findings.locate import (
 )
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, regime_map
 from trackres_ros.diagnosis.findings.spread import Spread, find_spread
-from trackres_ros.diagnosis.findings.verdict import MOST_STRAY, NamedEffect, Told, Verdict, by_weight, changed_values
+from trackres_ros.diagnosis.findings.verdict import MOST_STRAY, Findings, NamedEffect, Told, Verdict, by_weight, changed_values
 from trackres_ros.diagnosis.findings.verdict import judge as verdict_of
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
@@ -99,19 +99,21 @@ def judge(
     spread = find_spread(final)
     changed = () if final.effects else changed_values(base.refitted, bounds)
     verdict = verdict_of(
-        found,
-        terms,
-        chosen.refuted,
-        base.refitted,
-        at_end,
-        left_over,
-        chosen.last.hint,
-        worth,
-        wandering,
-        changed,
-        chosen.shares,
-        None if spread is None else spread.described,
-        later,
+        Findings(
+            found=found,
+            terms=terms,
+            refuted=chosen.refuted,
+            refitted=base.refitted,
+            at_end=at_end,
+            left_over=left_over,
+            hint=chosen.last.hint,
+            held_out=worth,
+            drift=wandering,
+            changed=changed,
+            shares=chosen.shares,
+            spread=None if spread is None else spread.described,
+            later=later,
+        )
     )
     return Judgement(tuple(found), tuple(terms), wanders, tracked, spread, worth, tested_end, at_end, bounds, verdict)
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.instrument import usual_offset
+from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.prepare.at_rest import seconds_without_torque
 from trackres_ros.diagnosis.prepare.gate import Gated
 from trackres_ros.diagnosis.prepare.session import DriveSession, Split
@@ -45,7 +46,7 @@ class PreparedSessions:
         Those that may be missing.
     """
 
-    base: Base
+    vehicle: LoadedBase
     gated: Gated
     split: Split
     nominal: tuple[Array, ...]
@@ -53,14 +54,18 @@ class PreparedSessions:
     effects: Mapping[str, Effect]
 
     @property
+    def base(self) -> Base:
+        """The model of the vehicle."""
+        return self.vehicle.base
+
+    @property
     def sessions(self) -> tuple[DriveSession, ...]:
         """What passed the gate."""
         return self.gated.sessions
 
 
-def prepare(recordings: Sequence[Recording], options: DiagnosisOptions) -> PreparedSessions:
+def prepare(recordings: Sequence[Recording], vehicle: LoadedBase, options: DiagnosisOptions) -> PreparedSessions:
     """Check, clean and split recordings."""
-    vehicle = options.vehicle
     base, facts = vehicle.base, vehicle.base.facts
     options.on_stage("gate: units, clocks, gaps")
     gated, nominal, recorded = prepared(recordings, vehicle, options.hide, options.unread)
@@ -71,7 +76,7 @@ def prepare(recordings: Sequence[Recording], options: DiagnosisOptions) -> Prepa
         if effect.only_of in ("", "rolls" if base.rolls else "slides")
     }
     gated, effects = without_an_offset(gated, base, effects)
-    return PreparedSessions(base, gated, split(gated.sessions, options.holdout), nominal, recorded, effects)
+    return PreparedSessions(vehicle, gated, split(gated.sessions, options.holdout), nominal, recorded, effects)
 
 
 def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -> tuple[Gated, dict[str, Effect]]:

@@ -19,7 +19,7 @@ from trackres_ros.route.learned import SLOPE, TORQUE, of_kind
 
 def search(prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions, rng: np.random.Generator) -> Chosen:
     """Search explanations, and choose one."""
-    kinds = [kind for kind in (SLOPE, TORQUE) if of_kind(options.vehicle.route, kind) is None]
+    kinds = [kind for kind in (SLOPE, TORQUE) if of_kind(prepared.vehicle.route, kind) is None]
     roads = roads_of(prepared.sessions) if kinds else None
     replicates = QUICK_REPLICATES if options.quick else REPLICATES
     found = Search(base.tested, prepared.effects, roads, kinds, replicates, rng, options.on_stage)

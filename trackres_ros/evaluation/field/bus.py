@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
+from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.evaluation.field.run import NOTHING, UPHILL, WARM, FieldTrial
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.route.track import Frame
@@ -85,7 +85,7 @@ def try_bus(data: Path) -> list[FieldTrial]:
     topics = Topics.load(TOPICS)
 
     def without(*hide: str) -> Diagnosis:
-        return diagnose(read_recordings(paths, topics), load_base(VEHICLE, topics=topics), hide=hide)
+        return diagnose(read_recordings(paths, topics), load_base(VEHICLE, topics=topics), DiagnosisOptions(hide=hide))
 
     wanted = {
         "nothing": ((), UPHILL),

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
+from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.inference.noise import whitened
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
 from trackres_ros.errors import InputError
@@ -101,10 +101,10 @@ def try_all(data: Path, folder: Path) -> list[FieldTrial]:
 
     def of_car(names: Sequence[str], hide: Sequence[str], clock: bool = True, held_out: Sequence[str] | None = None) -> Diagnosis:
         paths = [car(data, name, known if clock else unknown, clock) for name in names]
-        return diagnose(read_recordings(paths, None), load_base("bmw_i3"), hide=hide, holdout=held_out)
+        return diagnose(read_recordings(paths, None), load_base("bmw_i3"), DiagnosisOptions(hide=hide, holdout=held_out))
 
     def of_robot(name: str, hide: Sequence[str] = ()) -> Diagnosis:
-        return diagnose(read_recordings([robot(data, name, folder)], None), load_base("husky"), hide=hide)
+        return diagnose(read_recordings([robot(data, name, folder)], None), load_base("husky"), DiagnosisOptions(hide=hide))
 
     return [
         FieldTrial(

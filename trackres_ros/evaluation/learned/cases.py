@@ -17,7 +17,6 @@ from trackres_ros.evaluation.sealed.sensors import Sensors
 
 Array = NDArray[np.float64]
 
-VEHICLES, HOSTILE = 60, 40
 OFF = (0.05, 0.20)  # by which the loss of a file is off
 OTHERS_OFF = 0.10  # at most, of bearings, drag, cooling and heat capacity
 DRIVES = 3

@@ -12,16 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, METHODS, THERMAL, Bench, at_times
-from trackres_ros.evaluation.reproduce.common_claims import falls, hot_belts, same_stable
+from trackres_ros.evaluation.reproduce.common_claims import falls, same_stable, section_of
 from trackres_ros.evaluation.reproduce.families import (
     Family,
     colours,
     draw_combinations,
     draw_family,
-    family_numbers,
     run_family,
-    stable_table,
-    time_table,
 )
 from trackres_ros.evaluation.reproduce.output import mark_time
 from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, IN_PART, Claim, Figure, Section, listed, percents
@@ -79,10 +76,6 @@ def ambients(bench: Bench, out: Path) -> Section:
         _warmer_is_larger_later(family),
         _colder_warms_more(family),
     ]
-    tables = [
-        time_table(family, bench.shipped, TIMES_S, f"Resistance torque [Nm] / belt temperature [°C]; {methods}."),
-        stable_table(family, "Stable resistance torque [Nm] / belt temperature [°C] by combination."),
-    ]
     kept = {
         c: [(family.stable[b][c].belt_degc - family.stable[a][c].belt_degc) / (b - a) for a, b in pairwise(AMBIENTS_DEGC)]
         for c in COMBINATIONS
@@ -93,10 +86,8 @@ def ambients(bench: Bench, out: Path) -> Section:
         "on to "
         f"{DURATION_S:g} s beyond the paper's {PAPER_END_S:g} s. The belt starts at the ambient temperature.",
         " ".join(["The stable belt keeps a part of a difference in ambient temperature.", *kept_shares]),
-        *hot_belts(bench, family),
     ]
-    numbers = {**family_numbers(family, TIMES_S), "kept_share": kept}
-    return Section("Figure 26: ambient temperature", text, figures, claims, tables, numbers)
+    return section_of(bench, family, "Figure 26: ambient temperature", TIMES_S, figures, claims, text, kept_share=kept)
 
 
 def differences(family: Family, combination: str) -> Array:

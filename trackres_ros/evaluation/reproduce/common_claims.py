@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Bench
-from trackres_ros.evaluation.reproduce.families import Family, first_comparable
-from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, Claim, listed, percent, percents, span
+from trackres_ros.evaluation.reproduce.families import Family, family_numbers, first_comparable, stable_table, time_table
+from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, Claim, Figure, Section, listed, percent, percents, span
 from trackres_ros.text.numbers import figures
 
 SAME = 0.01  # values are the same that differ by less than 1 %: three times the error of the program's own loss table
@@ -19,6 +21,22 @@ SAME = 0.01  # values are the same that differ by less than 1 %: three times the
 def spread(values: NDArray[np.float64]) -> float:
     """Greatest less least value over their mean."""
     return float(np.ptp(values) / np.mean(values))
+
+
+def section_of(
+    bench: Bench,
+    family: Family,
+    title: str,
+    times_s: Sequence[float],
+    pictures: Sequence[Figure],
+    claims: Sequence[Claim],
+    text: Sequence[str],
+    **numbers: object,
+) -> Section:
+    """The section of a study: its tables at some times and when stable, and their numbers."""
+    tables = [time_table(family, bench.shipped, times_s), stable_table(family)]
+    of_all = [*text, *hot_belts(bench, family)]
+    return Section(title, of_all, pictures, claims, tables, {**family_numbers(family, times_s), **numbers})
 
 
 def hot_belts(bench: Bench, family: Family) -> list[str]:
@@ -30,14 +48,11 @@ def hot_belts(bench: Bench, family: Family) -> list[str]:
         if values:
             belts = span((family.stable[value][c].belt_degc for value in values), 0, " °C")
             hot.append(f"{c.replace('/', ', ')} at {family.quantity} {listed([f'{value:g}' for value in values])} ({belts})")
-    return (
-        [
-            f"The compound's sweep ends at {last:g} °C; above it the modulus keeps its last value. Stable belts that are "
-            f"hotter: {'; '.join(hot)}."
-        ]
-        if hot
-        else []
+    remark = (
+        f"The compound's sweep ends at {last:g} °C; above it the modulus keeps its last value. Stable belts that are "
+        f"hotter: {'; '.join(hot)}."
     )
+    return [remark] if hot else []
 
 
 def falls(key: str, where: str, family: Family, start_s: float) -> Claim:

@@ -159,7 +159,7 @@ def colours(family: Family) -> Sequence[str]:
     return STEPS[-len(family.values) :] if len(family.values) < len(STEPS) else STEPS
 
 
-def time_table(family: Family, combination: str, times_s: Sequence[float], caption: str) -> Table:
+def time_table(family: Family, combination: str, times_s: Sequence[float]) -> Table:
     """Torque and belt temperature of each value at some times, and the stable ones."""
     rows = []
     for value, series in zip(family.values, family.series(combination), strict=True):
@@ -172,15 +172,17 @@ def time_table(family: Family, combination: str, times_s: Sequence[float], capti
                 f"{stable.torque_nm:.0f} / {stable.belt_degc:.1f}",
             ]
         )
+    caption = f"Resistance torque [Nm] / belt temperature [°C]; {combination.replace('/', ', ')}."
     return Table(caption, [family.quantity, *(f"{t:g} s" for t in times_s), "stable"], rows)
 
 
-def stable_table(family: Family, caption: str) -> Table:
+def stable_table(family: Family) -> Table:
     """Stable torque and belt temperature of each value by combination."""
     rows = [
         [f"{value:g}", *(f"{stable[c].torque_nm:.0f} / {stable[c].belt_degc:.1f}" for c in COMBINATIONS)]
         for value, stable in ((value, family.stable[value]) for value in family.values)
     ]
+    caption = "Stable resistance torque [Nm] / belt temperature [°C] by combination."
     return Table(caption, [family.quantity, *(c.replace("/", ", ") for c in COMBINATIONS)], rows)
 
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from trackres_ros.model.track import TrackModel, steady_tension, track_model
 from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PALETTE, VERMILION, picture
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import WrappedWheel
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 
@@ -172,46 +175,62 @@ def _spectrum_figure(out: Path, s: Spectrum) -> Figure:
     )
     with picture(out / figure.png, 9.0, 8.2) as drawn:
         through, along, field, small = drawn.subplots(4, 1, sharex=True, height_ratios=(1.0, 1.4, 1.1, 0.9))
-        through.plot(s.position, 100 * s.through, color=BLUE)
-        through.set_title(f"through the thickness: indentation under road wheels 1 to {len(s.half_lengths)}")
-        through.set_ylabel("strain [%]")
-        for row, label, colour in ((-1, "outer face", VERMILION), (cord, "at the cord", GREEN), (0, "inner face", ORANGE)):
-            along.plot(s.position, 100 * s.along[row], color=colour, label=label)
-        along.set_title("along the belt: bending, tension and drive together")
-        along.set_ylabel("strain [%]")
-        along.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
-        limit = 100 * float(np.abs(s.along).max())
-        mesh = field.pcolormesh(
-            s.position, 1e3 * s.height, 100 * s.along, cmap="RdBu_r", vmin=-limit, vmax=limit, shading="gouraud"
-        )
-        field.axhline(1e3 * belt.cord_height, color=INK, linewidth=0.8, linestyle="--")
-        field.annotate("cord", (0.02, 1e3 * belt.cord_height), xytext=(0, 3), textcoords="offset points", fontsize=8, color=INK)
-        field.set_title("along the belt, over position and height")
-        field.set_ylabel("height [mm]")
-        field.grid(visible=False)
-        drawn.colorbar(mesh, cax=field.inset_axes((1.01, 0.0, 0.015, 1.0)), label="strain [%]")
-        small.plot(s.position, 1e6 * np.full_like(s.position, s.tension), color=GREY, label="tension")
-        small.plot(s.position, 1e6 * s.drive, color=BLACK, label="drive")
-        small.set_title("along the belt: the parts by tension and drive")
-        small.set_ylabel("strain [µm/m]")
-        small.set_ylim(0.0)
-        small.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
-        small.set_xlabel("position along the loop from the front end of the ground run [m]")
-        small.set_xlim(0.0, s.position[-1])
-        loop = s.counter.loop
+        _draw_through(through, s)
+        _draw_along(along, s, cord)
+        _draw_field(field, s)
+        _draw_small(small, s)
         for axes in (through, along, small):
-            for start, end, _ in loop.arcs:
+            for start, end, _ in s.counter.loop.arcs:
                 axes.axvspan(start, end, color="#F2F2F2", zorder=0)
-        top = float(along.get_ylim()[1])
-        along.set_ylim(top=1.2 * top)
-        for (start, end, _), wheel in zip(loop.arcs, loop.track.wrapped_wheels, strict=True):
-            along.annotate(_name(wheel), ((start + end) / 2, 1.17 * top), ha="center", va="top", fontsize=8, color=INK)
-        through.set_ylim(0.0, 100 * 1.25 * float(s.through.max()))
-        for number, x in enumerate(loop.wheel_positions, 1):
-            through.annotate(
-                f"{number}", (x, 100 * 1.03 * float(s.through.max())), ha="center", va="bottom", fontsize=8, color=INK
-            )
+        _name_wheels(through, along, s)
     return figure
+
+
+def _draw_through(axes: Axes, s: Spectrum) -> None:
+    axes.plot(s.position, 100 * s.through, color=BLUE)
+    axes.set_title(f"through the thickness: indentation under road wheels 1 to {len(s.half_lengths)}")
+    axes.set_ylabel("strain [%]")
+
+
+def _draw_along(axes: Axes, s: Spectrum, cord: int) -> None:
+    for row, label, colour in ((-1, "outer face", VERMILION), (cord, "at the cord", GREEN), (0, "inner face", ORANGE)):
+        axes.plot(s.position, 100 * s.along[row], color=colour, label=label)
+    axes.set_title("along the belt: bending, tension and drive together")
+    axes.set_ylabel("strain [%]")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
+
+
+def _draw_field(axes: Axes, s: Spectrum) -> None:
+    cord_mm, limit = 1e3 * s.counter.track.belt.cord_height, 100 * float(np.abs(s.along).max())
+    mesh = axes.pcolormesh(s.position, 1e3 * s.height, 100 * s.along, cmap="RdBu_r", vmin=-limit, vmax=limit, shading="gouraud")
+    axes.axhline(cord_mm, color=INK, linewidth=0.8, linestyle="--")
+    axes.annotate("cord", (0.02, cord_mm), xytext=(0, 3), textcoords="offset points", fontsize=8, color=INK)
+    axes.set_title("along the belt, over position and height")
+    axes.set_ylabel("height [mm]")
+    axes.grid(visible=False)
+    axes.figure.colorbar(mesh, cax=axes.inset_axes((1.01, 0.0, 0.015, 1.0)), label="strain [%]")
+
+
+def _draw_small(axes: Axes, s: Spectrum) -> None:
+    axes.plot(s.position, 1e6 * np.full_like(s.position, s.tension), color=GREY, label="tension")
+    axes.plot(s.position, 1e6 * s.drive, color=BLACK, label="drive")
+    axes.set_title("along the belt: the parts by tension and drive")
+    axes.set_ylabel("strain [µm/m]")
+    axes.set_ylim(0.0)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
+    axes.set_xlabel("position along the loop from the front end of the ground run [m]")
+    axes.set_xlim(0.0, s.position[-1])
+
+
+def _name_wheels(through: Axes, along: Axes, s: Spectrum) -> None:
+    loop, top = s.counter.loop, float(along.get_ylim()[1])
+    along.set_ylim(top=1.2 * top)
+    for (start, end, _), wheel in zip(loop.arcs, loop.track.wrapped_wheels, strict=True):
+        along.annotate(_name(wheel), ((start + end) / 2, 1.17 * top), ha="center", va="top", fontsize=8, color=INK)
+    highest = float(s.through.max())
+    through.set_ylim(0.0, 100 * 1.25 * highest)
+    for number, x in enumerate(loop.wheel_positions, 1):
+        through.annotate(f"{number}", (x, 100 * 1.03 * highest), ha="center", va="bottom", fontsize=8, color=INK)
 
 
 def _name(wheel: WrappedWheel) -> str:

@@ -11,15 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Bench, at_times
-from trackres_ros.evaluation.reproduce.common_claims import falls, hot_belts, same_stable
+from trackres_ros.evaluation.reproduce.common_claims import falls, same_stable, section_of
 from trackres_ros.evaluation.reproduce.families import (
     Family,
     draw_combinations,
     draw_family,
-    family_numbers,
     run_family,
-    stable_table,
-    time_table,
 )
 from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, IN_PART, Claim, Section, percent, percents, span
 from trackres_ros.offline.simulate import ramp_and_hold
@@ -82,17 +79,12 @@ def speeds(bench: Bench, out: Path) -> Section:
         _settles_sooner(family, held),
         _slower_is_larger(family, held),
     ]
-    tables = [
-        time_table(family, bench.shipped, TIMES_S, f"Resistance torque [Nm] / belt temperature [°C]; {methods}."),
-        stable_table(family, "Stable resistance torque [Nm] / belt temperature [°C] by combination."),
-    ]
     text = [
         f"From rest to each speed in {RAMP_S:g} s, then held to {DURATION_S:g} s. Resistance torque is hysteresis, bearings "
         "and wind of the whole vehicle. The inertia of the ramp is not included, as the paper excludes the first 50 s from "
         "its analysis.",
-        *hot_belts(bench, family),
     ]
-    return Section("Figure 24: speed", text, figures, claims, tables, family_numbers(family, TIMES_S))
+    return section_of(bench, family, "Figure 24: speed", TIMES_S, figures, claims, text)
 
 
 def settling_times(family: Family, combination: str, start_s: float) -> tuple[Array, Array]:

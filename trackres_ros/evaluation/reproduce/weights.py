@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Bench
-from trackres_ros.evaluation.reproduce.common_claims import SAME, falls, hot_belts
-from trackres_ros.evaluation.reproduce.families import Family, draw_family, family_numbers, run_family, stable_table, time_table
+from trackres_ros.evaluation.reproduce.common_claims import SAME, falls, section_of
+from trackres_ros.evaluation.reproduce.families import Family, draw_family, run_family
 from trackres_ros.evaluation.reproduce.section import HOLDS, Claim, Section, percent
 from trackres_ros.offline.simulate import ramp_and_hold
 from trackres_ros.units import KMH_PER_MPS
@@ -42,16 +42,11 @@ def weights(bench: Bench, out: Path) -> Section:
         )
     ]
     claims = [falls("weights", WHERE, family, RAMP_S + 2 * bench.dt), _different_stable(family), _heavier_is_larger(family)]
-    tables = [
-        time_table(family, bench.shipped, TIMES_S, f"Resistance torque [Nm] / belt temperature [°C]; {methods}."),
-        stable_table(family, "Stable resistance torque [Nm] / belt temperature [°C] by combination."),
-    ]
     text = [
         f"From rest to {SPEED_KMH:g} km/h in {RAMP_S:g} s, then held to {DURATION_S:g} s. The weight is that of the whole "
         "vehicle with its assemblies, shared as nominal.",
-        *hot_belts(bench, family),
     ]
-    return Section("Figure 25: load", text, figures, claims, tables, family_numbers(family, TIMES_S))
+    return section_of(bench, family, "Figure 25: load", TIMES_S, figures, claims, text)
 
 
 def _different_stable(family: Family) -> Claim:

@@ -54,13 +54,13 @@ def opened(folder: Path) -> tuple[list[Path], LoadedBase]:
 
 def diagnosed(folder: Path) -> tuple[Diagnosis, list[Path]]:
     """What the diagnosis finds in the folder of a case, and the recordings there."""
-    from trackres_ros.diagnosis import diagnose, read_recordings
+    from trackres_ros.diagnosis import DiagnosisOptions, diagnose, read_recordings
 
     paths, base = opened(folder)
     # A drive made to distinguish effects is fitted beside what was: the same laps are held out as without it.
     kept = folder / HELD_OUT
     held_out = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else None
-    return diagnose(read_recordings(paths, None), base, holdout=held_out, quick=True), paths
+    return diagnose(read_recordings(paths, None), base, DiagnosisOptions(holdout=held_out, quick=True)), paths
 
 
 def _diagnose(folder: Path, results: Path) -> None:

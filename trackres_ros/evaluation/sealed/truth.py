@@ -69,22 +69,31 @@ class TruthRun:
     weight: Array
 
 
+@dataclass(frozen=True, eq=False)
+class _Design:
+    """What all vehicles of a data sheet have in common."""
+
+    sheet: DataSheet
+    material: Material
+    tables: BeltLoss
+
+
 @cache
-def _tables(path: Path) -> tuple[DataSheet, Material, BeltLoss]:
+def _design(path: Path) -> _Design:
     sheet = read_data_sheet(path)
     material = fit_material(sheet)
-    return sheet, material, belt_loss(sheet, material)
+    return _Design(sheet, material, belt_loss(sheet, material))
 
 
 def simulate_truth(path: Path, build: Build, hidden: Hidden, drives: Sequence[SealedDrive]) -> list[TruthRun]:
     """Drive one after the other, each begun with a belt at the air's temperature; what wears or runs in goes on."""
-    sheet, material, tables = _tables(path)
+    design = _design(path)
     found, driven = [], 0.0
     for drive in drives:
-        with_all = _one(sheet, material, tables, build, hidden, drive, driven)
+        with_all = _one(design, build, hidden, drive, driven)
         added = {}
         for name in hidden:
-            without = _one(sheet, material, tables, build, _without(hidden, name), drive, driven)
+            without = _one(design, build, _without(hidden, name), drive, driven)
             where = 1 if name == PROGRAM or drive.street is not None else 0  # brakes take a part of what a town adds
             added[name] = with_all[where] - without[where]
         found.append(TruthRun(*with_all, added, _with_load(hidden, drive, driven).weight))
@@ -100,20 +109,19 @@ def _with_load(hidden: Hidden, drive: SealedDrive, driven: float) -> SealedDrive
     return street.loaded(drive, hidden[street.LOAD], driven) if street.LOAD in hidden else drive
 
 
-def _one(
-    sheet: DataSheet, material: Material, tables: BeltLoss, build: Build, hidden: Hidden, drive: SealedDrive, driven: float
-) -> tuple[Array, Array, Array, Array]:
+def _one(design: _Design, build: Build, hidden: Hidden, drive: SealedDrive, driven: float) -> tuple[Array, Array, Array, Array]:
+    sheet = design.sheet
     drive = _with_load(hidden, drive, driven)
     at = Journey(sheet, drive, driven)
     acts: dict[str, Array] = {}
     if PROGRAM in hidden:  # it follows the torque and the belt as they are without it
-        torque, _, belt, _ = _one(sheet, material, tables, build, _without(hidden, PROGRAM), drive, driven)
+        torque, _, belt, _ = _one(design, build, _without(hidden, PROGRAM), drive, driven)
         acts = acting(hidden, Seen(at, belt, torque))
-    rub = _run(sheet, material, tables, build, hidden, at, np.ones(len(drive)), acts)
+    rub = _run(design, build, hidden, at, np.ones(len(drive)), acts)
     if "tension_torque" in hidden:  # the torque stretches the belt, which changes the torque: once round is near enough
         pull = np.abs(_resistance(sheet, build, hidden, at, rub[0])) / (sheet.assemblies * sheet["track.sprocket_radius"])
         more = np.sqrt(1.0 + 2.0 * hidden["tension_torque"]["share"] * pull / sheet["track.belt.pretension"])
-        rub = _run(sheet, material, tables, build, hidden, at, more, acts)
+        rub = _run(design, build, hidden, at, more, acts)
     force, belt, surface = rub
     torque = _resistance(sheet, build, hidden, at, force)
     torque = torque * (1.0 + acts.get("gain", 0.0)) + acts.get("torque", 0.0) * at.direction
@@ -127,42 +135,17 @@ def _one(
 
 
 def _run(
-    sheet: DataSheet,
-    material: Material,
-    tables: BeltLoss,
-    build: Build,
-    hidden: Hidden,
-    at: Journey,
-    more: Array,
-    acts: Mapping[str, Array],
+    design: _Design, build: Build, hidden: Hidden, at: Journey, more: Array, acts: Mapping[str, Array]
 ) -> tuple[Array, Array, Array]:
     """Loss per metre of one belt [N], mean and outer temperature [degC]."""
-    drive, n = at.drive, len(at.drive)
-    belt = {key.removeprefix("track.belt."): value for key, value in sheet.numbers.items() if key.startswith("track.belt.")}
+    drive, n, sheet, material = at.drive, len(at.drive), design.sheet, design.material
+    belt = _belt(sheet)
     rubber = belt["width"] * belt["thickness"] - belt["cord_section"] + belt["lug_section"]
     capacity = build.capacity * belt["loop_length"] * (
         rubber * sheet["rubber.density"] * sheet["rubber.heat_capacity"]
         + belt["cord_section"] * belt["cord_density"] * belt["cord_heat_capacity"]
     )  # fmt: skip
     area = belt["exposed_share"] * 2.0 * (belt["width"] + belt["thickness"]) * belt["loop_length"]
-    film = build.film * (belt["film_offset"] + belt["film_slope"] * at.travel)
-    if "convection" in hidden:
-        p = hidden["convection"]
-        film = build.film * (p["offset"] * belt["film_offset"] + p["slope"] * belt["film_slope"] * 1.3 * at.travel**0.9)
-    if "rain" in hidden:
-        film = film * hidden["rain"]["factor"] + 4.0  # and some evaporates
-    if "still_air" in hidden:
-        film = film * (1.0 - hidden["still_air"]["share"] / (1.0 + (at.travel / 1.2) ** 4))
-    film = film * np.exp(acts.get("cooling", 0.0))
-    factor = build.loss * more * np.maximum(1.0 + acts.get("loss", 0.0), LEAST_LOSS)
-    if "frequency" in hidden:
-        factor = factor * (1.0 + hidden["frequency"]["per_e"] * np.log(np.maximum(at.travel, 0.1) / 5.0))
-    if "payne" in hidden:
-        p = hidden["payne"]
-        factor = factor * (1.0 + p["height"] * (1.0 - at.load ** p["power"]))
-    if "mullins" in hidden:
-        p = hidden["mullins"]
-        factor = factor * (1.0 + p["excess"] / (1.0 + at.distance / p["distance"]) ** 1.5)
     heights = (np.arange(LAYERS) + 0.5) / LAYERS * belt["thickness"] - belt["cord_height"]
     force, mean, surface = np.empty(n), np.empty(n), np.empty(n)
     row = np.interp(at.load, LOAD_SHARES, np.arange(len(LOAD_SHARES)))
@@ -173,14 +156,14 @@ def _run(
         np.ascontiguousarray(drive.speed),
         row,
         drive.ambient,
-        np.ascontiguousarray(factor * np.ones(n)),
-        np.ascontiguousarray(film),
+        np.ascontiguousarray(_loss_factor(build, hidden, at, more, acts) * np.ones(n)),
+        np.ascontiguousarray(_film(build, hidden, at, acts)),
         0.5 * sun,  # a face sees it half of the way round
         ground * at.travel**0.45,
         float(LOG_SPEEDS[0]),
         float(LOG_SPEEDS[1] - LOG_SPEEDS[0]),
-        tables.indentation,
-        tables.bending,
+        design.tables.indentation,
+        design.tables.bending,
         heights**2 / (heights**2).sum(),
         np.array([material.glass_transition, material.c1, material.c2, SHIFT_ABOVE_TG_K, BELOW_TG_K]),
         hidden.get("compound_temperature", {}).get("activation", 0.0),
@@ -193,6 +176,38 @@ def _run(
         surface,
     )
     return force, mean, surface
+
+
+def _belt(sheet: DataSheet) -> dict[str, float]:
+    return {key.removeprefix("track.belt."): value for key, value in sheet.numbers.items() if key.startswith("track.belt.")}
+
+
+def _film(build: Build, hidden: Hidden, at: Journey, acts: Mapping[str, Array]) -> Array:
+    """Film coefficient of the belt [W/m^2/K]."""
+    belt = _belt(at.sheet)
+    film = build.film * (belt["film_offset"] + belt["film_slope"] * at.travel)
+    if "convection" in hidden:
+        p = hidden["convection"]
+        film = build.film * (p["offset"] * belt["film_offset"] + p["slope"] * belt["film_slope"] * 1.3 * at.travel**0.9)
+    if "rain" in hidden:
+        film = film * hidden["rain"]["factor"] + 4.0  # and some evaporates
+    if "still_air" in hidden:
+        film = film * (1.0 - hidden["still_air"]["share"] / (1.0 + (at.travel / 1.2) ** 4))
+    return np.asarray(film * np.exp(acts.get("cooling", 0.0)))
+
+
+def _loss_factor(build: Build, hidden: Hidden, at: Journey, more: Array, acts: Mapping[str, Array]) -> Array:
+    """Loss of the rubber over that of the data sheet."""
+    factor = build.loss * more * np.maximum(1.0 + acts.get("loss", 0.0), LEAST_LOSS)
+    if "frequency" in hidden:
+        factor = factor * (1.0 + hidden["frequency"]["per_e"] * np.log(np.maximum(at.travel, 0.1) / 5.0))
+    if "payne" in hidden:
+        p = hidden["payne"]
+        factor = factor * (1.0 + p["height"] * (1.0 - at.load ** p["power"]))
+    if "mullins" in hidden:
+        p = hidden["mullins"]
+        factor = factor * (1.0 + p["excess"] / (1.0 + at.distance / p["distance"]) ** 1.5)
+    return np.asarray(factor)
 
 
 def _resistance(sheet: DataSheet, build: Build, hidden: Hidden, at: Journey, force: Array) -> Array:

@@ -16,7 +16,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.qos import QoSCompatibility, qos_check_compatible
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
@@ -38,7 +38,7 @@ from trackres_ros.node.ros.messages import (
 )
 from trackres_ros.node.ros.qos import OVERRIDABLE, overridden, profile_of
 from trackres_ros.node.transport import Level, Peer, Reasons, Status
-from trackres_ros.output.topics import DEFAULT_NODE, ESTIMATE_TOPIC
+from trackres_ros.output.topics import DEFAULT_NODE, ESTIMATE_TOPIC, OutputTopic
 from trackres_ros.units import SECOND_NS
 
 COLLECTED_FROM_HZ = 20.0  # of the outputs: the inputs' queues hold what comes between two of them, at 1 kHz too
@@ -139,38 +139,10 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self.application = application
         self._estimate = self._prepared_estimate()
         for topic in application.outputs:
-            if topic is ESTIMATE_TOPIC and self._estimate is None:
-                self._fills.append(None)
-                self._outputs.append(None)
-                continue
-            name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
-            profile = profile_of(output_quality(parameters, topic))
-            events = PublisherEventCallbacks(
-                incompatible_qos=self._reporter(f"a subscriber of {self.resolve_topic_name(name)}"), use_default_callbacks=False
-            )
-            self._fills.append(None if topic.kind in ("status", "estimate") else prepared(topic, self._frame_id))
-            kind = installed_type(topic.type, f"topic {name}")
-            with overridden(self, name):
-                made = self.create_lifecycle_publisher(
-                    kind, name, profile, event_callbacks=events, qos_overriding_options=OVERRIDABLE
-                )
-            self._outputs.append(made)
+            self._open_output(topic, parameters)
         self._input_profile = profile_of(input_quality(parameters))
-        for index, (given, kind) in enumerate(zip(application.inputs, kinds, strict=True)):
-            events = SubscriptionEventCallbacks(
-                incompatible_qos=self._reporter(f"a publisher of {self.topic_name(given.name)}"), use_default_callbacks=False
-            )
-            profile = profile_of(input_quality(parameters))
-            with overridden(self, given.name):
-                made = self.create_subscription(
-                    kind,
-                    given.name,
-                    self._taker(index),
-                    profile,
-                    event_callbacks=events,
-                    qos_overriding_options=OVERRIDABLE,
-                )
-            self._inputs.append(made)
+        for given, kind in zip(application.inputs, kinds, strict=True):
+            self._open_input(given.name, kind, profile_of(input_quality(parameters)))  # its own: overrides are written into it
         self._inbox = Inbox(
             [application.guard.taking(f"reading {given.topic_name}", partial(_come, given)) for given in self._inputs],
             self._hand,
@@ -178,12 +150,46 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             application.dropped,
             parameters.count("input_depth"),
         )
-        self._next_tick = 0
         self._offered = [
             self.create_service(Trigger, "~/reset", self._server(application.reset)),
             self.create_service(Trigger, "~/reset_learning", self._server(application.reset_learning)),
             self.create_service(Trigger, "~/save_state", self._server(application.save_state)),
         ]
+        self._start_clocks(application)
+        self._wait_or_collect(application)
+        self._warn(ros_parameters.unknown(self, of_topics=True))
+        self.get_logger().info(f"{application.vehicle.title}; {application.began_with}")
+
+    def _open_output(self, topic: OutputTopic, parameters: Parameters) -> None:
+        if topic is ESTIMATE_TOPIC and self._estimate is None:
+            self._fills.append(None)
+            self._outputs.append(None)
+            return
+        name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
+        profile = profile_of(output_quality(parameters, topic))
+        events = PublisherEventCallbacks(
+            incompatible_qos=self._reporter(f"a subscriber of {self.resolve_topic_name(name)}"), use_default_callbacks=False
+        )
+        self._fills.append(None if topic.kind in ("status", "estimate") else prepared(topic, self._frame_id))
+        kind = installed_type(topic.type, f"topic {name}")
+        with overridden(self, name):
+            made = self.create_lifecycle_publisher(
+                kind, name, profile, event_callbacks=events, qos_overriding_options=OVERRIDABLE
+            )
+        self._outputs.append(made)
+
+    def _open_input(self, name: str, kind: Any, profile: QoSProfile) -> None:
+        events = SubscriptionEventCallbacks(
+            incompatible_qos=self._reporter(f"a publisher of {self.topic_name(name)}"), use_default_callbacks=False
+        )
+        take = self._taker(len(self._inputs))
+        with overridden(self, name):
+            made = self.create_subscription(kind, name, take, profile, event_callbacks=events, qos_overriding_options=OVERRIDABLE)
+        self._inputs.append(made)
+
+    def _start_clocks(self, application: Application) -> None:
+        """The application learns when the clock goes back, and ticks by steady time."""
+        self._next_tick = 0
         back = Duration(nanoseconds=-int(application.estimator.settings.clock_jump_s * SECOND_NS))
         self._jumps = self.get_clock().create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=back, on_clock_change=False),
@@ -191,9 +197,6 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         )
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._ticker = self.create_timer(application.period_s, self._tick, clock=self._steady)
-        self._wait_or_collect(application)
-        self._warn(ros_parameters.unknown(self, of_topics=True))
-        self.get_logger().info(f"{application.vehicle.title}; {application.began_with}")
 
     def _activate(self, state: LifecycleState) -> None:
         super().on_activate(state)

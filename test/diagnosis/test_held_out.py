@@ -1,0 +1,81 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What held-out laps say: how much a model gains on them, by lap and over all, and how sure that is."""
+
+import numpy as np
+import pytest
+
+from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOutLaps, Improvement, held_out
+
+
+@pytest.mark.parametrize(
+    ("improvement", "grade"),
+    [
+        (Improvement(100.0, 90.0, 1.0, 19.0), CONFIRMED),
+        (Improvement(100.0, 90.0, -1.0, 21.0), SUSPECTED),
+        (Improvement(100.0, 90.0, -1.0, 21.0, 0.5), CONFIRMED),  # by the likelihood
+        (Improvement(100.0, 90.0, -1.0, 21.0, -0.5), SUSPECTED),
+        (Improvement(100.0, 100.0, -1.0, 1.0, 0.5), CONFIRMED),
+        (Improvement(100.0, 100.5, -2.0, 1.0, 0.5), SUSPECTED),  # likelier, and yet no smaller error
+        (Improvement(100.0, 101.0, -2.0, 1.0), SUSPECTED),
+        (Improvement(100.0, 101.1, -2.0, 1.0), REFUTED),
+        (Improvement(100.0, 100.5, -0.9, -0.1, 9.0), REFUTED),  # surely worse, however little
+        (Improvement(100.0, 100.5, -1.0, 0.0), SUSPECTED),
+    ],
+)
+def test_what_laps_say_of_an_improvement(improvement, grade):
+    assert improvement.grade == grade
+
+
+def session(laps, lap_s=60, torque=None, name="drive", first=0):
+    time = np.arange(laps * lap_s, dtype=float)
+    none = np.zeros(len(time))
+    block = first + (time // lap_s).astype(np.int64)
+    return DriveSession(name, 1.0, time, *(none,) * 8, none if torque is None else torque, none, none == 0.0, block)
+
+
+def test_many_laps_are_resampled_whole_and_few_in_minute_pieces():
+    whole = np.ones(1200, dtype=bool)
+    many = HeldOutLaps([session(20)], [whole], np.random.default_rng(1))
+    assert len(many._count) == 20
+    few = HeldOutLaps([session(2, 600)], [whole], np.random.default_rng(1))
+    assert len(few._count) == 20
+    eight, seven = (HeldOutLaps([session(n, 90)], [np.ones(n * 90, dtype=bool)], np.random.default_rng(1)) for n in (8, 7))
+    assert len(eight._count) == 8
+    assert len(seven._count) == 14
+
+
+def test_an_interval_is_as_wide_as_laps_differ():
+    rng, one = np.random.default_rng(1), session(100)
+    laps = HeldOutLaps([one], [np.ones(6000, dtype=bool)], rng)
+    gained = np.repeat(rng.normal(5.0, 2.0, 100), 60)
+    found = laps.improvement([np.full(6000, 20.0)], [20.0 - gained])
+    assert found.before == pytest.approx(20.0)
+    assert found.after == pytest.approx(20.0 - gained.mean())
+    mean, std = gained.mean(), gained.std() / 10.0
+    assert (found.low, found.high) == pytest.approx((mean - 1.96 * std, mean + 1.96 * std), abs=0.15 * std)
+    assert found.likelier == -np.inf
+
+
+def test_errors_are_counted_by_stage_and_by_lap():
+    torque = np.tile([90.0, 110.0], 300)
+    sessions = (session(4, 100, torque[:400], "one"), session(2, 100, torque[:200], "two", first=4))
+    masks = [sessions[0].block >= 2, np.ones(200, dtype=bool)]
+    laps = HeldOutLaps(sessions, masks, np.random.default_rng(1))
+    off = {"nominal": 20.0, "refitted": -10.0, "with_effects": 2.0}
+    expected = {stage: [s.torque - by * (1.0 + (s.block == 5)) for s in sessions] for stage, by in off.items()}
+    found = held_out(laps, expected)
+    assert found.laps == ("one: 3", "one: 4", "two: 1", "two: 2")
+    for stage, by in off.items():
+        each = np.array([1.0, 1.0, 1.0, 2.0]) * by
+        assert found.by_lap["bias"][stage] == pytest.approx(each)
+        assert found.by_lap["mae"][stage] == pytest.approx(np.abs(each))
+        assert found.by_lap["r2"][stage] == pytest.approx(1.0 - each**2 / 100.0)
+        assert found.mae[stage] == pytest.approx(1.25 * abs(by))
+        assert found.bias[stage] == pytest.approx(1.25 * by)
+        assert found.r2[stage] == pytest.approx(1.0 - 1.75 * by**2 / 100.0)
+    assert (found.of_refit.before, found.of_refit.after) == pytest.approx((25.0, 12.5))
+    assert (found.of_effects.before, found.of_effects.after) == pytest.approx((12.5, 2.5))
+    assert found.of_effects.grade == CONFIRMED
