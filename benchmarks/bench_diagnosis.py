@@ -23,7 +23,7 @@ from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.effects import Active, catalogue
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.columns import Assembly
 from trackres_ros.evaluation.synthetic import drives, write_recordings
 from trackres_ros.jit.compiled import compiled
 from trackres_ros.model.loss_table import look_up
@@ -48,14 +48,15 @@ def rate(
     t: float, temperature: float, step: float, speed: Any, log_load: Any, ambient: float, belt: Any, numbers: Any, table: Any
 ) -> float:
     """dT/dt [K/s] of one belt, its speed straight from sample to sample."""
+    own = Assembly(belt)
     place = min(t / step, len(speed) - 1.000001)
     i = int(place)
     travel = abs(speed[i] + (place - i) * (speed[i + 1] - speed[i]))
     shift, _ = log_shift_factor(temperature, numbers[2], numbers[3], numbers[4])
     x = shift + (math.log10(travel) if travel > 1e-6 else -6.0)
-    loss, _ = look_up(table, 0, numbers[0], numbers[1], belt[at.FIRST_LOG_LOAD], belt[at.STEP_LOG_LOAD], x, log_load[i + 1])
-    film = belt[at.FILM_OFFSET] + belt[at.FILM_SLOPE] * travel
-    return float((loss * travel - film * belt[at.AREA] * (temperature - ambient)) / belt[at.CAPACITY])
+    loss, _ = look_up(table, 0, numbers[0], numbers[1], own.first_log_load, own.step_log_load, x, log_load[i + 1])
+    film = own.film_offset + own.film_slope * travel
+    return float((loss * travel - film * own.area * (temperature - ambient)) / own.capacity)
 
 
 class BySolveIvp(TrackBase):
@@ -63,11 +64,11 @@ class BySolveIvp(TrackBase):
 
     def predict(self, sessions: Any, values: Any, effects: Any) -> list[Predicted]:  # noqa: ARG002
         k = self._with(values, Acting.of((), self.facts))
-        n, belt = k.number, k.assembly[0]
+        n, belt, own = k.number, k.assembly[0], Assembly(k.assembly[0])
         numbers = np.array([n.first_x, n.step_x, n.glass_transition, n.wlf_c1, n.wlf_c2])
         found = []
         for session in sessions:
-            speed, log_load = session.speed, np.log(session.weight * belt[at.SHARE_OF_ALL])
+            speed, log_load = session.speed, np.log(session.weight * own.share_of_all)
             ambient = float(session.ambient[0])
             arguments = (session.step, speed, log_load, ambient, belt, numbers, k.loss)
             solved = solve_ivp(
@@ -79,7 +80,7 @@ class BySolveIvp(TrackBase):
             for i, one in enumerate(degc):
                 shift, _ = log_shift_factor(one, *numbers[2:])
                 x = shift + (math.log10(abs(speed[i])) if abs(speed[i]) > 1e-6 else -6.0)
-                loss[i] = look_up(k.loss, 0, *numbers[:2], belt[at.FIRST_LOG_LOAD], belt[at.STEP_LOG_LOAD], x, log_load[i])[0]
+                loss[i] = look_up(k.loss, 0, *numbers[:2], own.first_log_load, own.step_log_load, x, log_load[i])[0]
             sign = np.tanh(speed / STANDSTILL_MPS)
             force = len(self.vehicle.assemblies) * loss * sign + n.bearing_friction * session.weight * sign
             force += 0.5 * n.air_density * n.drag_area * speed * np.abs(speed)

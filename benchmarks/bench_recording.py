@@ -120,7 +120,7 @@ def _against_lsoda(estimator: Estimator, name: str, road: Road, repeats: int) ->
     errors = [_largest_percent(solve(p, road)[1][:, 0], true[:, 0], moving) for solve in (by_odeint, by_solve_ivp)]
     result[f"{name}: LSODA, largest error of its torque [%]"] = max(errors)
     rows = by_session(estimator, road)
-    ours = rows[:, at.OUT_HYSTERESIS]
+    ours = rows[:, at.Results.hysteresis_nm]
     result[f"{name}: session against the limit, largest difference [%]"] = _largest_percent(ours, true[:, 0], moving)
     return result
 
@@ -162,16 +162,18 @@ def _against_paper(method: str, road: Road, samples: int) -> dict[str, float]:
     estimator = Estimator(with_methods(load("xgd24d"), method))
     algorithm = PaperAlgorithm(estimator, road)
     rows = by_session(estimator, road)
-    belts = rows[:, len(at.VEHICLE_COLUMNS) + at.PER_BELT :: len(at.ASSEMBLY_COLUMNS)]
+    belts = rows[:, len(at.VEHICLE_COLUMNS) + at.OfAssembly.belt_degc :: len(at.ASSEMBLY_COLUMNS)]
     moving = 1 + np.flatnonzero(road.speed[1:] > MOVING)
     chosen = moving[np.linspace(0, len(moving) - 1, min(samples, len(moving))).astype(int)]
     algorithm.sample(int(chosen[0]), belts[chosen[0] - 1], 0.0)
     spent, ours_spent, session_spent, worst = [], [], [], 0.0
     for place, n in enumerate(chosen.tolist()):
         out = []
-        spent.append(seconds(lambda n=n, out=out: out.append(algorithm.sample(n, belts[n - 1], rows[n - 1, at.OUT_DRIVE]))))
+        spent.append(
+            seconds(lambda n=n, out=out: out.append(algorithm.sample(n, belts[n - 1], rows[n - 1, at.Results.drive_torque_nm])))
+        )
         theirs = out[0][1][:3].sum()
-        worst = max(worst, abs(rows[n, at.OUT_RESISTANCE] / theirs - 1.0))
+        worst = max(worst, abs(rows[n, at.Results.resistance_torque_nm] / theirs - 1.0))
         if place % max(samples // REPEATS, 1) == 0:
             ours_spent.append(seconds(lambda: by_run(estimator, road)) / len(road.time))
             session_spent.append(seconds(lambda: by_session(estimator, road)) / len(road.time))

@@ -92,17 +92,17 @@ WAYS = (
         (
             (
                 "estimator/columns.py",
-                "    PART_BY,\n) = range(13)",
-                "    PART_LOAD,\n    PART_LOG_LOAD,\n    PART_BY,\n) = range(15)",
+                "    twin = Real()  # the assembly that it is computed as\n",
+                "    twin = Real()\n    load = Real()\n    log_load = Real()\n",
             ),
             ("estimator/constants.py", "np.empty(parts_and_belts)", "np.full(parts_and_belts, np.nan)"),
             (
                 "estimator/assembly_step.py",
-                "    radius, share, log_load = k.assembly[i, at.RADIUS], load / road.weight, math.log(load)\n",
-                "    radius, share = k.assembly[i, at.RADIUS], load / road.weight\n"
-                "    if part[at.PART_LOAD] != load:\n"
-                "        part[at.PART_LOAD], part[at.PART_LOG_LOAD] = load, math.log(load)\n"
-                "    log_load = part[at.PART_LOG_LOAD]\n",
+                "    share, log_load, reasons, mean = load / road.weight, math.log(load), 0, Belt(belt[0])\n",
+                "    share, reasons, mean = load / road.weight, 0, Belt(belt[0])\n"
+                "    if part.load != load:\n"
+                "        part.load, part.log_load = load, math.log(load)\n"
+                "    log_load = part.log_load\n",
             ),
         ),
     ),

@@ -65,11 +65,11 @@ def plain(estimator: Estimator) -> Plain:
     if number.two_nodes:
         raise ValueError("the rivals know only the lumped thermal model")
     return Plain(
-        k.assembly[:, at.TABLE].astype(np.int64),
-        k.assembly[:, [at.CAPACITY, at.AREA, at.FILM_OFFSET, at.FILM_SLOPE]].copy(),
-        k.assembly[:, at.FIRST_LOG_LOAD].copy(),
-        k.assembly[:, at.STEP_LOG_LOAD].copy(),
-        k.assembly[:, at.RADIUS].copy(),
+        k.assembly[:, at.Assembly.table].astype(np.int64),
+        k.assembly[:, [at.Assembly.capacity, at.Assembly.area, at.Assembly.film_offset, at.Assembly.film_slope]].copy(),
+        k.assembly[:, at.Assembly.first_log_load].copy(),
+        k.assembly[:, at.Assembly.step_log_load].copy(),
+        k.assembly[:, at.Assembly.radius].copy(),
         k.loss,
         k.drive,
         (

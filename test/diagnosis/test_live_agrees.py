@@ -104,7 +104,7 @@ def replayed(estimator, sessions):
 
 def picked(estimator, rows):
     belts = [rows[:, estimator.column_index[f"belt_degc/{name}"]] for name in estimator.assemblies]
-    return rows[:, at.OUT_DRIVE], np.mean(belts, axis=0) if belts else np.zeros(len(rows))
+    return rows[:, at.Results.drive_torque_nm], np.mean(belts, axis=0) if belts else np.zeros(len(rows))
 
 
 def simulated(base, sessions, active):
@@ -172,7 +172,7 @@ def test_a_belt_rests_alike_in_a_fit_and_live(two_nodes):
     base = load_base(str(two_nodes)).base
     estimator = Estimator(base.vehicle)
     warm = estimator.cold_start(estimator.inputs(0.0, ambient=15.0), belt_degc=60.0)
-    rested = estimator.rest(warm, 15.0, 600.0).belts[0, :, at.TEMPERATURE]
+    rested = estimator.rest(warm, 15.0, 600.0).belts[0, :, at.Belt.temperature]
     assert rested[0] - rested[1] > 10.0
 
 

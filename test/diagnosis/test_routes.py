@@ -300,7 +300,7 @@ def expected_live(vehicle, sessions):
             begin, session.time, session.speed, session.weight, session.ambient, session.accel, session.grade, session.yaw_rate,
             session.heading, ground=GroundSeries(unknown, session.torque_by_place, unknown),
         )  # fmt: skip
-        found.append(vehicle.values["torque_scale"] * late.sensed(rows[:, at.OUT_DRIVE], session))
+        found.append(vehicle.values["torque_scale"] * late.sensed(rows[:, at.Results.drive_torque_nm], session))
     return found
 
 

@@ -109,10 +109,10 @@ def check(estimator, row, parts, accel, grade, stood):
     unknown = {"measured_torque_nm", "residual_nm", "motor_torque_nm"}
     bad = [name for name, value in zip(names, row, strict=True) if name not in unknown and not math.isfinite(value)]
     assert not bad
-    speed, fed = row[at.OUT_SPEED], row[at.OUT_FEEDFORWARD]
+    speed, fed = row[at.Results.speed_mps], row[at.Results.feedforward_torque_nm]
     limit = estimator.constants.number.feedforward_limit
     assert abs(fed) <= limit * (1.0 + 1e-12)
-    assert row[at.OUT_STD] > 0.0
+    assert row[at.Results.resistance_std_nm] > 0.0
     if stood and not (grade and "grade" in parts) and not (accel and "inertia" in parts):
         assert fed == 0.0 if speed == 0.0 else abs(fed) < 1.0
 
@@ -158,7 +158,7 @@ def test_what_says_nothing_usable_is_left_out_and_that_is_said(says):
     for estimator in (plain, without):
         session = estimator.session()
         estimates = [session.handle(at.SPEED, START_NS + i * 10**8, START_NS + i * 10**8, 5.0) for i in range(3)]
-        rows.append(np.array([e.row[: at.OUT_REASONS] for e in estimates]))
+        rows.append(np.array([e.row[: at.Results.reasons] for e in estimates]))
         assert all(bool(e.reasons & at.Reason.EFFECT_LEFT_OUT) == (estimator is without) for e in estimates)
     np.testing.assert_array_equal(rows[0], rows[1])
 
@@ -180,7 +180,7 @@ def fed(effects, where, parts, speed, **known):
             session.handle(session.channel(name), START_NS, START_NS, value)
         for now in (START_NS, START_NS + 10**8):  # over no time at all nothing moves
             row = session.handle(at.SPEED, now, now, speed).row
-        found.append((row[at.OUT_FEEDFORWARD], row[at.OUT_DRIVE]))
+        found.append((row[at.Results.feedforward_torque_nm], row[at.Results.drive_torque_nm]))
     return found
 
 

@@ -19,21 +19,20 @@ from trackres_ros.jit.compiled import interpreted
 CAPACITY, SHARE, CONDUCTANCE, NOISE, AMBIENT_STD = 7e4, 0.3, 650.0, 0.05, 2.5  # J/K, of the capacity, W/K, K/s^0.5, K
 HEAT = Heat(power=9e3, power_slope=-90.0, cooling=210.0, surroundings=12.0)
 CONSIDERED = {
-    at.CONSIDER_LOSS: (0.08, 0.03, -0.02),
-    at.CONSIDER_COOLING: (0.01, 0.11, 0.04),
-    at.CONSIDER_CAPACITY: (-0.03, 0.02, 0.07),
+    "consider_loss": (0.08, 0.03, -0.02),
+    "consider_cooling": (0.01, 0.11, 0.04),
+    "consider_capacity": (-0.03, 0.02, 0.07),
 }
 STEPS = (1e-3, 0.5, 90.0)  # s
 
 
 @pytest.fixture
 def constants():
-    assembly = np.full((2, at.CONSIDER_FACTOR + 16), np.nan)
-    row = assembly[1]
-    row[at.CAPACITY], row[at.SURFACE_SHARE], row[at.INNER_CONDUCTANCE] = CAPACITY, SHARE, CONDUCTANCE
-    for first, values in CONSIDERED.items():
-        row[first : first + 3] = values
-    return SimpleNamespace(assembly=assembly, number=SimpleNamespace(with_uncertainty=True, process_noise=NOISE))
+    own = at.Assembly(np.full(at.Assembly.columns, np.nan))
+    own.capacity, own.surface_share, own.inner_conductance = CAPACITY, SHARE, CONDUCTANCE
+    for name, values in CONSIDERED.items():
+        getattr(own, name)[:3] = values
+    return SimpleNamespace(own=own, number=SimpleNamespace(with_uncertainty=True, process_noise=NOISE))
 
 
 @pytest.fixture
@@ -76,7 +75,7 @@ def test_temperatures_and_heat_are_those_of_the_linear_model(name, dt, constants
     matrix, gained, lost, flow = model(belt)
     moved, integral = solved(matrix, gained - lost + flow, np.zeros(nodes), dt)
     before = belt.copy()
-    heat_in, heat_out = interpreted(advance)(constants, 1, belt, HEAT, AMBIENT_STD, dt)
+    heat_in, heat_out = interpreted(advance)(constants, constants.own, belt, HEAT, AMBIENT_STD, dt)
     assert belt[:nodes, 0] - before[:nodes, 0] == pytest.approx(moved, rel=1e-8)
     assert heat_in == pytest.approx(HEAT.power * dt + HEAT.power_slope * integral[0], rel=1e-10)
     outer = before[nodes - 1, 0]
@@ -90,24 +89,24 @@ def test_departures_follow_their_causes_through_the_same_model(name, dt, constan
     advance, model, nodes = MODELS[name]
     matrix, gained, lost, flow = model(belt)
     before = belt.copy()
-    interpreted(advance)(constants, 1, belt, HEAT, AMBIENT_STD, dt)
+    interpreted(advance)(constants, constants.own, belt, HEAT, AMBIENT_STD, dt)
     for cause in range(3):
         of_loss, of_cooling, of_capacity = (CONSIDERED[row][cause] for row in CONSIDERED)
         forced = gained * of_loss - lost * of_cooling - (gained - lost + flow) * of_capacity
-        column = at.CONSIDER_1 + cause
+        column = at.FIRST_DEPARTURE + cause
         assert belt[:nodes, column] == pytest.approx(solved(matrix, forced, before[:nodes, column], dt)[0], rel=1e-8), cause
     by_air = HEAT.cooling / CAPACITY * AMBIENT_STD / np.array([1.0, SHARE][:nodes])
-    expected = solved(matrix, by_air, before[:nodes, at.CONSIDER_AMBIENT], dt)[0]
-    assert belt[:nodes, at.CONSIDER_AMBIENT] == pytest.approx(expected, rel=1e-8)
+    expected = solved(matrix, by_air, before[:nodes, at.Belt.consider_ambient], dt)[0]
+    assert belt[:nodes, at.Belt.consider_ambient] == pytest.approx(expected, rel=1e-8)
 
 
 @pytest.mark.parametrize("dt", STEPS)
 @pytest.mark.parametrize("name", MODELS)
 def test_noise_goes_through_the_model_and_grows_with_time(name, dt, constants, belt):
     advance, model, nodes = MODELS[name]
-    columns = (at.NOISE_1, at.NOISE_2)[:nodes]  # one node has one source of noise
+    columns = (at.Belt.noise_1, at.Belt.noise_2)[:nodes]  # one node has one source of noise
     carried = np.array([solved(model(belt)[0], np.zeros(nodes), belt[:nodes, column], dt)[0] for column in columns]).T
-    interpreted(advance)(constants, 1, belt, HEAT, AMBIENT_STD, dt)
+    interpreted(advance)(constants, constants.own, belt, HEAT, AMBIENT_STD, dt)
     after = belt[:nodes][:, list(columns)]
     added = NOISE**2 * dt * np.ones((nodes, nodes))
     assert after @ after.T == pytest.approx(carried @ carried.T + added, rel=1e-8)
@@ -117,9 +116,9 @@ def test_noise_goes_through_the_model_and_grows_with_time(name, dt, constants, b
 def test_without_uncertainty_only_temperatures_move_and_equally(name, constants, belt):
     advance, _, nodes = MODELS[name]
     wanted, before = belt.copy(), belt.copy()
-    interpreted(advance)(constants, 1, wanted, HEAT, AMBIENT_STD, 0.5)
+    interpreted(advance)(constants, constants.own, wanted, HEAT, AMBIENT_STD, 0.5)
     constants.number.with_uncertainty = False
-    heat = interpreted(advance)(constants, 1, belt, HEAT, AMBIENT_STD, 0.5)
+    heat = interpreted(advance)(constants, constants.own, belt, HEAT, AMBIENT_STD, 0.5)
     assert all(map(math.isnan, heat))
     assert (belt[:, 0] == wanted[:, 0]).all()
     assert (belt[:, 1:] == before[:, 1:]).all()

@@ -40,9 +40,9 @@ forget_others = interpreted(guards.forget_others)
 def k():
     """Constants of a vehicle with two axles and four assemblies."""
     assembly = np.zeros((ASSEMBLIES, at.CONSIDER_FACTOR + 16))
-    assembly[:, at.AXLE] = (0, 0, 1, 1)
-    assembly[:, at.NOMINAL_LOAD] = (60e3, 61e3, 62e3, 63e3)
-    assembly[:, at.SHARE_OF_AXLE], assembly[:, at.SHARE_OF_ALL] = SHARES_OF_AXLE, SHARES_OF_ALL
+    assembly[:, at.Assembly.axle] = (0, 0, 1, 1)
+    assembly[:, at.Assembly.nominal_load] = (60e3, 61e3, 62e3, 63e3)
+    assembly[:, at.Assembly.share_of_axle], assembly[:, at.Assembly.share_of_all] = SHARES_OF_AXLE, SHARES_OF_ALL
     limits = np.tile([-1e6, 1e6], (CHANNELS, 1))
     limits[at.SPEED] = (-20.0, 25.0)
     number = SimpleNamespace(
@@ -74,8 +74,8 @@ class Guard:
         return int(self.memory.times[channel, column])
 
     def inputs(self, outcome=ACCEPTED_IN_ORDER, started=1.0, quantum=0.0):
-        motion = np.zeros(at.MOTION_COLUMNS)
-        motion[at.STARTED], motion[at.QUANTUM] = started, quantum
+        motion = at.Motion(np.zeros(at.Motion.columns))
+        motion.started, motion.quantum = started, quantum
         self.loads, self.belts = np.zeros(ASSEMBLIES), np.zeros(ASSEMBLIES)
         return gather(self.k, self.memory, outcome, 0, motion, self.loads, self.belts)
 
@@ -97,7 +97,7 @@ def test_it_begins_with_nothing(guard):
     assert np.isnan(guard.memory.values).all()
     assert not guard.memory.times.any()
     assert not guard.memory.reasons.any()
-    assert guard.memory.times.shape == (CHANNELS, at.MEMORY_COLUMNS)
+    assert guard.memory.times.shape == (CHANNELS, at.Times.columns)
     assert guard.memory.counters.shape == (CHANNELS, len(Count))
 
 
@@ -109,7 +109,7 @@ def test_good_messages_are_taken_with_the_time_between(guard):
     assert guard.send(20 * MS, 8.1) == (ACCEPTED_IN_ORDER, 20 * MS)
     assert guard.counts() == {"ACCEPTED": 2}
     assert guard.memory.values[at.SPEED] == 8.1
-    assert (guard.of(at.SEEN), guard.of(at.FRESH), guard.of(at.LAST_STAMP) - T) == (1, 1, 20 * MS)
+    assert (guard.of(at.Times.seen), guard.of(at.Times.fresh), guard.of(at.Times.last_stamp) - T) == (1, 1, 20 * MS)
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_values_that_cannot_be_are_counted_and_leave_no_trace(guard, value, refu
     if refused:
         assert (outcome, elapsed) == (-Count[refused], 0)
         assert guard.counts() == {refused: 1}
-        assert not guard.of(at.SEEN)
+        assert not guard.of(at.Times.seen)
         guard.send(1, value)
         assert guard.counts() == {refused: 2}
     else:
@@ -146,7 +146,7 @@ def test_order_is_by_stamps(guard, offset, refused):
     outcome, elapsed = guard.send(offset, arrival=0)
     assert (outcome, elapsed) == ((-Count[refused], 0) if refused else (ACCEPTED_IN_ORDER, offset))
     assert guard.counts() == {"ACCEPTED": 1, refused: 1} if refused else {"ACCEPTED": 2}
-    assert guard.of(at.LAST_STAMP) == (T if refused else T + offset)
+    assert guard.of(at.Times.last_stamp) == (T if refused else T + offset)
 
 
 def test_a_pause_in_which_arrival_goes_on_too_is_no_jump(guard):
@@ -171,7 +171,7 @@ def test_counters_count_on(guard):
 
 def test_without_a_stamp_the_arrival_counts(guard):
     assert guard.send(None, arrival=5 * S) == (ACCEPTED_IN_ORDER, 0)
-    assert guard.of(at.LAST_STAMP) == T + 5 * S
+    assert guard.of(at.Times.last_stamp) == T + 5 * S
     assert guard.send(None, arrival=6 * S) == (ACCEPTED_IN_ORDER, S)
     assert guard.counts() == {"ACCEPTED": 2, "ZERO_STAMP": 2}
 
@@ -179,8 +179,8 @@ def test_without_a_stamp_the_arrival_counts(guard):
 def test_without_a_stamp_the_offset_of_the_source_stays(guard):
     guard.send(-500 * S, arrival=0)
     assert guard.send(None, arrival=S) == (ACCEPTED_IN_ORDER, S)
-    assert guard.of(at.LAST_STAMP) == T - 499 * S
-    assert guard.of(at.LAST_ARRIVAL) == T + S
+    assert guard.of(at.Times.last_stamp) == T - 499 * S
+    assert guard.of(at.Times.last_arrival) == T + S
 
 
 def test_time_that_begins_at_zero_is_a_time(k):
@@ -200,7 +200,7 @@ def test_the_third_agreeing_stamp_is_accepted_with_arrival_time(guard, jump, ref
     assert guard.send(jump + 20 * MS, arrival=40 * MS) == (-Count[refused], 0)
     assert guard.send(jump + 40 * MS, arrival=60 * MS) == (ACCEPTED_AFTER_JUMP, 60 * MS)
     assert guard.counts() == {"ACCEPTED": 2, refused: 2, "CLOCK_JUMP": 1}
-    assert guard.of(at.SUSPECTS) == 0
+    assert guard.of(at.Times.suspects) == 0
     assert guard.send(jump + 60 * MS, arrival=80 * MS) == (ACCEPTED_IN_ORDER, 20 * MS)
 
 
@@ -215,7 +215,7 @@ def test_suspects_that_do_not_agree_begin_anew(guard):
     guard.send(0)
     stamps = (3600 * S, 3600 * S + 1, 7200 * S, 7200 * S + 1)
     assert [guard.send(s, arrival=i + 1)[0] for i, s in enumerate(stamps)] == [-Count.FUTURE] * 4
-    assert guard.of(at.SUSPECTS) == 2
+    assert guard.of(at.Times.suspects) == 2
     assert guard.send(7200 * S + 2, arrival=5)[0] == ACCEPTED_AFTER_JUMP
 
 
@@ -224,18 +224,18 @@ def test_suspects_agree_where_their_stamps_go_on_with_arrival(guard, apart, agre
     guard.send(0)
     guard.send(3600 * S, arrival=0)
     guard.send(3600 * S + apart, arrival=0)
-    assert guard.of(at.SUSPECTS) == (2 if agrees else 1)
-    assert guard.of(at.SUSPECT_STAMP) == T + 3600 * S + apart
+    assert guard.of(at.Times.suspects) == (2 if agrees else 1)
+    assert guard.of(at.Times.suspect_stamp) == T + 3600 * S + apart
 
 
 def test_suspects_whose_arrival_ran_on_alone_do_not_agree(guard):
     guard.send(0)
     guard.send(3600 * S, arrival=0)
     guard.send(3600 * S + 1, arrival=JUMP + 2)
-    assert guard.of(at.SUSPECTS) == 1
-    assert guard.of(at.SUSPECT_ARRIVAL) == T + JUMP + 2
+    assert guard.of(at.Times.suspects) == 1
+    assert guard.of(at.Times.suspect_arrival) == T + JUMP + 2
     guard.send(3600 * S + 2, arrival=2 * JUMP + 2)
-    assert guard.of(at.SUSPECTS) == 2
+    assert guard.of(at.Times.suspects) == 2
 
 
 def test_a_good_message_clears_the_suspicion(guard):
@@ -243,7 +243,7 @@ def test_a_good_message_clears_the_suspicion(guard):
     for i in range(2):
         guard.send(3600 * S + i, arrival=i)
     guard.send(20 * MS)
-    assert guard.of(at.SUSPECTS) == 0
+    assert guard.of(at.Times.suspects) == 0
     assert guard.send(3600 * S + 5, arrival=30 * MS)[0] == -Count.FUTURE
 
 
@@ -278,7 +278,7 @@ def test_a_reset_counts_on_and_is_no_jump(guard):
     for n in (1, 2):
         guard.send(-3600 * S * n)
         assert guard.counts() == {"ACCEPTED": 1 + n, "RESET": n}
-    assert guard.of(at.LAST_STAMP) == T - 7200 * S
+    assert guard.of(at.Times.last_stamp) == T - 7200 * S
 
 
 def test_what_is_forgotten_is_all_of_the_others_but_counters(guard):
@@ -287,7 +287,7 @@ def test_what_is_forgotten_is_all_of_the_others_but_counters(guard):
         guard.send(0, 7.0, channel)
     forget_others(guard.memory, at.LOAD)
     assert guard.memory.values[at.LOAD] == 7.0
-    assert guard.of(at.SEEN, at.LOAD) == 1
+    assert guard.of(at.Times.seen, at.LOAD) == 1
     for channel in (at.SPEED, at.AMBIENT, last):
         assert math.isnan(guard.memory.values[channel])
         assert not guard.memory.times[channel].any()
@@ -518,7 +518,7 @@ def test_a_jump_of_the_clock_is_no_time_for_which_it_was_stuck(guard):
     for i in range(3):
         guard.send(3600 * S + i, arrival=i)
     assert not guard.reasons() & Reason.SPEED_STUCK
-    assert guard.of(at.UNCHANGED_SINCE) == T + 3600 * S + 2
+    assert guard.of(at.Times.unchanged_since) == T + 3600 * S + 2
 
 
 # A speed that changes too fast: 8 m/s2, and 1 m/s besides
@@ -585,7 +585,7 @@ def test_stamps_in_doubt_have_an_order(guard):
     assert guard.send(60 * MS, 8.0)[0] == -Count.LATE
     assert guard.send(-60 * MS, 8.0)[0] == -Count.LATE
     assert guard.send(101 * MS, 16.0)[0] == -Count.IMPLAUSIBLE
-    assert guard.of(at.DOUBTS) == 2
+    assert guard.of(at.Times.doubts) == 2
 
 
 def test_a_reset_or_a_jump_ends_the_doubt(guard):
@@ -637,13 +637,13 @@ def test_wheels_without_axles_take_only_the_vehicles_load(k):
     """The channels behind those of all vehicles are of wheel speeds then, not of loads or belts."""
     k.number.axles, k.number.first_wheel = 0, at.FIRST_AXLE
     k.assembly = k.assembly[:1]
-    k.assembly[0, [at.NOMINAL_LOAD, at.SHARE_OF_AXLE, at.SHARE_OF_ALL]] = 60e3, 1.0, 1.0
+    k.assembly[0, [at.Assembly.nominal_load, at.Assembly.share_of_axle, at.Assembly.share_of_all]] = 60e3, 1.0, 1.0
     memory, loads = guards.new_memory(at.FIRST_AXLE + 1), np.zeros(1)
-    memory.times[at.FIRST_AXLE, [at.SEEN, at.LAST_ARRIVAL]] = 1, 5 * S
+    memory.times[at.FIRST_AXLE, [at.Times.seen, at.Times.last_arrival]] = 1, 5 * S
     memory.values[at.FIRST_AXLE] = 7.0  # a wheel speed
     assert gather_loads(k, memory, 5 * S, loads) == int(at.Reason.LOAD_NOMINAL)
     assert loads[0] == 60e3
-    memory.times[at.LOAD, [at.SEEN, at.LAST_ARRIVAL]] = 1, 5 * S
+    memory.times[at.LOAD, [at.Times.seen, at.Times.last_arrival]] = 1, 5 * S
     memory.values[at.LOAD] = 65e3
     assert gather_loads(k, memory, 5 * S, loads) == 0
     assert loads[0] == 65e3

@@ -16,10 +16,11 @@ import trackres_ros as tr
 from trackres_ros.effects import Active, Effect, catalogue, stepping
 from trackres_ros.effects.learned import BELOW, BELT, BRAKES, OPEN, SPEED, STEP, Corner, Curve, Latch, SidedGain
 from trackres_ros.estimator import warm_up
-from trackres_ros.estimator.columns import OUT_EFFECTS
+from trackres_ros.estimator.columns import Results
 from trackres_ros.estimator.entry_points import COMPILED, interpreted_entries
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.jit.compiled import HAVE_NUMBA
+from trackres_ros.jit.compiled import HAVE_NUMBA, compiled
+from trackres_ros.jit.rows import Real, Reals, Row, Whole
 from trackres_ros.vehicle import load
 
 PROGRAM = """
@@ -99,7 +100,7 @@ def test_learned_effects_of_belt_and_torque_give_the_same_bits():
     vehicle = replace(load("xgd24d"), effects=tuple(Active(effect, effect.values()) for effect in learned))
     plain, machine = interpreted_and_compiled(vehicle)
     np.testing.assert_array_equal(plain, machine)
-    assert len(np.unique(machine[:, OUT_EFFECTS])) > 100
+    assert len(np.unique(machine[:, Results.effects_nm])) > 100
 
 
 @pytest.mark.long
@@ -152,6 +153,35 @@ class Never:
 
     def poll(self):
         return None
+
+
+class Numbered(Row):
+    first = Real()
+    several = Reals(2)
+    last = Real()
+
+
+class Counted(Row):
+    seen = Whole()
+    since = Whole()
+
+
+def moved(numbers, counts):
+    row, count = Numbered(numbers[1]), Counted(counts)
+    row.last = count.since / 2
+    for i in range(2):
+        row.several[i] += row.first * i
+    count.seen += 2
+    return row.several[1] + count.seen
+
+
+def test_a_row_names_numbers_where_they_lie():
+    assert (Numbered.first, Numbered.several, Numbered.last, Numbered.columns) == (0, slice(1, 3), 3, 4)
+    found = []
+    for function in (moved, compiled(moved)):
+        numbers, counts = np.arange(8.0).reshape(2, 4), np.array([3, 5])
+        found.append((function(numbers, counts), numbers.tolist(), counts.tolist()))
+    assert found == [(15.0, [[0.0, 1.0, 2.0, 3.0], [4.0, 5.0, 10.0, 2.5]], [5, 5])] * 2
 
 
 def test_an_effect_of_a_users_own_waits_for_compiled_steps():

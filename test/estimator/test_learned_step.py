@@ -21,7 +21,7 @@ BY_FILE = {
 
 def driven(estimator, departure=0.0, which=at.OF_LOSS, on=1.0):
     session, time = estimator.session(), np.arange(9000) * 0.1
-    session.learned[at.LEARNED_ON], session.learned[at.DEPARTURES + which] = on, departure
+    session.learned[at.Learned.on], at.Learned(session.learned).departures[which] = on, departure
     stamps = (time * 1e9).astype(np.int64) + 10**18
     steps = session.handle_block(np.zeros(len(time), np.int16), stamps, stamps, 8.0 + 6.0 * np.sin(time / 120.0))
     return steps.rows, session
@@ -40,7 +40,7 @@ def test_a_learned_departure_acts_like_a_file_with_that_value(name, which, depar
     vehicle = load(name)
     (plain, _), (true, _) = driven(Estimator(vehicle)), driven(changed(vehicle, which, departure))
     learned, _ = driven(Estimator(vehicle), departure, which)
-    drive, belt = at.OUT_DRIVE, len(at.VEHICLE_COLUMNS)
+    drive, belt = at.Results.drive_torque_nm, len(at.VEHICLE_COLUMNS)
     moved = np.abs(true[:, drive] - plain[:, drive])
     assert np.abs(learned[:, drive] - true[:, drive]).max() < 0.06 * moved.max() + 0.5
     assert np.abs(learned[:, belt] - true[:, belt]).max() < 0.1 * np.abs(true[:, belt] - plain[:, belt]).max() + 1e-6
@@ -48,10 +48,10 @@ def test_a_learned_departure_acts_like_a_file_with_that_value(name, which, depar
 
 def test_parts_add_up_and_assemblies_to_the_whole(reference):
     rows, _ = driven(reference, 0.1)
-    parts = rows[:, [at.OUT_HYSTERESIS, at.OUT_BEARING, at.OUT_WIND, at.OUT_EFFECTS]].sum(axis=1)
-    assert parts == pytest.approx(rows[:, at.OUT_RESISTANCE], abs=1e-6)
-    each = rows[:, len(at.VEHICLE_COLUMNS) + at.PER_RESISTANCE :: len(at.ASSEMBLY_COLUMNS)].sum(axis=1)
-    assert each == pytest.approx(rows[:, at.OUT_RESISTANCE], abs=1e-6)
+    parts = rows[:, [at.Results.hysteresis_nm, at.Results.bearing_nm, at.Results.wind_nm, at.Results.effects_nm]].sum(axis=1)
+    assert parts == pytest.approx(rows[:, at.Results.resistance_torque_nm], abs=1e-6)
+    each = rows[:, len(at.VEHICLE_COLUMNS) + at.OfAssembly.resistance_torque_nm :: len(at.ASSEMBLY_COLUMNS)].sum(axis=1)
+    assert each == pytest.approx(rows[:, at.Results.resistance_torque_nm], abs=1e-6)
 
 
 def test_what_is_known_but_not_on_changes_no_bit(reference):
@@ -62,8 +62,8 @@ def test_what_is_known_but_not_on_changes_no_bit(reference):
 
 def test_at_rest_nothing_that_was_learned_pushes(reference):
     session = reference.session()
-    session.learned[at.LEARNED_ON], session.learned[at.LEARNED_TORQUE] = 1.0, 500.0
-    session.learned[at.DEPARTURES + at.OF_LOSS] = 0.5
+    session.learned[at.Learned.on], session.learned[at.Learned.torque] = 1.0, 500.0
+    at.Learned(session.learned).departures[at.OF_LOSS] = 0.5
     for i in range(100):
         estimate = session.handle(at.SPEED, 10**18 + i * 10**8, 10**18 + i * 10**8, 0.0)
         assert estimate["feedforward_torque_nm"] == 0.0
@@ -78,6 +78,6 @@ def test_a_torque_that_goes_on_is_against_travel_either_way(reference):
         plain = session.handle(at.SPEED, 10**18, 10**18, speed).resistance_torque_nm
         session = reference.session()
         session.begin(without)
-        session.learned[at.LEARNED_ON], session.learned[at.LEARNED_TORQUE] = 1.0, 100.0
+        session.learned[at.Learned.on], session.learned[at.Learned.torque] = 1.0, 100.0
         more = session.handle(at.SPEED, 10**18, 10**18, speed).resistance_torque_nm
         assert more - plain == pytest.approx(np.copysign(100.0, speed), rel=1e-6)

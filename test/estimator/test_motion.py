@@ -16,14 +16,14 @@ KMH = 1 / 3.6
 
 
 def filtered(speed, dt):
-    settings, motion, out = Settings(), np.zeros(at.MOTION_COLUMNS), [0.0]
-    motion[at.QUANTUM] = 1e9
+    settings, motion, out = Settings(), at.Motion(np.zeros(at.Motion.columns)), [0.0]
+    motion.quantum = 1e9
     start_motion(motion, speed[0], settings.speed_std_mps**2, settings.acceleration_std**2)
     for before, now in itertools.pairwise(speed):
         advance_motion(
             motion, now, before, dt, settings.speed_std_mps**2, settings.acceleration_std**2, settings.acceleration_time_s
         )
-        out.append(motion[at.FILTERED_ACCEL])
+        out.append(motion.filtered_accel)
     return np.array(out)
 
 

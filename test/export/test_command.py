@@ -110,8 +110,8 @@ def test_what_was_learned_is_what_the_state_begins_with(own, trackres):
     session = tr.Estimator(tr.load_vehicle(own / "mine.yaml")).session()
     session.handle(at.SPEED, 0, 0, 1.0)
     save(session, own / "off", 0.0)
-    session.learned[at.LEARNED_ON] = 1.0
-    session.learned[at.DEPARTURES] = 0.1234567
+    session.learned[at.Learned.on] = 1.0
+    session.learned[at.Learned.departures.start] = 0.1234567
     save(session, own / "on", 0.0)
     assert "nothing learned acts" in trackres("export", "c", "mine.yaml", "-o", "out", "--state", "off", cwd=own).stderr
     assert trackres("export", "c", "mine.yaml", "-o", "out", "--state", "on", cwd=own).returncode == 0

@@ -127,4 +127,4 @@ def test_a_tuned_parameter_moves_the_torque_by_what_it_says(instance):
 def test_what_is_no_input_cannot_be_set(instance):
     with pytest.raises(Exception, match="fmi3SetFloat64"):
         instance.put("resistance_torque_nm", 1.0)
-    assert at.OUT_RESISTANCE >= 0
+    assert at.Results.resistance_torque_nm >= 0

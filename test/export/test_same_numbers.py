@@ -38,8 +38,8 @@ def held_against(vehicle, folder, hours, seed=1, settings=None, what=None):
     found, level = built.run(messages)
     assert len(expected) > 100
     assert difference(found, expected).max() <= EQUAL
-    reasons = expected[:, at.OUT_REASONS].astype(int)
-    assert (found[:, at.OUT_REASONS] == reasons).all()
+    reasons = expected[:, at.Results.reasons].astype(int)
+    assert (found[:, at.Results.reasons] == reasons).all()
     assert (level == np.where(reasons & ~int(at.HARMLESS), 1, 0)).all()
     counters = built.array(built.library.drive_place_of_counters(), session.memory.counters)
     assert (counters == session.memory.counters).all()
@@ -111,12 +111,12 @@ def test_every_empirical_effect_is_the_same(tmp_path):
 
 def learned_numbers():
     """What learning may leave in a session."""
-    numbers = np.zeros(at.LEARNED_COLUMNS)
-    numbers[at.LEARNED_ON] = 1.0
-    numbers[at.DEPARTURES : at.DEPARTURES + at.LEARNABLE] = [0.08, -0.1, 0.05, 1.5, -0.2, 0.1, 0.03]
-    numbers[at.LEARNED_TORQUE], numbers[at.LEARNED_SLOW] = 12.0, 5.0
+    numbers = np.zeros(at.Learned.columns)
+    numbers[at.Learned.on] = 1.0
+    numbers[at.Learned.departures] = [0.08, -0.1, 0.05, 1.5, -0.2, 0.1, 0.03]
+    numbers[at.Learned.torque], numbers[at.Learned.slow] = 12.0, 5.0
     factor = np.tril(np.random.default_rng(2).normal(0.0, 0.02, (at.LEARNABLE, at.LEARNABLE)))
-    numbers[at.LEARNED_FACTOR : at.SENSITIVITIES] = factor.ravel()
+    numbers[at.Learned.factor] = factor.ravel()
     return numbers
 
 
@@ -164,7 +164,7 @@ def test_between_two_speeds_the_feedforward_goes_on_as_live(tmp_path):
             assert result == 0
         expected = step.feedforward_now(k, session.memory, session.motion, now)
         assert outputs["feedforward_torque_nm"] == pytest.approx(expected, rel=EQUAL)
-        assert (outputs["level"] == 3) == (now - session.memory.times[at.SPEED, at.LAST_ARRIVAL] > 500_000_000)
+        assert (outputs["level"] == 3) == (now - session.memory.times[at.SPEED, at.Times.last_arrival] > 500_000_000)
         shown.append(outputs["feedforward_torque_nm"])
     assert max(shown) > 100.0
     assert shown[-1] == 0.0
@@ -208,7 +208,7 @@ def test_slopes_and_torques_by_place_are_the_same(tmp_path):
     messages = channel[order], stamp[order], stamp[order], value[order]
     expected = session.handle_block(*messages).rows
     found, _ = built.run(messages)
-    assert np.abs(expected[:, at.OUT_GRADE]).max() > 1000.0
+    assert np.abs(expected[:, at.Results.grade_nm]).max() > 1000.0
     seen = session.reason_counts()
     assert at.Reason.PLACE_UNKNOWN in seen
     assert seen[at.Reason.PLACE_UNKNOWN] < 20000
@@ -224,5 +224,5 @@ def test_float_is_as_near_as_the_page_says(tmp_path):
     off = difference(found, expected)
     names = built.estimator.columns
     assert off[names.index("belt_degc/left")] < 1e-3
-    torque = expected[:, at.OUT_RESISTANCE]
-    assert np.abs(found[:, at.OUT_RESISTANCE] - torque).max() < 1e-3 * np.abs(torque).max()
+    torque = expected[:, at.Results.resistance_torque_nm]
+    assert np.abs(found[:, at.Results.resistance_torque_nm] - torque).max() < 1e-3 * np.abs(torque).max()

@@ -18,6 +18,7 @@ from trackres_ros.export.c_source import TEMPLATES, filled
 from trackres_ros.export.functions import Translator
 from trackres_ros.export.kinds import INT, REAL, ArrayOf
 from trackres_ros.export.statements import translate_body
+from trackres_ros.jit.rows import Real, Reals, Row
 
 STEPS = (2.0, -1.0, 0.25)
 
@@ -59,7 +60,22 @@ def views(a, b, out):
     out[3] = max(whole[0], math.nan, 1.0) + min(math.inf, whole[1]) if a != b else -(a**2) + 2.0**b
 
 
-FUNCTIONS = (whole_numbers, branches, views)
+class Numbered(Row):
+    first = Real()
+    several = Reals(2)
+    last = Real()
+
+
+def rows(a, b, out):
+    row, several = Numbered(out), Numbered(out).several
+    row.first = row.last = a / b
+    row.several[0], several[1] = row.first + 1.0, row.last - 2.0
+    several[1] += b * row.last
+    row.last *= 2.0
+    row.first, Numbered(out).last = row.last, row.first
+
+
+FUNCTIONS = (whole_numbers, branches, views, rows)
 
 
 @pytest.fixture(scope="module")

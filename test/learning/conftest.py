@@ -19,9 +19,9 @@ class Road:
 
     def __init__(self, estimator: Estimator, mode="watch", true=None, seed=1):
         self.true = estimator.session()
-        self.true.learned[at.LEARNED_ON] = 1.0
+        self.true.learned[at.Learned.on] = 1.0
         for which, departure in (true or {}).items():
-            self.true.learned[at.DEPARTURES + which] = departure
+            at.Learned(self.true.learned).departures[which] = departure
         self.session, self.learner = estimator.session(), Learner(estimator, mode)
         self.random, self.steps, self.rows = np.random.default_rng(seed), 0, []
         self.said = set()
@@ -46,9 +46,9 @@ class Road:
     def expected(self, estimate):
         """Resistance with what was learned, whatever acts."""
         learned = self.session.learned
-        if learned[at.LEARNED_ON] > 0.0:
+        if learned[at.Learned.on] > 0.0:
             return estimate["resistance_torque_nm"]
-        moved = self.learner.learned.applied * learned[at.SENSITIVITIES :]
+        moved = self.learner.learned.applied * learned[at.Learned.sensitivities]
         return estimate["resistance_torque_nm"] + moved.sum() - moved[at.OF_MASS]
 
     def errors(self, minutes):

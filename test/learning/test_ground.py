@@ -24,8 +24,8 @@ class Drive:
     def __init__(self, slope=lambda _way: 0.0, mode="on", altitude=None, tilt=None, seed=3):
         self.estimator = Estimator(load_any("bmw_i3"))
         self.true, self.session = self.estimator.session(), self.estimator.session()
-        self.true.learned[at.LEARNED_ON] = 1.0
-        self.true.learned[at.DEPARTURES + at.OF_BEARING] = MORE_ROLLING
+        self.true.learned[at.Learned.on] = 1.0
+        at.Learned(self.true.learned).departures[at.OF_BEARING] = MORE_ROLLING
         self.learner = Learner(self.estimator, mode)
         self.slope, self.altitude, self.tilt = slope, altitude, tilt
         self.random, self.steps, self.way, self.height, self.rows = np.random.default_rng(seed), 0, 0.0, 500.0, []
@@ -128,7 +128,7 @@ def test_nothing_pushes_a_car_that_stands_whatever_was_learned():
     fastest = 14.0 + 9.0 * np.sin(begins / 40.0)
     driven.drive(0.5, lambda t: max(0.0, fastest - 2.0 * (t - begins)))
     assert driven.rows[-1][1] == 0.0
-    assert driven.session.motion[at.FEEDFORWARD] == 0.0
+    assert driven.session.motion[at.Motion.feedforward] == 0.0
 
 
 def test_what_was_learned_of_a_car_becomes_its_file(tmp_path):

@@ -50,7 +50,7 @@ def test_twice_the_same_to_the_bit(learned, road):
 
 def test_where_no_torque_is_measured_nothing_changes(road):
     driven = road("on", {at.OF_LOSS: 0.2}).drive(6.0, lambda _torque, _i: None)
-    assert not driven.session.learned[: at.SENSITIVITIES].any()
+    assert not driven.session.learned[: at.Learned.sensitivities.start].any()
     assert driven.learner.learned.seconds == 0.0
 
 
@@ -62,7 +62,7 @@ def test_a_file_that_is_right_stays_right(road):
 def test_one_corner_is_not_the_whole(road):
     driven = road("on", {at.OF_LOSS: 0.2}).drive(3.0, speed=lambda _t: 6.0)
     assert not any(driven.learner.counts(state) for state in VEHICLES_OWN)
-    assert driven.session.learned[at.LEARNED_ON] == 0.0
+    assert driven.session.learned[at.Learned.on] == 0.0
 
 
 def test_a_vehicle_that_stands_is_not_pushed(learned, road):
@@ -71,7 +71,7 @@ def test_a_vehicle_that_stands_is_not_pushed(learned, road):
     fastest = 8.0 + 6.0 * np.sin(begins / 60.0)
     driven.drive(0.5, speed=lambda t: max(0.0, fastest - 2.0 * (t - begins)))
     assert driven.rows[-1][1] == 0.0
-    assert driven.session.motion[at.FEEDFORWARD] == 0.0
+    assert driven.session.motion[at.Motion.feedforward] == 0.0
 
 
 @pytest.mark.parametrize("share", [0.07, -0.07])

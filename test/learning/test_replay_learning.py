@@ -20,7 +20,7 @@ def recording(reference, tmp_path_factory):
     """A drive of a vehicle whose belts lose a fifth more than its file says."""
     path = tmp_path_factory.mktemp("drive") / "drive.csv"
     session, random = reference.session(), np.random.default_rng(4)
-    session.learned[at.LEARNED_ON], session.learned[at.DEPARTURES + at.OF_LOSS] = 1.0, 0.2
+    session.learned[at.Learned.on], at.Learned(session.learned).departures[at.OF_LOSS] = 1.0, 0.2
     with path.open("w", newline="") as file:
         table = csv.writer(file)
         table.writerow(["time_s", "speed_mps", "torque_nm"])

@@ -17,7 +17,7 @@ from scipy.integrate import quad, solve_bvp, solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from trackres_ros.estimator.columns import TEMPERATURE
+from trackres_ros.estimator.columns import Belt
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.state import State
 from trackres_ros.model.loss_table import loss_table
@@ -57,7 +57,7 @@ def network_of(one: Estimator) -> ThermalNetwork:
 
 def stored_heat(one: Estimator, before: State, after: State) -> float:
     """Heat [J] that the belts took up between two states."""
-    return float((after.belts - before.belts)[:, 0, TEMPERATURE].sum() * network_of(one).capacity)
+    return float((after.belts - before.belts)[:, 0, Belt.temperature].sum() * network_of(one).capacity)
 
 
 def conductances(network: ThermalNetwork, speed: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -127,7 +127,7 @@ def test_heating_ends_in_the_balance_of_heat_and_cooling(thermal: str, speed: fl
     belt = rows[:, one.column_index["belt_degc/front_left"]]
     balance = steady_state(one, speed, weight, ambient, rows[-1, one.column_index["drive_torque_nm"]])
     for node, settled in enumerate(balance):
-        reached = after.belts[0, node, TEMPERATURE]
+        reached = after.belts[0, node, Belt.temperature]
         assert reached - ambient == pytest.approx(settled - ambient, rel=0.003)  # of the table
     assert (np.diff(belt) >= -1e-9).all()  # from ambient up to balance, never past it
     assert belt[0] == ambient
@@ -144,7 +144,7 @@ def test_at_rest_the_belt_cools_exponentially_over_any_step(thermal: str, start:
     exact = ambient + expm(matrix * dt) @ np.full(len(matrix), start - ambient)
     for after in (one.step(before, one.inputs(0.0, ambient=ambient), dt)[0], one.rest(before, ambient, dt)):
         for node, value in enumerate(exact):
-            assert after.belts[:, node, TEMPERATURE] == pytest.approx(np.full(4, value), abs=1e-8)
+            assert after.belts[:, node, Belt.temperature] == pytest.approx(np.full(4, value), abs=1e-8)
 
 
 @both_networks
@@ -222,7 +222,7 @@ def test_steps_against_an_ode_solver_on_the_same_table(thermal: str, dt: float) 
     nodes = np.full(2 if model.network.two_nodes else 1, 15.0)
     for leg in pairwise(corners):
         nodes = solve_ivp(rates, leg, nodes, method="LSODA", rtol=1e-8, atol=1e-8, max_step=5.0).y[:, -1]
-    assert after.belts[0, : len(nodes), TEMPERATURE] == pytest.approx(nodes, abs=2e-3)
+    assert after.belts[0, : len(nodes), Belt.temperature] == pytest.approx(nodes, abs=2e-3)
     assert nodes[0] > 30.0
 
 

@@ -124,10 +124,10 @@ def test_a_reset_forgets_it(desk, given):
 def taken(comparison, residual_nm, seconds, start_s=0.0, drive_nm=3000.0):
     """Feed rows with a residual, a constant or of the time [s]."""
     row = [0.0] * len(at.VEHICLE_COLUMNS)
-    row[at.OUT_DRIVE], row[at.OUT_STD], row[at.OUT_SPEED] = drive_nm, 100.0, 8.0
+    row[at.Results.drive_torque_nm], row[at.Results.resistance_std_nm], row[at.Results.speed_mps] = drive_nm, 100.0, 8.0
     for i in range(round(seconds)):
         time_s = start_s + i
-        row[at.OUT_RESIDUAL] = residual_nm(time_s) if callable(residual_nm) else residual_nm
+        row[at.Results.residual_nm] = residual_nm(time_s) if callable(residual_nm) else residual_nm
         comparison.take(START_NS + round(time_s * 1e9), row)
 
 

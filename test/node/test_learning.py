@@ -42,8 +42,8 @@ def drive(d, seconds, share=1.1, more=0.0):
         speed = 8.0 + 4.0 * math.sin(i / 150.0)
         expected = d.app.overview().values.get("drive_torque_nm", 3000.0)
         moved = d.app.session.learned
-        if moved[at.LEARNED_ON] > 0.0:
-            expected -= float((moved[at.DEPARTURES : at.LEARNED_TORQUE] * moved[at.SENSITIVITIES :]).sum())
+        if moved[at.Learned.on] > 0.0:
+            expected -= float((moved[at.Learned.departures] * moved[at.Learned.sensitivities]).sum())
         d.drive(0.2, speed=speed, dt=0.2, torque=share * expected + more + (i % 11 - 5.0))
 
 
@@ -63,7 +63,7 @@ def test_by_default_it_watches_and_says_what_it_learns(desk, topics):
     assert float(values["low"]) < float(values["value"]) < float(values["high"])
     assert float(values["value"]) > 1.0
     assert values["state"] in ("learning", "learned", "frozen")
-    assert d.app.session.learned[at.LEARNED_ON] == 0.0
+    assert d.app.session.learned[at.Learned.on] == 0.0
     assert "learning" in d.app.overview().learning
     delay = dict(found["torque_delay"].values)
     assert (delay["unit"], delay["state"], delay["acts"]) == ("s", "learning", "false")
@@ -109,7 +109,7 @@ def test_it_can_be_turned_off_and_on_while_it_runs(desk, topics):
     assert d.app.learning.learner.mode == "on"
     assert d.app.learning.learner.learned.seconds > 5.0
     d.app.change({"learning": "watch"})
-    assert not d.app.session.learned[: at.SENSITIVITIES].any()
+    assert not d.app.session.learned[: at.Learned.sensitivities.start].any()
     with pytest.raises(InputError, match="off, watch, on"):
         d.app.change({"learning": "fast"})
 

@@ -23,7 +23,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from waiting import exit_code
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.columns import TEMPERATURE
+from trackres_ros.estimator.columns import Belt
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.snapshot import after_time_off
@@ -208,9 +208,9 @@ def test_a_drive_with_positions_gives_the_same_live_and_replayed(node, tmp_path,
         estimator,
         lambda steps: rows.update(zip(steps.stamp_ns.tolist(), steps.rows.copy(), strict=True)),
     )
-    reasons = np.array([int(row[at.OUT_REASONS]) for row in rows.values()])
-    effects = np.array([row[at.OUT_EFFECTS] for row in rows.values()])
-    gears = np.array([row[at.OUT_DRIVE] for row in rows.values()]).max() * 0.05 * (vehicle == "ztbus_hess19")
+    reasons = np.array([int(row[at.Results.reasons]) for row in rows.values()])
+    effects = np.array([row[at.Results.effects_nm] for row in rows.values()])
+    gears = np.array([row[at.Results.drive_torque_nm] for row in rows.values()]).max() * 0.05 * (vehicle == "ztbus_hess19")
     assert 799.0 < effects.max() < 801.0 + gears  # the drive has all there is to see
     assert 0.1 < np.mean(reasons & at.Reason.OFF_ROUTE > 0) < 0.6
     assert 0.05 < np.mean(reasons & at.Reason.PLACE_UNKNOWN > 0) < 0.5
@@ -239,7 +239,7 @@ def test_a_drive_with_positions_gives_the_same_live_and_replayed(node, tmp_path,
         wanted = values_of(about, rows[stamp][np.newaxis], estimator.column_index)[0]
         np.testing.assert_allclose(effort, wanted, rtol=1e-9, atol=1e-9)
     for stamp, torque in expected.items():
-        assert torque == pytest.approx(rows[stamp][at.OUT_DRIVE], rel=1e-9)
+        assert torque == pytest.approx(rows[stamp][at.Results.drive_torque_nm], rel=1e-9)
     assert {"SURROUNDINGS", "OFF_ROUTE", "PLACE_UNKNOWN"} <= notices
     assert int(n.values("input latitude")["non_finite"]) > 0.5 * len(LOST)
 
@@ -324,7 +324,7 @@ def test_belts_outlive_a_restart(simulated, tmp_path):
 def cooled(state, now):
     """Temperature [degC] of the first belt at a time [s since 1970] after the file of its state was written."""
     session, _ = after_time_off(Estimator(load("xgd24d")), state, now)
-    return float(session.belts[0, 0, TEMPERATURE])
+    return float(session.belts[0, 0, Belt.temperature])
 
 
 def test_killed_at_any_moment_the_state_file_is_whole(node, tmp_path):

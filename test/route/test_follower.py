@@ -91,13 +91,13 @@ def driven(estimator, sent, session=None):
 def slope_of(estimator, rows):
     """The slope that a step used; nan beside the route."""
     radius = estimator.vehicle.track_of(estimator.vehicle.assemblies[0]).sprocket_radius
-    sine = rows[:, at.OUT_GRADE] / (radius * rows[:, at.OUT_WEIGHT])
-    off = (rows[:, at.OUT_REASONS].astype(int) & Reason.OFF_ROUTE) > 0
+    sine = rows[:, at.Results.grade_nm] / (radius * rows[:, at.Results.weight_n])
+    off = (rows[:, at.Results.reasons].astype(int) & Reason.OFF_ROUTE) > 0
     return np.where(off, np.nan, sine / np.sqrt(1.0 - sine**2))
 
 
 def reasons_of(rows):
-    return rows[:, at.OUT_REASONS].astype(int)
+    return rows[:, at.Results.reasons].astype(int)
 
 
 def followed(estimator, way, speed, **given):
@@ -162,7 +162,7 @@ def test_off_the_street_nothing_is_expected_and_status_says_why(on, aside):
     way = np.arange(50.0, 950.0, 8.0)
     rows = driven(on["both"], messages(way, np.full(len(way), 8.0), aside=aside))
     assert np.isnan(slope_of(on["both"], rows)).all()
-    assert (rows[:, at.OUT_EFFECTS] == 0.0).all()
+    assert (rows[:, at.Results.effects_nm] == 0.0).all()
     assert (reasons_of(rows) & Reason.OFF_ROUTE).all()
     assert not (reasons_of(rows)[5:] & Reason.PLACE_UNKNOWN).any()
 
@@ -181,18 +181,18 @@ def test_the_torque_of_a_place_is_signed_against_travel(on):
     way = np.arange(50.0, 950.0, 8.0)
     rows = driven(on["torques"], messages(way, np.full(len(way), 8.0)))
     soft = (way > 370.0) & (way < 630.0)
-    assert rows[soft, at.OUT_EFFECTS] == pytest.approx(SOFT_NM, rel=1e-6)
+    assert rows[soft, at.Results.effects_nm] == pytest.approx(SOFT_NM, rel=1e-6)
     back = driven(on["torques"], messages(way[::-1], np.full(len(way), 8.0)))[::-1]
-    assert back[soft, at.OUT_EFFECTS] == pytest.approx(BACK_NM, rel=1e-6)
+    assert back[soft, at.Results.effects_nm] == pytest.approx(BACK_NM, rel=1e-6)
     reverse = driven(on["torques"], messages(way[::-1], np.full(len(way), -4.0), step_s=2.0))[::-1]
-    assert reverse[soft, at.OUT_EFFECTS] == pytest.approx(-BACK_NM, rel=1e-6)
+    assert reverse[soft, at.Results.effects_nm] == pytest.approx(-BACK_NM, rel=1e-6)
 
 
 def test_an_undriven_direction_expects_nothing_and_is_reported(on):
     way = np.arange(50.0, 950.0, 8.0)[::-1]
     rows = driven(on["torques"], messages(way, np.full(len(way), 8.0)))
     never, driven_so = way < 290.0, (way > 350.0) & (way < 900.0)
-    assert (rows[never, at.OUT_EFFECTS] == 0.0).all()
+    assert (rows[never, at.Results.effects_nm] == 0.0).all()
     assert (reasons_of(rows)[never] & Reason.OFF_ROUTE).all()
     assert not (reasons_of(rows)[driven_so] & Reason.OFF_ROUTE).any()
 
@@ -201,11 +201,13 @@ def test_the_torque_of_a_place_enters_drive_torque_and_its_std(on):
     way = np.arange(50.0, 950.0, 8.0)
     sent = messages(way, np.full(len(way), 8.0))
     bare, soft = (driven(on[name], sent) for name in ("none", "torques"))
-    place = soft[:, at.OUT_EFFECTS]
-    np.testing.assert_allclose(soft[:, at.OUT_RESISTANCE] - bare[:, at.OUT_RESISTANCE], place, atol=1.0)  # it strains belts too
-    np.testing.assert_allclose(soft[:, at.OUT_DRIVE] - bare[:, at.OUT_DRIVE], place, atol=1.0)
+    place = soft[:, at.Results.effects_nm]
+    np.testing.assert_allclose(
+        soft[:, at.Results.resistance_torque_nm] - bare[:, at.Results.resistance_torque_nm], place, atol=1.0
+    )  # it strains belts too
+    np.testing.assert_allclose(soft[:, at.Results.drive_torque_nm] - bare[:, at.Results.drive_torque_nm], place, atol=1.0)
     known = np.arange(len(way)) > 5
-    of_place = np.sqrt(soft[:, at.OUT_STD] ** 2 - bare[:, at.OUT_STD] ** 2)
+    of_place = np.sqrt(soft[:, at.Results.resistance_std_nm] ** 2 - bare[:, at.Results.resistance_std_nm] ** 2)
     assert of_place[known] == pytest.approx(STD_NM, rel=0.05)
 
 
@@ -217,8 +219,8 @@ def test_nothing_of_it_is_fed_forward_whatever_parts_are(name, slopes, torques):
     way = np.arange(50.0, 950.0, 8.0)
     sent = messages(way, np.full(len(way), 8.0))
     found, bare = (driven(Estimator(replace(vehicle, route=of), settings), sent) for of in (route, ()))
-    assert np.abs(found[:, at.OUT_DRIVE] - bare[:, at.OUT_DRIVE]).max() > 800.0
-    np.testing.assert_allclose(found[:, at.OUT_FEEDFORWARD], bare[:, at.OUT_FEEDFORWARD], atol=1.0)
+    assert np.abs(found[:, at.Results.drive_torque_nm] - bare[:, at.Results.drive_torque_nm]).max() > 800.0
+    np.testing.assert_allclose(found[:, at.Results.feedforward_torque_nm], bare[:, at.Results.feedforward_torque_nm], atol=1.0)
 
 
 @given(
@@ -234,8 +236,8 @@ def test_at_a_standstill_nothing_pushes_whatever_the_table_says(torque, slope, p
     speed = np.concatenate([np.full(20, 5.0), np.zeros(30)])
     rows = driven(estimator, messages(way, speed))
     assert not (reasons_of(rows)[-5:] & Reason.OFF_ROUTE).any()
-    assert rows[-5:, at.OUT_FEEDFORWARD] == pytest.approx(0.0, abs=1e-9)
-    assert rows[-5:, at.OUT_EFFECTS] == pytest.approx(0.0, abs=1e-9)
+    assert rows[-5:, at.Results.feedforward_torque_nm] == pytest.approx(0.0, abs=1e-9)
+    assert rows[-5:, at.Results.effects_nm] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_single_messages_and_blocks_give_the_same_bits(on):

@@ -131,7 +131,7 @@ def replay(
         write = kept.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
         done = run(source, estimator, write, session, progress, learner, warm_up.finished)
     if state is not None:
-        saved_at = int(done.session.memory.times[at.SPEED, at.LAST_ARRIVAL]) * NANOSECOND
+        saved_at = int(done.session.memory.times[at.SPEED, at.Times.last_arrival]) * NANOSECOND
         save(done.session, state, saved_at, None if learner is None else stored(learner))
     if learned_file is not None and learner is not None:
         write_learned(learner, estimator.vehicle, learned_file)

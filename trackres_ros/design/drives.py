@@ -160,7 +160,7 @@ def driven(estimator: Estimator, cycle: DriveCycle, weight: float | None, ambien
     load, air = (value if value is not None else recorded.get(role) for role, value in known.items())
     rows = run_drive(estimator, cycle.drive, load, air)
     torque = rows[:, estimator.column_index["resistance_torque_nm"]]
-    belts = assembly_values(rows, at.PER_BELT).T
+    belts = assembly_values(rows, at.OfAssembly.belt_degc).T
     return taken(cycle.drive.time_s, cycle.drive.speed, torque, belts, vehicle_constants(vehicle).radius)
 
 
@@ -176,8 +176,12 @@ def with_factors(estimator: Estimator, off: FileErrors, capacity: float = 1.0) -
     assert isinstance(estimator.vehicle, Vehicle)
     tables = [not off.track or name == off.track for name in estimator.vehicle.tracks]
     factors = np.where(tables, off.loss, 1.0)[:, np.newaxis, np.newaxis]
-    assembly, own = k.assembly.copy(), np.array([tables[int(kind)] for kind in k.assembly[:, at.KIND]])
-    for column, factor in ((at.FILM_OFFSET, off.film), (at.FILM_SLOPE, off.film), (at.CAPACITY, capacity)):
+    assembly, own = k.assembly.copy(), np.array([tables[int(kind)] for kind in k.assembly[:, at.Assembly.kind]])
+    for column, factor in (
+        (at.Assembly.film_offset, off.film),
+        (at.Assembly.film_slope, off.film),
+        (at.Assembly.capacity, capacity),
+    ):
         assembly[own, column] *= factor
     number = k.number._replace(bearing_friction=off.bearing * k.number.bearing_friction, drag_area=off.drag * k.number.drag_area)
     changed.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive)

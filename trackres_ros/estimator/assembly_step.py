@@ -10,10 +10,22 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_heat import loss_force, surface
 from trackres_ros.estimator.belt_step import BEHIND_BELTS, pass_gap, roll
 from trackres_ros.estimator.belt_uncertainty import belt_variance, correct_belt
+from trackres_ros.estimator.columns import (
+    BELT_COLUMNS,
+    OF_BELT,
+    OF_LOSS,
+    PARTS,
+    Assembly,
+    Belt,
+    Learned,
+    OfAssembly,
+    Part,
+    Reason,
+    Results,
+)
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.learned_step import learned_elsewhere, learned_hysteresis
 from trackres_ros.estimator.records import Inputs
@@ -24,21 +36,22 @@ from trackres_ros.model.rubber import log_shift_factor
 
 Array = NDArray[np.float64]
 
-FIRST_OF_ASSEMBLIES, COLUMNS_EACH = len(at.VEHICLE_COLUMNS), len(at.ASSEMBLY_COLUMNS)
+FIRST_OF_ASSEMBLIES, COLUMNS_EACH = Results.columns, OfAssembly.columns
+KIND = Assembly.kind
 DISAGREES = 5.0  # standard deviations between measured and expected belt temperature
 # Behind what belts use of the work space: the parts of all assemblies and of each.
 PARTS_OF_ALL = BEHIND_BELTS
-PARTS_OF_EACH = PARTS_OF_ALL + at.PARTS
-BELT_UNSURE, DISAGREEING = int(at.Reason.BELT_UNSURE), int(at.Reason.BELT_SENSOR_DISAGREES)
-OUTSIDE = int(at.Reason.OUTSIDE_TABLE)
+PARTS_OF_EACH = PARTS_OF_ALL + PARTS
+BELT_UNSURE, DISAGREEING = int(Reason.BELT_UNSURE), int(Reason.BELT_SENSOR_DISAGREES)
+OUTSIDE = int(Reason.OUTSIDE_TABLE)
 
 
 @compiled
-def measure(k: Constants, i: int, belt: Array, measured: float, ambient: float, speed: float) -> int:
+def measure(k: Constants, assembly: Assembly, belt: Array, measured: float, ambient: float, speed: float) -> int:
     """Correct one belt by a new measurement [degC]; the reasons it gives."""
-    shown, of_mean, of_surface = belt[0, at.TEMPERATURE], 1.0, 0.0
+    shown, of_mean, of_surface = Belt(belt[0]).temperature, 1.0, 0.0
     if k.number.belt_shows_surface:
-        shown, of_mean, of_surface = surface(k, i, belt, ambient, speed)
+        shown, of_mean, of_surface = surface(k, assembly, belt, ambient, speed)
     expected_variance = belt_variance(belt, of_mean, of_surface) + k.number.belt_measured_variance
     if squared(measured - shown) > DISAGREES * DISAGREES * expected_variance:
         return DISAGREEING
@@ -47,84 +60,103 @@ def measure(k: Constants, i: int, belt: Array, measured: float, ambient: float, 
 
 
 @inlined
-def bear(arm: float, unsigned: float, road: Road, part: Array) -> float:
-    """Fill the parts that forces on the whole vehicle have over an arm [m]; what resists without its sign [Nm], of which belts
-    have `unsigned`. The uncertainty at rest is that at a crawl: the sign of friction is known, its size is not.
+def bear(arm: float, unsigned: float, road: Road, part: Part) -> float:
+    """Fill the parts (34 to 36) that forces on the whole vehicle have over an arm R_1 G/G_v [m]; what resists without its sign
+    [Nm], of which belts have `unsigned`. At rest it is that at a crawl: the sign of friction is known, its size is not.
     """
-    size = unsigned + arm * (road.rolling_bearing + abs(road.wind))
-    part[at.PART_ARM], part[at.PART_UNSIGNED] = arm, size
-    part[at.PART_BEARING], part[at.PART_WIND] = arm * road.bearing, arm * road.wind
-    part[at.PART_GRADE], part[at.PART_INERTIA] = arm * road.uphill, arm * road.inertia
-    return float(size)
+    part.arm, part.unsigned = arm, unsigned + arm * (road.rolling_bearing + abs(road.wind))
+    part.bearing, part.wind = arm * road.bearing, arm * road.wind
+    part.grade, part.inertia = arm * road.uphill, arm * road.inertia
+    return part.unsigned
+
+
+@inlined
+def outside(k: Constants, assembly: Assembly, temperature: float, log10_speed: float, log_load: float) -> int:
+    """The reason to report where T, x = log10(a_T v) or ln G are outside of the rubber data or the table, else 0."""
+    x = log10_speed + log_shift_factor(temperature, k.number.glass_transition, k.number.wlf_c1, k.number.wlf_c2)[0]
+    last_log_load = assembly.first_log_load + assembly.step_log_load * (k.loss.shape[2] - 1)
+    within = assembly.first_log_load - 1e-9 <= log_load <= last_log_load + 1e-9
+    return OUTSIDE if temperature > k.number.hottest or x > k.number.fastest_x or not within else 0
+
+
+@inlined
+def fill_causes(assembly: Assembly, mean: Belt, by_temperature: float, unsigned: float, part: Part) -> None:
+    """Fill what each cause of uncertainty makes of the torque [Nm]: dM/dT d_c + M_h Lambda_1c + M_res Lambda_4c."""
+    consider, departures = part.consider, mean.consider
+    for cause in range(3):
+        consider[cause] = (
+            by_temperature * departures[cause]
+            + unsigned * assembly.consider_loss[cause]
+            + part.unsigned * assembly.consider_radius[cause]
+        )
+    consider[3] = part.unsigned * assembly.consider_radius[3]
+    part.consider_ambient = by_temperature * mean.consider_ambient
+    part.noise = by_temperature * by_temperature * (squared(mean.noise_1) + squared(mean.noise_2))
+
+
+@inlined
+def fill_departures(
+    assembly: Assembly, mean: Belt, by_temperature: float, unsigned: float, learned: Learned, part: Part
+) -> float:
+    """Fill how much a departure of each thing that acts through the belt would add [Nm]; by what was learned it is warmer [K].
+
+    What a loss, cooling or capacity that is larger by its whole makes of the temperature, the departures by cause tell (ours).
+    """
+    departures, by = learned.departures, part.by
+    warmer = departures[OF_BELT]
+    for which in range(3):
+        kelvin = 0.0
+        for cause in range(3):
+            kelvin += assembly.causes_of[3 * cause + which] * mean.consider[cause]
+        by[which] = by_temperature * kelvin
+        warmer += kelvin * departures[which]
+    by[OF_LOSS] += unsigned
+    by[OF_BELT] = by_temperature
+    return float(warmer * learned.on)
 
 
 @inlined
 def advance_assembly(
-    k: Constants, i: int, belt: Array, load: float, measured: float, road: Road, learned: Array, part: Array, out: Array
-) -> int:
-    """Advance one assembly; fills its `part` of the totals and its columns of `out`, returns its reasons."""
-    radius, share, log_load = k.assembly[i, at.RADIUS], load / road.weight, math.log(load)
-    reasons = 0
+    k: Constants, assembly: Assembly, belt: Array, load: float, measured: float, road: Road, learned: Learned, part: Part,
+    result: OfAssembly,
+) -> int:  # fmt: skip
+    """Advance one assembly; fills its `part` of the totals and its result, returns its reasons.
+
+    Its torque is M_h = R_1 sign(v) F_h (33), and its share of the load in what resists the whole vehicle.
+    """
+    share, log_load, reasons, mean = load / road.weight, math.log(load), 0, Belt(belt[0])
     # The drive torque strains the belt and itself depends on the loss, so that of the last step is used.
     drive = road.last_drive * share
-    part[at.PART_HEAT] = part[at.PART_COOLING] = 0.0
+    part.heat = part.cooling = 0.0
     if road.dt > k.number.bridge:
-        pass_gap(k, i, belt, road.last_speed, road.speed, log_load, road.ambient, road.ambient_std, road.dt)
+        pass_gap(k, assembly, belt, road.last_speed, road.speed, log_load, road.ambient, road.ambient_std, road.dt)
     elif road.dt > 0.0:
         heat_in, heat_out = roll(
-            k, i, belt, road.last_speed, road.speed, road.log10_middle, log_load, drive, road.ambient, road.ambient_std, road.dt
-        )
-        part[at.PART_HEAT] = heat_in / road.dt
-        part[at.PART_COOLING] = heat_out / road.dt
+            k, assembly, belt, road.last_speed, road.speed, road.log10_middle, log_load, drive, road.ambient, road.ambient_std,
+            road.dt,
+        )  # fmt: skip
+        part.heat, part.cooling = heat_in / road.dt, heat_out / road.dt
     if not math.isnan(measured):
-        reasons |= measure(k, i, belt, measured, road.ambient, road.speed)
-    temperature = belt[0, at.TEMPERATURE]
-    loss, slope = loss_force(k, i, temperature, road.log10_speed, log_load, drive)
-    unsigned = radius * loss
-    own = unsigned * road.sign
+        reasons |= measure(k, assembly, belt, measured, road.ambient, road.speed)
+    loss, slope = loss_force(k, assembly, mean.temperature, road.log10_speed, log_load, drive)
+    unsigned, by_temperature = assembly.radius * loss, assembly.radius * slope
+    part.hysteresis = unsigned * road.sign
     std = math.sqrt(belt_variance(belt, 1.0, 0.0))
     if std > k.number.belt_std_warn:
         reasons |= BELT_UNSURE
-    first_log_load = k.assembly[i, at.FIRST_LOG_LOAD]
-    last_log_load = first_log_load + k.assembly[i, at.STEP_LOG_LOAD] * (k.loss.shape[2] - 1)
-    reduced = road.log10_speed + log_shift_factor(temperature, k.number.glass_transition, k.number.wlf_c1, k.number.wlf_c2)[0]
-    if temperature > k.number.hottest or reduced > k.number.fastest_x:
-        reasons |= OUTSIDE
-    if not (first_log_load - 1e-9 <= log_load <= last_log_load + 1e-9):
-        reasons |= OUTSIDE
+    reasons |= outside(k, assembly, mean.temperature, road.log10_speed, log_load)
 
-    arm = radius * share
-    resisting = own + arm * (road.bearing + road.wind)
-    by_temperature, size = radius * slope, bear(arm, unsigned, road, part)
-    part[at.PART_HYSTERESIS] = own
-    for cause in range(3):
-        part[at.PART_CONSIDER + cause] = (
-            by_temperature * belt[0, at.CONSIDER_1 + cause]
-            + unsigned * k.assembly[i, at.CONSIDER_LOSS + cause]
-            + size * k.assembly[i, at.CONSIDER_RADIUS + cause]
-        )
-    part[at.PART_CONSIDER + 3] = size * k.assembly[i, at.CONSIDER_RADIUS + 3]
-    part[at.PART_CONSIDER_AMBIENT] = by_temperature * belt[0, at.CONSIDER_AMBIENT]
-    part[at.PART_NOISE] = by_temperature * by_temperature * (squared(belt[0, at.NOISE_1]) + squared(belt[0, at.NOISE_2]))
-    # What a loss, cooling or capacity that is larger by its whole makes of the belt's temperature, the departures by cause tell.
-    warmer = learned[at.DEPARTURES + at.OF_BELT]
-    for which in range(3):
-        kelvin = 0.0
-        for cause in range(3):
-            kelvin += k.assembly[i, at.CAUSES_OF + 3 * cause + which] * belt[0, at.CONSIDER_1 + cause]
-        part[at.PART_BY + which] = by_temperature * kelvin
-        warmer += kelvin * learned[at.DEPARTURES + which]
-    part[at.PART_BY + at.OF_LOSS] += unsigned
-    part[at.PART_BY + at.OF_BELT] = by_temperature
-    warmer *= learned[at.LEARNED_ON]
+    arm = assembly.radius * share
+    resisting = part.hysteresis + arm * (road.bearing + road.wind)
+    bear(arm, unsigned, road, part)
+    fill_causes(assembly, mean, by_temperature, unsigned, part)
+    warmer = fill_departures(assembly, mean, by_temperature, unsigned, learned, part)
     more = learned_hysteresis(part, learned) * road.sign
-    first = FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH
-    out[first + at.PER_BELT] = temperature + warmer
-    out[first + at.PER_SURFACE] = surface(k, i, belt, road.ambient, road.speed)[0] + warmer
-    out[first + at.PER_STD] = std
-    out[first + at.PER_LOAD] = load
-    out[first + at.PER_RESISTANCE] = resisting + more + learned_elsewhere(part, learned)
-    out[first + at.PER_HYSTERESIS] = own + more
+    result.belt_degc = mean.temperature + warmer
+    result.surface_degc = surface(k, assembly, belt, road.ambient, road.speed)[0] + warmer
+    result.belt_std_k, result.load_n = std, load
+    result.resistance_torque_nm = resisting + more + learned_elsewhere(part, learned)
+    result.hysteresis_nm = part.hysteresis + more
     return reasons
 
 
@@ -138,13 +170,13 @@ def twin_of(k: Constants, i: int, belts: Array, inputs: Inputs) -> int:
         return i
     for j in range(i):
         if (
-            k.assembly[j, at.KIND] != k.assembly[i, at.KIND]
+            k.assembly[j, KIND] != k.assembly[i, KIND]
             or inputs.load[j] != inputs.load[i]
             or not math.isnan(inputs.belt_measured[j])
         ):
             continue
         same = True
-        for column in range(at.BELT_COLUMNS):
+        for column in range(BELT_COLUMNS):
             same &= belts[j, 0, column] == belts[i, 0, column] and belts[j, 1, column] == belts[i, 1, column]
         if same:
             return j
@@ -152,31 +184,35 @@ def twin_of(k: Constants, i: int, belts: Array, inputs: Inputs) -> int:
 
 
 @inlined
-def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, learned: Array, out: Array) -> tuple[Array, int]:
-    """Advance all assemblies; the sums of their parts, shape (PARTS,), which lie in the work space, and their reasons."""
+def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, learned: Learned, out: Array) -> tuple[Array, int]:
+    """Advance all assemblies; the sums of their parts, a `Part` that lies in the work space, and their reasons."""
     assemblies = belts.shape[0]
     total, parts = k.work[PARTS_OF_ALL:PARTS_OF_EACH], k.work[PARTS_OF_EACH:]
-    for column in range(at.PARTS):
+    for column in range(PARTS):
         total[column] = 0.0
     for i in range(assemblies):
-        parts[i * at.PARTS + at.PART_TWIN] = twin_of(k, i, belts, inputs)
+        Part(parts[i * PARTS : (i + 1) * PARTS]).twin = twin_of(k, i, belts, inputs)
     if assemblies == 0:  # wheels without belts
-        size = bear(k.assembly[0, at.RADIUS], 0.0, road, total)
-        total[at.PART_CONSIDER + 3] = size * k.assembly[0, at.CONSIDER_RADIUS + 3]
+        wheels, whole = Assembly(k.assembly[0]), Part(total)
+        whole.consider[3] = bear(wheels.radius, 0.0, road, whole) * wheels.consider_radius[3]
     reasons = 0
     for i in range(assemblies):
-        part = parts[i * at.PARTS : (i + 1) * at.PARTS]
-        j = int(part[at.PART_TWIN])
+        numbers, first = parts[i * PARTS : (i + 1) * PARTS], FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH
+        part = Part(numbers)
+        j = int(part.twin)
         if j == i:
-            reasons |= advance_assembly(k, i, belts[i], inputs.load[i], inputs.belt_measured[i], road, learned, part, out)
+            reasons |= advance_assembly(
+                k, Assembly(k.assembly[i]), belts[i], inputs.load[i], inputs.belt_measured[i], road, learned, part,
+                OfAssembly(out[first : first + COLUMNS_EACH]),
+            )  # fmt: skip
         else:
-            for column in range(at.BELT_COLUMNS):
+            for column in range(BELT_COLUMNS):
                 belts[i, 0, column] = belts[j, 0, column]
                 belts[i, 1, column] = belts[j, 1, column]
-            for column in range(at.PARTS):
-                part[column] = parts[j * at.PARTS + column]
+            for column in range(PARTS):
+                numbers[column] = parts[j * PARTS + column]
             for column in range(COLUMNS_EACH):
-                out[FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH + column] = out[FIRST_OF_ASSEMBLIES + j * COLUMNS_EACH + column]
-        for column in range(at.PARTS):
-            total[column] += part[column]
+                out[first + column] = out[FIRST_OF_ASSEMBLIES + j * COLUMNS_EACH + column]
+        for column in range(PARTS):
+            total[column] += numbers[column]
     return total, reasons

@@ -21,8 +21,7 @@ from trackres_ros.effects.stepping import (
     TERM_SINK,
     TERM_SOFTENING,
 )
-from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.columns import TEMPERATURE
+from trackres_ros.estimator.columns import TEMPERATURE, Assembly
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.loss_table import look_up, look_up_drive
@@ -52,60 +51,58 @@ def log_speed(speed: float) -> float:
 
 @inlined
 def loss_force(
-    k: Constants, i: int, belt_degc: float, log10_speed: float, log_load: float, drive_torque: float
+    k: Constants, assembly: Assembly, belt_degc: float, log10_speed: float, log_load: float, drive_torque: float
 ) -> tuple[float, float]:
-    """Loss [N] of one assembly and its derivative [N/K] by the belt temperature."""
-    table = int(k.assembly[i, at.TABLE])
-    shift, shift_slope = log_shift_factor(belt_degc, k.number.glass_transition, k.number.wlf_c1, k.number.wlf_c2)
-    x = shift + log10_speed
-    loss, slope = look_up(
-        k.loss,
-        table,
-        k.number.first_x,
-        k.number.step_x,
-        k.assembly[i, at.FIRST_LOG_LOAD],
-        k.assembly[i, at.STEP_LOG_LOAD],
-        x,
-        log_load,
-    )
-    signed, unsigned = look_up_drive(k.drive, table, k.number.first_x, k.number.step_x, x)
-    total = loss + drive_torque * signed + abs(drive_torque) * unsigned
+    """Loss F_h [N] of one assembly and its derivative [N/K] by the belt temperature T.
+
+    Notes
+    -----
+    F_h = F(x, ln G) + c_1(x) M_D + c_2(x) |M_D| at x = log10(a_T v): the loss of (25) to (29) from `model.loss_table`, the shift
+    a_T of (3, 4). Effects multiply it by their factor and by exp(-softening (T - T_0)) (ours).
+    """
+    log_shift, shift_slope = log_shift_factor(belt_degc, k.number.glass_transition, k.number.wlf_c1, k.number.wlf_c2)
+    x, table = log_shift + log10_speed, int(assembly.table)
+    first_x, step_x = k.number.first_x, k.number.step_x
+    at_rest, slope = look_up(k.loss, table, first_x, step_x, assembly.first_log_load, assembly.step_log_load, x, log_load)
+    c_1, c_2 = look_up_drive(k.drive, table, first_x, step_x, x)
+    loss = at_rest + drive_torque * c_1 + abs(drive_torque) * c_2
     factor, softening = k.work[TERM_LOSS_FACTOR], k.work[TERM_SOFTENING]
     if softening != 0.0:
         factor *= math.exp(-softening * (belt_degc - SOFTENING_FROM_DEGC))
-    return total * factor, (slope * shift_slope - softening * total) * factor
+    return loss * factor, (slope * shift_slope - softening * loss) * factor
 
 
 @inlined
-def film(k: Constants, i: int, speed: float) -> float:
-    """Film coefficient of a belt [W/m^2/K]."""
-    return film_coefficient(
-        speed,
-        k.assembly[i, at.FILM_OFFSET] * k.work[TERM_FILM_OFFSET],
-        k.assembly[i, at.FILM_SLOPE] * k.work[TERM_FILM_SLOPE],
-    )
+def film(k: Constants, assembly: Assembly, speed: float) -> float:
+    """Film coefficient U = U_0 + U_1 |v| [W/m^2/K] (31), with what effects make of U_0 and U_1."""
+    return film_coefficient(speed, assembly.film_offset * k.work[TERM_FILM_OFFSET], assembly.film_slope * k.work[TERM_FILM_SLOPE])
 
 
 @inlined
-def surface(k: Constants, i: int, belt: Array, ambient: float, speed: float) -> tuple[float, float, float]:
-    """Surface temperature [degC], and its derivatives by mean and surface, shape of a row of the measurement matrix."""
-    value, share = belt[1 if k.number.two_nodes else 0, TEMPERATURE], 1.0
-    inner = k.assembly[i, at.SKIN_CONDUCTANCE]
+def surface(k: Constants, assembly: Assembly, belt: Array, ambient: float, speed: float) -> tuple[float, float, float]:
+    """Surface temperature T_s [degC], and its derivatives by mean and surface: the row h of the measurement.
+
+    The flux through layer and film is one (ours): T_s = (K T + U A_h T_a) / (K + U A_h).
+    """
+    shown, share, inner = belt[1 if k.number.two_nodes else 0, TEMPERATURE], 1.0, assembly.skin_conductance
     if math.isfinite(inner):
-        to_air = film(k, i, speed)
-        value = surface_temperature(value, ambient, to_air, k.assembly[i, at.AREA], inner)
-        share = inner / (inner + to_air * k.assembly[i, at.AREA])
-    return (value, 0.0, share) if k.number.two_nodes else (value, share, 0.0)
+        u = film(k, assembly, speed)
+        shown = surface_temperature(shown, ambient, u, assembly.area, inner)
+        share = inner / (inner + u * assembly.area)
+    return (shown, 0.0, share) if k.number.two_nodes else (shown, share, 0.0)
 
 
 @inlined
 def heat_of(
-    k: Constants, i: int, belt: Array, speed: float, log10_speed: float, log_load: float, drive_torque: float, ambient: float
-) -> Heat:
-    """Heat of one belt at a speed [m/s] and an ambient temperature [degC]."""
-    loss, loss_slope = loss_force(k, i, belt[0, TEMPERATURE], log10_speed, log_load, drive_torque)
-    travel = abs(speed)
-    cooling = film(k, i, speed) * k.assembly[i, at.AREA] + k.work[TERM_CONDUCTANCE]
-    # Air and sink together are one surrounding at a temperature between theirs.
-    surroundings = ambient + k.work[TERM_CONDUCTANCE] / cooling * (k.work[TERM_SINK] - ambient)
+    k: Constants, assembly: Assembly, temperature: float, speed: float, log10_speed: float, log_load: float, drive_torque: float,
+    ambient: float,
+) -> Heat:  # fmt: skip
+    """Heat P = F_h |v| (26) and cooling U A_h of one belt at a speed v [m/s] and an ambient temperature T_a [degC].
+
+    Air and a sink of effects are one surrounding at a temperature between theirs (ours).
+    """
+    loss, loss_slope = loss_force(k, assembly, temperature, log10_speed, log_load, drive_torque)
+    travel, to_sink = abs(speed), k.work[TERM_CONDUCTANCE]
+    cooling = film(k, assembly, speed) * assembly.area + to_sink
+    surroundings = ambient + to_sink / cooling * (k.work[TERM_SINK] - ambient)
     return Heat(loss * travel + k.work[TERM_HEAT], loss_slope * travel, cooling, surroundings)

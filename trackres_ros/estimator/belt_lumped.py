@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Advances a belt with one temperature, the paper's: C dT/dt = P - h A (T - Ta), see `model.thermal`."""
+"""Advances a belt with one temperature, the paper's: C dT/dt = P - U A_h (T - T_a), (26, 30), see `model.thermal`."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_heat import Heat
-from trackres_ros.estimator.columns import CONSIDER_1, CONSIDER_AMBIENT, NOISE_1, TEMPERATURE
+from trackres_ros.estimator.columns import Assembly, Belt
 from trackres_ros.estimator.constants import Constants
+from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.thermal import phi_1, phi_2
 
@@ -21,25 +21,34 @@ Array = NDArray[np.float64]
 
 
 @inlined
-def advance_lumped(k: Constants, i: int, belt: Array, heat: Heat, ambient_std: float, dt: float) -> tuple[float, float]:
-    """`belt_step.advance_belt` of a belt with one node."""
+def advance_lumped(
+    k: Constants, assembly: Assembly, belt: Array, heat: Heat, ambient_std: float, dt: float
+) -> tuple[float, float]:
+    """`belt_step.advance_belt` of a belt with one node: f = (P - U A_h (T - T_a)) / C and J = df/dT.
+
+    Notes
+    -----
+    T += dt phi_1(J dt) f, and a departure d += dt phi_1(J dt) (J d + what its cause forces) [5]. A random part is kept by
+    exp(J dt) = 1 + dt phi_1(J dt) J and gains q^2 dt. Heat in and out are integrals of the same linear model.
+    """
     power, power_slope, cooling, surroundings = heat
-    temperature, per_capacity = belt[0, TEMPERATURE], 1.0 / k.assembly[i, at.CAPACITY]
-    gained, lost = power * per_capacity, cooling * (temperature - surroundings) * per_capacity
-    rate, growth = gained - lost, (power_slope - cooling) * per_capacity
-    mean = dt * phi_1(growth * dt)
-    belt[0, TEMPERATURE] = temperature + mean * rate
+    state, per_capacity = Belt(belt[0]), 1.0 / assembly.capacity
+    above = state.temperature - surroundings
+    gained, lost = power * per_capacity, cooling * above * per_capacity
+    f, j = gained - lost, (power_slope - cooling) * per_capacity
+    mean = dt * phi_1(j * dt)
+    state.temperature += mean * f
     if not k.number.with_uncertainty:
         return math.nan, math.nan
+    consider = state.consider
     for cause in range(3):
         forced = (
-            gained * k.assembly[i, at.CONSIDER_LOSS + cause]
-            - lost * k.assembly[i, at.CONSIDER_COOLING + cause]
-            - rate * k.assembly[i, at.CONSIDER_CAPACITY + cause]
+            gained * assembly.consider_loss[cause]
+            - lost * assembly.consider_cooling[cause]
+            - f * assembly.consider_capacity[cause]
         )
-        belt[0, CONSIDER_1 + cause] += mean * (growth * belt[0, CONSIDER_1 + cause] + forced)
-    belt[0, CONSIDER_AMBIENT] += mean * (growth * belt[0, CONSIDER_AMBIENT] + cooling * per_capacity * ambient_std)
-    kept = belt[0, NOISE_1] * (1.0 + mean * growth)
-    belt[0, NOISE_1] = math.sqrt(kept * kept + k.number.process_noise * k.number.process_noise * dt)
-    departure = dt * dt * phi_2(growth * dt) * rate
-    return power * dt + power_slope * departure, cooling * ((temperature - surroundings) * dt + departure)
+        consider[cause] += mean * (j * consider[cause] + forced)
+    state.consider_ambient += mean * (j * state.consider_ambient + cooling * per_capacity * ambient_std)
+    state.noise_1 = math.sqrt(squared(state.noise_1 * (1.0 + mean * j)) + k.number.process_noise * k.number.process_noise * dt)
+    departure = dt * dt * phi_2(j * dt) * f
+    return power * dt + power_slope * departure, cooling * (above * dt + departure)

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.effects.stepping import WORK
-from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED, heat_of, log_speed
 from trackres_ros.estimator.belt_lumped import advance_lumped
 from trackres_ros.estimator.belt_two_nodes import advance_two_nodes
 from trackres_ros.estimator.belt_uncertainty import add_noise
+from trackres_ros.estimator.columns import BELT_COLUMNS, TEMPERATURE, Assembly
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.compiled import compiled, inlined
 
@@ -30,14 +30,14 @@ LONGEST_SUBSTEP = 0.5  # s while rolling
 MOST_SUBSTEPS = 20000
 # Behind what effects use of the work space: a belt before a gap and after a rest.
 BEFORE = WORK
-RESTED = BEFORE + 2 * at.BELT_COLUMNS
-BEHIND_BELTS = RESTED + 2 * at.BELT_COLUMNS
+RESTED = BEFORE + 2 * BELT_COLUMNS
+BEHIND_BELTS = RESTED + 2 * BELT_COLUMNS
 
 
 @inlined
 def advance_belt(
     k: Constants,
-    i: int,
+    assembly: Assembly,
     belt: Array,
     speed: float,
     log10_speed: float,
@@ -52,20 +52,20 @@ def advance_belt(
 
     Notes
     -----
-    Exponential Rosenbrock-Euler: the model linearised at the start of the step is solved exactly, to second order in dt for
-    the true one, and without a limit on dt where nothing rolls. Heat in and out are integrals of the same linear model, so
-    their difference is the heat stored to rounding.
+    T += dt phi_1(J dt) f, exponential Rosenbrock-Euler [5]: the model linearised at the start of the step is solved exactly, to
+    second order in dt for the true one, without a limit on dt where nothing rolls. Heat in and out are integrals of the same
+    linear model, so their difference is the heat stored to rounding.
     """
-    heat = heat_of(k, i, belt, speed, log10_speed, log_load, drive_torque, ambient)
+    heat = heat_of(k, assembly, belt[0, TEMPERATURE], speed, log10_speed, log_load, drive_torque, ambient)
     if k.number.two_nodes:
-        return advance_two_nodes(k, i, belt, heat, ambient_std, dt)
-    return advance_lumped(k, i, belt, heat, ambient_std, dt)
+        return advance_two_nodes(k, assembly, belt, heat, ambient_std, dt)
+    return advance_lumped(k, assembly, belt, heat, ambient_std, dt)
 
 
 @inlined
 def roll(
     k: Constants,
-    assembly: int,
+    assembly: Assembly,
     belt: Array,
     speed_from: float,
     speed_to: float,
@@ -96,7 +96,7 @@ def roll(
 @compiled
 def pass_gap(
     k: Constants,
-    assembly: int,
+    assembly: Assembly,
     belt: Array,
     speed_from: float,
     speed_to: float,
@@ -105,22 +105,27 @@ def pass_gap(
     ambient_std: float,
     dt: float,
 ) -> None:
-    """Pass a gap too long to bridge: the mean of resting and of driving on all the while, as uncertain as the two differ."""
+    """Pass a gap too long to bridge (ours): the mean of resting and of driving on all the while, as uncertain as the two differ.
+
+    A temperature that may lie anywhere between two has their difference over sqrt(12) as its standard deviation.
+    """
     before, rested = k.work[BEFORE:RESTED], k.work[RESTED:BEHIND_BELTS]
     for node in range(2):
-        for column in range(at.BELT_COLUMNS):
-            before[node * at.BELT_COLUMNS + column] = belt[node, column]
+        for column in range(BELT_COLUMNS):
+            before[node * BELT_COLUMNS + column] = belt[node, column]
     roll(k, assembly, belt, 0.0, 0.0, SLOWEST_LOG_SPEED, log_load, 0.0, ambient, ambient_std, dt)
     for node in range(2):
-        for column in range(at.BELT_COLUMNS):
-            rested[node * at.BELT_COLUMNS + column] = belt[node, column]
-            belt[node, column] = before[node * at.BELT_COLUMNS + column]
+        for column in range(BELT_COLUMNS):
+            rested[node * BELT_COLUMNS + column] = belt[node, column]
+            belt[node, column] = before[node * BELT_COLUMNS + column]
     roll(
         k, assembly, belt, speed_from, speed_to, log_speed(0.5 * (speed_from + speed_to)), log_load, 0.0, ambient, ambient_std, dt
     )
-    difference_1 = belt[0, at.TEMPERATURE] - rested[at.TEMPERATURE]
-    difference_2 = belt[1, at.TEMPERATURE] - rested[at.BELT_COLUMNS + at.TEMPERATURE]
+    difference_1, difference_2 = (
+        belt[0, TEMPERATURE] - rested[TEMPERATURE],
+        belt[1, TEMPERATURE] - rested[BELT_COLUMNS + TEMPERATURE],
+    )
     for node in range(2):
-        for column in range(at.BELT_COLUMNS):
-            belt[node, column] = 0.5 * (belt[node, column] + rested[node * at.BELT_COLUMNS + column])
+        for column in range(BELT_COLUMNS):
+            belt[node, column] = 0.5 * (belt[node, column] + rested[node * BELT_COLUMNS + column])
     add_noise(belt, difference_1 / math.sqrt(12.0), difference_2 / math.sqrt(12.0))

@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.estimator.columns import BELT_COLUMNS, CONSIDER_1, NOISE_1, NOISE_2, TEMPERATURE
+from trackres_ros.estimator.columns import BELT_COLUMNS, FIRST_DEPARTURE, Belt
 from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import compiled, inlined
 
@@ -24,45 +24,45 @@ Array = NDArray[np.float64]
 
 @inlined
 def belt_variance(belt: Array, of_mean: float, of_surface: float) -> float:
-    """Variance [K^2] of of_mean x mean + of_surface x surface."""
+    """Variance [K^2] of h'T, the sum of (h'd_c)^2, with h = (of_mean, of_surface)."""
     total = 0.0
-    for column in range(CONSIDER_1, BELT_COLUMNS):
-        departure = of_mean * belt[0, column] + of_surface * belt[1, column]
-        total += departure * departure
+    for column in range(FIRST_DEPARTURE, BELT_COLUMNS):
+        total += squared(of_mean * belt[0, column] + of_surface * belt[1, column])
     return total
 
 
 @compiled
 def add_noise(belt: Array, first: float, second: float) -> None:
-    """Fold one more independent departure [K] of the two nodes into the noise columns, as a lower 2 x 2 factor."""
-    c11 = squared(belt[0, NOISE_1]) + squared(belt[0, NOISE_2]) + first * first
-    c21 = belt[0, NOISE_1] * belt[1, NOISE_1] + belt[0, NOISE_2] * belt[1, NOISE_2] + first * second
-    c22 = squared(belt[1, NOISE_1]) + squared(belt[1, NOISE_2]) + second * second
-    belt[0, NOISE_1] = math.sqrt(c11)
-    belt[0, NOISE_2] = 0.0
-    belt[1, NOISE_1] = c21 / belt[0, NOISE_1] if c11 > 0.0 else 0.0
-    belt[1, NOISE_2] = math.sqrt(max(c22 - squared(belt[1, NOISE_1]), 0.0))
+    """Fold one more independent departure [K] of the two nodes into the random part: the factor of N N' + w w' (Cholesky)."""
+    mean, skin = Belt(belt[0]), Belt(belt[1])
+    c11 = squared(mean.noise_1) + squared(mean.noise_2) + first * first
+    c21 = mean.noise_1 * skin.noise_1 + mean.noise_2 * skin.noise_2 + first * second
+    c22 = squared(skin.noise_1) + squared(skin.noise_2) + second * second
+    mean.noise_1, mean.noise_2 = math.sqrt(c11), 0.0
+    skin.noise_1 = c21 / mean.noise_1 if c11 > 0.0 else 0.0
+    skin.noise_2 = math.sqrt(max(c22 - squared(skin.noise_1), 0.0))
 
 
 @compiled
 def correct_belt(belt: Array, measured: float, variance: float, expected: float, of_mean: float, of_surface: float) -> None:
-    """Correct a belt by a measured temperature [degC] of a variance [K^2]: the Kalman update, changes `belt`.
+    """Correct a belt by a measured temperature z [degC] of a variance r [K^2]: the Kalman update, changes `belt`.
 
     Notes
     -----
-    The uncertainty of parameters is considered, not estimated (Schmidt's filter): the update takes its share of the departures
-    away, but as the parameters stay wrong they grow back with time.
+    With h = (of_mean, of_surface): k = sum d_c (h'd_c) / (sum (h'd_c)^2 + r), T += k (z - h'T), d_c -= k h'd_c; k sqrt(r) joins
+    the random part. The uncertainty of parameters is considered, not estimated (Schmidt's filter [6]): the update takes its
+    share of the departures away, but as the parameters stay wrong they grow back with time.
     """
     innovation = measured - expected
     total = belt_variance(belt, of_mean, of_surface) + variance
     gain_1 = gain_2 = 0.0
-    for column in range(CONSIDER_1, BELT_COLUMNS):
+    for column in range(FIRST_DEPARTURE, BELT_COLUMNS):
         departure = of_mean * belt[0, column] + of_surface * belt[1, column]
         gain_1 += belt[0, column] * departure / total
         gain_2 += belt[1, column] * departure / total
-    belt[0, TEMPERATURE] += gain_1 * innovation
-    belt[1, TEMPERATURE] += gain_2 * innovation
-    for column in range(CONSIDER_1, BELT_COLUMNS):
+    Belt(belt[0]).temperature += gain_1 * innovation
+    Belt(belt[1]).temperature += gain_2 * innovation
+    for column in range(FIRST_DEPARTURE, BELT_COLUMNS):
         departure = of_mean * belt[0, column] + of_surface * belt[1, column]
         belt[0, column] -= gain_1 * departure
         belt[1, column] -= gain_2 * departure

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.columns import Times
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.arithmetic import length
 from trackres_ros.jit.compiled import inlined
@@ -33,9 +34,10 @@ def has_route(k: Constants) -> bool:
 @inlined
 def position_came(k: Constants, times: IntArray, values: Array, followed: Array) -> None:
     """A latitude or a longitude was accepted: it is a position once both of a time are there."""
-    if not has_route(k) or times[at.LATITUDE, at.SEEN] == 0 or times[at.LONGITUDE, at.SEEN] == 0:
+    latitude, longitude = Times(times[at.LATITUDE]), Times(times[at.LONGITUDE])
+    if not has_route(k) or latitude.seen == 0 or longitude.seen == 0:
         return
-    if times[at.LATITUDE, at.LAST_STAMP] == times[at.LONGITUDE, at.LAST_STAMP]:
+    if latitude.last_stamp == longitude.last_stamp:
         position_at(k, followed, values[at.LATITUDE], values[at.LONGITUDE])
 
 
@@ -60,17 +62,13 @@ def ground_now(k: Constants, times: IntArray, followed: Array, speed: float, ela
     """
     if not has_route(k):
         return math.nan, math.nan, math.nan, True
-    since_position = times[at.SPEED, at.LAST_STAMP] - of_position(times, at.LAST_STAMP)
+    now, latitude, longitude = Times(times[at.SPEED]), Times(times[at.LATITUDE]), Times(times[at.LONGITUDE])
+    # Where one half of a position was refused, it is that of the other half before.
+    since_position = now.last_stamp - min(latitude.last_stamp, longitude.last_stamp)
     drive_on(followed, speed, min(elapsed, k.number.position_hold_ns) * NANOSECOND, since_position * NANOSECOND)
-    is_old = times[at.SPEED, at.LAST_ARRIVAL] - of_position(times, at.LAST_ARRIVAL) > k.number.position_hold_ns
+    is_old = now.last_arrival - min(latitude.last_arrival, longitude.last_arrival) > k.number.position_hold_ns
     look(k.route_cells, k.route_places, followed, is_old)
     return followed[SLOPE], followed[TORQUE], followed[TORQUE_STD], followed[PLACE_KNOWN] > 0.0
-
-
-@inlined
-def of_position(times: IntArray, column: int) -> int:
-    """A time of the last position [ns]: where one half of it was refused, that of the other half before."""
-    return int(min(times[at.LATITUDE, column], times[at.LONGITUDE, column]))
 
 
 @inlined

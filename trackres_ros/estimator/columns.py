@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from enum import IntEnum, IntFlag
 
+from trackres_ros.jit.rows import Real, Reals, Row, Whole
 from trackres_ros.recording.roles import GROUND, POSITION
 from trackres_ros.vehicle import AnyVehicle
 
@@ -36,111 +37,143 @@ CHANNELS = (
 FIRST_AXLE = len(CHANNELS)
 WHEELS = "wheel_speed"
 
-# Constants of an assembly; those of one KIND differ in nothing but the axle and load shares. INNER_CONDUCTANCE lies between the
-# mean and the surface where these are two nodes, SKIN_CONDUCTANCE between the last node and what a sensor sees, infinite where
-# they are one. From CONSIDER_FACTOR on the 4 x 4 factor of its uncertainty, row by row.
-(
-    AXLE,
-    TABLE,
-    NOMINAL_LOAD,
-    RADIUS,
-    CAPACITY,
-    SURFACE_SHARE,
-    INNER_CONDUCTANCE,
-    SKIN_CONDUCTANCE,
-    AREA,
-    FILM_OFFSET,
-    FILM_SLOPE,
-    FIRST_LOG_LOAD,
-    STEP_LOG_LOAD,
-    KIND,
-    SHARE_OF_AXLE,
-    SHARE_OF_ALL,
-    CONSIDER_FACTOR,
-) = range(17)
-CONSIDER_LOSS, CONSIDER_COOLING, CONSIDER_CAPACITY, CONSIDER_RADIUS = (CONSIDER_FACTOR + 4 * row for row in range(4))
-# Behind it the inverse of its first three rows and columns: how much of each cause makes a loss, a cooling or a capacity that is
-# larger by its whole, and moves no other of the three.
-CAUSES_OF = CONSIDER_FACTOR + 16
 
-# What an assembly adds to the totals of a step: torques by part, heat and cooling, uncertainty by the ambient temperature and
-# by noise, the arm of a force on the whole vehicle, what resists without its sign, which assembly it is computed as; from
-# PART_BY on what a larger loss, cooling and capacity would add, and a belt warmer by a kelvin; from PART_CONSIDER on its four
-# causes of uncertainty.
-(
-    PART_HYSTERESIS,
-    PART_BEARING,
-    PART_WIND,
-    PART_GRADE,
-    PART_INERTIA,
-    PART_HEAT,
-    PART_COOLING,
-    PART_CONSIDER_AMBIENT,
-    PART_NOISE,
-    PART_ARM,
-    PART_UNSIGNED,
-    PART_TWIN,
-    PART_BY,
-) = range(13)
-PART_CONSIDER = PART_BY + 4
-PARTS = PART_CONSIDER + 4
+class Assembly(Row):
+    """Constants of an assembly, with the symbols of docs/model.md; those of one `kind` differ only in axle and load shares."""
 
-# Columns of an assembly's belt state, [K] but the first: temperature, then what each cause of uncertainty makes of it, as a
-# consider parameter of a Schmidt-Kalman filter. Uncertainty in loss, cooling, capacity and radius is one 4 x 4 factor; the
-# radius moves no temperature and has no column.
-TEMPERATURE, CONSIDER_1, CONSIDER_2, CONSIDER_3, CONSIDER_AMBIENT, NOISE_1, NOISE_2 = range(7)
-BELT_COLUMNS = 7
+    axle = Real()
+    table = Real()  # of the loss
+    nominal_load = Real()  # N
+    radius = Real()  # R_1 [m]
+    capacity = Real()  # C [J/K]
+    surface_share = Real()  # xi
+    inner_conductance = Real()  # K [W/K], between the mean and the surface where these are two nodes
+    skin_conductance = Real()  # W/K, between the last node and what a sensor sees; infinite where they are one
+    area = Real()  # A_h [m^2]
+    film_offset = Real()  # U_0 [W/m^2/K]
+    film_slope = Real()  # U_1 [W/m^2/K per m/s]
+    first_log_load = Real()  # of the table
+    step_log_load = Real()
+    kind = Real()
+    share_of_axle = Real()
+    share_of_all = Real()
+    # Rows of the factor Lambda of the covariance of ln F_h, ln U A_h, ln C and ln R_1.
+    consider_loss = Reals(4)
+    consider_cooling = Reals(4)
+    consider_capacity = Reals(4)
+    consider_radius = Reals(4)
+    # Inverse of Lambda's first three rows and columns: how much of each cause makes a loss, a cooling or a capacity that is
+    # larger by its whole, and moves no other of the three.
+    causes_of = Reals(9)
 
-# The motion state: filtered speed and acceleration, their covariance, the quantum seen, and of the last step
-# speed, feed-forward and drive torque; what the feed-forward is on its way to, and whether the vehicle rolls (1) or stands (0);
-# and what of the last drive torque was not the belts' or the effects'.
-(
-    FILTERED_SPEED,
-    FILTERED_ACCEL,
-    COV_SPEED,
-    COV_BOTH,
-    COV_ACCEL,
-    QUANTUM,
-    LAST_SPEED,
-    FEEDFORWARD,
-    LAST_DRIVE,
-    STARTED,
-    FEEDFORWARD_TARGET,
-    ROLLS,
-    LAST_OTHERS,
-) = range(13)
-MOTION_COLUMNS = 13
+
+CONSIDER_FACTOR, CAUSES_OF = Assembly.consider_loss.start, Assembly.causes_of.start
+
+
+class Part(Row):
+    """What an assembly adds to the totals of a step."""
+
+    hysteresis = Real()  # Nm
+    bearing = Real()
+    wind = Real()
+    grade = Real()
+    inertia = Real()
+    heat = Real()  # W
+    cooling = Real()
+    consider_ambient = Real()  # Nm, by the uncertainty of the ambient temperature
+    noise = Real()  # Nm^2, variance by the random part of the temperature
+    arm = Real()  # m, of a force on the whole vehicle
+    unsigned = Real()  # Nm, what resists without its sign
+    twin = Real()  # the assembly that it is computed as
+    by = Reals(4)  # Nm, what a larger loss, cooling and capacity would add by their whole, and a belt warmer by a kelvin
+    consider = Reals(4)  # Nm, by each of the four causes of uncertainty
+
+
+PARTS = Part.columns
+
+
+class Belt(Row):
+    """State of one node of a belt: its temperature, and the departures d_c [K] that the causes of uncertainty make of it, as
+    consider parameters of a Schmidt-Kalman filter. The radius moves no temperature: of the four causes three make one.
+    """
+
+    temperature = Real()  # T [degC]
+    consider = Reals(3)
+    consider_ambient = Real()
+    noise_1 = Real()  # the random part, a lower factor
+    noise_2 = Real()
+
+
+BELT_COLUMNS, TEMPERATURE, FIRST_DEPARTURE = Belt.columns, Belt.temperature, Belt.consider.start
+
+
+class Motion(Row):
+    """The motion state."""
+
+    filtered_speed = Real()  # m/s
+    filtered_accel = Real()  # m/s^2
+    cov_speed = Real()  # of the two, as of the next two
+    cov_both = Real()
+    cov_accel = Real()
+    quantum = Real()  # m/s, the smallest step seen in the speed
+    last_speed = Real()  # m/s, as what is called last is of the last step
+    feedforward = Real()  # Nm, of the last step
+    last_drive = Real()  # Nm
+    started = Real()  # 0 before the first speed; START_ANEW
+    feedforward_target = Real()  # Nm, which the feed-forward is on its way to
+    rolls = Real()  # 1, or 0 while the vehicle stands
+    last_others = Real()  # Nm, what of the last drive torque was not the belts' or the effects'
+
+
 # What can be learned of a vehicle while it drives, as departures from its file: of the loss, the cooling and the heat capacity of
 # its belts, the friction of its bearings, its drag, and its mass where it accelerates, each over its value there; and of the
 # temperature of its belts [K].
 OF_LOSS, OF_COOLING, OF_CAPACITY, OF_BELT, OF_BEARING, OF_DRAG, OF_MASS = range(7)
 LEARNABLE = 7
-# The memory of what was learned: whether it acts (1) or not (0), the departures, a torque against travel that goes on [Nm], the
-# standard deviation of what wanders [Nm], the lower factor of the departures' covariance row by row, and of the last step how
-# much driving torque each departure adds, by its whole or per kelvin [Nm].
-LEARNED_ON, DEPARTURES = 0, 1
-LEARNED_TORQUE, LEARNED_SLOW = DEPARTURES + LEARNABLE, DEPARTURES + LEARNABLE + 1
-LEARNED_FACTOR = LEARNED_SLOW + 1
-SENSITIVITIES = LEARNED_FACTOR + LEARNABLE * LEARNABLE
-LEARNED_COLUMNS = SENSITIVITIES + LEARNABLE
-START_ANEW = -1.0  # in STARTED: time went back, the next speed starts cold and says so
 
-# What the guards remember of a channel; of the speed from DOUBTS on, see `plausible_speed`.
-(
-    SEEN,
-    LAST_STAMP,
-    LAST_ARRIVAL,
-    SUSPECTS,
-    SUSPECT_STAMP,
-    SUSPECT_ARRIVAL,
-    UNCHANGED_SINCE,
-    FRESH,
-    DOUBTS,
-    DOUBT_SINCE,
-    DOUBT_STAMP,
-    DISAGREES_SINCE,
-) = range(12)
-MEMORY_COLUMNS = 12
+
+class Learned(Row):
+    """The memory of what was learned."""
+
+    on = Real()  # whether it acts (1) or not (0)
+    departures = Reals(LEARNABLE)  # from the file
+    torque = Real()  # Nm against travel that goes on
+    slow = Real()  # Nm, standard deviation of what wanders
+    factor = Reals(LEARNABLE * LEARNABLE)  # lower one of the departures' covariance, row by row
+    sensitivities = Reals(LEARNABLE)  # Nm of driving torque in the last step, by a departure's whole or per kelvin
+
+
+START_ANEW = -1.0  # in Motion.started: time went back, the next speed starts cold and says so
+
+
+class Times(Row):
+    """What the guards remember of a channel; times in ns. From `doubts` on only of the speed, see `plausible_speed`."""
+
+    seen = Whole()  # whether a message was accepted yet
+    last_stamp = Whole()
+    last_arrival = Whole()
+    suspects = Whole()  # messages of a clock that may have jumped
+    suspect_stamp = Whole()
+    suspect_arrival = Whole()
+    unchanged_since = Whole()
+    fresh = Whole()  # whether the last value was used yet (0) or not (1)
+    doubts = Whole()  # speeds of the run in doubt
+    doubt_since = Whole()
+    doubt_stamp = Whole()
+    disagrees_since = Whole()
+
+
+class Tracked(Row):
+    """What is remembered of the speed, see `plausible_speed`, and of the odometer, see `speed_witnesses`."""
+
+    reference = Real()  # m/s, of the accepted speeds
+    run = Real()  # m/s, of the speeds in doubt
+    began = Real()  # m, the odometer where a comparison began
+    last = Real()  # m, its last value
+    way = Real()  # m by the speed since the comparison began, unsigned
+    net = Real()  # m, the same with its sign
+    step = Real()  # m, the largest step of the odometer
+    apart = Real()  # whether the last comparison disagreed
 
 
 class Count(IntEnum):
@@ -220,53 +253,44 @@ REASON_TEXT = {
 # Remarks that go with a fully usable estimate; any other reason makes it a warning.
 HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED | Reason.SPEED_QUANTISED | Reason.DISABLED
 
-# Columns of one row of results for the whole vehicle; those of each assembly follow.
-(
-    OUT_SPEED,
-    OUT_ACCEL,
-    OUT_WEIGHT,
-    OUT_AMBIENT,
-    OUT_RESISTANCE,
-    OUT_HYSTERESIS,
-    OUT_BEARING,
-    OUT_WIND,
-    OUT_GRADE,
-    OUT_INERTIA,
-    OUT_EFFECTS,
-    OUT_DRIVE,
-    OUT_STD,
-    OUT_FEEDFORWARD,
-    OUT_MOTOR,
-    OUT_MEASURED,
-    OUT_RESIDUAL,
-    OUT_HEAT,
-    OUT_COOLING,
-    OUT_REASONS,
-) = range(20)
-VEHICLE_COLUMNS = (
-    "speed_mps",
-    "accel_mps2",
-    "weight_n",
-    "ambient_degc",
-    "resistance_torque_nm",
-    "hysteresis_nm",
-    "bearing_nm",
-    "wind_nm",
-    "grade_nm",
-    "inertia_nm",
-    "effects_nm",
-    "drive_torque_nm",
-    "resistance_std_nm",
-    "feedforward_torque_nm",
-    "motor_torque_nm",
-    "measured_torque_nm",
-    "residual_nm",
-    "heat_w",
-    "cooling_w",
-    "reasons",
-)
-PER_BELT, PER_SURFACE, PER_STD, PER_LOAD, PER_RESISTANCE, PER_HYSTERESIS = range(6)
-ASSEMBLY_COLUMNS = ("belt_degc", "surface_degc", "belt_std_k", "load_n", "resistance_torque_nm", "hysteresis_nm")
+
+class Results(Row):
+    """One row of results for the whole vehicle; those of each assembly follow. The names say the units."""
+
+    speed_mps = Real()
+    accel_mps2 = Real()
+    weight_n = Real()
+    ambient_degc = Real()
+    resistance_torque_nm = Real()
+    hysteresis_nm = Real()
+    bearing_nm = Real()
+    wind_nm = Real()
+    grade_nm = Real()
+    inertia_nm = Real()
+    effects_nm = Real()
+    drive_torque_nm = Real()
+    resistance_std_nm = Real()
+    feedforward_torque_nm = Real()
+    motor_torque_nm = Real()
+    measured_torque_nm = Real()
+    residual_nm = Real()
+    heat_w = Real()
+    cooling_w = Real()
+    reasons = Real()
+
+
+class OfAssembly(Row):
+    """Results for one assembly."""
+
+    belt_degc = Real()
+    surface_degc = Real()
+    belt_std_k = Real()
+    load_n = Real()
+    resistance_torque_nm = Real()
+    hysteresis_nm = Real()
+
+
+VEHICLE_COLUMNS, ASSEMBLY_COLUMNS = Results.names, OfAssembly.names
 
 
 def channels(vehicle: AnyVehicle) -> tuple[str, ...]:

@@ -209,7 +209,7 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
         acceleration_variance=settings.acceleration_std**2,
         acceleration_time=settings.acceleration_time_s,
         feedforward_rate=settings.feedforward_rate,
-        feedforward_limit=settings.feedforward_share * float(np.dot(loads, runs_on.assembly[:, at.RADIUS])),
+        feedforward_limit=settings.feedforward_share * float(np.dot(loads, runs_on.assembly[:, at.Assembly.radius])),
         speed_max_age=settings.speed_max_age_s,
         feedforward_fade=settings.feedforward_fade_s,
         belt_std_warn=settings.belt_std_warn_k,
@@ -260,19 +260,19 @@ def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
     resistance = parting_resistance(vehicle.active, vehicle_constants(vehicle))
     two_nodes = vehicle.thermal == "core_surface" or resistance > 0.0
     constants = np.empty((len(vehicle.assemblies), at.CONSIDER_FACTOR))
-    for row, load, assembly in zip(constants, loads, vehicle.assemblies, strict=True):
+    for row, load, assembly in zip(map(at.Assembly, constants), loads, vehicle.assemblies, strict=True):
         track, losses = vehicle.track_of(assembly), tables[names.index(assembly.track)]
         network = thermal_network("core_surface" if two_nodes else "lumped", track.belt, vehicle.rubber)
-        row[at.AXLE] = axle_names.index(assembly.axle)
-        row[at.KIND] = row[at.TABLE] = names.index(assembly.track)
-        row[at.NOMINAL_LOAD], row[at.RADIUS] = load, track.sprocket_radius
-        row[at.CAPACITY], row[at.SURFACE_SHARE] = network.capacity, network.surface_share
-        row[at.INNER_CONDUCTANCE], row[at.SKIN_CONDUCTANCE] = conductances(network, vehicle.thermal, resistance)
-        row[at.AREA] = network.area
-        row[at.FILM_OFFSET], row[at.FILM_SLOPE] = network.film_offset, network.film_slope
-        row[at.FIRST_LOG_LOAD], row[at.STEP_LOG_LOAD] = losses.first_log_load, losses.step_log_load
-        row[at.SHARE_OF_AXLE] = load / loads[list(vehicle.assemblies_of(assembly.axle))].sum()
-        row[at.SHARE_OF_ALL] = load / loads.sum()
+        row.axle = axle_names.index(assembly.axle)
+        row.kind = row.table = names.index(assembly.track)
+        row.nominal_load, row.radius = load, track.sprocket_radius
+        row.capacity, row.surface_share = network.capacity, network.surface_share
+        row.inner_conductance, row.skin_conductance = conductances(network, vehicle.thermal, resistance)
+        row.area = network.area
+        row.film_offset, row.film_slope = network.film_offset, network.film_slope
+        row.first_log_load, row.step_log_load = losses.first_log_load, losses.step_log_load
+        row.share_of_axle = load / loads[list(vehicle.assemblies_of(assembly.axle))].sum()
+        row.share_of_all = load / loads.sum()
     factors = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
     causes = np.array([np.linalg.inv(spreads[a.track].factor[:3, :3]).ravel() for a in vehicle.assemblies])
     gain = (
@@ -309,10 +309,11 @@ def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
 
 def wheels(vehicle: RoadVehicle) -> Running:
     """All wheels as one, without a belt: nothing reads the tables."""
-    row = np.zeros((1, at.CAUSES_OF + 9))
-    row[0, [at.NOMINAL_LOAD, at.RADIUS]] = vehicle.weight, vehicle.values["wheel_radius"]
-    row[0, [at.SHARE_OF_AXLE, at.SHARE_OF_ALL]] = 1.0
-    row[0, at.CONSIDER_RADIUS + 3] = relative_std(vehicle, "road_load.wheel_radius")
+    row = np.zeros((1, at.Assembly.columns))
+    both = at.Assembly(row[0])
+    both.nominal_load, both.radius = vehicle.weight, vehicle.values["wheel_radius"]
+    both.share_of_axle = both.share_of_all = 1.0
+    both.consider_radius[3] = relative_std(vehicle, "road_load.wheel_radius")
     nothing = np.zeros((1, 1, 2))
     return Running(
         row,

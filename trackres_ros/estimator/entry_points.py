@@ -18,6 +18,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED
 from trackres_ros.estimator.belt_step import roll
 from trackres_ros.estimator.by_place import follow_along, position_came
+from trackres_ros.estimator.columns import Assembly, Motion, Results, Times
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.guards import ACCEPTED_AFTER_RESET, GAP, Memory, admit, forget_others, gather
 from trackres_ros.estimator.kernel import advance, predict, start
@@ -28,12 +29,6 @@ from trackres_ros.units import NANOSECOND
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-STANDING_STILL = (
-    at.FILTERED_SPEED, at.FILTERED_ACCEL, at.LAST_SPEED, at.FEEDFORWARD, at.FEEDFORWARD_TARGET, at.LAST_DRIVE, at.LAST_OTHERS,
-    at.ROLLS,
-)  # fmt: skip
-"""What is zero of the motion while nothing moves."""
 
 
 class Messages(NamedTuple):
@@ -59,23 +54,23 @@ def feed(
     out: Array,
 ) -> bool:
     """Take one message in. An accepted speed makes a step and fills `out`; returns whether it did."""
-    motion = carried.motion
-    outcome, elapsed = admit(k, memory, channel, stamp, arrival, value, motion[at.QUANTUM])
+    motion = Motion(carried.motion)
+    outcome, elapsed = admit(k, memory, channel, stamp, arrival, value, motion.quantum)
     if outcome == ACCEPTED_AFTER_RESET:
         forget_others(memory, channel)
-        motion[at.STARTED] = at.START_ANEW
+        motion.started = at.START_ANEW
     if outcome >= 0 and (channel == at.LATITUDE or channel == at.LONGITUDE):
         position_came(k, memory.times, memory.values, memory.followed)
     if outcome < 0 or channel != at.SPEED:
         return False
     inputs = gather(k, memory, outcome, elapsed, motion, loads, belt_measured)
-    if motion[at.STARTED] <= 0.0:
+    if motion.started <= 0.0:
         start(k, carried, inputs.ambient, inputs.ambient_std)
     dt = elapsed * NANOSECOND
     if dt > k.number.gap:
         memory.counters[channel, GAP] += 1
     advance(k, carried, inputs, dt, out)
-    found = int(out[at.OUT_REASONS])
+    found = int(Results(out).reasons)
     for bit in range(memory.reasons.shape[0]):
         memory.reasons[bit] += (found >> bit) & 1
     return True
@@ -98,7 +93,7 @@ def feed_all(
     for i in range(messages.channels.shape[0]):
         message = messages.channels[i], messages.stamps[i], messages.arrivals[i], messages.values[i]
         if feed(k, memory, carried, loads, belt_measured, *message, out[steps]):
-            out_stamps[steps] = memory.times[at.SPEED, at.LAST_STAMP]
+            out_stamps[steps] = Times(memory.times[at.SPEED]).last_stamp
             out_arrivals[steps] = messages.arrivals[i]
             steps += 1
     return steps
@@ -111,7 +106,7 @@ def advance_along(
     """`kernel.advance` along a drive. One row of `out` a time."""
     for i in range(series.times.shape[0]):
         for j in range(loads.shape[0]):
-            loads[j] = series.weights[i] * k.assembly[j, at.SHARE_OF_ALL]
+            loads[j] = series.weights[i] * Assembly(k.assembly[j]).share_of_all
         inputs = Inputs(
             series.speeds[i], loads, series.ambients[i], ambient_std, no_belts, series.accelerations[i], series.grades[i],
             series.yaw_rates[i], series.headings[i], series.distances[i], math.nan, series.slopes_by_place[i],
@@ -135,11 +130,12 @@ def predict_along(k: Constants, carried: Carried, count: Array, series: DriveSer
 @inlined
 def rest(k: Constants, carried: Carried, ambient: float, ambient_std: float, seconds: float) -> None:
     """Let the vehicle stand for a while [s] at an ambient temperature [degC]: belts and effects cool."""
-    for column in STANDING_STILL:
-        carried.motion[column] = 0.0
+    motion = Motion(carried.motion)
+    motion.filtered_speed = motion.filtered_accel = motion.last_speed = motion.rolls = 0.0
+    motion.feedforward = motion.feedforward_target = motion.last_drive = motion.last_others = 0.0
     rest_effects(k.effects, k.effect_values, carried.effects, k.work, ambient, seconds)
     for i in range(carried.belts.shape[0]):
-        roll(k, i, carried.belts[i], 0.0, 0.0, SLOWEST_LOG_SPEED, 0.0, 0.0, ambient, ambient_std, seconds)
+        roll(k, Assembly(k.assembly[i]), carried.belts[i], 0.0, 0.0, SLOWEST_LOG_SPEED, 0.0, 0.0, ambient, ambient_std, seconds)
     neutral(k.work)
 
 

@@ -45,22 +45,22 @@ class Estimate:
     @property
     def resistance_torque_nm(self) -> float:
         """Hysteresis, bearings and wind, whole vehicle, at the sprockets or the driven wheels [Nm]."""
-        return float(self.row[at.OUT_RESISTANCE])
+        return float(self.row[at.Results.resistance_torque_nm])
 
     @property
     def resistance_std_nm(self) -> float:
         """Standard deviation of the resistance torque [Nm]."""
-        return float(self.row[at.OUT_STD])
+        return float(self.row[at.Results.resistance_std_nm])
 
     @property
     def feedforward_torque_nm(self) -> float:
         """Chosen parts, limited in rate and size [Nm]."""
-        return float(self.row[at.OUT_FEEDFORWARD])
+        return float(self.row[at.Results.feedforward_torque_nm])
 
     @property
     def reasons(self) -> at.Reason:
         """Why the status is not plainly good."""
-        return at.Reason(int(self.row[at.OUT_REASONS]))
+        return at.Reason(int(self.row[at.Results.reasons]))
 
     @property
     def status(self) -> str:
@@ -73,11 +73,11 @@ class Estimate:
 
     def belt_degc(self) -> Array:
         """Mean belt temperature of each assembly [degC]."""
-        return self._of_assemblies(at.PER_BELT)
+        return self._of_assemblies(at.OfAssembly.belt_degc)
 
     def belt_std_k(self) -> Array:
         """Standard deviation of each of them [K]."""
-        return self._of_assemblies(at.PER_STD)
+        return self._of_assemblies(at.OfAssembly.belt_std_k)
 
     def _of_assemblies(self, column: int) -> Array:
         return self.row[len(at.VEHICLE_COLUMNS) + column :: len(at.ASSEMBLY_COLUMNS)]

@@ -125,9 +125,9 @@ class Estimator:
             With nominal values for what is None.
         """
         k = self.constants
-        loads = k.assembly[:, at.NOMINAL_LOAD].copy() if load is None else np.asarray(load, dtype=float)
+        loads = k.assembly[:, at.Assembly.nominal_load].copy() if load is None else np.asarray(load, dtype=float)
         if weight is not None:
-            loads = weight * (k.assembly[:, at.SHARE_OF_ALL] if load is None else loads / loads.sum())
+            loads = weight * (k.assembly[:, at.Assembly.share_of_all] if load is None else loads / loads.sum())
         return Inputs(
             float(speed),
             loads,
@@ -160,13 +160,13 @@ class Estimator:
             To begin with.
         """
         belts = np.empty((len(self.assemblies), 2, at.BELT_COLUMNS))
-        state = State(belts, np.empty(at.MOTION_COLUMNS), new_effects_memory(len(self.vehicle.active)))
+        state = State(belts, np.empty(at.Motion.columns), new_effects_memory(len(self.vehicle.active)))
         self.entries.start_belts(*self.kernel_arguments, *_arrays(state), inputs.ambient, inputs.ambient_std)
         if belt_degc is not None:
-            state.belts[:, :, at.TEMPERATURE] = belt_degc
-            state.belts[:, :, at.CONSIDER_AMBIENT] = 0.0
+            state.belts[:, :, at.Belt.temperature] = belt_degc
+            state.belts[:, :, at.Belt.consider_ambient] = 0.0
         if belt_std_k is not None:
-            state.belts[:, :, at.NOISE_1] = belt_std_k
+            state.belts[:, :, at.Belt.noise_1] = belt_std_k
         return state
 
     def step(self, state: State, inputs: Inputs, dt: float) -> tuple[State, Estimate]:
@@ -325,9 +325,9 @@ class Session:
         assemblies = len(estimator.assemblies)
         self.memory: Memory = new_memory(len(estimator.channels))
         self.belts = np.zeros((assemblies, 2, at.BELT_COLUMNS))
-        self.motion = np.zeros(at.MOTION_COLUMNS)
+        self.motion = np.zeros(at.Motion.columns)
         self.effects = new_effects_memory(len(estimator.vehicle.active))
-        self.learned = np.zeros(at.LEARNED_COLUMNS)
+        self.learned = np.zeros(at.Learned.columns)
         self._loads, self._belt_measured = np.zeros(len(estimator.constants.assembly)), np.zeros(assemblies)
         self._channel = {name: i for i, name in enumerate(estimator.channels)}
         self._arguments = self._gathered()
@@ -345,7 +345,7 @@ class Session:
     @property
     def started(self) -> bool:
         """Whether a speed was accepted yet."""
-        return bool(self.motion[at.STARTED] > 0.0)
+        return bool(self.motion[at.Motion.started] > 0.0)
 
     @property
     def state(self) -> State:
@@ -358,7 +358,7 @@ class Session:
         if len(state.effects) == len(self.effects):
             self.effects[:] = state.effects
         self.learned[:] = state.learned
-        self.motion[at.STARTED] = 0.5
+        self.motion[at.Motion.started] = 0.5
 
     def adopt(self, other: Session) -> None:
         """Go on where another session of the same vehicle is: all it remembers, under this one's settings."""
@@ -372,7 +372,7 @@ class Session:
         self.memory.times[:], self.memory.values[:] = 0, math.nan
         self.memory.followed[:], self.memory.tracked[:] = NOTHING_YET, NOTHING_TRACKED
         self.effects[:] = cooled_effects(self.effects)
-        self.motion[at.STARTED] = at.START_ANEW if time_went_back else 0.0
+        self.motion[at.Motion.started] = at.START_ANEW if time_went_back else 0.0
 
     def channel(self, name: str) -> int:
         """Index of a channel by its name, such as `speed` or `load/front`; KeyError if the vehicle has none of that name."""

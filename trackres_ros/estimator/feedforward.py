@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.effects.stepping import TERM_FED_GAIN, TERM_FED_INERTIA
 from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.columns import Motion, Part
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.compiled import inlined
 
@@ -24,7 +25,9 @@ CLAMPED, LIMITED = int(at.Reason.FEEDFORWARD_CLAMPED), int(at.Reason.FEEDFORWARD
 
 @inlined
 def fade(age: float, max_age: float, fade_s: float) -> float:
-    """Share of the feed-forward that is left when the speed is so old [s]: all until `max_age`, none `fade_s` later."""
+    """Share of the feed-forward that is left when the speed is so old [s]: 1 until `max_age`, 0 `fade_s` later, a line between
+    (ours).
+    """
     return min(1.0, max(0.0, 1.0 - (age - max_age) / fade_s))
 
 
@@ -42,33 +45,33 @@ def followed(value: float, target: float, rate: float, age: float) -> float:
 
 @inlined
 def feedforward(
-    k: Constants, motion: Array, total: Array, of_effects: float, given_grade: bool, given_accel: bool, fed: float, dt: float
+    k: Constants, motion: Motion, total: Part, of_effects: float, given_grade: bool, given_accel: bool, fed: float, dt: float
 ) -> tuple[float, int]:
-    """Chosen parts [Nm], limited in size and rate, and the reasons that gives; keeps what it is on its way to in `motion`.
+    """Chosen parts [Nm], limited in size and rate, and the reasons that gives; keeps what it is on its way to in `motion` (ours).
 
     It begins where the outputs are by now, which have followed their last target, and faded if the speed has paused. From there
     it moves by as much as one output may. A vehicle that stands is fed nothing of what rolling takes; with `fed` 0
     nothing is fed at all.
     """
     number, reasons = k.number, 0
-    wanted = number.feed_grade * total[at.PART_GRADE] if given_grade else 0.0  # a slope by place is of the surroundings
-    if motion[at.ROLLS] > 0.0:
+    wanted = number.feed_grade * total.grade if given_grade else 0.0  # a slope by place is of the surroundings
+    if motion.rolls > 0.0:
         wanted += (
-            number.feed_hysteresis * total[at.PART_HYSTERESIS]
-            + number.feed_bearing * total[at.PART_BEARING]
-            + number.feed_wind * total[at.PART_WIND]
+            number.feed_hysteresis * total.hysteresis
+            + number.feed_bearing * total.bearing
+            + number.feed_wind * total.wind
             + of_effects
         )
     if given_accel:  # an acceleration filtered from the speed would feed the controller's own noise back to it
-        wanted += number.feed_inertia * (total[at.PART_INERTIA] + k.work[TERM_FED_INERTIA])
+        wanted += number.feed_inertia * (total.inertia + k.work[TERM_FED_INERTIA])
     wanted *= k.work[TERM_FED_GAIN] * fed
     if abs(wanted) > number.feedforward_limit:
         wanted = math.copysign(number.feedforward_limit, wanted)
         reasons |= CLAMPED
-    last = followed(motion[at.FEEDFORWARD], motion[at.FEEDFORWARD_TARGET], number.feedforward_rate, dt)
+    last = followed(motion.feedforward, motion.feedforward_target, number.feedforward_rate, dt)
     last *= fade(dt, number.speed_max_age, number.feedforward_fade)
     moved = towards(last, wanted, number.feedforward_rate * min(dt, FEEDFORWARD_STEP_S))
     if moved != wanted:
         reasons |= LIMITED
-    motion[at.FEEDFORWARD_TARGET] = wanted
+    motion.feedforward_target = wanted
     return moved, reasons

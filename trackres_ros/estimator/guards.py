@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.by_place import ground_now, is_missing
+from trackres_ros.estimator.columns import Assembly, Motion, Times, Tracked
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.plausible_speed import is_plausible, seems_to_stand, trust
 from trackres_ros.estimator.records import Inputs
-from trackres_ros.estimator.speed_witnesses import APART, NOTHING_TRACKED, disagrees, drive_on, odometer_came
+from trackres_ros.estimator.speed_witnesses import NOTHING_TRACKED, disagrees, drive_on, odometer_came
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.route.follower import NOTHING_YET, forget
 
@@ -39,6 +40,7 @@ PLACE_UNKNOWN = int(at.Reason.PLACE_UNKNOWN)
 SPEED_IMPLAUSIBLE, SPEED_DISAGREES = int(at.Reason.SPEED_IMPLAUSIBLE), int(at.Reason.SPEED_DISAGREES)
 DISABLED, ENABLE_OLD = int(at.Reason.DISABLED), int(at.Reason.ENABLE_OLD)
 
+SEEN, LAST_ARRIVAL, FRESH = Times.seen, Times.last_arrival, Times.fresh  # of one channel among many
 FRESH_LOAD_NS = 2_000_000_000  # a load older than this is reported as held, as long as it holds
 STANDING = 1e-3  # m/s: slower is no movement that could be stuck
 QUANTISED = (0.05, 1.0)  # m/s: a smallest step between these is a bus's resolution, not noise
@@ -51,18 +53,18 @@ ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET, ACCEPTED_AFTER_DOU
 class Memory(NamedTuple):
     """What the guards remember; a row a channel. All arrays are changed in place."""
 
-    times: IntArray  # (channels, MEMORY_COLUMNS) [ns]
+    times: IntArray  # (channels, numbers of `columns.Times`)
     values: Array  # (channels,) last accepted value
     counters: IntArray  # (channels, counters)
     reasons: IntArray  # (reasons,) steps at which each held
     followed: Array  # (FOLLOWED,) where on a route it is, see `route.follower`
-    tracked: Array  # (TRACKED,) of the speed, see `plausible_speed` and `speed_witnesses`
+    tracked: Array  # numbers of `columns.Tracked`
 
 
 def new_memory(channels: int) -> Memory:
     """Memory of a session that has received nothing yet."""
     return Memory(
-        np.zeros((channels, at.MEMORY_COLUMNS), dtype=np.int64),
+        np.zeros((channels, at.Times.columns), dtype=np.int64),
         np.full(channels, np.nan),
         np.zeros((channels, len(at.Count)), dtype=np.int64),
         np.zeros(len(at.REASON_TEXT), dtype=np.int64),
@@ -81,7 +83,7 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
         ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET, ACCEPTED_AFTER_DOUBT, or minus the counter of the refusal;
         and the time [ns] since the channel's last message.
     """
-    times, counters = memory.times[channel], memory.counters[channel]
+    times, counters, tracked = Times(memory.times[channel]), memory.counters[channel], Tracked(memory.tracked)
     if not math.isfinite(value):
         counters[NON_FINITE] += 1
         return -NON_FINITE, 0
@@ -91,14 +93,14 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
     if stamp == 0 and arrival != 0:
         counters[ZERO_STAMP] += 1
         stamp = arrival
-        if times[at.SEEN]:  # by the last message's offset between stamp and arrival
-            stamp += times[at.LAST_STAMP] - times[at.LAST_ARRIVAL]
+        if times.seen:  # by the last message's offset between stamp and arrival
+            stamp += times.last_stamp - times.last_arrival
     outcome, elapsed = ACCEPTED_IN_ORDER, 0
-    if times[at.SEEN]:
-        forward, waited = stamp - times[at.LAST_STAMP], arrival - times[at.LAST_ARRIVAL]
+    if times.seen:
+        forward, waited = stamp - times.last_stamp, arrival - times.last_arrival
         elapsed = forward
-        behind_doubt = times[at.DOUBTS] > 0 and forward > 0 and stamp <= times[at.DOUBT_STAMP]
-        if forward == 0 or (behind_doubt and stamp == times[at.DOUBT_STAMP]):
+        behind_doubt = times.doubts > 0 and forward > 0 and stamp <= times.doubt_stamp
+        if forward == 0 or (behind_doubt and stamp == times.doubt_stamp):
             counters[DUPLICATE] += 1
             return -DUPLICATE, 0
         if behind_doubt or (forward < 0 and -forward <= k.number.clock_jump_ns):
@@ -108,31 +110,31 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
             counters[RESET] += 1
             outcome, elapsed = ACCEPTED_AFTER_RESET, 0
         elif forward < 0 or (forward > k.number.clock_jump_ns and abs(forward - waited) > k.number.clock_jump_ns):
-            since, until = stamp - times[at.SUSPECT_STAMP], arrival - times[at.SUSPECT_ARRIVAL]
-            agrees = times[at.SUSPECTS] > 0 and since > 0 and abs(since - until) <= k.number.clock_jump_ns
-            times[at.SUSPECTS] = times[at.SUSPECTS] + 1 if agrees else 1
-            times[at.SUSPECT_STAMP], times[at.SUSPECT_ARRIVAL] = stamp, arrival
-            if times[at.SUSPECTS] < k.number.jumps_to_accept:
+            since, until = stamp - times.suspect_stamp, arrival - times.suspect_arrival
+            agrees = times.suspects > 0 and since > 0 and abs(since - until) <= k.number.clock_jump_ns
+            times.suspects = times.suspects + 1 if agrees else 1
+            times.suspect_stamp, times.suspect_arrival = stamp, arrival
+            if times.suspects < k.number.jumps_to_accept:
                 refusal = FUTURE if forward > 0 else BACKWARD
                 counters[refusal] += 1
                 return -refusal, 0
             counters[CLOCK_JUMP] += 1
             outcome, elapsed = ACCEPTED_AFTER_JUMP, max(waited, 0)
     if channel == at.SPEED:
-        if not times[at.SEEN] or outcome != ACCEPTED_IN_ORDER:  # nothing before it to compare with, or at no known time
-            trust(times, memory.tracked, value)
+        if not times.seen or outcome != ACCEPTED_IN_ORDER:  # nothing before it to compare with, or at no known time
+            trust(times, tracked, value)
         else:
-            in_doubt = times[at.DOUBTS] > 0
-            if not is_plausible(k, times, memory.tracked, stamp, elapsed, value, quantum):
+            in_doubt = times.doubts > 0
+            if not is_plausible(k, times, tracked, stamp, elapsed, value, quantum):
                 counters[IMPLAUSIBLE] += 1
                 return -IMPLAUSIBLE, 0
             outcome = ACCEPTED_AFTER_DOUBT if in_doubt else outcome
     elif channel == at.DISTANCE:
-        odometer_came(memory.tracked, value)
-    if not times[at.SEEN] or value != memory.values[channel] or outcome != ACCEPTED_IN_ORDER:
-        times[at.UNCHANGED_SINCE] = stamp
-    times[at.SEEN], times[at.LAST_STAMP], times[at.LAST_ARRIVAL] = 1, stamp, arrival
-    times[at.SUSPECTS], times[at.FRESH] = 0, 1
+        odometer_came(tracked, value)
+    if not times.seen or value != memory.values[channel] or outcome != ACCEPTED_IN_ORDER:
+        times.unchanged_since = stamp
+    times.seen, times.last_stamp, times.last_arrival = 1, stamp, arrival
+    times.suspects, times.fresh = 0, 1
     memory.values[channel] = value
     counters[ACCEPTED] += 1
     return outcome, elapsed
@@ -149,13 +151,13 @@ def forget_others(memory: Memory, kept: int) -> None:
     for i in range(memory.tracked.shape[0]):
         memory.tracked[i] = NOTHING_TRACKED[i]
     if kept == at.SPEED:
-        trust(memory.times[kept], memory.tracked, memory.values[kept])
+        trust(Times(memory.times[kept]), Tracked(memory.tracked), memory.values[kept])
 
 
 @inlined
 def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
     """The last value of a channel if it arrived no longer ago than `hold_ns`, else nan."""
-    if memory.times[channel, at.SEEN] == 0 or now - memory.times[channel, at.LAST_ARRIVAL] > hold_ns:
+    if memory.times[channel, SEEN] == 0 or now - memory.times[channel, LAST_ARRIVAL] > hold_ns:
         return math.nan
     return float(memory.values[channel])
 
@@ -166,7 +168,7 @@ def not_enabled(k: Constants, memory: Memory, now: int) -> int:
 
     It is not enabled, or nobody says so any more, or the vehicle may stand: nothing may push it then, not even in doubt.
     """
-    if memory.times[at.SPEED, at.DOUBTS] > 0 and seems_to_stand(k, memory.tracked):
+    if Times(memory.times[at.SPEED]).doubts > 0 and seems_to_stand(k, Tracked(memory.tracked)):
         return SPEED_IMPLAUSIBLE
     if k.number.enable_hold_ns == 0:
         return 0
@@ -189,34 +191,38 @@ def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> int:
     total = held(memory, at.LOAD, now, k.number.load_hold_ns)
     payload = held(memory, at.PASSENGERS, now, k.number.passengers_hold_ns) * k.number.passenger_weight
     for i in range(loads.shape[0]):
+        assembly = Assembly(k.assembly[i])
         source, value = at.LOAD, math.nan
         if k.number.axles > 0:
             source = first_assembly + i
             value = held(memory, source, now, k.number.load_hold_ns)
         if k.number.axles > 0 and math.isnan(value):
-            source = first_axle + int(k.assembly[i, at.AXLE])
-            value = held(memory, source, now, k.number.load_hold_ns) * k.assembly[i, at.SHARE_OF_AXLE]
+            source = first_axle + int(assembly.axle)
+            value = held(memory, source, now, k.number.load_hold_ns) * assembly.share_of_axle
         if math.isnan(value):
-            source, value = at.LOAD, total * k.assembly[i, at.SHARE_OF_ALL]
+            source, value = at.LOAD, total * assembly.share_of_all
         if math.isnan(value) and not math.isnan(payload):
-            loads[i] = k.assembly[i, at.NOMINAL_LOAD] + payload * k.assembly[i, at.SHARE_OF_ALL]
+            loads[i] = assembly.nominal_load + payload * assembly.share_of_all
         elif math.isnan(value):
-            loads[i] = k.assembly[i, at.NOMINAL_LOAD]
+            loads[i] = assembly.nominal_load
             reasons |= LOAD_NOMINAL
         else:
             loads[i] = value
-            if now - memory.times[source, at.LAST_ARRIVAL] > FRESH_LOAD_NS:
+            if now - memory.times[source, LAST_ARRIVAL] > FRESH_LOAD_NS:
                 reasons |= LOAD_HELD
     return reasons
 
 
 @inlined
-def gather(k: Constants, memory: Memory, outcome: int, elapsed: int, motion: Array, loads: Array, belt_measured: Array) -> Inputs:
+def gather(
+    k: Constants, memory: Memory, outcome: int, elapsed: int, motion: Motion, loads: Array, belt_measured: Array
+) -> Inputs:
     """The inputs of the step that an accepted speed makes; fills `loads` and `belt_measured`, one entry an assembly.
 
     `motion` tells whether time was reset, by whichever channel, and the smallest step seen in the speed.
     """
-    now, stamp = memory.times[at.SPEED, at.LAST_ARRIVAL], memory.times[at.SPEED, at.LAST_STAMP]
+    times, tracked = Times(memory.times[at.SPEED]), Tracked(memory.tracked)
+    now, stamp = times.last_arrival, times.last_stamp
     speed = memory.values[at.SPEED]
     reasons = gather_loads(k, memory, now, loads)
     if outcome == ACCEPTED_AFTER_JUMP:
@@ -224,14 +230,14 @@ def gather(k: Constants, memory: Memory, outcome: int, elapsed: int, motion: Arr
     elif outcome == ACCEPTED_AFTER_DOUBT:
         reasons |= SPEED_IMPLAUSIBLE
         if abs(speed) <= k.number.speed_slack:  # the outputs have gone to zero meanwhile, see `not_enabled`
-            motion[at.FEEDFORWARD_TARGET] = 0.0
-    if motion[at.STARTED] == at.START_ANEW:
+            motion.feedforward_target = 0.0
+    if motion.started == at.START_ANEW:
         reasons |= TIME_RESET
-    patience, quantum = 1, motion[at.QUANTUM]
-    if motion[at.STARTED] > 0.0 and QUANTISED[0] < quantum < QUANTISED[1]:
+    patience, quantum = 1, motion.quantum
+    if motion.started > 0.0 and QUANTISED[0] < quantum < QUANTISED[1]:
         patience = QUANTISED_PATIENCE
         reasons |= SPEED_QUANTISED
-    if abs(speed) > STANDING and stamp - memory.times[at.SPEED, at.UNCHANGED_SINCE] > k.number.stuck_ns * patience:
+    if abs(speed) > STANDING and stamp - times.unchanged_since > k.number.stuck_ns * patience:
         reasons |= SPEED_STUCK
     ambient, ambient_std = held(memory, at.AMBIENT, now, k.number.ambient_hold_ns), k.number.ambient_std
     if math.isnan(ambient):
@@ -241,18 +247,18 @@ def gather(k: Constants, memory: Memory, outcome: int, elapsed: int, motion: Arr
     for i in range(belt_measured.shape[0]):
         belt_measured[i] = math.nan
         for channel in (at.BELT, first_belt + i):
-            if memory.times[channel, at.FRESH]:
+            if memory.times[channel, FRESH]:
                 belt_measured[i] = memory.values[channel]
-    memory.times[at.BELT, at.FRESH] = 0
+    memory.times[at.BELT, FRESH] = 0
     for i in range(belt_measured.shape[0]):
-        memory.times[first_belt + i, at.FRESH] = 0
+        memory.times[first_belt + i, FRESH] = 0
     grade = held(memory, at.GRADE, now, k.number.motion_hold_ns)
     slope, torque, torque_std, known = ground_now(k, memory.times, memory.followed, speed, elapsed)
     if not known and is_missing(k, grade, slope, torque):
         reasons |= PLACE_UNKNOWN
     unfed = not_enabled(k, memory, now)
-    drive_on(k, memory.tracked, speed, elapsed)
-    if disagrees(k, memory.times, memory.values, speed, stamp, now) or memory.tracked[APART] > 0.0:
+    drive_on(k, tracked, speed, elapsed)
+    if disagrees(k, memory.times, memory.values, speed, stamp, now) or tracked.apart > 0.0:
         unfed |= SPEED_DISAGREES
     return Inputs(
         speed,

@@ -29,12 +29,13 @@ from trackres_ros.estimator.assembly_step import COLUMNS_EACH, FIRST_OF_ASSEMBLI
 from trackres_ros.estimator.belt_heat import loss_force, surface
 from trackres_ros.estimator.belt_step import roll
 from trackres_ros.estimator.by_place import is_missing
+from trackres_ros.estimator.columns import BELT_COLUMNS, TEMPERATURE, Assembly, Belt, Learned, Motion, OfAssembly, Part, Results
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.feedforward import feedforward
 from trackres_ros.estimator.learned_step import learn_from, learned_variance
 from trackres_ros.estimator.motion_step import advance_motion, rolls, start_motion
 from trackres_ros.estimator.records import Carried, Inputs
-from trackres_ros.estimator.road import driving_torque, road_now, torque_of_place
+from trackres_ros.estimator.road import Road, driving_torque, road_now, torque_of_place
 from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.resistance import direction
@@ -43,6 +44,7 @@ Array = NDArray[np.float64]
 
 LEAST_STD_SHARE = 0.001  # of the resistance: torque transducers are no better (class 0.1), so no estimate is
 
+RADIUS, RESISTANCE_OF_ONE = Assembly.radius, OfAssembly.resistance_torque_nm
 BRIDGED, UNKNOWN = int(at.Reason.GAP_BRIDGED), int(at.Reason.GAP_UNKNOWN)
 SURROUNDINGS, EFFECT_LEFT_OUT = int(at.Reason.SURROUNDINGS), int(at.Reason.EFFECT_LEFT_OUT)
 OFF_ROUTE = int(at.Reason.OFF_ROUTE)
@@ -57,14 +59,13 @@ def start(k: Constants, carried: Carried, ambient: float, ambient_std: float) ->
     belts, motion, effects, _ = carried
     for i in range(belts.shape[0]):
         for node in range(2):
-            for column in range(at.BELT_COLUMNS):
+            for column in range(BELT_COLUMNS):
                 belts[i, node, column] = 0.0
-            belts[i, node, at.TEMPERATURE] = ambient
-            belts[i, node, at.CONSIDER_AMBIENT] = ambient_std
-            belts[i, node, at.NOISE_1] = k.number.initial_belt_std
-    for column in range(at.MOTION_COLUMNS):
+            belt = Belt(belts[i, node])
+            belt.temperature, belt.consider_ambient, belt.noise_1 = ambient, ambient_std, k.number.initial_belt_std
+    for column in range(motion.shape[0]):
         motion[column] = 0.0
-    motion[at.QUANTUM] = 1e9
+    Motion(motion).quantum = 1e9
     for place in range(FIRST_OWN, effects.shape[0]):  # as after a long rest; the distance driven stays
         effects[place] = math.nan
 
@@ -72,7 +73,7 @@ def start(k: Constants, carried: Carried, ambient: float, ambient_std: float) ->
 @inlined
 def act(
     k: Constants,
-    motion: Array,
+    motion: Motion,
     effects: Array,
     speed: float,
     accel: float,
@@ -91,7 +92,7 @@ def act(
     """
     if k.effects.shape[0] == 0:
         return ALL_WELL
-    drive = motion[at.LAST_DRIVE] + others - motion[at.LAST_OTHERS]
+    drive = motion.last_drive + others - motion.last_others
     look(k.work, speed, accel, weight, ambient, *turning, drive, belt)
     # Of a gap too long to bridge it is not known how it went: no state of an effect moves, no distance is driven.
     return step_effects(k.effects, k.effect_values, effects, k.work, dt if dt <= k.number.bridge else 0.0)
@@ -107,39 +108,44 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
         Time since the last step [s], 0 at the first.
     out
         Row of results, shape (columns,), see `columns`.
+
+    Notes
+    -----
+    M = R_1 [sign(v) sum F_h + sign(v) f_b G_v + 1/2 rho_a C_d A_f v|v| + G_v sin(gamma) + delta_m G_v/g dv/dt] (32 to 36; the
+    grade is ours). Effects and what was learned are added (ours).
     """
     number, work = k.number, k.work
-    belts, motion, effects, learned = carried
+    belts, motion, effects, learned = carried.belts, Motion(carried.motion), carried.effects, Learned(carried.learned)
     reasons = inputs.reasons
     speed = inputs.speed
-    started = motion[at.STARTED] > 0.0
-    last_speed = motion[at.LAST_SPEED] if started else speed
+    started = motion.started > 0.0
+    last_speed = motion.last_speed if started else speed
     if started and 0.0 < dt <= number.bridge:
         advance_motion(
             motion, speed, last_speed, dt, number.speed_variance, number.acceleration_variance, number.acceleration_time
         )
     elif not started or dt > 0.0:
         start_motion(motion, speed, number.speed_variance, number.acceleration_variance)
-    motion[at.ROLLS] = rolls(motion, speed, number.speed_variance)
+    motion.rolls = rolls(motion, speed, number.speed_variance)
     if dt > number.bridge:
         reasons |= UNKNOWN
     elif dt > number.gap:
         reasons |= BRIDGED
     given_accel = not math.isnan(inputs.acceleration)
-    accel = inputs.acceleration if given_accel else motion[at.FILTERED_ACCEL]
+    accel = inputs.acceleration if given_accel else motion.filtered_accel
     weight = arm = belt_degc = 0.0
     for i in range(belts.shape[0]):
-        belt_degc += belts[i, 0, at.TEMPERATURE] / belts.shape[0]
+        belt_degc += belts[i, 0, TEMPERATURE] / belts.shape[0]
     if belts.shape[0] == 0:
         belt_degc = math.nan
     for i in range(inputs.load.shape[0]):
         weight += inputs.load[i]
-        arm += inputs.load[i] * k.assembly[i, at.RADIUS]
+        arm += inputs.load[i] * k.assembly[i, RADIUS]
     arm /= weight
     air = inputs.ambient, inputs.ambient_std
     given_grade = not math.isnan(inputs.grade)
     grade = inputs.grade if given_grade else inputs.slope_by_place
-    road = road_now(k, last_speed, speed, accel, grade, weight, motion[at.LAST_DRIVE], *air, dt)
+    road = road_now(k, last_speed, speed, accel, grade, weight, motion.last_drive, *air, dt)
     of_place = torque_of_place(inputs.torque_by_place, speed)
     others = of_place + arm * (road.bearing + road.wind + road.uphill + road.inertia)
     turning = inputs.yaw_rate, inputs.heading, inputs.distance
@@ -152,62 +158,63 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
         reasons |= SURROUNDINGS
     if is_missing(k, inputs.grade, inputs.slope_by_place, inputs.torque_by_place):
         reasons |= OFF_ROUTE
-    total, of_assemblies = advance_assemblies(k, belts, inputs, road, learned, out)
+    sums, of_assemblies = advance_assemblies(k, belts, inputs, road, learned, out)
+    total, result = Part(sums), Results(out)
     lasting = learn_from(total, learned, road.sign, work[TERM_DRIVE_GAIN])
-    resisting = total[at.PART_HYSTERESIS] + total[at.PART_BEARING] + total[at.PART_WIND]
-    driving, of_effects = driving_torque(work, resisting + lasting, of_place, total[at.PART_GRADE], total[at.PART_INERTIA])
+    resisting = total.hysteresis + total.bearing + total.wind
+    driving, of_effects = driving_torque(work, resisting + lasting, of_place, total.grade, total.inertia)
     of_effects += lasting
     resistance = resisting + of_effects
     for i in range(belts.shape[0]):  # effects are of the whole vehicle, and shared as the load is
-        out[FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH + at.PER_RESISTANCE] += of_effects * (inputs.load[i] / weight)
+        out[FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH + RESISTANCE_OF_ONE] += of_effects * (inputs.load[i] / weight)
     # What resists motion is fed forward, so of effects nothing where nothing moves: friction holds a standing vehicle by itself,
     # and any other torque of an effect at rest would push it.
     fed_effects = (work[TERM_FED] + lasting) * abs(direction(speed))
     wanted, of_feedforward = feedforward(k, motion, total, fed_effects, given_grade, given_accel, inputs.fed, dt)
-    variance = (
-        work[TERM_VARIANCE]
-        + work[TERM_LOSS_VARIANCE] * squared(total[at.PART_HYSTERESIS])
-        + work[TERM_GAIN_VARIANCE] * squared(driving)
-        + squared(torque_of_place(inputs.torque_by_place_std, speed))
-    )
-    if learned[at.LEARNED_ON] > 0.0:
-        variance += learned_variance(learned)
-    else:
-        variance += (
-            total[at.PART_NOISE]
-            + squared(total[at.PART_CONSIDER_AMBIENT])
-            + squared(total[at.PART_ARM] * road.rolling_bearing * number.bearing_relative_std)
-            + squared(total[at.PART_ARM] * weight * speed * number.rolling_rise_std)
-            + squared(total[at.PART_WIND] * number.drag_relative_std)
-        )
-        for cause in range(4):
-            variance += squared(total[at.PART_CONSIDER + cause])
-    motion[at.FEEDFORWARD] = wanted
-    motion[at.LAST_SPEED] = speed
-    motion[at.LAST_DRIVE] = driving
-    motion[at.LAST_OTHERS] = others
+    variance = torque_variance(k, total, learned, road, driving, inputs.torque_by_place_std)
+    motion.feedforward, motion.last_speed = wanted, speed
+    motion.last_drive, motion.last_others = driving, others
 
-    out[at.OUT_SPEED] = speed
-    out[at.OUT_ACCEL] = accel
-    out[at.OUT_WEIGHT] = weight
-    out[at.OUT_AMBIENT] = inputs.ambient
-    out[at.OUT_RESISTANCE] = resistance
-    out[at.OUT_HYSTERESIS] = total[at.PART_HYSTERESIS]
-    out[at.OUT_BEARING] = total[at.PART_BEARING]
-    out[at.OUT_WIND] = total[at.PART_WIND]
-    out[at.OUT_GRADE] = total[at.PART_GRADE]
-    out[at.OUT_INERTIA] = total[at.PART_INERTIA]
-    out[at.OUT_EFFECTS] = of_effects
-    out[at.OUT_DRIVE] = driving
-    out[at.OUT_STD] = max(math.sqrt(variance), LEAST_STD_SHARE * total[at.PART_UNSIGNED])
-    out[at.OUT_FEEDFORWARD] = wanted
-    out[at.OUT_MOTOR] = driving * number.motor_gain
+    result.speed_mps, result.accel_mps2 = speed, accel
+    result.weight_n, result.ambient_degc = weight, inputs.ambient
+    result.resistance_torque_nm, result.effects_nm, result.drive_torque_nm = resistance, of_effects, driving
+    result.hysteresis_nm, result.bearing_nm, result.wind_nm = total.hysteresis, total.bearing, total.wind
+    result.grade_nm, result.inertia_nm = total.grade, total.inertia
+    result.resistance_std_nm = max(math.sqrt(variance), LEAST_STD_SHARE * total.unsigned)
+    result.feedforward_torque_nm, result.motor_torque_nm = wanted, driving * number.motor_gain
     measured = inputs.measured_torque / number.torque_scale - number.torque_offset
-    out[at.OUT_MEASURED] = measured
-    out[at.OUT_RESIDUAL] = measured - driving
-    out[at.OUT_HEAT] = total[at.PART_HEAT]
-    out[at.OUT_COOLING] = total[at.PART_COOLING]
-    out[at.OUT_REASONS] = reasons | of_assemblies | of_feedforward
+    result.measured_torque_nm, result.residual_nm = measured, measured - driving
+    result.heat_w, result.cooling_w = total.heat, total.cooling
+    result.reasons = reasons | of_assemblies | of_feedforward
+
+
+@inlined
+def torque_variance(k: Constants, total: Part, learned: Learned, road: Road, driving: float, of_place_std: float) -> float:
+    """Variance of the resistance [Nm^2]: var M of docs/model.md, with those of effects and of a torque by place (ours).
+
+    Causes of all assemblies are added before they are squared: what heats every belt stays one cause. What was learned comes in
+    the place of what the file says.
+    """
+    number, work = k.number, k.work
+    variance: float = (
+        work[TERM_VARIANCE]
+        + work[TERM_LOSS_VARIANCE] * squared(total.hysteresis)
+        + work[TERM_GAIN_VARIANCE] * squared(driving)
+        + squared(torque_of_place(of_place_std, road.speed))
+    )
+    if learned.on > 0.0:
+        return variance + learned_variance(learned)
+    of_file = (
+        total.noise
+        + squared(total.consider_ambient)
+        + squared(total.arm * road.rolling_bearing * number.bearing_relative_std)
+        + squared(total.arm * road.weight * road.speed * number.rolling_rise_std)
+        + squared(total.wind * number.drag_relative_std)
+    )
+    variance += of_file
+    for cause in range(4):
+        variance += squared(total.consider[cause])
+    return variance
 
 
 @inlined
@@ -226,32 +233,35 @@ def predict(
     out
         `PREDICTED`: driving torque [Nm], mean of the belts' temperatures and of their skins [degC], how the effects went.
     """  # fmt: skip
-    belts, motion, effects, _ = carried
+    belts, effects, motion = carried.belts, carried.effects, Motion(carried.motion)
     arm = belts_in_all = before = 0.0
     for i in range(count.shape[0]):
-        arm += count[i] * k.assembly[i, at.SHARE_OF_ALL] * k.assembly[i, at.RADIUS]
+        assembly = Assembly(k.assembly[i])
+        arm += count[i] * assembly.share_of_all * assembly.radius
     for i in range(belts.shape[0]):
         belts_in_all += count[i]
-        before += count[i] * belts[i, 0, at.TEMPERATURE]
+        before += count[i] * belts[i, 0, TEMPERATURE]
     before = before / belts_in_all if belts.shape[0] > 0 else math.nan
-    last_speed = motion[at.LAST_SPEED] if motion[at.STARTED] > 0.0 else speed
-    road = road_now(k, last_speed, speed, accel, grade, weight, motion[at.LAST_DRIVE], ambient, 0.0, dt)
+    last_speed = motion.last_speed if motion.started > 0.0 else speed
+    road = road_now(k, last_speed, speed, accel, grade, weight, motion.last_drive, ambient, 0.0, dt)
     of_place = torque_of_place(torque_by_place, speed)
     others = of_place + arm * (road.bearing + road.wind + road.uphill + road.inertia)
     outcome = act(k, motion, effects, speed, accel, weight, ambient, turning, others, before, dt)
     hysteresis = mean = skin = 0.0
     for i in range(belts.shape[0]):
-        belt, share = belts[i], k.assembly[i, at.SHARE_OF_ALL]
+        belt, assembly = belts[i], Assembly(k.assembly[i])
+        share = assembly.share_of_all
         log_load, drive = math.log(share * weight), road.last_drive * share
         if dt > 0.0:
-            roll(k, i, belt, last_speed, speed, road.log10_middle, log_load, drive, ambient, 0.0, dt)
-        loss, _ = loss_force(k, i, belt[0, at.TEMPERATURE], road.log10_speed, log_load, drive)
-        hysteresis += count[i] * k.assembly[i, at.RADIUS] * loss * road.sign
-        mean += count[i] * belt[0, at.TEMPERATURE]
-        skin += count[i] * surface(k, i, belt, ambient, speed)[0]
+            roll(k, assembly, belt, last_speed, speed, road.log10_middle, log_load, drive, ambient, 0.0, dt)
+        temperature = belt[0, TEMPERATURE]
+        loss, _ = loss_force(k, assembly, temperature, road.log10_speed, log_load, drive)
+        hysteresis += count[i] * assembly.radius * loss * road.sign
+        mean += count[i] * temperature
+        skin += count[i] * surface(k, assembly, belt, ambient, speed)[0]
     resisting = hysteresis + arm * (road.bearing + road.wind)
     driving, _ = driving_torque(k.work, resisting, of_place, arm * road.uphill, arm * road.inertia)
-    motion[at.STARTED], motion[at.LAST_SPEED], motion[at.LAST_DRIVE], motion[at.LAST_OTHERS] = 1.0, speed, driving, others
+    motion.started, motion.last_speed, motion.last_drive, motion.last_others = 1.0, speed, driving, others
     out[PREDICTED_DRIVE] = driving
     out[PREDICTED_BELT] = mean / belts_in_all if belts.shape[0] > 0 else math.nan
     out[PREDICTED_SKIN] = skin / belts_in_all if belts.shape[0] > 0 else math.nan

@@ -4,43 +4,36 @@
 """Moves the torque of a step by what was learned of the vehicle, and keeps how much each thing that can be learned would move it.
 
 A departure d from the file moves the torque by d times its sensitivity, which for the belts has the warmth in it that a departure
-has made so far. It is first order: at a departure of a fifth the rest is less than a hundredth of the torque.
+has made so far. It is first order: at a departure of a fifth the rest is less than a hundredth of the torque. All of it is ours.
 """
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.columns import LEARNABLE, OF_BEARING, OF_BELT, OF_DRAG, OF_MASS, Learned, Part
 from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import inlined
 
-Array = NDArray[np.float64]
-
-BELTS = at.OF_BELT + 1  # the first of what can be learned act through hysteresis
+BELTS = OF_BELT + 1  # the first of what can be learned act through hysteresis
 
 
 @inlined
-def learned_hysteresis(part: Array, learned: Array) -> float:
-    """What was learned adds to the hysteresis [Nm], without its sign."""
-    more = 0.0
+def learned_hysteresis(part: Part, learned: Learned) -> float:
+    """What was learned adds to the hysteresis [Nm], without its sign: the sum of d dM/dd."""
+    more, departures, by = 0.0, learned.departures, part.by
     for which in range(BELTS):
-        more += learned[at.DEPARTURES + which] * part[at.PART_BY + which]
-    return float(more * learned[at.LEARNED_ON])
+        more += departures[which] * by[which]
+    return float(more * learned.on)
 
 
 @inlined
-def learned_elsewhere(part: Array, learned: Array) -> float:
+def learned_elsewhere(part: Part, learned: Learned) -> float:
     """What was learned adds to bearings and wind [Nm]."""
-    more = (
-        learned[at.DEPARTURES + at.OF_BEARING] * part[at.PART_BEARING] + learned[at.DEPARTURES + at.OF_DRAG] * part[at.PART_WIND]
-    )
-    return float(more * learned[at.LEARNED_ON])
+    departures = learned.departures
+    return float((departures[OF_BEARING] * part.bearing + departures[OF_DRAG] * part.wind) * learned.on)
 
 
 @inlined
-def learn_from(total: Array, learned: Array, sign: float, drive_gain: float) -> float:
+def learn_from(total: Part, learned: Learned, sign: float, drive_gain: float) -> float:
     """Keep the sensitivities of a step, and move its parts by what was learned; a torque that goes on besides [Nm].
 
     Parameters
@@ -52,32 +45,32 @@ def learn_from(total: Array, learned: Array, sign: float, drive_gain: float) -> 
     drive_gain
         What effects make of a torque at the sprockets.
     """
-    by = learned[at.SENSITIVITIES :]
+    departures, sensitivities, by = learned.departures, learned.sensitivities, total.by
     for which in range(BELTS):
-        by[which] = total[at.PART_BY + which] * sign * drive_gain
-    by[at.OF_BEARING] = total[at.PART_BEARING] * drive_gain
-    by[at.OF_DRAG] = total[at.PART_WIND] * drive_gain
-    by[at.OF_MASS] = total[at.PART_INERTIA] * drive_gain
-    if learned[at.LEARNED_ON] <= 0.0:
+        sensitivities[which] = by[which] * sign * drive_gain
+    sensitivities[OF_BEARING] = total.bearing * drive_gain
+    sensitivities[OF_DRAG] = total.wind * drive_gain
+    sensitivities[OF_MASS] = total.inertia * drive_gain
+    if learned.on <= 0.0:
         return 0.0
-    total[at.PART_HYSTERESIS] += learned_hysteresis(total, learned) * sign
-    total[at.PART_BEARING] *= 1.0 + learned[at.DEPARTURES + at.OF_BEARING]
-    total[at.PART_WIND] *= 1.0 + learned[at.DEPARTURES + at.OF_DRAG]
-    total[at.PART_INERTIA] *= 1.0 + learned[at.DEPARTURES + at.OF_MASS]
-    return float(learned[at.LEARNED_TORQUE] * sign)
+    total.hysteresis += learned_hysteresis(total, learned) * sign
+    total.bearing *= 1.0 + departures[OF_BEARING]
+    total.wind *= 1.0 + departures[OF_DRAG]
+    total.inertia *= 1.0 + departures[OF_MASS]
+    return float(learned.torque * sign)
 
 
 @inlined
-def learned_variance(learned: Array) -> float:
-    """Variance of the resistance by all that can be learned, and by what wanders [Nm^2].
+def learned_variance(learned: Learned) -> float:
+    """Variance of the resistance by all that can be learned, and by what wanders [Nm^2]: s'FF's + slow^2.
 
-    Inertia is no resistance, so its sensitivity does not count.
+    s are the sensitivities, F the factor of the departures' covariance. Inertia is no resistance, so its s does not count.
     """
-    variance = squared(learned[at.LEARNED_SLOW])
-    for column in range(at.LEARNABLE):
+    variance, factor, sensitivities = squared(learned.slow), learned.factor, learned.sensitivities
+    for column in range(LEARNABLE):
         moved = 0.0
-        for row in range(column, at.LEARNABLE):
-            if row != at.OF_MASS:
-                moved += learned[at.LEARNED_FACTOR + row * at.LEARNABLE + column] * learned[at.SENSITIVITIES + row]
+        for row in range(column, LEARNABLE):
+            if row != OF_MASS:
+                moved += factor[row * LEARNABLE + column] * sensitivities[row]
         variance += moved * moved
     return float(variance)

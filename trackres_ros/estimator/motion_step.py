@@ -15,22 +15,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from trackres_ros.estimator.columns import (
-    COV_ACCEL,
-    COV_BOTH,
-    COV_SPEED,
-    FILTERED_ACCEL,
-    FILTERED_SPEED,
-    QUANTUM,
-    ROLLS,
-    STARTED,
-)
+from trackres_ros.estimator.columns import Motion
 from trackres_ros.jit.compiled import inlined
-
-Array = NDArray[np.float64]
 
 LARGEST_QUANTUM = 1.0  # m/s: a greater smallest step is not a quantum
 SAME_VALUE = 1e-6  # m/s: rounding of a scaled bus value
@@ -40,53 +26,51 @@ ROLLS_FROM, ROLLS_UNTIL = 6.0, 3.0
 
 
 @inlined
-def start_motion(motion: Array, speed: float, speed_variance: float, acceleration_variance: float) -> None:
+def start_motion(motion: Motion, speed: float, speed_variance: float, acceleration_variance: float) -> None:
     """Begin the filter at a first speed [m/s]."""
-    motion[FILTERED_SPEED] = speed
-    motion[FILTERED_ACCEL] = 0.0
-    motion[COV_SPEED] = speed_variance
-    motion[COV_BOTH] = 0.0
-    motion[COV_ACCEL] = acceleration_variance
-    motion[STARTED] = 1.0
+    motion.filtered_speed, motion.filtered_accel = speed, 0.0
+    motion.cov_speed, motion.cov_both, motion.cov_accel = speed_variance, 0.0, acceleration_variance
+    motion.started = 1.0
 
 
 @inlined
-def rolls(motion: Array, speed: float, speed_variance: float) -> float:
-    """1 while the speed [m/s] is more than the noise that its sensor has at rest, else 0."""
-    noise = ROLLS_UNTIL if motion[ROLLS] > 0.0 else ROLLS_FROM
-    quantum = motion[QUANTUM] if motion[QUANTUM] < LARGEST_QUANTUM else 0.0
-    return 1.0 if abs(speed) > noise * math.sqrt(speed_variance) + 0.5 * quantum else 0.0
+def known_quantum(motion: Motion) -> float:
+    """Step of a quantised speed [m/s]; 0 of one that is not."""
+    return motion.quantum if motion.quantum < LARGEST_QUANTUM else 0.0
+
+
+@inlined
+def rolls(motion: Motion, speed: float, speed_variance: float) -> float:
+    """1 while the speed [m/s] is more than the noise that its sensor has at rest, else 0: |v| > n std + quantum/2 (ours)."""
+    noise = ROLLS_UNTIL if motion.rolls > 0.0 else ROLLS_FROM
+    return 1.0 if abs(speed) > noise * math.sqrt(speed_variance) + 0.5 * known_quantum(motion) else 0.0
 
 
 @inlined
 def advance_motion(
-    motion: Array,
-    speed: float,
-    last_speed: float,
-    dt: float,
-    speed_variance: float,
-    acceleration_variance: float,
-    acceleration_time: float,
+    motion: Motion, speed: float, last_speed: float, dt: float, speed_variance: float, acceleration_variance: float, time: float
 ) -> None:
-    """Take in one more speed [m/s] after dt [s] > 0; changes `motion`."""
+    """Take in one more speed [m/s] after dt [s] > 0, where an acceleration lasts for a `time` [s]; changes `motion`.
+
+    Notes
+    -----
+    Singer [7]: with k = exp(-dt/time) and r = time (1 - k), speed and acceleration are predicted by v + r a and k a, and their
+    covariance P by F P F' + Q. The gain is the Kalman filter's. Ours: quantum^2/12 adds to the noise, and the innovation is what
+    exceeds half a quantum.
+    """
     step = abs(speed - last_speed)
-    if SAME_VALUE < step < motion[QUANTUM]:
-        motion[QUANTUM] = step
-    keep = math.exp(-dt / acceleration_time)
-    reach = acceleration_time * (1.0 - keep)
-    predicted = motion[FILTERED_SPEED] + reach * motion[FILTERED_ACCEL]
-    accel = keep * motion[FILTERED_ACCEL]
-    gained = acceleration_variance * (1.0 - keep * keep)
-    c11 = motion[COV_SPEED] + 2.0 * reach * motion[COV_BOTH] + reach * reach * motion[COV_ACCEL] + gained * dt * dt / 3.0
-    c12 = keep * (motion[COV_BOTH] + reach * motion[COV_ACCEL]) + gained * dt / 2.0
-    c22 = keep * keep * motion[COV_ACCEL] + gained
-    half = 0.5 * motion[QUANTUM] if motion[QUANTUM] < LARGEST_QUANTUM else 0.0
-    departure = speed - predicted
-    innovation = math.copysign(max(abs(departure) - half, 0.0), departure)
-    total = c11 + speed_variance + half * half / 3.0
-    gain_speed, gain_accel = c11 / total, c12 / total
-    motion[FILTERED_SPEED] = predicted + gain_speed * innovation
-    motion[FILTERED_ACCEL] = accel + gain_accel * innovation
-    motion[COV_SPEED] = c11 - gain_speed * c11
-    motion[COV_BOTH] = c12 - gain_speed * c12
-    motion[COV_ACCEL] = c22 - gain_accel * c12
+    if SAME_VALUE < step < motion.quantum:
+        motion.quantum = step
+    k = math.exp(-dt / time)
+    r = time * (1.0 - k)
+    v, a = motion.filtered_speed + r * motion.filtered_accel, k * motion.filtered_accel
+    q = acceleration_variance * (1.0 - k * k)
+    p11 = motion.cov_speed + 2.0 * r * motion.cov_both + r * r * motion.cov_accel + q * dt * dt / 3.0
+    p12 = k * (motion.cov_both + r * motion.cov_accel) + q * dt / 2.0
+    p22 = k * k * motion.cov_accel + q
+    half = 0.5 * known_quantum(motion)
+    innovation = math.copysign(max(abs(speed - v) - half, 0.0), speed - v)
+    variance = p11 + speed_variance + half * half / 3.0
+    gain_v, gain_a = p11 / variance, p12 / variance
+    motion.filtered_speed, motion.filtered_accel = v + gain_v * innovation, a + gain_a * innovation
+    motion.cov_speed, motion.cov_both, motion.cov_accel = p11 - gain_v * p11, p12 - gain_v * p12, p22 - gain_a * p12

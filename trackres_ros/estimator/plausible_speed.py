@@ -14,66 +14,60 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.columns import Times, Tracked
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.feedforward import towards
 from trackres_ros.estimator.motion_step import LARGEST_QUANTUM
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.units import NANOSECOND
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-# What is remembered: the reference of the accepted speeds and that of the run in doubt [m/s]; behind them what `speed_witnesses`
-# remembers of the odometer.
-REFERENCE, RUN = range(2)
 LONGEST_RUN_NS = 2_000_000_000  # by then the feed-forward has gone: waiting for more makes nothing safer
 
 
 @inlined
 def follow(k: Constants, reference: float, speed: float, elapsed: int, quantum: float) -> tuple[float, bool]:
-    """The reference [m/s] after so long [ns], and whether a speed is near enough to it."""
+    """The reference [m/s] after so long [ns], and whether a speed is near enough to it (ours).
+
+    It goes towards the speed by a_max t at most; near is within the slack and one step of a quantised speed.
+    """
     moved = towards(reference, speed, k.number.max_acceleration * (elapsed * NANOSECOND))
     slack = k.number.speed_slack + (quantum if quantum < LARGEST_QUANTUM else 0.0)
     return moved, abs(speed - moved) <= slack
 
 
 @inlined
-def trust(times: IntArray, tracked: Array, speed: float) -> None:
+def trust(times: Times, tracked: Tracked, speed: float) -> None:
     """Take a speed for the vehicle's, whatever was before."""
-    tracked[REFERENCE], tracked[RUN] = speed, math.nan
-    times[at.DOUBTS] = 0
+    tracked.reference, tracked.run = speed, math.nan
+    times.doubts = 0
 
 
 @inlined
-def seems_to_stand(k: Constants, tracked: Array) -> bool:
+def seems_to_stand(k: Constants, tracked: Tracked) -> bool:
     """Whether the speeds in doubt are those of a standing vehicle."""
-    return bool(abs(tracked[RUN]) <= k.number.speed_slack)
+    return bool(abs(tracked.run) <= k.number.speed_slack)
 
 
 @inlined
-def is_plausible(k: Constants, times: IntArray, tracked: Array, stamp: int, elapsed: int, speed: float, quantum: float) -> bool:
+def is_plausible(k: Constants, times: Times, tracked: Tracked, stamp: int, elapsed: int, speed: float, quantum: float) -> bool:
     """Whether to accept a speed that comes so long [ns] after the last accepted one; takes note of one in doubt."""
-    reached, near = follow(k, tracked[REFERENCE], speed, elapsed, quantum)
-    if near and times[at.DOUBTS] == 0:
-        tracked[REFERENCE] = reached
+    reached, near = follow(k, tracked.reference, speed, elapsed, quantum)
+    if near and times.doubts == 0:
+        tracked.reference = reached
         return True
     agrees, run = False, speed
-    if times[at.DOUBTS] > 0:
-        run, agrees = follow(k, tracked[RUN], speed, stamp - times[at.DOUBT_STAMP], quantum)
+    if times.doubts > 0:
+        run, agrees = follow(k, tracked.run, speed, stamp - times.doubt_stamp, quantum)
     if agrees:
-        times[at.DOUBTS] += 1
-        tracked[RUN] = run
+        times.doubts += 1
+        tracked.run = run
     else:
-        times[at.DOUBTS], times[at.DOUBT_SINCE] = 1, stamp
-        tracked[RUN] = speed
-    times[at.DOUBT_STAMP] = stamp
-    lasted = stamp - times[at.DOUBT_SINCE]
-    before = min(times[at.DOUBT_SINCE] - times[at.LAST_STAMP], LONGEST_RUN_NS)
-    if near and times[at.DOUBTS] >= k.number.jumps_to_accept and lasted >= before:
-        trust(times, tracked, tracked[RUN])
+        times.doubts, times.doubt_since = 1, stamp
+        tracked.run = speed
+    times.doubt_stamp = stamp
+    lasted = stamp - times.doubt_since
+    before = min(times.doubt_since - times.last_stamp, LONGEST_RUN_NS)
+    if near and times.doubts >= k.number.jumps_to_accept and lasted >= before:
+        trust(times, tracked, tracked.run)
         return True
     return False

@@ -39,27 +39,28 @@ LARGEST_EFFECT = 1e12  # distance [m], time constant [s], or the state of an eff
 
 def check_state(estimator: Estimator, belts: Array, motion: Array) -> None:
     """Raise ValueError for belts or a motion that no drive leaves."""
-    _within("belt temperatures", belts[:, :, at.TEMPERATURE], *BELT_DEGC)
-    _within("departures of belt temperatures", belts[:, :, at.CONSIDER_1 :], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
+    _within("belt temperatures", belts[:, :, at.Belt.temperature], *BELT_DEGC)
+    _within("departures of belt temperatures", belts[:, :, at.FIRST_DEPARTURE :], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
     speed = SPEED_REACH * estimator.vehicle.chassis.max_speed
     k = estimator.constants.assembly
-    torque = TORQUE_REACH * float(k[:, at.NOMINAL_LOAD] @ k[:, at.RADIUS])
-    for name, index, low, high in (
-        ("filtered speed", at.FILTERED_SPEED, -speed, speed),
-        ("last speed", at.LAST_SPEED, -speed, speed),
-        ("acceleration", at.FILTERED_ACCEL, -LARGEST_ACCEL, LARGEST_ACCEL),
-        ("covariance of the speed", at.COV_SPEED, -ROUNDING, LARGEST_COVARIANCE),
-        ("covariance of speed and acceleration", at.COV_BOTH, -LARGEST_COVARIANCE, LARGEST_COVARIANCE),
-        ("covariance of the acceleration", at.COV_ACCEL, -ROUNDING, LARGEST_COVARIANCE),
-        ("smallest step of the speed", at.QUANTUM, 0.0, NO_QUANTUM),
-        ("feed-forward", at.FEEDFORWARD, -torque, torque),
-        ("target of the feed-forward", at.FEEDFORWARD_TARGET, -torque, torque),
-        ("mark of rolling", at.ROLLS, 0.0, 1.0),
-        ("drive torque", at.LAST_DRIVE, -torque, torque),
-        ("drive torque but for belts and effects", at.LAST_OTHERS, -torque, torque),
+    torque = TORQUE_REACH * float(k[:, at.Assembly.nominal_load] @ k[:, at.Assembly.radius])
+    left = at.Motion(motion)
+    for name, value, low, high in (
+        ("filtered speed", left.filtered_speed, -speed, speed),
+        ("last speed", left.last_speed, -speed, speed),
+        ("acceleration", left.filtered_accel, -LARGEST_ACCEL, LARGEST_ACCEL),
+        ("covariance of the speed", left.cov_speed, -ROUNDING, LARGEST_COVARIANCE),
+        ("covariance of speed and acceleration", left.cov_both, -LARGEST_COVARIANCE, LARGEST_COVARIANCE),
+        ("covariance of the acceleration", left.cov_accel, -ROUNDING, LARGEST_COVARIANCE),
+        ("smallest step of the speed", left.quantum, 0.0, NO_QUANTUM),
+        ("feed-forward", left.feedforward, -torque, torque),
+        ("target of the feed-forward", left.feedforward_target, -torque, torque),
+        ("mark of rolling", left.rolls, 0.0, 1.0),
+        ("drive torque", left.last_drive, -torque, torque),
+        ("drive torque but for belts and effects", left.last_others, -torque, torque),
     ):
-        _within(name, motion[index], low, high)
-    if motion[at.STARTED] not in STARTED:
+        _within(name, value, low, high)
+    if left.started not in STARTED:
         raise ValueError("started is none of its values")
 
 
@@ -71,16 +72,14 @@ def check_effects(memory: Array) -> None:
 def check_learned(estimator: Estimator, learned: Array) -> None:
     """Raise ValueError for what nothing that is learned can be."""
     k = estimator.constants.assembly
-    torque = TORQUE_REACH * float(k[:, at.NOMINAL_LOAD] @ k[:, at.RADIUS])
-    departures = learned[at.DEPARTURES : at.LEARNED_TORQUE]
-    _within("mark of what acts", learned[at.LEARNED_ON], 0.0, 1.0)
+    torque = TORQUE_REACH * float(k[:, at.Assembly.nominal_load] @ k[:, at.Assembly.radius])
+    departures = learned[at.Learned.departures]
+    _within("mark of what acts", learned[at.Learned.on], 0.0, 1.0)
     _within("departures", np.delete(departures, at.OF_BELT), -1.0, MOST_DEPARTURE)
     _within("departure of the belts", departures[at.OF_BELT], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
-    _within("torques that were learned", learned[at.LEARNED_TORQUE : at.LEARNED_FACTOR], -torque, torque)
-    _within(
-        "covariance of what was learned", learned[at.LEARNED_FACTOR : at.SENSITIVITIES], -LARGEST_DEPARTURE, LARGEST_DEPARTURE
-    )
-    _within("sensitivities", learned[at.SENSITIVITIES :], -torque, torque)
+    _within("torques that were learned", learned[at.Learned.torque : at.Learned.factor.start], -torque, torque)
+    _within("covariance of what was learned", learned[at.Learned.factor], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
+    _within("sensitivities", learned[at.Learned.sensitivities], -torque, torque)
 
 
 def check_memory(memory: Memory, limits: Array) -> None:
@@ -89,11 +88,11 @@ def check_memory(memory: Memory, limits: Array) -> None:
     if ((memory.values < limits[:, 0]) | (memory.values > limits[:, 1]))[known].any():
         raise ValueError("last values outside of the plausible range of their channels")
     _within("times", memory.times, -FARTHEST_NS, FARTHEST_NS)
-    _within("marks of channels", memory.times[:, [at.SEEN, at.FRESH]], 0, 1)
-    _within("suspects", memory.times[:, at.SUSPECTS], 0, MOST_SUSPECTS)
-    if (known != (memory.times[:, at.SEEN] == 1)).any():
+    _within("marks of channels", memory.times[:, [at.Times.seen, at.Times.fresh]], 0, 1)
+    _within("suspects", memory.times[:, at.Times.suspects], 0, MOST_SUSPECTS)
+    if (known != (memory.times[:, at.Times.seen] == 1)).any():
         raise ValueError("channels with a time and no value, or the other way round")
-    _within("doubts", memory.times[:, at.DOUBTS], 0, FARTHEST_NS)
+    _within("doubts", memory.times[:, at.Times.doubts], 0, FARTHEST_NS)
     tracked = memory.tracked[~np.isnan(memory.tracked)]
     _within("references of the speed and the odometer", tracked, -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
     followed = ~np.isnan(memory.followed)

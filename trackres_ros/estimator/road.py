@@ -53,7 +53,13 @@ def road_now(
     ambient_std: float,
     dt: float,
 ) -> Road:
-    """Forces on the whole vehicle at the end of a step; without a grade the ground is level."""
+    """Forces on the whole vehicle at the end of a step; without a grade the ground is level.
+
+    Notes
+    -----
+    Bearing sign(v) f_b G_v (34), wind 1/2 rho_a C_d A_f v|v| (35), inertia delta_m G_v/g dv/dt (36), put right as
+    `model.resistance` says. Ours: the grade G_v sin(gamma), f_b that grows with the speed, and tanh(v/v_0) for sign(v).
+    """
     number = k.number
     rolling = number.bearing_friction + number.rolling_rise * abs(speed)
     return Road(
@@ -77,13 +83,15 @@ def road_now(
 
 @inlined
 def torque_of_place(against: float, speed: float) -> float:
-    """Torque by place [Nm] out of what it is against travel; none where it is not known, and none at a standstill."""
+    """Torque by place [Nm], sign(v) times what it is against travel (ours); 0 where it is not known, and at a standstill."""
     return 0.0 if math.isnan(against) else against * direction(speed)
 
 
 @inlined
 def driving_torque(work: Array, resisting: float, of_place: float, uphill: float, inertia: float) -> tuple[float, float]:
-    """Torque at the sprockets [Nm] out of its parts, and what of it is the effects' and the place's."""
+    """Torque M at the sprockets [Nm]: the sum of its parts (32) and effects, times the effects' gain (ours); and what of it
+    is the effects' and the place's.
+    """
     without_gain = resisting + work[TERM_TORQUE] + of_place + uphill + inertia
     driving = without_gain * work[TERM_DRIVE_GAIN]
     return driving, work[TERM_TORQUE] + of_place + driving - without_gain

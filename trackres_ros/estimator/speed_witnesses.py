@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.columns import SPEED, Times, Tracked
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.units import NANOSECOND
@@ -18,10 +18,7 @@ from trackres_ros.units import NANOSECOND
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# What is remembered behind `plausible_speed.RUN`: the odometer where a comparison began and its last value, the way by the speed
-# since then, unsigned and signed, the largest step of the odometer [m], and whether the last comparison disagreed.
-BEGAN, LAST, WAY, NET, STEP, APART = range(2, 8)
-TRACKED = 8
+SEEN, LAST_ARRIVAL = Times.seen, Times.last_arrival
 NOTHING_TRACKED = (math.nan, math.nan, math.nan, math.nan, 0.0, 0.0, 0.0, 0.0)
 SHARE = 0.25  # wheels slip, and their radii are nominal ones
 SLOW_MPS = 1.0  # pulses of a slow wheel come too seldom: those of the ZTBus show nothing up to 0.6 m/s
@@ -30,40 +27,41 @@ FARTHEST_M = 1000.0  # more at once is an odometer that begins anew
 
 
 @inlined
-def forget_way(tracked: Array) -> None:
+def forget_way(tracked: Tracked) -> None:
     """Begin the comparison with the odometer anew."""
-    tracked[BEGAN], tracked[WAY], tracked[NET], tracked[APART] = math.nan, 0.0, 0.0, 0.0
+    tracked.began, tracked.way, tracked.net = math.nan, 0.0, 0.0
+    tracked.apart = 0.0
 
 
 @inlined
-def odometer_came(tracked: Array, distance: float) -> None:
+def odometer_came(tracked: Tracked, distance: float) -> None:
     """Take in a distance [m]; compares it with the way by the speed where both are long enough."""
-    moved = abs(distance - tracked[LAST])
+    moved = abs(distance - tracked.last)
     if moved > FARTHEST_M:
         forget_way(tracked)
-    elif moved > tracked[STEP]:
-        tracked[STEP] = moved
-    tracked[LAST] = distance
-    if math.isnan(tracked[BEGAN]):
-        tracked[BEGAN], tracked[WAY], tracked[NET] = distance, 0.0, 0.0
-    by_odometer, step = abs(distance - tracked[BEGAN]), tracked[STEP]
-    longest = max(by_odometer, tracked[WAY])
+    elif moved > tracked.step:
+        tracked.step = moved
+    tracked.last = distance
+    if math.isnan(tracked.began):
+        tracked.began, tracked.way, tracked.net = distance, 0.0, 0.0
+    by_odometer, step = abs(distance - tracked.began), tracked.step
+    longest = max(by_odometer, tracked.way)
     if step > 0.0 and longest >= max(COMPARED_M, COMPARED_STEPS * step):
-        off = min(abs(by_odometer - tracked[WAY]), abs(by_odometer - abs(tracked[NET])))
+        off = min(abs(by_odometer - tracked.way), abs(by_odometer - abs(tracked.net)))
         apart = 1.0 if off > SHARE * longest + step else 0.0
         forget_way(tracked)
-        tracked[BEGAN], tracked[APART] = distance, apart
+        tracked.began, tracked.apart = distance, apart
 
 
 @inlined
-def drive_on(k: Constants, tracked: Array, speed: float, elapsed: int) -> None:
+def drive_on(k: Constants, tracked: Tracked, speed: float, elapsed: int) -> None:
     """Count the way by a speed [m/s] that held for so long [ns]; over a gap that nobody knows it begins anew."""
     seconds = elapsed * NANOSECOND
     if seconds > k.number.bridge:
         forget_way(tracked)
         return
-    tracked[WAY] += abs(speed) * seconds
-    tracked[NET] += speed * seconds
+    tracked.way += abs(speed) * seconds
+    tracked.net += speed * seconds
 
 
 @inlined
@@ -71,10 +69,10 @@ def disagrees(k: Constants, times: IntArray, values: Array, speed: float, stamp:
     """Whether the speed [m/s] has been out of the range of all fresh wheel speeds for longer than a pause may last."""
     size, low, high = abs(speed), math.inf, 0.0
     for channel in range(k.number.first_wheel, times.shape[0]):
-        if times[channel, at.SEEN] and now - times[channel, at.LAST_ARRIVAL] <= k.number.motion_hold_ns:
+        if times[channel, SEEN] and now - times[channel, LAST_ARRIVAL] <= k.number.motion_hold_ns:
             low, high = min(low, abs(values[channel])), max(high, abs(values[channel]))
     apart = low < math.inf and (size > (1.0 + SHARE) * high + SLOW_MPS or size < (1.0 - SHARE) * low - SLOW_MPS)
-    of_speed = times[at.SPEED]
-    if not apart or of_speed[at.DISAGREES_SINCE] == 0:
-        of_speed[at.DISAGREES_SINCE] = stamp if apart else 0
-    return apart and stamp - of_speed[at.DISAGREES_SINCE] > k.number.disagreeing_ns
+    of_speed = Times(times[SPEED])
+    if not apart or of_speed.disagrees_since == 0:
+        of_speed.disagrees_since = stamp if apart else 0
+    return apart and stamp - of_speed.disagrees_since > k.number.disagreeing_ns

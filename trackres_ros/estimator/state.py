@@ -36,9 +36,9 @@ class State:
     belts: Array
     motion: Array
     effects: Array = field(default_factory=lambda: new_memory(0))
-    learned: Array = field(default_factory=lambda: np.zeros(at.LEARNED_COLUMNS))
+    learned: Array = field(default_factory=lambda: np.zeros(at.Learned.columns))
 
     def __repr__(self) -> str:
-        degrees = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, at.TEMPERATURE])
+        degrees = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, at.Belt.temperature])
         belts = f"belts {degrees} degC, " if degrees else ""
-        return f"<State: {belts}speed {decimals(float(self.motion[at.LAST_SPEED]), 2)} m/s>"
+        return f"<State: {belts}speed {decimals(float(self.motion[at.Motion.last_speed]), 2)} m/s>"

@@ -1,19 +1,21 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Translates calls: of functions that are translated too, of named tuples, and of Python's, math's and numpy's functions."""
+"""Translates calls: of functions that are translated too, of named tuples and rows, and of functions of Python, math, numpy."""
 
 from __future__ import annotations
 
 import ast
 import math
+from dataclasses import replace
 from types import FunctionType
 from typing import Any
 
 import numpy as np
 
 from trackres_ros.export.expressions import UNARY, Expressions, Value
-from trackres_ros.export.kinds import BOOL, INT, REAL, Const, Kind, Record, Scalar, joined, widened, words
+from trackres_ros.export.kinds import BOOL, INT, REAL, ArrayOf, Const, Kind, Record, Scalar, joined, widened, words
+from trackres_ros.jit.rows import Row
 
 SAME_IN_C = (
     "sqrt", "exp", "expm1", "log", "log1p", "log2", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh",
@@ -34,6 +36,10 @@ class Calls(Expressions):
         if isinstance(function, type) and hasattr(function, "_fields"):
             return self._record(node, function)
         values = self.spread(node.args)
+        if isinstance(function, type) and issubclass(function, Row):
+            array = self.array_kind(node, values[0])
+            code = self.table(values[0], "row") if values[0].is_const else values[0].code
+            return replace(values[0], kind=ArrayOf(array.of, (function.columns,), function.names), code=code)
         if function in self.translator.intrinsics:
             return Value(Const(None), self.translator.intrinsics[function](self, values))
         if isinstance(function, FunctionType):

@@ -98,7 +98,7 @@ def translated(request: Request, tuned: tuple[str, ...] = ()) -> CSource:
 
 def _learned(estimator: Estimator, path: Path) -> Any:
     learned = snapshot.resume(estimator, path).learned
-    if not learned[at.LEARNED_ON] > 0.0:
+    if not learned[at.Learned.on] > 0.0:
         remedy = "save it with --learning on, once the vehicle has driven long enough"
         raise InputError(f"state file {path}", "a state in which nothing learned acts", "one of learning that is on", remedy)
     return learned

@@ -147,7 +147,10 @@ class Expressions:
                 raise self.refuse(node, ast.unparse(node), "the length of a whole array")
             return self.const(of.kind.shape)
         if isinstance(of.kind, ArrayOf) and node.attr in of.kind.names:
-            return Value(of.kind.of, f"{of.code}[{of.kind.names.index(node.attr)} /* {node.attr} */]")
+            code = f"{self.within(of, ATOM)}[{of.kind.names.index(node.attr)} /* {node.attr} */]"
+            if (count := of.kind.names.count(node.attr)) > 1:
+                return Value(ArrayOf(of.kind.of, (count,)), f"&{code}", UNARY, of.root)
+            return Value(of.kind.of, code, ATOM, of.root)
         if isinstance(of.kind, Record) and (part := of.kind.kind_of(node.attr)) is not None:
             return self.part(of, node.attr, part)
         raise self.refuse(node, ast.unparse(node)[:80], "an attribute that it has")
@@ -243,7 +246,7 @@ class Expressions:
         places = [self.value(index) for index in indices]
         if len(places) == len(array.shape) and isinstance(of.const, np.ndarray) and all(p.is_const for p in places):
             return self.const(of.const[tuple(p.const for p in places)].item())
-        name = self.table(of, ast.unparse(node.value)) if isinstance(of.const, np.ndarray) else of.code
+        name = self.table(of, ast.unparse(node.value)) if isinstance(of.const, np.ndarray) else self.within(of, ATOM)
         offset = self.offset(node, array, places, indices)
         if len(places) == len(array.shape):
             return Value(array.of, f"{name}[{offset}]", ATOM, of.root)
@@ -284,7 +287,7 @@ class Expressions:
         known = first.is_const and end.is_const and end.const is not None
         length = max(min(end.const, array.shape[-1] or end.const) - first.const, 0) if known else None
         places = [*(self.value(index) for index in indices[:-1]), first]
-        name = self.table(of, ast.unparse(node.value)) if isinstance(of.const, np.ndarray) else of.code
+        name = self.table(of, ast.unparse(node.value)) if isinstance(of.const, np.ndarray) else self.within(of, ATOM)
         offset = self.offset(node, array, places, [*indices[:-1], *([last.lower] if last.lower else [])])
         return Value(ArrayOf(array.of, (length,)), f"&{name}[{offset}]", UNARY, of.root)
 

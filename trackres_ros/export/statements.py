@@ -18,6 +18,7 @@ from trackres_ros.export.kinds import INT, REAL, ArrayOf, Const, Kind, Record, S
 from trackres_ros.export.scopes import Path, Scopes
 
 MOST_PASSES = 12
+ENTRIES = ast.Subscript | ast.Attribute  # of an array
 COMMENT = re.compile(r"/\*.*?\*/")
 ONLY_STORED = re.compile(r"^\s*(?:(?:const )?(?:struct )?\w+ \*?)?\w+ [-+*/|&]?= ")
 NAME = re.compile(r"(?<![\w.])(?<!->)[A-Za-z_]\w*")
@@ -190,7 +191,7 @@ class Body(Calls):
             self._unpack(node, first, depth)
             return False
         value = self.value(node.value)
-        if len(node.targets) > 1 and not value.is_const and isinstance(first, ast.Subscript):
+        if len(node.targets) > 1 and not value.is_const and isinstance(first, ENTRIES):
             name = self.temporary("same")
             self.line(f"const {self.translator.declared(widened(value.kind))}{name} = {value.code};", depth)
             value = Value(widened(value.kind), name)
@@ -203,12 +204,12 @@ class Body(Calls):
         if isinstance(target, ast.Name):
             self.assign(node, target.id, value, depth)
             return
-        if not isinstance(target, ast.Subscript):
+        if not isinstance(target, ENTRIES):
             raise self.refuse(node, ast.unparse(target)[:80], "a variable or an entry of an array")
         of = self.value(target.value)
         if isinstance(of.kind, Const | Record):
             raise self.refuse(node, f"{ast.unparse(target)} that does not change", "a variable, or an array that is an argument")
-        place = self.subscript(target, of)
+        place = self.subscript(target, of) if isinstance(target, ast.Subscript) else self.value(target)
         self.note_written(place)
         if isinstance(place.kind, Scalar):
             self.line(f"{place.code} = {self.as_kind(value, place.kind)};", depth)
@@ -247,13 +248,13 @@ class Body(Calls):
         kept = []
         for one, node, value in zip(target.elts, given.elts, values, strict=False):
             names = {n.id for n in ast.walk(node) if isinstance(n, ast.Name)}
-            looks_up = any(isinstance(n, ast.Subscript | ast.Call) for n in ast.walk(node))
+            looks_up = any(isinstance(n, ast.Call | ENTRIES) for n in ast.walk(node))
             if (stored & names or (entries and looks_up)) and not value.is_const and isinstance(value.kind, Scalar):
                 name = self.temporary("old")
                 self.line(f"const {self.translator.declared(value.kind)}{name} = {value.code};", depth)
                 value = Value(value.kind, name)
             stored |= {n.id for n in ast.walk(one) if isinstance(n, ast.Name)}
-            entries |= isinstance(one, ast.Subscript)
+            entries |= isinstance(one, ENTRIES)
             kept.append(value)
         return kept
 
@@ -263,11 +264,9 @@ class Body(Calls):
         return False
 
     def _augassign_statement(self, node: ast.AugAssign, depth: int) -> bool:
-        if isinstance(node.target, ast.Subscript):
-            place = self._subscript(node.target)
+        place = self.value(node.target)
+        if isinstance(node.target, ENTRIES):
             self.note_written(place)
-        else:
-            place = self.value(node.target)
         value = self.value(node.value)
         result = self.binary(node, node.op, place, value)
         if isinstance(node.target, ast.Name):

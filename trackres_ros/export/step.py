@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.columns import Motion, Times
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.entry_points import feed, rest
 from trackres_ros.estimator.feedforward import fade, followed
@@ -27,7 +28,7 @@ IntArray = NDArray[np.int64]
 
 STEPPED, WAITED, WRONG_TIME = 1, 0, -2
 FARTHEST_S = 1e9  # of one step to the next: more is no time
-RESTS = 0.5  # in STARTED: belts are known, the next speed begins the motion
+RESTS = 0.5  # in Motion.started: belts are known, the next speed begins the motion
 
 
 def step(
@@ -75,17 +76,16 @@ def take_message(
 
 def age_of_speed(memory: Memory, now: int) -> float:
     """How long ago the last accepted speed came [s]; infinite without one."""
-    if memory.times[at.SPEED, at.SEEN] == 0:
-        return math.inf
-    return float((now - memory.times[at.SPEED, at.LAST_ARRIVAL]) * NANOSECOND)
+    times = Times(memory.times[at.SPEED])
+    return float((now - times.last_arrival) * NANOSECOND) if times.seen else math.inf
 
 
 def feedforward_now(k: Constants, memory: Memory, motion: Array, now: int) -> float:
     """The feed-forward [Nm] between two speeds: on its way to its target, and fading once the speed is old."""
-    age = age_of_speed(memory, now)
-    if not age < math.inf or motion[at.STARTED] <= 0.0:
+    age, last = age_of_speed(memory, now), Motion(motion)
+    if not age < math.inf or last.started <= 0.0:
         return 0.0
-    on_its_way = followed(motion[at.FEEDFORWARD], motion[at.FEEDFORWARD_TARGET], k.number.feedforward_rate, age)
+    on_its_way = followed(last.feedforward, last.feedforward_target, k.number.feedforward_rate, age)
     return on_its_way * fade(age, k.number.speed_max_age, k.number.feedforward_fade)
 
 
@@ -97,7 +97,8 @@ def is_stale(k: Constants, memory: Memory, now: int) -> bool:
 def rest_after(k: Constants, memory: Memory, carried: Carried, ambient: float, seconds: float) -> None:
     """Begin again after the vehicle stood, or was switched off: belts and effects have cooled, messages are forgotten."""
     there = ambient if math.isfinite(ambient) else k.number.nominal_ambient
-    if carried.motion[at.STARTED] > 0.0:
+    motion = Motion(carried.motion)
+    if motion.started > 0.0:
         rest(k, carried, there, k.number.ambient_unknown_std, min(max(seconds, 0.0), LONGEST_OFF))
-        carried.motion[at.STARTED] = RESTS
+        motion.started = RESTS
     forget_others(memory, -1)

@@ -43,9 +43,9 @@ class LearningColumns:
         second = learner.gate.second.number
         if second != self._second:
             self._values, self._second = shown(learner), second
-        torque = row[at.OUT_RESISTANCE]
-        if learned[at.LEARNED_ON] == 0.0 and learner.acts:
-            moved = learner.learned.applied * learned[at.SENSITIVITIES :]
+        torque = row[at.Results.resistance_torque_nm]
+        if learned[at.Learned.on] == 0.0 and learner.acts:
+            moved = learner.learned.applied * learned[at.Learned.sensitivities]
             torque += float(moved.sum()) - float(moved[at.OF_MASS])
         return [torque, *self._values]
 

@@ -69,14 +69,14 @@ def move(s: LearnerState, acts: bool, learned: Array, now: int, belt_variance: f
         Of the belts' temperature where no torque tells of it [K^2].
     """
     if not (acts and s.applied.any()):
-        learned[: at.LEARNED_SLOW] = 0.0
+        learned[: at.Learned.slow] = 0.0
         return
-    learned[at.LEARNED_ON] = 1.0
-    learned[at.DEPARTURES : at.LEARNED_TORQUE] = s.applied
-    learned[at.LEARNED_TORQUE] = s.lasting_nm
+    learned[at.Learned.on] = 1.0
+    learned[at.Learned.departures] = s.applied
+    learned[at.Learned.torque] = s.lasting_nm
     unexplained = s.mean[STEP] - s.lasting_nm if s.step_s < math.inf else 0.0
-    learned[at.LEARNED_SLOW] = math.sqrt(s.slow_std**2 + s.hills_variance + unexplained**2)
-    learned[at.LEARNED_FACTOR : at.SENSITIVITIES] = factor(s, max(now - s.second, 0), belt_variance).ravel()
+    learned[at.Learned.slow] = math.sqrt(s.slow_std**2 + s.hills_variance + unexplained**2)
+    learned[at.Learned.factor] = factor(s, max(now - s.second, 0), belt_variance).ravel()
 
 
 def belt_keeps(seconds: float) -> float:

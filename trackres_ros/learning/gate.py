@@ -148,9 +148,9 @@ class Gate:
             return
         self.samples.seen_ns = stamp_ns
         learned = session.learned
-        residual = row[at.OUT_RESIDUAL]
-        if learned[at.LEARNED_ON] > 0.0:  # against the file, whatever acts
-            moved = learned[at.DEPARTURES : at.LEARNED_TORQUE] * learned[at.SENSITIVITIES :]
+        residual = row[at.Results.residual_nm]
+        if learned[at.Learned.on] > 0.0:  # against the file, whatever acts
+            moved = learned[at.Learned.departures] * learned[at.Learned.sensitivities]
             residual += float(moved.sum()) + row_lasting(row, learned)
         why = self._why_not(stamp_ns, row, residual, float(session.memory.values[at.YAW_RATE]))
         second = self.second
@@ -159,21 +159,21 @@ class Gate:
             return
         second.taken += 1
         second.residual += residual
-        second.drive += row[at.OUT_MEASURED] - residual
-        second.resisting += row[at.OUT_RESISTANCE]
-        second.speed += row[at.OUT_SPEED]
-        second.accel += row[at.OUT_ACCEL]
-        second.weight += row[at.OUT_WEIGHT]
-        second.inertia += row[at.OUT_INERTIA]
+        second.drive += row[at.Results.measured_torque_nm] - residual
+        second.resisting += row[at.Results.resistance_torque_nm]
+        second.speed += row[at.Results.speed_mps]
+        second.accel += row[at.Results.accel_mps2]
+        second.weight += row[at.Results.weight_n]
+        second.inertia += row[at.Results.inertia_nm]
         second.felt += _felt(stamp_ns, session)
         belts = 0.0
         for column in self._belts:
             belts += row[column]
         second.belt_degc += belts / max(len(self._belts), 1)
-        second.by += learned[at.SENSITIVITIES :]
+        second.by += learned[at.Learned.sensitivities]
 
     def _why_not(self, stamp_ns: int, row: Row, residual: float, yaw_rate: float) -> int:
-        measured, speed, accel = row[at.OUT_MEASURED], row[at.OUT_SPEED], row[at.OUT_ACCEL]
+        measured, speed, accel = row[at.Results.measured_torque_nm], row[at.Results.speed_mps], row[at.Results.accel_mps2]
         if not math.isfinite(measured):
             return NO_TORQUE
         samples = self.samples
@@ -183,7 +183,7 @@ class Gate:
             return SLOW
         if stamp_ns - samples.since_ns > STUCK_S * SECOND_NS:
             return STUCK
-        if int(row[at.OUT_REASONS]) & UNSURE:
+        if int(row[at.Results.reasons]) & UNSURE:
             return DOUBTFUL
         ahead = math.copysign(1.0, speed)
         if accel * ahead < BRAKING_MPS2 and measured * ahead <= DRIVES_SHARE * self.rolling_nm:
@@ -196,7 +196,7 @@ class Gate:
         expected = measured - residual
         if (measured > most and expected < -most) or (measured < -most and expected > most):
             return AGAINST
-        return self._outlying(stamp_ns, residual, INERTIA_DOUBT * abs(row[at.OUT_INERTIA]))
+        return self._outlying(stamp_ns, residual, INERTIA_DOUBT * abs(row[at.Results.inertia_nm]))
 
     def _outlying(self, stamp_ns: int, residual: float, doubt: float) -> int:
         """Whether a sample is far from those of late, by more than a doubt [Nm]; follows their level by as much as one counts."""
@@ -227,11 +227,13 @@ class Gate:
 
 def row_lasting(row: Row, learned: Array) -> float:
     """What of a step's torque is one that goes on besides [Nm]."""
-    return float(learned[at.LEARNED_TORQUE]) * math.tanh(row[at.OUT_SPEED] / STANDSTILL_MPS)
+    return float(learned[at.Learned.torque]) * math.tanh(row[at.Results.speed_mps] / STANDSTILL_MPS)
 
 
 def _felt(stamp_ns: int, session: Session) -> float:
     """What an IMU feels along the track [m/s^2]; nan where there is none, or an old one."""
     times = session.memory.times[at.SPECIFIC_FORCE]
-    fresh = times[at.SEEN] and abs(stamp_ns - times[at.LAST_STAMP]) <= session.estimator.constants.number.motion_hold_ns
+    fresh = (
+        times[at.Times.seen] and abs(stamp_ns - times[at.Times.last_stamp]) <= session.estimator.constants.number.motion_hold_ns
+    )
     return float(session.memory.values[at.SPECIFIC_FORCE]) if fresh else math.nan

@@ -97,8 +97,8 @@ class Ground:
         """A second is over: the ground rose by the slope, and an altitude that came says by how much; changes both."""
         way, rise, (self.way_m, self.rise_m) = self.way_m, self.rise_m, (0.0, 0.0)
         self.known_slope = rise / way if way else 0.0
-        stamp = int(session.memory.times[at.ALTITUDE, at.LAST_STAMP])
-        came = bool(session.memory.times[at.ALTITUDE, at.SEEN]) and stamp != self.altitude_ns
+        stamp = int(session.memory.times[at.ALTITUDE, at.Times.last_stamp])
+        came = bool(session.memory.times[at.ALTITUDE, at.Times.seen]) and stamp != self.altitude_ns
         if self.follows or self.feels:
             # What it comes to on the whole, as an expectation over what is known of it (the step of an EM algorithm).
             now = float(mean[SLOPE] ** 2 + covariance[SLOPE, SLOPE])

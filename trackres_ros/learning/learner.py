@@ -58,8 +58,8 @@ def belt_variances(session: Session) -> tuple[float, float]:
     """
     if not len(session.belts):
         return 0.0, 0.0
-    by_air = float((session.belts[:, 0, at.CONSIDER_AMBIENT] ** 2).mean())
-    noise = session.belts[:, 0, at.NOISE_1] ** 2 + session.belts[:, 0, at.NOISE_2] ** 2
+    by_air = float((session.belts[:, 0, at.Belt.consider_ambient] ** 2).mean())
+    noise = session.belts[:, 0, at.Belt.noise_1] ** 2 + session.belts[:, 0, at.Belt.noise_2] ** 2
     return by_air, max(float(noise.mean()) + by_air, LEAST_BELT_STD_K**2)
 
 
@@ -81,9 +81,9 @@ class Learner:
         self.prior = make_prior(estimator)
         self._known = estimator.vehicle.disturbance
         self._belts = [estimator.column_index[f"belt_degc/{name}"] for name in estimator.assemblies]
-        load = estimator.constants.assembly[:, at.NOMINAL_LOAD]
+        load = estimator.constants.assembly[:, at.Assembly.nominal_load]
         weight = float(load.sum())
-        arm = float(load @ estimator.constants.assembly[:, at.RADIUS]) / weight
+        arm = float(load @ estimator.constants.assembly[:, at.Assembly.radius]) / weight
         self._arm = arm
         self._inertia = arm * estimator.vehicle.chassis.rotating_mass_factor / GRAVITY  # torque by weight and m/s^2
         self.delay = DelayEstimator(self.prior.rolling_nm)
@@ -115,20 +115,22 @@ class Learner:
 
     def take(self, stamp_ns: int, row: Row, session: Session) -> None:
         """Take a step of the session; once a second learn from those before it, and let that act from the next step on."""
-        reasons = int(row[at.OUT_REASONS])
+        reasons = int(row[at.Results.reasons])
         if reasons & TIME_RESET:
             self.restart()
         memory = session.memory
         self.delay.take(
             stamp_ns,
-            row[at.OUT_SPEED],
-            row[at.OUT_DRIVE] - row[at.OUT_INERTIA],
-            row[at.OUT_WEIGHT] * self._inertia,
-            int(memory.times[at.TORQUE, at.LAST_STAMP]),
+            row[at.Results.speed_mps],
+            row[at.Results.drive_torque_nm] - row[at.Results.inertia_nm],
+            row[at.Results.weight_n] * self._inertia,
+            int(memory.times[at.TORQUE, at.Times.last_stamp]),
             float(memory.values[at.TORQUE]),
             not reasons & SPEED_UNSURE,
         )
-        self.learned.ground.drive(stamp_ns, row[at.OUT_SPEED], row[at.OUT_GRADE] / (row[at.OUT_WEIGHT] * self._arm))
+        self.learned.ground.drive(
+            stamp_ns, row[at.Results.speed_mps], row[at.Results.grade_nm] / (row[at.Results.weight_n] * self._arm)
+        )
         number = stamp_ns // SECOND_NS
         second = self.gate.second
         if number != second.number:

@@ -128,12 +128,12 @@ def make_prior(estimator: Estimator) -> Prior:
     """
     k = estimator.constants
     own = [one.state for one in learnables(estimator.vehicle) if one.state in VEHICLES_OWN]
-    load = k.assembly[:, at.NOMINAL_LOAD]
+    load = k.assembly[:, at.Assembly.nominal_load]
     factor = (load / load.sum()) @ k.assembly[:, at.CONSIDER_FACTOR : at.CAUSES_OF]
     covariance = _tied(estimator, own, factor.reshape(4, 4))
     for state in own:
         covariance[state, state] += max(LEAST_STD**2 - covariance[state, state], 0.0)
-    rolling = ROLLING_SHARE * float(load @ k.assembly[:, at.RADIUS])
+    rolling = ROLLING_SHARE * float(load @ k.assembly[:, at.Assembly.radius])
     if estimator.assemblies:
         covariance[at.OF_BELT, at.OF_BELT] = k.number.initial_belt_std**2
     covariance[OFFSET, OFFSET] = (OFFSET_SHARE * rolling) ** 2

@@ -49,7 +49,7 @@ LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between
 MOST_BEFORE_CLOCK = 10000
 SAVING_ON_REQUEST_S, SAVING_AT_THE_END_S = 0.1, 10.0  # longest wait for a disk
 REASONS_KEPT_NS = 200_000_000  # looking at all takes longer than publishing; an old speed and what is new are seen at once
-MUST_BE_FINITE = (at.OUT_RESISTANCE, at.OUT_STD, at.OUT_FEEDFORWARD)
+MUST_BE_FINITE = (at.Results.resistance_torque_nm, at.Results.resistance_std_nm, at.Results.feedforward_torque_nm)
 
 
 class Application:
@@ -229,9 +229,9 @@ class Application:
         values = estimate.row.tolist()
         if not all(math.isfinite(values[column]) for column in MUST_BE_FINITE):
             raise ArithmeticError(f"the estimate is not finite: {values}")
-        stamp = int(self.session.memory.times[at.SPEED, at.LAST_STAMP])
-        self._publisher.take(values, float(self.session.motion[at.FEEDFORWARD_TARGET]), stamp, steady, self._pace(steady))
-        new_reasons = self.guard("watching the reasons", self._watch.accepted, int(values[at.OUT_REASONS]), now - stamp)
+        stamp = int(self.session.memory.times[at.SPEED, at.Times.last_stamp])
+        self._publisher.take(values, float(self.session.motion[at.Motion.feedforward_target]), stamp, steady, self._pace(steady))
+        new_reasons = self.guard("watching the reasons", self._watch.accepted, int(values[at.Results.reasons]), now - stamp)
         if new_reasons:
             self._reasons_seen = None
         if self.active and self._on_speed:

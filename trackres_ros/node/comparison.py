@@ -55,15 +55,17 @@ class Comparison:
 
     def take(self, stamp_ns: int, row: Sequence[float]) -> str:
         """Take the results of a step at a time [ns]; what is to be logged of it, empty where nothing is."""
-        if int(row[at.OUT_REASONS]) & TIME_RESET:
+        if int(row[at.Results.reasons]) & TIME_RESET:
             self.restart()
-        residual, speed, accel = row[at.OUT_RESIDUAL], row[at.OUT_SPEED], row[at.OUT_ACCEL]
+        residual, speed, accel = row[at.Results.residual_nm], row[at.Results.speed_mps], row[at.Results.accel_mps2]
         before, explained = self.belief, 0.0
         if self._watch is not None:
             counts = self._detector.settings.compares(speed, accel)
             self.belief = self._watch.take(stamp_ns, residual if counts else math.nan, speed)
             explained = 0.0 if self.belief.overdue else self.belief.torque_nm * math.copysign(1.0, speed)
-        self._detector.take(stamp_ns, residual - explained, row[at.OUT_DRIVE], row[at.OUT_STD], speed, accel)
+        self._detector.take(
+            stamp_ns, residual - explained, row[at.Results.drive_torque_nm], row[at.Results.resistance_std_nm], speed, accel
+        )
         return _turned(before, self.belief)
 
     def notices(self, command: str) -> list[Notice]:

@@ -67,7 +67,7 @@ class LiveLearning:
             self.learner.restart()
         self.mode = self.learner.mode = mode
         if mode != ON:
-            session.learned[: at.SENSITIVITIES] = 0.0
+            session.learned[: at.Learned.sensitivities.start] = 0.0
 
     def restart(self) -> None:
         """The estimate starts anew; what was learned of the vehicle stays."""
@@ -76,7 +76,7 @@ class LiveLearning:
 
     def reset(self, session: Session) -> str:
         """Forget what was learned; what was done, in words."""
-        session.learned[: at.SENSITIVITIES] = 0.0
+        session.learned[: at.Learned.sensitivities.start] = 0.0
         if self.learner is None:
             return "no torque is measured, so nothing was learned"
         self.learner.reset()

@@ -87,12 +87,12 @@ class OutputPublisher:
         rate = self.estimator.settings.feedforward_rate
         before_pace, before_ns = self._published_at or (pace, steady)
         elapsed_s = max(0, pace - before_pace, steady - before_ns) * NANOSECOND  # a simulated clock stands between its ticks
-        goal = FOLLOWED(self.row[at.OUT_FEEDFORWARD], self._target, rate, (pace - self._taken_pace) * NANOSECOND)
+        goal = FOLLOWED(self.row[at.Results.feedforward_torque_nm], self._target, rate, (pace - self._taken_pace) * NANOSECOND)
         goal = goal if enabled and self._withdrawn_ns is None else 0.0
         self._unfaded = TOWARDS(self._unfaded, goal, rate * elapsed_s)
         self.feedforward, self._published_at = self._unfaded * self.left(steady), (pace, steady)
         row = self.row.copy()
-        row[at.OUT_FEEDFORWARD] = self.feedforward
+        row[at.Results.feedforward_torque_nm] = self.feedforward
         for output, values in self._values:
             numbers = values(row)
             if not all(map(math.isfinite, numbers)):

@@ -26,7 +26,7 @@ MEANING = MappingProxyType(
     }
 )
 TIME_RESET = int(at.Reason.TIME_RESET)
-LOOKED_AT = [at.OUT_RESIDUAL, at.OUT_SPEED, at.OUT_ACCEL, at.OUT_REASONS]
+LOOKED_AT = [at.Results.residual_nm, at.Results.speed_mps, at.Results.accel_mps2, at.Results.reasons]
 
 
 class DisturbanceColumns:

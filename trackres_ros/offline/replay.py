@@ -163,7 +163,7 @@ class LearningSteps:
             estimate = session.handle(*message)
             if estimate is None:
                 continue
-            row, stamp = estimate.row.tolist(), int(session.memory.times[at.SPEED, at.LAST_STAMP])
+            row, stamp = estimate.row.tolist(), int(session.memory.times[at.SPEED, at.Times.last_stamp])
             learner.take(stamp, row, session)
             rows.append([*row, *self._columns.of(row, session)])
             stamps.append(stamp)

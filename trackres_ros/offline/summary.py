@@ -87,7 +87,7 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
     estimator = result.session.estimator
     last = {name: _finite(float(result.last[i])) for i, name in enumerate(estimator.columns) if name != "reasons"}
     learned = {} if result.learner is None else {"learning": _learned(result.learner)}
-    torque = result.picture[:, HEAD + at.OUT_RESISTANCE]
+    torque = result.picture[:, HEAD + at.Results.resistance_torque_nm]
     counters: dict[str, dict[str, int]] = {}
     for channel, count, number in result.session.counts():
         counters.setdefault(channel, {})[count.name.lower()] = number

@@ -95,7 +95,7 @@ class OutputBag:
             self._writer.write_block(bag_topic, steps.stamp_ns[known], steps.arrival_ns[known], values[known])
 
     def _write_status(self, topic: BagTopic, steps: Steps) -> None:
-        reasons = steps.rows[:, at.OUT_REASONS].astype(np.int64)
+        reasons = steps.rows[:, at.Results.reasons].astype(np.int64)
         before = np.concatenate([[-1 if self._last_reasons is None else self._last_reasons], reasons[:-1]])
         for i in self._due(steps.arrival_ns, reasons != before):
             message = self._status(int(reasons[i]))

@@ -127,7 +127,7 @@ class SimulationResult(SeriesResult):
     @property
     def drive(self) -> dict[str, float]:
         """What the drive takes against resistance: way, time under way, resistance [Nm], energy, kWh/km, belts."""
-        belts = assembly_values(self._rows, at.PER_BELT).T
+        belts = assembly_values(self._rows, at.OfAssembly.belt_degc).T
         radius = vehicle_constants(self.vehicle).radius
         return taken(self.time_s, self["speed_mps"], self["resistance_torque_nm"], belts, radius)
 

@@ -48,9 +48,9 @@ def simulated(
     arguments = kernel_arguments(k, COMPILED.compiled)
     state = Carried(
         np.empty((belts, 2, at.BELT_COLUMNS)),
-        np.empty(at.MOTION_COLUMNS),
+        np.empty(at.Motion.columns),
         new_memory(len(acting.stepped)),
-        np.zeros(at.LEARNED_COLUMNS),
+        np.zeros(at.Learned.columns),
     )
     found: list[Array] = []
     for i, (session, unseen) in enumerate(with_unseen(sessions)):

@@ -180,15 +180,17 @@ class TrackBase(Defaults):
             two_nodes=vehicle.thermal == "core_surface" or resistance > 0.0,
         )
         assembly = k.assembly[self._firsts]
-        assembly[:, at.FILM_OFFSET] *= values[FILM]
-        assembly[:, at.FILM_SLOPE] *= values[FILM]
-        assembly[:, at.CAPACITY] *= values[CAPACITY]
-        assembly[:, at.SURFACE_SHARE] = values.get(SURFACE_SHARE, assembly[:, at.SURFACE_SHARE])
+        assembly[:, at.Assembly.film_offset] *= values[FILM]
+        assembly[:, at.Assembly.film_slope] *= values[FILM]
+        assembly[:, at.Assembly.capacity] *= values[CAPACITY]
+        assembly[:, at.Assembly.surface_share] = values.get(SURFACE_SHARE, assembly[:, at.Assembly.surface_share])
         conducts = values.get(CONDUCTIVITY, vehicle.rubber.conductivity) / vehicle.rubber.conductivity
         for row, i in zip(assembly, self._firsts, strict=True):
             network = self._networks[vehicle.assemblies[i].track]
             network = network._replace(inner_conductance=conducts * network.inner_conductance)
-            row[at.INNER_CONDUCTANCE], row[at.SKIN_CONDUCTANCE] = conductances(network, vehicle.thermal, resistance)
+            row[at.Assembly.inner_conductance], row[at.Assembly.skin_conductance] = conductances(
+                network, vehicle.thermal, resistance
+            )
         loss = values[LOSS] / vehicle.rubber.loss_modulus_scale
         return k._replace(
             number=number,
@@ -202,7 +204,7 @@ def _kinds(k: Constants) -> tuple[list[int], Array]:
     """Assemblies of one kind that carry one share of the weight have belts that are alike: one of each, and how many."""
     found: dict[tuple[float, float], list[int]] = {}
     for i, row in enumerate(k.assembly):
-        found.setdefault((row[at.KIND], round(float(row[at.SHARE_OF_ALL]), 6)), []).append(i)
+        found.setdefault((row[at.Assembly.kind], round(float(row[at.Assembly.share_of_all]), 6)), []).append(i)
     return [rows[0] for rows in found.values()], np.array([len(rows) for rows in found.values()], dtype=float)
 
 

@@ -28,7 +28,7 @@ def age(seed: int, hours: float, vehicle: str = "xgd24d") -> Hours:
     """Drive so many hours at 2 Hz; after each what acts is off by [share of the torque], and how large the state is [bytes]."""
     estimator = Estimator(load(find_vehicle(vehicle)))
     true, session, learner = estimator.session(), estimator.session(), Learner(estimator, "on")
-    true.learned[at.LEARNED_ON], true.learned[at.DEPARTURES + at.OF_LOSS] = 1.0, TRUE_LOSS
+    true.learned[at.Learned.on], at.Learned(true.learned).departures[at.OF_LOSS] = 1.0, TRUE_LOSS
     rng = np.random.default_rng([seed, 200])
     keep = np.exp(-0.5 / WANDERS_S)
     slow, found = 0.0, []

@@ -1,0 +1,127 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Names the numbers of an array: `Motion(motion).last_speed` is an entry of `motion`, to read and to change.
+
+In compiled code a row is a record that lies where the array lies, so a name costs nothing. The array keeps its layout.
+"""
+
+from __future__ import annotations
+
+import math
+from importlib import import_module
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.jit.compiled import HAVE_NUMBA
+
+Array = NDArray[np.float64]
+
+
+class Real:
+    """A real number of a row; of the class, its place in the array. `Row` puts a property where one is declared."""
+
+    kind: Any = np.float64
+    shape: tuple[int, ...] = ()
+
+    @overload
+    def __get__(self, row: None, of: type[Row]) -> int: ...
+    @overload
+    def __get__(self, row: Row, of: type[Row]) -> float: ...
+    def __get__(self, row: Row | None, of: type[Row]) -> Any:
+        raise NotImplementedError
+
+    def __set__(self, row: Row, value: float) -> None:
+        raise NotImplementedError
+
+
+class Whole:
+    """A whole number of a row, else as `Real`."""
+
+    kind: Any = np.int64
+    shape: tuple[int, ...] = ()
+
+    def __get__(self, row: Row | None, of: type[Row]) -> int:
+        raise NotImplementedError
+
+    def __set__(self, row: Row, value: int) -> None:
+        raise NotImplementedError
+
+
+class Reals:
+    """Several real numbers of a row, which are an array; of the class, the slice where they lie."""
+
+    kind: Any = np.float64
+
+    def __init__(self, count: int) -> None:
+        self.shape = (count,)
+
+    @overload
+    def __get__(self, row: None, of: type[Row]) -> slice: ...
+    @overload
+    def __get__(self, row: Row, of: type[Row]) -> Array: ...
+    def __get__(self, row: Row | None, of: type[Row]) -> Any:
+        raise NotImplementedError
+
+
+class _Number(property):
+    """What stands in the place of a `Real`, `Whole` or `Reals`."""
+
+    place: int | slice
+
+
+class _Places(type):
+    def __getattribute__(cls, name: str) -> Any:
+        found = super().__getattribute__(name)
+        return found.place if isinstance(found, _Number) else found
+
+
+class Row(metaclass=_Places):
+    """Base class: a subclass declares the numbers in their order."""
+
+    __slots__ = ("numbers",)
+    columns: int
+    names: tuple[str, ...]  # one a number: those of several are alike
+
+    def __init__(self, numbers: NDArray[Any]) -> None:
+        self.numbers = numbers
+
+    def __init_subclass__(cls) -> None:
+        declared = {name: one for name, one in vars(cls).items() if isinstance(one, Real | Whole | Reals)}
+        cls.names = tuple(name for name, one in declared.items() for _ in range(math.prod(one.shape)))
+        cls.columns = len(cls.names)
+        for name, one in declared.items():
+            first = cls.names.index(name)
+            setattr(cls, name, _number(slice(first, first + one.shape[0]) if one.shape else first))
+        if HAVE_NUMBA:
+            _compile(cls, [(name, one.kind, one.shape) for name, one in declared.items()])
+
+
+def _number(place: int | slice) -> _Number:
+    """The property of a place, which stands in the code as a constant: Python is a tenth faster so."""
+    where, known = f"{place.start}:{place.stop}" if isinstance(place, slice) else place, dict[str, Any]()
+    exec(f"def get(row):\n    return row.numbers[{where}]\ndef change(row, value):\n    row.numbers[{where}] = value", known)
+    number = _Number(known["get"], known["change"])
+    number.place = place
+    return number
+
+
+if HAVE_NUMBA:
+    numba: Any = import_module("numba")
+    extending: Any = import_module("numba.extending")
+
+    def _compile(row: type[Row], fields: list[Any]) -> None:
+        """In compiled code, a call of the class gives a record at the address of the array."""
+        record = numba.from_dtype(np.dtype(fields, align=True))
+        fits = [numba.types.Array(numba.from_dtype(np.dtype(fields[0][1])), 1, "C", readonly) for readonly in (False, True)]
+
+        @extending.type_callable(row)  # type: ignore[untyped-decorator]
+        def _typed(_context: Any) -> Any:
+            return lambda numbers: record if numbers in fits else None
+
+        @extending.lower_builtin(row, numba.types.Array)  # type: ignore[untyped-decorator]
+        def _lowered(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            array = context.make_array(signature.args[0])(context, builder, values[0])
+            return builder.bitcast(array.data, context.get_value_type(record))
