@@ -4,16 +4,31 @@
 """A transport that keeps what it is given, and a clock that stands until it is moved: the application without a middleware."""
 
 import math
+import shutil
 from types import SimpleNamespace
 
 import pytest
 
+from trackres_ros.files.resources import config_dir
 from trackres_ros.node.application import Application
 from trackres_ros.node.endpoints import input_name
 from trackres_ros.node.parameters import make_parameters
 
 START_NS = 1_700_000_000_000_000_000
 SECOND_NS = 1_000_000_000
+TOPICS = """
+speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
+torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
+"""
+SPELLS = """
+disturbance:
+  form: spells
+  level: {{value: {level}, unit: Nm, flag: F, range: [{low}, {high}], reason: found by trackres diagnose}}
+  rest: {{value: 0.0, unit: Nm, flag: F, range: [-10.0, 10.0], reason: found by trackres diagnose}}
+  mean_there: {{value: 60.0, unit: s, flag: F, range: [30.0, 90.0], reason: found by trackres diagnose}}
+  mean_away: {{value: 120.0, unit: s, flag: F, range: [60.0, 180.0], reason: found by trackres diagnose}}
+  noise: {{value: 100.0, unit: Nm, flag: F, range: [80.0, 120.0], reason: found by trackres diagnose}}
+"""
 
 
 class Desk:
@@ -169,3 +184,24 @@ def _desks(kind):
     yield make
     for made in desks:
         made.app.close()
+
+
+@pytest.fixture
+def topics(tmp_path):
+    """Topics file with a speed and a torque."""
+    file = tmp_path / "topics.yaml"
+    file.write_text(TOPICS)
+    return str(file)
+
+
+@pytest.fixture
+def disturbed(tmp_path):
+    """File of a vehicle with spells of some torque [Nm] to watch for."""
+
+    def made(level):
+        vehicle = shutil.copytree(config_dir(), tmp_path / "config") / "disturbed.yaml"
+        spells = SPELLS.format(level=level, low=0.9 * level, high=1.1 * level)
+        vehicle.write_text((vehicle.parent / "xgd24d.yaml").read_text() + spells)
+        return str(vehicle)
+
+    return made

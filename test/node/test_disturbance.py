@@ -4,44 +4,25 @@
 """A torque that comes and goes, watched for live: said where it is to be seen, and in nothing that is fed forward."""
 
 import re
-import shutil
 
 import pytest
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.disturbance import LONGEST_MEANS
-from trackres_ros.files.resources import config_dir
 from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.mismatch import MismatchSettings
 from trackres_ros.node.transport import Level
 from trackres_ros.vehicle import Drift, Spells
 
 LEVEL_NM = 1000.0
-SECTION = """
-disturbance:
-  form: spells
-  level: {value: 1000.0, unit: Nm, flag: F, range: [900.0, 1100.0], reason: found by trackres diagnose}
-  rest: {value: 0.0, unit: Nm, flag: F, range: [-10.0, 10.0], reason: found by trackres diagnose}
-  mean_there: {value: 60.0, unit: s, flag: F, range: [30.0, 90.0], reason: found by trackres diagnose}
-  mean_away: {value: 120.0, unit: s, flag: F, range: [60.0, 180.0], reason: found by trackres diagnose}
-  noise: {value: 100.0, unit: Nm, flag: F, range: [80.0, 120.0], reason: found by trackres diagnose}
-"""
-TOPICS = """
-speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
-torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
-"""
 SPELLS = Spells(LEVEL_NM, 0.0, 60.0, 120.0, 100.0)
 START_NS = 1_700_000_000_000_000_000
 
 
 @pytest.fixture
-def given(tmp_path):
+def given(disturbed, topics):
     """Parameters of a vehicle with and without something to watch for, and of topics with a torque."""
-    folder = shutil.copytree(config_dir(), tmp_path / "config")
-    disturbed, topics = folder / "disturbed.yaml", folder / "topics.yaml"
-    disturbed.write_text((folder / "xgd24d.yaml").read_text() + SECTION)
-    topics.write_text(TOPICS)
-    return {"vehicle": str(disturbed), "topics": str(topics)}, {"vehicle": str(folder / "xgd24d.yaml"), "topics": str(topics)}
+    return {"vehicle": disturbed(LEVEL_NM), "topics": topics}, {"topics": topics}
 
 
 def expected_nm(d):

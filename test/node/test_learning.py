@@ -5,35 +5,12 @@
 
 import math
 import re
-import shutil
 
 import pytest
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.files.resources import config_dir
 from trackres_ros.node.notices import KINDS
-
-TOPICS = """
-speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
-torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
-"""
-SPELLS = """
-disturbance:
-  form: spells
-  level: {value: 300.0, unit: Nm, flag: F, range: [280.0, 320.0], reason: found by trackres diagnose}
-  rest: {value: 0.0, unit: Nm, flag: F, range: [-10.0, 10.0], reason: found by trackres diagnose}
-  mean_there: {value: 60.0, unit: s, flag: F, range: [30.0, 90.0], reason: found by trackres diagnose}
-  mean_away: {value: 120.0, unit: s, flag: F, range: [60.0, 180.0], reason: found by trackres diagnose}
-  noise: {value: 100.0, unit: Nm, flag: F, range: [80.0, 120.0], reason: found by trackres diagnose}
-"""
-
-
-@pytest.fixture
-def topics(tmp_path):
-    file = tmp_path / "topics.yaml"
-    file.write_text(TOPICS)
-    return str(file)
 
 
 def drive(d, seconds, share=1.1, more=0.0):
@@ -132,11 +109,8 @@ def test_it_is_compiled_while_it_learns_and_goes_on(desk, topics):
 
 
 @pytest.mark.parametrize(("more", "kind"), [(300.0, ", of the kind seen before (spells)"), (700.0, "")])
-def test_a_disturbance_is_reported_with_its_kind_if_known(desk, topics, tmp_path, more, kind):
-    folder = shutil.copytree(config_dir(), tmp_path / "config")
-    vehicle = folder / "disturbed.yaml"
-    vehicle.write_text((folder / "xgd24d.yaml").read_text() + SPELLS)
-    d = desk(topics=topics, vehicle=str(vehicle))
+def test_a_disturbance_is_reported_with_its_kind_if_known(desk, topics, disturbed, more, kind):
+    d = desk(topics=topics, vehicle=disturbed(300.0))
     drive(d, 400.0, 1.0)
     assert dict(learned_topic(d)["learning"].values)["disturbance"] == ""
     drive(d, 90.0, 1.0, more)
