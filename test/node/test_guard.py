@@ -121,7 +121,7 @@ def test_no_call_besides_the_step_can_change_the_torque(node, monkeypatch, rate_
             if name not in SILENT:
                 status = [found[0] for topic, found in d.statuses if topic == "status"][-1]
                 assert status.level == Level.WARN, name
-                assert "failed, a fault of this program" in status.message, name
+                assert "failed because of a bug" in status.message, name
                 assert "Failure: injected" in status.message, name
             d.app.close()
 

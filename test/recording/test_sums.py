@@ -130,10 +130,10 @@ def test_live_adds_as_a_bag_does(tmp_path_factory, steps):
 
 def test_a_bag_without_torque_names_the_topics_that_may_hold_it(tmp_path, trackres):
     path = write(tmp_path / "run.mcap", [("/left", START, {"s": 1.0}), ("/right", START, {"s": 1.0})])
-    assert "no torque is read; it may be in: /left, /right" in tr.read(path, topics={"speed": SPEED}).notes
+    assert "no torque channel is in use; candidates: /left, /right" in tr.read(path, topics={"speed": SPEED}).notes
     done = trackres("diagnose", path, "--vehicle", "xgd24d", "-o", tmp_path / "report")
     assert done.returncode == 2
-    assert "it may be in /left, /right: name it in a topics file: torque: {topic: NAME, type: TYPE, field: FIELD}" in done.stderr
+    assert "it may be in /left, /right: give it in a topics file: torque: {topic: NAME, type: TYPE, field: FIELD}" in done.stderr
 
 
 def test_the_line_a_diagnosis_writes_for_a_sum_parses_back():
@@ -168,5 +168,5 @@ def test_a_sum_that_is_none_is_refused(line, says):
 
 
 def test_no_sum_of_angles():
-    with pytest.raises(InputError, match="no angle"):
+    with pytest.raises(InputError, match="not an angle"):
         Topics.parse({"heading": {"sum": [PART, {"column": "b"}]}})

@@ -218,7 +218,10 @@ def _lines_of_numbers(
         raise InputError(name, f"{len(at)} rows", f"at most {MOST_ROWS}", "average or thin the sweep")
     if separator == "\t" and not any("\t" in lines[i].strip() for i in at):
         separator = SPACES
-    remedies = {",": "decimal commas need semicolons or tabs between cells", SPACES: "an empty cell is not seen between spaces"}
+    remedies = {
+        ",": "decimal commas need semicolons or tabs between cells",
+        SPACES: "empty cells cannot be detected between spaces",
+    }
     wanted = []
     for i in at:
         cells = _cells(lines[i], separator)
@@ -308,7 +311,7 @@ def _assembled(
             )  # fmt: skip
         return values
 
-    unit = "check its unit; a row that the instrument could not measure may be deleted"
+    unit = "check its unit; delete rows that the instrument could not measure"
     (k_temp, _), *_ = by_role[TEMPERATURE]
     temp_degc = checked(k_temp, si[:, k_temp], SWEEP_DEGC, 1.0, unit)
     parts = []

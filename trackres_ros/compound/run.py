@@ -93,9 +93,7 @@ def _remarks(fit: CompoundFit) -> list[str]:
             f"{100 * fit.prony.rms[1]:.0f} % in loss modulus; strain amplitude, clamping or the shift may be the cause"
         )
     if fit.law == KEPT:
-        remarks.append(
-            "for a shift of its own a compound needs several frequencies, over a factor of 10 or more, at each temperature"
-        )
+        remarks.append("to fit a shift, measure several frequencies over a factor of 10 or more at each temperature")
     if fit.power is not None and fit.with_power is not None:
         power = alike([fit.power.value, fit.power.low, fit.power.high], fit.power.high - fit.power.low)
         rms = " and ".join(f"{decimals(100.0 * x, 2)} %" for x in fit.with_power)

@@ -64,7 +64,7 @@ def headline(row: Mapping[str, Any], names: Sequence[str]) -> str:
         f"On the drive {row['cycle']} {names[1]} takes {size} +- {wide} kWh/km {'more' if difference > 0.0 else 'less'} than "
         f"{names[0]} ({100.0 * difference / one:+.1f} %)"
     )
-    return f"{text}." if abs(difference) > half else f"{text}: the ranges of the files do not settle which takes more."
+    return f"{text}." if abs(difference) > half else f"{text}: the ranges of the files do not decide which takes more."
 
 
 def _conditions(

@@ -101,7 +101,7 @@ def varied(vehicle: Vehicle, given: str, where: str = "--vary") -> Varied:
     if not relative:
         return Varied(paths, unit, (found,) * len(paths))
     if unit == DEGREES:
-        raise InputError(where, given, f"values in {DEGREES}", f"a percentage of {DEGREES} means nothing")
+        raise InputError(where, given, f"values in {DEGREES}", f"a percentage of {DEGREES} is meaningless")
     if len(found) == 1:
         found = (0.0, *found)
     now = [q.value for q in quantities if isinstance(q.value, float)]

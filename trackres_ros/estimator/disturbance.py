@@ -120,9 +120,9 @@ class Belief:
     def text(self) -> str:
         """The same in a sentence."""
         if self.form == Drift.form:
-            return f"a torque that wanders is expected to be {self.torque_nm:.0f} Nm against travel, +-{2.0 * self.std_nm:.0f} Nm"
-        state = "there for longer than it lasts" if self.overdue else "there" if self.present else "not there"
-        return f"a torque that comes and goes is {state} (probability {self.there:.2f}): {self.torque_nm:.0f} Nm against travel"
+            return f"the drifting torque is estimated at {self.torque_nm:.0f} Nm against travel, +-{2.0 * self.std_nm:.0f} Nm"
+        state = "present for longer than usual" if self.overdue else "present" if self.present else "absent"
+        return f"the intermittent torque is {state} (probability {self.there:.2f}): {self.torque_nm:.0f} Nm against travel"
 
 
 class _SpellsFilter:

@@ -32,8 +32,8 @@ def alone(folder: Path) -> Iterator[None]:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             lock.seek(0)
-            given = f"{folder}, where another run writes ({lock.read(MOST_READ).strip() or 'of unknown number'})"
-            raise InputError("--output", given, "a folder for one run at a time", "wait until it ends") from None
+            given = f"{folder}, in use by another run ({lock.read(MOST_READ).strip() or 'of unknown number'})"
+            raise InputError("--output", given, "a folder that no other run uses", "wait until it ends") from None
         except OSError:  # a file system without locks
             yield
             return

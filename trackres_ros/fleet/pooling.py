@@ -183,7 +183,7 @@ def pool(data: Vehicles) -> Pooled:
         If there is no recording.
     """
     if not len(data):
-        raise InputError("recordings", "none that could be compared", "at least one")
+        raise InputError("recordings", "no comparable recording", "at least one")
     between, within = _spreads(data)
     weight = np.ones(len(data))
     for _ in range(TURNS):

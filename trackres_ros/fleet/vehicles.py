@@ -84,8 +84,8 @@ class Fleet:
             raise InputError(url, f"a recording of {names}", "one vehicle", "make the recordings patterns of fleet.yaml narrower")
         raise InputError(
             url,
-            "a recording of none of the vehicles",
-            "a folder with the name of one",
+            "a recording of no vehicle",
+            "a folder named after a vehicle",
             "or give recordings patterns in fleet.yaml",
         )
 

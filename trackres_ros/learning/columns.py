@@ -18,7 +18,7 @@ from trackres_ros.text.numbers import figures
 LEARNING, LEARNED, FROZEN = range(3)
 STATES_OF = ("learning", "learned", "frozen")
 TORQUE, COVERAGE, ACTS = "learned_resistance_torque_nm", "learned_coverage", "learned_acts"
-TEXTS = ("the vehicle file is used", "what was learned fits better than the vehicle file")
+TEXTS = ("the vehicle file is used", "the learned parameters fit better than the vehicle file")
 
 
 class LearningColumns:

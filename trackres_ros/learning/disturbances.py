@@ -113,10 +113,10 @@ def why_frozen(s: LearnerState, now: int, known: Disturbance | None) -> str:
     if s.disagrees > DISAGREES_SHARE:
         return f"{100.0 * s.disagrees:.0f} % of the measured torques disagree with the others"
     if s.suspect:
-        return f"a step of {s.suspect:+.0f} Nm is looked at"
+        return f"a step of {s.suspect:+.0f} Nm is being checked"
     if s.step_s < STEP_HOLDS_S:
         since = max(now - s.step_second, 0)
-        return f"{said(s.step_nm, since, known)}: a sensor, a brake, a load or the ground, not the belts"
+        return f"{said(s.step_nm, since, known)}: caused by a sensor, brake, load or the ground, not by the belts"
     return ""
 
 
@@ -131,4 +131,4 @@ def said(torque_nm: float, since_s: int, known: Disturbance | None) -> str:
     if isinstance(known, Spells):
         size = abs(known.level - known.rest)
         kind = f", of the kind seen before ({known.form})" if abs(abs(torque_nm) - size) < ALIKE_SHARE * size else ""
-    return f"a disturbance of {torque_nm:+.0f} Nm since {since_s} s{kind}"
+    return f"a disturbance of {torque_nm:+.0f} Nm for {since_s} s{kind}"

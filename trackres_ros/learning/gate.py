@@ -51,14 +51,14 @@ UNSURE = int(
 NO_TORQUE, SLOW, HARD, BRAKES, TURNS, STUCK, AGAINST, OUTLYING, DOUBTFUL = range(9)
 TEXTS = (
     "no torque is measured",
-    "it stands or crawls",
-    "it accelerates hard",
-    "it brakes",
-    "it turns",
+    "the vehicle stands or crawls",
+    "the vehicle accelerates hard",
+    "the vehicle brakes",
+    "the vehicle turns",
     "the measured torque is stuck",
-    "the measured torque has the sense that it cannot have",
-    "the measured torque jumps about",
-    "the estimate itself is in doubt",
+    "the measured torque has an impossible sign",
+    "the measured torque is an outlier",
+    "the estimate itself is uncertain",
 )
 COUNTED, TAKEN = len(TEXTS), -1
 OF_SENSOR = (NO_TORQUE, STUCK, AGAINST, OUTLYING)  # what is wrong with a measured torque, whatever is driven

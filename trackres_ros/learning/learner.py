@@ -274,13 +274,14 @@ class Learner:
             return f"frozen: {self.frozen}"
         second = self.gate.second
         if self.disturbance:
-            return f"{self.disturbance} is there beside the vehicle"
+            return f"{self.disturbance}, separate from the vehicle's parameters"
         if not s.seconds and second.number >= 0:
-            return f"nothing to learn from yet: {TEXTS[second.mostly]}"
+            return f"no usable data yet: {TEXTS[second.mostly]}"
         count = int(self.counted.sum())
         if not count:
-            return f"learning: {100.0 * self.buckets.share:.0f} % of what is needed has been driven"
+            return f"learning: {100.0 * self.buckets.share:.0f} % of the required driving is done"
         if not self.acts:
-            return "learned, but no better than the vehicle file so far: the file is used"
-        using = "used" if self.mode == "on" else "not used, as it only watches"
-        return f"learned {count} of {len(self.own)}, {self.learned.contest.gain:.0f} Nm better than the vehicle file; {using}"
+            return "the learned parameters fit no better than the vehicle file so far: the file is used"
+        using = "used" if self.mode == "on" else "not used in this mode"
+        better = f"{self.learned.contest.gain:.0f} Nm better than the vehicle file"
+        return f"{count} of {len(self.own)} parameters learned, {better}; {using}"

@@ -150,7 +150,7 @@ class Application:
         for given, text in listed:
             if text is None:
                 name = self._transport.topic_name(given.name)
-                self._log(Level.WARN, f"{name} is not recorded: {given.type} is not known here")
+                self._log(Level.WARN, f"{name} is not recorded: its type {given.type} is unknown")
         known = [(given, text) for given, text in listed if text is not None]
         place = {index: known.index((given, text)) for index, (given, text) in enumerate(listed) if text is not None}
         self._keep = lambda index, raw, arrival_ns: keep(place[index], raw, arrival_ns) if index in place else None
@@ -383,7 +383,7 @@ class Application:
 
     def _log_notices(self, steady: int) -> None:
         notices = self.notices(steady)
-        texts = "; ".join(notice.text for notice in notices) or "all is well"
+        texts = "; ".join(notice.text for notice in notices) or "no warnings"
         self.guard("the service manager", self._service.status, f"{level_of(notices).name.lower()}: {texts}")
         entry = self._watch.to_log(notices, steady)
         if entry:
@@ -470,7 +470,7 @@ class Application:
         self.session.start_anew(time_went_back=False)
         self.comparison.restart()
         self.learning.restart()
-        text = f"the estimate starts anew, with cold {'belts' if self.estimator.assemblies else 'effects'}, at the next speed"
+        text = f"the estimate restarts with cold {'belts' if self.estimator.assemblies else 'effects'} at the next speed"
         self._log(Level.WARN, f"reset: {text}")
         return text
 
@@ -496,7 +496,7 @@ class Application:
         self.session.start_anew(time_went_back=True)
         self.comparison.restart()
         self.learning.restart()
-        self._log(Level.WARN, "time went back: the estimate starts anew")
+        self._log(Level.WARN, "time went back: the estimate restarts")
 
     def close(self) -> str:
         """Save the state and end what runs beside; what was done, in words."""
@@ -507,14 +507,14 @@ class Application:
         self.guard("ending the compiler", self._warm_up.close)
         self.guard("the log", self._log_counts)
         if self.keeper.path is None:
-            return "no state is kept"
+            return "no state is saved"
         try:
             self._rest_unused_belts()
             return self.keeper.save(self.session, self._state_at, self.learning.learner, SAVING_AT_THE_END_S)
         except InputError as error:
             return str(error)
         except Exception as error:  # whatever fails, it is to end
-            return f"the state is not saved, a fault of this program: {type(error).__name__}: {error}"
+            return f"the state is not saved because of a bug: {type(error).__name__}: {error}"
 
     def _log_counts(self) -> None:
         counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]

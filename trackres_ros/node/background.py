@@ -72,7 +72,7 @@ class ErrorLines:
                 dropped = self._put - self._taken - len(self._lines)
                 if dropped > 0:
                     self._taken += dropped
-                    line = f"[{dropped} lines of the log were dropped, as nobody took them]\n{line}"
+                    line = f"[{dropped} lines of the log were dropped, because nothing read them]\n{line}"
                 self._write(line)
 
     def _write(self, line: str) -> None:

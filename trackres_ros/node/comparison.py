@@ -70,7 +70,7 @@ class Comparison:
         """What is to be noticed; `command` looks into a mismatch."""
         verdict, belief = self.verdict, self.belief
         return [
-            *([Notice("MISMATCH", f"{verdict.text}; look into it with: {command}")] if verdict.parted else []),
+            *([Notice("MISMATCH", f"{verdict.text}; investigate with: {command}")] if verdict.parted else []),
             *([Notice("DISTURBANCE", belief.text)] if belief is not None and belief.present else []),
         ]
 
@@ -79,4 +79,4 @@ def _turned(before: Belief | None, now: Belief | None) -> str:
     """That a spell begins or is over, in words; empty where neither is."""
     if before is None or now is None or before.present is now.present:
         return ""
-    return f"{'a spell begins' if now.present else 'a spell is over'}: {now.text}"
+    return f"{'the disturbance begins' if now.present else 'the disturbance is over'}: {now.text}"

@@ -49,7 +49,7 @@ class LiveLearning:
             try:
                 self.learner.take(stamp_ns, row, session)
                 if not np.isfinite(session.learned).all():
-                    raise ArithmeticError("what is learned is not finite")
+                    raise ArithmeticError("a learned parameter is not finite")
             except BaseException:  # what acts on the next step stays as it was
                 session.learned[:] = before
                 raise
@@ -78,9 +78,9 @@ class LiveLearning:
         """Forget what was learned; what was done, in words."""
         session.learned[: at.SENSITIVITIES] = 0.0
         if self.learner is None:
-            return "no torque is measured, so nothing was learned"
+            return "no torque is measured, so there is nothing to reset"
         self.learner.reset()
-        return "what was learned of the vehicle is forgotten: the vehicle file counts"
+        return "the learned parameters are reset: the vehicle file is used"
 
     @property
     def text(self) -> str:
@@ -114,4 +114,4 @@ class LiveLearning:
         """What is to be noticed of it."""
         if self.learner is None or self.mode == OFF or not self.learner.frozen:
             return []
-        return [Notice("LEARNING_FROZEN", f"nothing is learned of the vehicle now: {self.learner.frozen}")]
+        return [Notice("LEARNING_FROZEN", f"learning is paused: {self.learner.frozen}")]

@@ -28,7 +28,7 @@ SAVE, RESET, RESET_LEARNING = signal.SIGUSR1, signal.SIGUSR2, signal.SIGRTMIN
 WHAT: dict[int, str] = {
     SAVE: "the state is saved",
     RESET: "the estimate starts cold",
-    RESET_LEARNING: "what was learned is forgotten",
+    RESET_LEARNING: "the learned parameters are reset",
     **dict.fromkeys(STOP, "it ends"),
 }
 

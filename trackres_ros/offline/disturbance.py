@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 THERE, TORQUE = "disturbance_probability", "disturbance_torque_nm"
 MEANING = MappingProxyType(
     {
-        THERE: "probability that a spell of the vehicle file's `disturbance` is there; nan of a drift",
-        TORQUE: "expected torque of it against travel [Nm], by the blocks of 5 s before; in no other column",
+        THERE: "probability that a spell of the vehicle file's `disturbance` is present; nan for a drift",
+        TORQUE: "its estimated torque against travel [Nm], from the previous 5 s blocks; no other column includes it",
     }
 )
 TIME_RESET = int(at.Reason.TIME_RESET)

@@ -29,14 +29,14 @@ SEED = 20230514
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A recording that was made.
+    """A sample recording.
 
     Attributes
     ----------
     path, topics
         Its file, and the topics file that fits it.
     duration_s, distance_m
-        How long [s] and how far [m] it goes.
+        Duration [s] and distance [m].
     """
 
     path: Path

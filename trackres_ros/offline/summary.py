@@ -54,7 +54,7 @@ class KeptSource:
         """What reading itself met."""
         if not self._dropped:
             return self._source.findings
-        text = f"more than {MOST_KEPT} samples: gaps, stuck and quantised values are not looked for"
+        text = f"more than {MOST_KEPT} samples: gaps, stuck and quantised values are not searched"
         return (*self._source.findings, Finding("", "too_long", 1, float("nan"), text))
 
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:

@@ -41,7 +41,7 @@ class PositionUnits:
 
     def _decide(self, degrees: bool, why: str) -> None:
         self._scale = DEGREE if degrees else 1.0
-        self.notes = (f"{', '.join(self._open)}: taken for {'degrees' if degrees else 'radians'}, {why}",)
+        self.notes = (f"{', '.join(self._open)}: treated as {'degrees' if degrees else 'radians'}, {why}",)
 
     def in_radians(self, block: SampleBlock, roles: Sequence[str]) -> SampleBlock:
         """A block with its position in radians; nan as long as it has not shown what it is in.

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 BATCH_ROWS, BATCH_BYTES = 2048, 32 * 2**20
 """Serialised messages held at once: few stay in the cache of the processor, and large ones do not fill the memory."""
-READABLE = "a bag that can be read to its end"
+READABLE = "a bag that is readable to its end"
 REMEDIES = {".mcap": "try: mcap recover", ".bag": "try: rosbag reindex"}
 MAX_LOG_NS = 2**62
 """Log times from 1970 to 2116 are accepted: differences of two of them fit in 64 bits [ns]."""

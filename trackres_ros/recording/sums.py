@@ -71,7 +71,7 @@ class Sums:
         """Messages that gave no sum."""
         for role, one in self._sums.items():
             if one.alone:
-                text = f"{one.alone} messages have no sum, as another part is missing: they give no sample"
+                text = f"{one.alone} messages give no sample, because another part of the sum is missing"
                 yield Finding(role, "part", one.alone, float("nan"), text)
 
     def added(self, block: SampleBlock) -> SampleBlock:
@@ -134,7 +134,7 @@ class Sum:
         if len(self._topics) == 1:
             return f"{self._role}: sum of {len(self._topic_of)} fields of {self._topics[0]}"
         others = ", ".join(self._topics[1:])
-        between = f"on a line between samples at most {self._apart_s:g} s apart"
+        between = f"interpolated between samples at most {self._apart_s:g} s apart"
         return f"{self._role}: sum at the times of {self._topics[0]}; {others} {between}"
 
     def add(self, part: int, stamp_ns: int, arrival_ns: int, value: float) -> list[tuple[int, float]]:

@@ -33,5 +33,5 @@ def read_disturbance(reader: ValueReader, given: Any) -> Disturbance:
     form = own.text(given["form"], "disturbance.form", tuple(KINDS))
     found = KINDS[form](**own.table(given, "disturbance", schema.DISTURBANCES[form], others=("form",)))
     if isinstance(found, Spells) and found.level == found.rest:
-        raise InputError(own.where("disturbance.level"), found.level, "another torque than that of the rest")
+        raise InputError(own.where("disturbance.level"), found.level, "a torque different from that of the rest")
     return found

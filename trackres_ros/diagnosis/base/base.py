@@ -25,7 +25,7 @@ from trackres_ros.vehicle.writing.changes import FileChanges
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
-USABLE = "finite terms within reason, with all values of its parameters within their bounds"
+USABLE = "finite, plausible terms, with all values of its parameters within their bounds"
 ROUNDING = 1e-6  # of the span between the bounds of a fit
 MOST_CHECKED = 20  # steps looked at to find why an effect was left out
 

@@ -40,7 +40,7 @@ from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 Array = NDArray[np.float64]
 
 SCALES = ("mass", "rotating_mass_factor", "torque_scale", "efficiency", "torque_delay")
-"""Of these, and of a torque sensor, a rolling out tells nothing."""
+"""A coast-down does not determine these, nor the parameters of a torque sensor."""
 FORCES = ("loss_modulus_scale", "bearing_friction", "drag_coefficient", "rolling_coefficient", "rolling_rise", "drag_area")
 """Parameters in proportion to which a force grows, so that they scale with the mass."""
 SAMPLES_A_STEP = 1  # what slows it down hardly changes within a step, so that nothing hides between samples
@@ -116,7 +116,7 @@ class Coastdown:
         spans = {("", p.name): p.interval for p in self.parameters if p.told}
         told = ", ".join(p.name for p in self.parameters if p.told) or "none"
         return FileChanges(
-            values, (), spans, f"found in {len(self.rolled.stretches)} rollings out: {told}", by="trackres coastdown"
+            values, (), spans, f"found in {len(self.rolled.stretches)} coast-downs: {told}", by="trackres coastdown"
         )
 
 
@@ -139,29 +139,29 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
     """
     base = _told_by_rolling(loaded.base)
     if not base.parameters:
-        given = "a vehicle file in which everything that rolling out could tell has a range without a width"
-        raise InputError("vehicle", given, "ranges in which its values may lie", "widen the ranges of what is not known well")
+        given = "a vehicle file with a zero-width range on every value that a coast-down could determine"
+        raise InputError("vehicle", given, "ranges for its values", "widen the ranges of uncertain values")
     step = step_for(recordings, SAMPLES_A_STEP)
     rolled = rollouts(list(recordings), loaded.known, base.facts.radius, step)
     for session in rolled.sessions:
         check_speed(session, loaded.known.max_speed)
     if not rolled.stretches:
         counts = "; ".join(f"{count} {reason}" for reason, count in rolled.left_out.items())
-        why = counts or "nowhere does it slow down for some seconds with neither"
+        why = counts or "it nowhere slows down for several seconds"
         raise InputError(
             ", ".join(r.name for r in recordings),
-            f"no piece in which it rolls out ({why})",
-            "at least one of 10 s or more, with no torque and no brake",
-            "let it roll out from its greatest speed, in both directions",
+            f"no coast-down ({why})",
+            "at least one coast-down of 10 s or more, without torque and brakes",
+            "let the vehicle coast down from its maximum speed, in both directions",
         )
     rows = sum(int(whole_past(s.used, MOST_LAGS).sum()) for s in rolled.sessions)
     if rows < FEWEST_ROWS:
         seconds = sum(float(s.used.sum()) * s.step for s in rolled.sessions)
         raise InputError(
             ", ".join(r.name for r in recordings),
-            f"{len(rolled.stretches)} rollings out, {figures(seconds, 3)} s in all, in steps of {figures(step, 3)} s",
+            f"{len(rolled.stretches)} coast-downs, {figures(seconds, 3)} s in all, in steps of {figures(step, 3)} s",
             f"{FEWEST_ROWS} steps or more, without the first {MOST_LAGS} of each",
-            "record more of them, from a greater speed, or the speed more often",
+            "record more coast-downs, from a higher speed, or with a higher sample rate",
         )
     problem = Problem(base, rolled.sessions, tuple(s.used for s in rolled.sessions))
     all_free = fit(problem, largest_root=LARGEST_ROOT)

@@ -84,7 +84,7 @@ def rollouts(recordings: list[Recording], settings: GateSettings, radius: float,
     for recording in recordings:
         measured = any(r.partition("/")[0] == "torque" and np.isfinite(s.value).any() for r, s in recording.series.items())
         if not measured:
-            notes.append(f"{recording.name}: no torque was recorded; where it slows down nothing is taken to drive or brake")
+            notes.append(f"{recording.name}: no torque was recorded; deceleration is assumed to be without drive or brakes")
         rolling = recording if measured else _without_torque(recording)
         session, unknown = resample(rolling, step, settings, frozenset(), notes, SHORTEST_RECORDING_S)
         session, of_slope = with_slope(session)

@@ -258,7 +258,7 @@ def terms_beside(
     left_out = {name for name, wanted in ((PLACE, roads is None), (WAVE, waves)) if not wanted}
     searches = {name: search for name, search in BY_CLOCK.items() if name not in left_out}
     searches[PAYLOAD] = partial(_payload, route=route)
-    found = side_by_side(lambda item: _watched(current, *item), list(searches.items()), "what follows the clock")
+    found = side_by_side(lambda item: _watched(current, *item), list(searches.items()), "terms that follow the clock")
     return [*filter(None, found), *filter(None, [_by_place(current, roads, kinds)])]
 
 

@@ -307,5 +307,5 @@ def _torque_residuals(found: Fit) -> list[Array]:
 def _text(route: RouteMap) -> str:
     low, high = (float(q) for q in np.nanquantile(route.value, (0.025, 0.975)))
     if route.kind == SLOPE:
-        return f"the road rises and falls, by up to {max(-low, high):.1%}, the same on each pass of a place"
-    return f"it takes {figures(low, 2)} to {figures(high, 2)} Nm more by the place, the same on each pass"
+        return f"the road has slopes of up to {max(-low, high):.1%}, the same on each pass"
+    return f"the vehicle needs {figures(low, 2)} to {figures(high, 2)} Nm more depending on the place, the same on each pass"

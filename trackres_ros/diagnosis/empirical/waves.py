@@ -83,7 +83,7 @@ def part_of(length_m: float, parts: Mapping[str, float]) -> str:
             if abs(times * once / length_m - 1.0) < SAME_LENGTH:
                 return f"one turn of the {name}" if times == 1 else f"{times} turns of the {name}"
             if times > 1 and abs(once / times / length_m - 1.0) < SAME_LENGTH:
-                return f"one part in {times} of a turn of the {name}"
+                return f"1/{times} of a turn of the {name}"
     return ""
 
 

@@ -154,5 +154,5 @@ def with_interval(value: float, interval: Interval | None) -> str:
     if interval is None:
         return figures(value)
     if interval.bound_only:
-        return f"{figures(value)}, only bounded by {figures(interval.low)} to {figures(interval.high)}"
+        return f"{figures(value)}, bounded only between {figures(interval.low)} and {figures(interval.high)}"
     return f"{figures(value)} [{figures(interval.low)}, {figures(interval.high)}]"

@@ -170,7 +170,9 @@ def _confirmed(
     added = np.concatenate([sum(x) for x in zip(*(t.adds for t in sure), strict=True)])
     explained = float(np.percentile(np.abs(added), 95.0))  # where they act: some do for minutes of an hour
     if max((abs(b.mean_residual) for b in left), default=0.0) > LEFT_SHARE * explained:
-        partly = f"{' and '.join(map(short, sure))} would explain a part of it, but too much is left to believe that"
+        partly = (
+            f"{' and '.join(map(short, sure))} would explain a part of it, but the remaining error is too large to confirm that"
+        )
         return Verdict("unexplained", SUSPECTED, joined([unexplained(left), partly, *after]), (), listed, unexplained(left))
     named = [t for t in sure if isinstance(t, NamedEffect)]
     status = "described" if not named else "named" if all(len(f.step.members) <= 1 for f in named) else "one_of"
@@ -181,7 +183,7 @@ def _confirmed(
 def _rest(left: Sequence[Bin], left_over: SlowResidual) -> list[str]:
     """What is left beside what is confirmed."""
     return [
-        f"Something small is left, {range_of(left[0])}" if left else "",
+        f"A small error remains {range_of(left[0])}" if left else "",
         *(slow(left_over) if left_over.share > MOST_STRAY else []),
     ]
 
@@ -196,8 +198,8 @@ def _of_drift(drift: Told) -> list[str]:
     return [
         drift.described.sentence,
         look_for(drift.described.mechanisms),
-        "It cannot be predicted",
-        f"{mean_error(i.before, i.after)} where the estimate follows it as it goes",
+        "The model cannot predict it",
+        f"{mean_error(i.before, i.after)} when the live estimate tracks it",
     ]
 
 
@@ -220,10 +222,10 @@ def _nothing_missing(
         values = ", ".join(moved(q, value) for q, value in out_of_range)
         judged = "reject" if refit.grade == REFUTED else "do not confirm"
         lines = ["No physics is missing", f"A re-fit would move parameters of the vehicle file: {values}"]
-        return Verdict("none", refit.grade, joined([*lines, f"The unused laps {judged} that", worth, *after]), (), listed)
+        return Verdict("none", refit.grade, joined([*lines, f"The hold-out laps {judged} that", worth, *after]), (), listed)
     nominal, re_fitted = (figures(held_out.mae[stage]) for stage in ("nominal", "refitted"))
     lines = [
         "No mismatch beyond noise",
-        f"The mean error on laps not used for fitting is {nominal} Nm with the vehicle file and {re_fitted} Nm re-fitted",
+        f"The mean error on hold-out laps is {nominal} Nm with the vehicle file and {re_fitted} Nm re-fitted",
     ]
     return Verdict("none", CONFIRMED, joined([*lines, *after]), (), listed)

@@ -29,7 +29,7 @@ def on_route(gated: Gated, route: Sequence[RouteMap]) -> Gated:
                 continue
             found = _along(session, one)
             known = np.isfinite(found)
-            notes.append(f"{session.name}: {known.mean():.0%} of it lies on the route whose {one.kind}s are given")
+            notes.append(f"{session.name}: {known.mean():.0%} of it is on the route with known {one.kind}s")
             if known.mean() <= MOST_UNKNOWN:
                 notes[-1] += "; they are not used"
                 continue

@@ -186,7 +186,7 @@ def resample(
     heading, yaw_rate = held_on("heading", np.nan), np.full(count, np.nan)
     if "yaw_rate" in given and not np.ptp(series["yaw_rate"].value[np.isfinite(series["yaw_rate"].value)]):
         given -= {"yaw_rate"}  # a gyroscope that is there is never still
-        notes.append(f"{recording.name}: yaw_rate never changes; taken for not recorded")
+        notes.append(f"{recording.name}: yaw_rate never changes; treated as not recorded")
     if "yaw_rate" in given:
         yaw_rate = means(*ordered(series["yaw_rate"], start), edges)[0]
     if "yaw_rate" not in given and (made := turning(series, start, edges, speed, settings.slowest, settings.track_width)):
@@ -194,14 +194,14 @@ def resample(
         if known_turns.mean() > 1.0 - MOST_UNKNOWN:
             yaw_rate = np.interp(edges[:-1], edges[:-1][known_turns], made.yaw_rate[known_turns])
             given |= {"yaw_rate"}
-            notes.append(f"{recording.name}: the yaw rate is made of {made.made_of}")
+            notes.append(f"{recording.name}: the yaw rate is computed from {made.made_of}")
     if "yaw_rate" in given and "heading" not in given:
         heading = np.cumsum(np.nan_to_num(yaw_rate)) * step
         given |= {"heading"}
         notes.append(f"{recording.name}: heading is integrated from the yaw rate")
     no_slope = steps_without_value(ordered(series["grade"], start)[0], edges) if "grade" in given else _nowhere(count)
     if no_slope.mean() > MOST_UNKNOWN:
-        notes.append(f"{recording.name}: the slope is not known for {no_slope.mean():.0%} of it; taken for not recorded")
+        notes.append(f"{recording.name}: the slope is unknown for {no_slope.mean():.0%} of the time; treated as not recorded")
         given, no_slope = given - {"grade"}, _nowhere(count)
     braked = _nowhere(count)
     if "brake" in series and np.isfinite(series["brake"].value).any():
@@ -210,7 +210,8 @@ def resample(
         from_on = recording.bindings.get("brake", TopicBinding()).brakes_from(value)
         braked = any_from(series["brake"], start, edges, from_on)
         notes.append(
-            f"{recording.name}: brakes count as on from {from_on:g}; whatever else slows it down is in the measured torque"
+            f"{recording.name}: brakes count as on from {from_on:g}; every other braking force is assumed to be in the "
+            "measured torque"
         )
     session = DriveSession(
         name=recording.name,
@@ -276,10 +277,10 @@ def _course(torques: Sequence[tuple[Array, Array]]) -> Cumulative:
 def _of_passengers(name: str, passengers: Array, step: float, kg_each: float, of_load: bool) -> str:
     """What becomes of the passengers."""
     if of_load:
-        return f"{name}: the weight is that of the load; passengers are taken to be in it"
+        return f"{name}: the weight comes from the load channel, which is assumed to include the passengers"
     first = int(np.argmax(np.isfinite(passengers)))
-    empty = f"; taken for empty until the first count, {first * step:.0f} s after its start" if first else ""
-    return f"{name}: passengers of {kg_each:g} kg each come on top of the empty vehicle{empty}"
+    empty = f"; treated as empty until the first count, {first * step:.0f} s after the start" if first else ""
+    return f"{name}: passengers of {kg_each:g} kg each are added to the empty vehicle{empty}"
 
 
 def _position(series: dict[str, Series], start: int, edges: Array) -> tuple[Array, Array]:

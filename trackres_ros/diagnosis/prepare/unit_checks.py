@@ -100,7 +100,7 @@ def check_speed_unit(name: str, speed: Array, accel: Array, recorded_accel: Arra
                 given = f"changes {1.0 / ratio:.2g} times as fast as the recorded acceleration says"
                 _refuse(f"{name}: speed", given, "a speed in m/s", unit, Conversion(factor), "speed")
         if ratio and GRAVITY / AROUND**0.5 < 1.0 / ratio < GRAVITY * AROUND**0.5:
-            given = f"{ratio:.2g} of what the speed's changes say"
+            given = f"{ratio:.2g} times the acceleration from the speed"
             _refuse(f"{name}: accel", given, "an acceleration in m/s2", "g", Conversion(GRAVITY), "accel")
     ratio = _ratio(distance, speed) if distance is not None else 0.0
     if ratio:
@@ -109,11 +109,13 @@ def check_speed_unit(name: str, speed: Array, accel: Array, recorded_accel: Arra
                 given = f"{1.0 / ratio:.2f} times as fast as the recorded distance grows"
                 _refuse(f"{name}: speed", given, "a speed in m/s", unit, Conversion(factor), "speed")
         if 0.9 < 1e3 * ratio < 1.1:
-            _refuse(f"{name}: distance", f"{ratio:.2g} of the way by the speed", "metres", "km", Conversion(1e3), "distance")
+            _refuse(
+                f"{name}: distance", f"{ratio:.2g} times the distance from the speed", "metres", "km", Conversion(1e3), "distance"
+            )
         off = 1.0 / ratio - 1.0
         if abs(off) > SPEED_OFF:
             more = "more" if off > 0.0 else "less"
-            return [f"{name}: the speed reads {abs(off):.1%} {more} than the recorded distance says: one of the two is off"]
+            return [f"{name}: the speed is {abs(off):.1%} {more} than the recorded distance implies: one of them is wrong"]
     return []
 
 
@@ -126,9 +128,9 @@ def _temperature(where: str, role: str, middle: float, hottest: float) -> list[s
     for unit, (scale, offset) in (("kelvin", CELSIUS_OF_KELVIN), ("fahrenheit", CELSIUS_OF_FAHRENHEIT)):
         conversion = Conversion(scale, offset)
         if low <= scale * middle + offset <= hottest < middle:
-            _refuse(where, f"{middle:.4g} degC as its median", f"{low:g} to {hottest:g} degC", unit, conversion, role)
+            _refuse(where, f"{middle:.4g} degC (median)", f"{low:g} to {hottest:g} degC", unit, conversion, role)
     if not low <= middle <= hottest:
-        raise InputError(where, f"{middle:.4g} degC as its median", f"{low:g} to {hottest:g} degC", "is the sensor connected?")
+        raise InputError(where, f"{middle:.4g} degC (median)", f"{low:g} to {hottest:g} degC", "is the sensor connected?")
     if base_role(role) == "ambient" and middle > UNUSUAL_AIR_DEGC:
         line = Conversion(*CELSIUS_OF_FAHRENHEIT).line(role)
         return [f"{where}: air of {middle:.0f} degC is unusual; if it is in fahrenheit, {line}"]
@@ -148,10 +150,10 @@ def _weight(name: str, series: Mapping[str, Series], weight: float) -> list[str]
         for unit, factor in LOAD_UNITS.items():
             if 1.0 / AROUND < share * factor < AROUND:
                 _refuse(where, given, f"{low:g} to {high:g} of it", unit, Conversion(factor), role)
-        remedy = "give the weight of the whole vehicle; to the payload alone add the empty weight, as offset in the topics file"
+        remedy = "give the weight of the whole vehicle; for a payload, add the empty weight as offset in the topics file"
         raise InputError(where, given, f"{low:g} to {high:g} of it", remedy)
     if not USUAL_WEIGHTS[0] <= share <= USUAL_WEIGHTS[1]:
-        return [f"{where}: {given}: is all of it there, and once?"]
+        return [f"{where}: {given}: is each part of the load recorded exactly once?"]
     return []
 
 

@@ -83,7 +83,7 @@ def draw_before_after(d: Diagnosis, path: Path) -> Picture:
         mismatch = "mismatch before" if d.modelled else "mismatch"
         upper.fill_between(time, measured, before, color=ORANGE, alpha=0.35, linewidth=0, label=mismatch)
         upper.set_ylabel("torque [Nm]")
-        upper.set_title(f"{shortened(Path(session.name).name, TITLE_LETTERS - 40)}, a lap that was not used for fitting")
+        upper.set_title(f"{shortened(Path(session.name).name, TITLE_LETTERS - 40)}, a hold-out lap")
         lower.plot(time, session.speed[rows], color=GREY)
         lower.set_ylabel("speed [m/s]")
         lower.set_xlabel("time [s]")
@@ -130,13 +130,15 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
             axis.set_visible(False)
         for column in grid.T:
             [axis for axis in column if axis.get_visible()][-1].set_xlabel(f"time [{word}]")
-        body.supylabel("measured less simulated [Nm]", fontsize=9)
+        body.supylabel("measured minus simulated [Nm]", fontsize=9)
     left_out = len(d.sessions) - len(shown)
-    worst = f" Of {len(d.sessions)} recordings the {len(shown)} furthest off; {left_out} are not drawn." if left_out else ""
+    worst = (
+        f" Of {len(d.sessions)} recordings, the {len(shown)} with the largest error;{left_out} are not drawn." if left_out else ""
+    )
     return Picture(
         path,
         "Where: over time",
-        f"Measured less simulated torque over the time of each recording, means over {lasting(d, SMOOTHED_S)}; broken where "
+        f"Measured minus simulated torque over the time of each recording, means over {lasting(d, SMOOTHED_S)}; with gaps where "
         f"nothing could be compared. With the base re-fitted the root mean square is {decimals(swings)} Nm.{worst}",
     )
 
@@ -175,17 +177,17 @@ def draw_regimes(d: Diagnosis, path: Path) -> Picture:
             axis.set_visible(False)
         if not by_variable:
             axes[0].set_visible(True)
-            axes[0].text(0.5, 0.5, "nothing varies enough to tell where", ha="center", transform=axes[0].transAxes)
+            axes[0].text(0.5, 0.5, "nothing varies enough to locate the residual", ha="center", transform=axes[0].transAxes)
         body.supylabel("mean residual [Nm]", fontsize=9)
     text = (
         "; ".join(f"{decimals(b.mean_residual, signed=True)} Nm {_at(b)}" for b in d.at_base.significant[:5])
-        or "no bin stands out of noise"
+        or "no bin exceeds the noise"
     )
     return Picture(
         path,
         "Where: by regime",
         "Mean residual by bins of each variable, each with as many samples; the numbers are the edges of the bins, lines "
-        f"are 95 % intervals over laps, and a star is on what stands out of noise. With the base re-fitted: {text}.",
+        f"are 95 % intervals over laps, and a star marks bins beyond noise. With the base re-fitted: {text}.",
     )
 
 
@@ -241,17 +243,17 @@ def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], na
             axis.plot(
                 *thinned(time, without, MOST_POINTS),
                 color=BLUE,
-                label=f"left without the term, means over {lasting(d, SMOOTHED_S)}",
+                label=f"residual without the term, means over {lasting(d, SMOOTHED_S)}",
             )
             axis.plot(time, np.where(session.used, term, np.nan), color=VERMILION, label=f"{name} as found")
             axis.axvline(begin, color=GREY, linestyle="--", linewidth=0.8, label="a recording begins")
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        _label(axis, f"time in the recordings, one after the other [{word}]", title)
+        _label(axis, f"time over consecutive recordings [{word}]", title)
     return Picture(
         path,
         f"The term: {name}",
-        "What is left without the term, and the term, over all recordings one after the other; on laps that were not used for "
-        "fitting it is there by their time alone.",
+        "Residual without the term, and the term, over all recordings in sequence. On hold-out laps the term follows from time "
+        "alone.",
     )
 
 
@@ -266,11 +268,11 @@ def _by_stretch(d: Diagnosis, of: Described, path: Path) -> Picture:
         axis = body.subplots()
         axis.errorbar(
             edges.mean(axis=1) / 60.0, mass, 1.96 * std, 0.5 * np.diff(edges, axis=1)[:, 0] / 60.0, fmt="none", color=VERMILION,
-            linewidth=1.2, label="a stretch between stops, and its 95 % interval",
+            linewidth=1.2, label="mass between two stops, with its 95 % interval",
         )  # fmt: skip
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        axis.set_xlabel("time in the recordings, one after the other [min]")
-        axis.set_ylabel("mass beside the model's [kg]")
+        axis.set_xlabel("time over consecutive recordings [min]")
+        axis.set_ylabel("mass minus the model's [kg]")
         axis.set_title(textwrap.fill(of.sentence, TITLE_LETTERS))
     return Picture(
         path,
@@ -288,15 +290,15 @@ def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], name: st
     left = smoothed(session, left_over[i] + adds[i])
     with picture_with_legend(path, WIDTH, 3.0) as body:
         axis = body.subplots()
-        axis.plot(session.time, left, color=BLUE, label=f"left without the term, means over {lasting(d, SMOOTHED_S)}")
+        axis.plot(session.time, left, color=BLUE, label=f"residual without the term, means over {lasting(d, SMOOTHED_S)}")
         axis.plot(session.time, np.where(session.used, adds[i], np.nan), color=VERMILION, label=f"{name} as found")
         axis.axhline(0.0, color=GREY, linewidth=0.8)
         _label(axis, f"time in {shortened(Path(session.name).name, TITLE_LETTERS - 40)} [s]", title)
     return Picture(
         path,
         f"The term: {name}",
-        "What is left without the term, and the term, over the recording in which it acts most; on laps that were not used for "
-        "fitting the term is what one expects who has seen the torque up to a few seconds before.",
+        "Residual without the term, and the term, over the recording in which it acts most; on hold-out laps the "
+        "term is predicted from the torque up to a few seconds before.",
     )
 
 
@@ -329,14 +331,14 @@ def _over(
             ecolor=GREY,
             markersize=4,
             linewidth=1.0,
-            label="left without it, mean and spread",
+            label="residual without it, mean and spread",
         )
         axis.plot(middle[shown], term[shown], color=VERMILION, label=f"{name} as fitted")
         _label(axis, label, title)
     return Picture(
         path,
         f"The term: {name}",
-        f"What is left without {name}, and the fitted term, over {label}; "
+        f"Residual without {name}, and the fitted term, over {label}; "
         f"from {decimals(term[shown].min())} to {decimals(term[shown].max())} Nm.",
     )
 
@@ -357,10 +359,10 @@ def _laps(d: Diagnosis, path: Path) -> Picture:
         axis.set_xticks(np.arange(0, len(h.laps), every), [str(i + 1) for i in range(0, len(h.laps), every)])
         axis.set_xlabel("held-out lap")
         axis.set_ylabel("mean error [Nm]")
-        axis.set_title("Laps that were not used for fitting")
+        axis.set_title("Hold-out laps")
     return Picture(
         path,
-        "What it is worth",
+        "How much it improves the model",
         f"Mean absolute error by held-out lap, with 95 % intervals over pieces of {lasting(d, PIECE_S)}; over all: "
         + ", ".join(f"{label} {figures(h.mae[stage])} Nm" for stage, _, label in kinds)
         + ".",
@@ -392,11 +394,11 @@ def _matrix(d: Diagnosis, path: Path) -> Picture:
         axis.set_yticks(range(n), s.names, fontsize=7.5)
         axis.grid(False)
         figure.colorbar(image, label="cosine", shrink=0.5, aspect=12)
-        title = "How alike the effects look in these recordings, after the base was re-fitted"
+        title = "Similarity of the effects in these recordings, after the re-fit of the base"
         figure.suptitle(title, x=0.01, ha="left", fontsize=10)
     pairs = [(abs(s.cosines[i, j]), s.names[i], s.names[j]) for i in range(n) for j in range(i)]
     alike = ", ".join(f"{a} and {b}" for c, a, b in sorted(pairs, reverse=True)[:6] if c > 0.95) or "none"
-    return Picture(path, "What looks alike", f"Cosines between the visible effects; alike to more than 0.95: {alike}.")
+    return Picture(path, "Which effects look alike", f"Cosine similarity of the visible effects; pairs above 0.95: {alike}.")
 
 
 def _listed(d: Diagnosis) -> str:

@@ -86,8 +86,8 @@ class HeldOutLaps:
 
     def __init__(self, sessions: Sequence[DriveSession], masks: Sequence[Mask], rng: np.random.Generator) -> None:
         if not any(m.any() for m in masks):
-            given = "held-out laps without a sample to compare"
-            allowed = "laps in which it drives with a measured torque"
+            given = "hold-out laps without a comparable sample"
+            allowed = "laps of driving with a measured torque"
             raise InputError(", ".join(s.name for s in sessions), given, allowed, "choose them with --holdout")
         self._masks = masks
         self.measured = self.of([s.torque for s in sessions])

@@ -85,10 +85,10 @@ def judge(
     """Judge an explanation."""
     final = chosen.final
     worth = _worth(prepared, base, chosen)
-    options.on_stage("what is left")
+    options.on_stage("residual")
     tested_end = for_tests(final)
     at_end = regime_map(tested_end, rng)
-    options.on_stage("how sure: intervals")
+    options.on_stage("confidence intervals")
     bounds = intervals(final)
     found, terms = _found(base, chosen, bounds), _terms(base, chosen, bounds)
     left_over = slow_residual(final)

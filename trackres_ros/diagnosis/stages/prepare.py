@@ -62,7 +62,7 @@ def prepare(recordings: Sequence[Recording], options: DiagnosisOptions) -> Prepa
     """Check, clean and split recordings."""
     vehicle = options.vehicle
     base, facts = vehicle.base, vehicle.base.facts
-    options.on_stage("gate: units, clocks, gaps")
+    options.on_stage("checks: units, clocks, gaps")
     gated, nominal, recorded = prepared(recordings, vehicle, options.hide, options.unread)
     known = catalogue(options.effects_dir, facts.weight * facts.radius, on_tyres=not base.has_belt)
     effects = {
@@ -80,5 +80,5 @@ def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -
     seconds = seconds_without_torque(gated.sessions, none)
     if not seconds or TorqueOffset.name not in effects:
         return gated, dict(effects)
-    note = f"the torque reads 0 Nm at rest, within {figures(none)} Nm, over {seconds:.0f} s: its sensor has no offset"
+    note = f"the torque is 0 Nm at rest, within {figures(none)} Nm over {seconds:.0f} s: the sensor has no offset"
     return replace(gated, notes=(*gated.notes, note)), {n: e for n, e in effects.items() if n != TorqueOffset.name}

@@ -24,5 +24,5 @@ def search(prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions
     replicates = QUICK_REPLICATES if options.quick else REPLICATES
     found = Search(base.tested, prepared.effects, roads, kinds, replicates, rng, options.on_stage)
     found.run()
-    options.on_stage("what it is worth: laps left out in turn")
+    options.on_stage("cross-validation over laps")
     return Choice(found, base.refitted, base.left_out, base.laps, base.use).best(options.keep_suspected)

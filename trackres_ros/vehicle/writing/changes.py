@@ -66,7 +66,7 @@ class FileChanges:
         """The same, with what is to be watched for."""
         if learned is None:
             return self
-        text = f"{self.text}; to be watched for where a torque is measured: {learned.disturbance.form}"
+        text = f"{self.text}; and a disturbance to watch with a torque sensor: {learned.disturbance.form}"
         return replace(self, text=text, disturbance=learned)
 
     def of(self, kind: str) -> list[Active]:
