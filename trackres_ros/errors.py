@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`InputError` means: what was given cannot be used, and this is what to do."""
+"""Defines `InputError`: unusable input, with a remedy."""
 
 from __future__ import annotations
 

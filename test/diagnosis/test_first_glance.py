@@ -128,7 +128,7 @@ def test_headline_and_next_step_follow_the_largest_confirmed_one():
     r["written"]["effects"] = ["grade"]
     r["advice"] = [{"separates": ["viscous_bearing", "stribeck"], "manoeuvre": "coast down", "minutes": 5.0}]
     assert headline(r).startswith(
-        "The vehicle needs at times more and at times less than the re-fitted model. The cause is grade"
+        "The vehicle needs sometimes more and sometimes less torque than the re-fitted model. The cause is grade"
     )
     assert "(confirmed)" in headline(r)
     assert tiles(r)[1].answer == "grade"  # the other takes less than 2 % off the error

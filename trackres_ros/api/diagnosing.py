@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Diagnoses recordings: which physics they show that the model lacks."""
+"""Diagnoses recordings: finds the physics that the model lacks."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes sample recordings, reads recordings, and finishes those that were broken off."""
+"""Makes sample recordings, reads recordings and repairs unfinished ones."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Simulates drives, and explains operating points, that were never driven."""
+"""Simulates drives and explains operating points."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Fits a compound: chooses the law of its shift, and says what is known of it.
+"""Fits a compound: chooses the law of its shift, with intervals.
 
 The laws are Arrhenius', WLF, and WLF with the bend at the glass transition. A number more is taken where it gains evidence and
 its interval excludes that it is not needed.

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draws a fitted compound: what its data cover, its master curve, its shift, and what the fit leaves."""
+"""Draws a fitted compound: data coverage, master curve, shift and residuals."""
 
 from __future__ import annotations
 

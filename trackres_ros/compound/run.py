@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""From the sweep to what is written and said of it."""
+"""Runs the whole fit, from the sweep to files and summary."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BADLY_APART = 0.1  # of a Prony series from either modulus: a tenth of both is m
 
 
 def fit_and_write(sweep_file: Path, vehicle_given: str, folder: Path, frequency_hz: float | None = None) -> dict[str, Any]:
-    """Fit a sweep, write the compound and its picture; what was found, ready for JSON.
+    """Fit a sweep, write the compound and its picture; return the results, ready for JSON.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes a fitted compound: a rubber file, a vehicle file that drives on it, and the Prony series for other programs."""
+"""Writes a fitted compound: a rubber file, a vehicle file that uses it, and the Prony series for other programs."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Drives that a design is put through: built-in cycles, speed profiles and recordings; and what a design takes on one."""
+"""Drive cycles for designs: built-in cycles, speed profiles and recordings, and the energy of a design on one."""
 
 from __future__ import annotations
 

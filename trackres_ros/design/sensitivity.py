@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which value of a vehicle file is worth measuring first: what each leaves open, by Sobol's indices over the file's ranges."""
+"""Ranks the values of a vehicle file by their share of the uncertainty, by Sobol's indices over the file's ranges."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Index:
 
 @dataclass(frozen=True, eq=False)
 class SensitivityResult:
-    """What was found.
+    """Results of a sensitivity analysis.
 
     Attributes
     ----------

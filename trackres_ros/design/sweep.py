@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A vehicle with other values, one after the other: what each does to resistance, temperature and energy."""
+"""Varies values of a vehicle: effects on resistance, temperature and energy."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Swept:
-    """What came of it.
+    """Results of a sweep.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class Swept:
 
     @property
     def outcomes(self) -> list[str]:
-        """Names of what was computed."""
+        """Names of the outcomes."""
         return [name for name in (*OUTCOMES, DRIVE) if name in self.columns]
 
     def text(self, most: int = 60) -> str:

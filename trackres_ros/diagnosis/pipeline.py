@@ -146,7 +146,7 @@ def diagnose(
     on_stage: Callable[[str], None] = lambda _: None,
     unread: Sequence[Refusal] = (),
 ) -> Diagnosis:
-    """Find where recordings part from a base model, which effect is left out, and what a model with it is worth.
+    """Find where recordings differ from a base model, the missing effects, and the error of the improved model.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Says where each number stands in the arrays that the kernel works on, and the names of the numbers outside of it."""
+"""Defines the layout of the kernel's arrays, and the public names of its columns."""
 
 from __future__ import annotations
 

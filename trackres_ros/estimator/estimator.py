@@ -368,7 +368,7 @@ class Session:
             mine[:] = its
 
     def start_anew(self, time_went_back: bool) -> None:
-        """Forget belts and messages, as at a cold start; counters stay. The next estimate says so if time went back."""
+        """Reset belts and messages, as at a cold start; counters stay. The next estimate reports a time reset."""
         self.memory.times[:], self.memory.values[:] = 0, math.nan
         self.memory.followed[:], self.memory.tracked[:] = NOTHING_YET, NOTHING_TRACKED
         self.effects[:] = cooled_effects(self.effects)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Lets one run at a time write into a folder of results."""
+"""Locks a results folder for one run at a time."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ class Side:
 
 
 def compare(one: str, other: str) -> dict[str, Any]:
-    """What differs between two, ready for JSON; see `trackres compare`.
+    """Compute the differences between two results, ready for JSON; see `trackres compare`.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draws two that are compared over each other."""
+"""Draws two compared results in one picture."""
 
 from __future__ import annotations
 

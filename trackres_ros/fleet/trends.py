@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a fleet's rows say together, ready for JSON: types, vehicles, changes over months, and when a limit is reached."""
+"""Summarises a fleet's rows, ready for JSON: types, vehicles, changes over months, and dates of reaching limits."""
 
 from __future__ import annotations
 
@@ -251,7 +251,7 @@ def change_sentence(vehicle: str, c: Mapping[str, Any]) -> str:
 
 
 def sentences(found: Mapping[str, Any]) -> list[str]:
-    """What is found, in lines."""
+    """Findings as lines of text."""
     changed = [change_sentence(name, c) for name, v in found["vehicles"].items() for c in v["changes"]]
     count = len(found["vehicles"])
     head = [f"{found['compared']} of {found['recordings']} recordings of {count} vehicles compared"]

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The vehicles of a fleet: which file each has, and which recordings are its."""
+"""The vehicles of a fleet, with their files and recordings."""
 
 from __future__ import annotations
 

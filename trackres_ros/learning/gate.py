@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Says of each step whether its measured torque is one to learn from, and of each second what it comes to."""
+"""Decides for each step whether its measured torque is usable for learning, and sums up each second."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class Gate:
         self.restart()
 
     def restart(self) -> None:
-        """Forget what passed: the estimate was started anew."""
+        """Reset after a restart of the estimate."""
         self.second, self.samples = Second(), SampleHistory()
         self.of_late = np.zeros(COUNTED)  # share of the samples of each reason
 
@@ -138,7 +138,7 @@ class Gate:
         self.second = Second(number)
 
     def wrong_of_late(self) -> tuple[str, float]:
-        """What is wrong with most of the torques that cannot be learned from, and in which share of late."""
+        """The most frequent defect of recent unusable torques, and its share."""
         worst = max(OF_SENSOR, key=lambda why: self.of_late[why])
         return TEXTS[worst], float(self.of_late[worst])
 

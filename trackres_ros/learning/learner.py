@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Learns the vehicle while it drives: rows of results in, departures from the vehicle file out, and how sure they are.
+"""Learns vehicle parameters while driving: rows of results come in; departures from the vehicle file with covariance go out.
 
 Once a second of driving that counts, a Kalman filter takes in the mean of what measured and expected torque differ by. What is
 learned acts on the step only where it is covered, sure, and better than the file.
@@ -64,7 +64,7 @@ def belt_variances(session: Session) -> tuple[float, float]:
 
 
 class Learner:
-    """What one session learns; `take` after each of its steps.
+    """Learner of one session; call `take` after each of its steps.
 
     Parameters
     ----------
@@ -222,17 +222,17 @@ class Learner:
 
     @property
     def frozen(self) -> str:
-        """Why nothing is learned of the vehicle now; empty where it is."""
+        """Reason why learning is paused; empty if it is not."""
         return why_frozen(self.learned, self.gate.second.number, self._known)
 
     @property
     def disturbance(self) -> str:
-        """A torque that is there beside the vehicle, in words; empty where none is."""
+        """Unmodelled torque besides the vehicle's parameters, in words; empty without one."""
         return beside(self.learned, self.gate.second.number, self._known)
 
     @property
     def left_out(self) -> str:
-        """What is wrong with the measured torque of late, in words; empty where little is."""
+        """Recent defect of the measured torque, in words; empty without one."""
         why, share = self.gate.wrong_of_late()
         return f"{why} in {100.0 * share:.0f} % of the last minute" if share > LEFT_OUT_SHARE else ""
 
@@ -264,7 +264,7 @@ class Learner:
 
     @property
     def text(self) -> str:
-        """What is going on, in a sentence."""
+        """Status of learning, in a sentence."""
         return f"{self._stage}; {self.left_out}" if self.left_out else self._stage
 
     @property

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Says what is learned of a vehicle while it drives: names, how far its file lets each be off, and nuisances beside it."""
+"""Defines the learned parameters: names, priors from the vehicle file, and nuisance parameters."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Learnable:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known before anything was learned.
+    """Prior of the learned parameters.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Prior:
 
 
 def learnables(vehicle: AnyVehicle) -> tuple[Learnable, ...]:
-    """What is learned of a vehicle, in the order in which it is published."""
+    """Learned parameters of a vehicle, in the order of publication."""
     of_vehicle = _of_tracks(vehicle) if isinstance(vehicle, Vehicle) else _of_wheels(vehicle)
     return (
         *of_vehicle,

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What was learned as plain values for a state file, bit by bit, and back; whatever no learning leaves is refused."""
+"""Converts the learning state to plain values of a state file and back, bit by bit, and refuses impossible values."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def _number(given: object, name: str) -> float:
 
 
 def _check(learner: Learner) -> None:
-    """Raise ValueError for what no learning leaves."""
+    """Raise ValueError for an impossible learning state."""
     s, prior = learner.learned, learner.prior
     for covariance in (s.covariance, s.recent_covariance, s.before_covariance):
         if np.linalg.eigvalsh(0.5 * (covariance + covariance.T)).min() < -1e-9 * np.abs(covariance).max():

@@ -466,7 +466,7 @@ class Application:
         return changed_parameters(self.parameters, given, self.topics)
 
     def reset(self) -> str:
-        """Start cold, as if switched on with belts at the ambient temperature; what was done, in words."""
+        """Start cold, with belts at the ambient temperature; return a text for the log."""
         self.session.start_anew(time_went_back=False)
         self.comparison.restart()
         self.learning.restart()
@@ -475,13 +475,13 @@ class Application:
         return text
 
     def reset_learning(self) -> str:
-        """Forget what was learned of the vehicle; what was done, in words."""
+        """Reset the learned parameters; return a text for the log."""
         text = self.learning.reset(self.session)
         self._log(Level.WARN, f"reset of learning: {text}")
         return text
 
     def save_state(self) -> str:
-        """Save the state now; what was done, in words.
+        """Save the state now; return a text for the log.
 
         Raises
         ------
@@ -492,14 +492,14 @@ class Application:
         return self.keeper.save(self.session, self._state_at, self.learning.learner, SAVING_ON_REQUEST_S)
 
     def time_went_back(self) -> None:
-        """The simulated clock jumped back: start anew, and say so with the next estimate."""
+        """Restart after a backward jump of the simulated clock; the next estimate reports it."""
         self.session.start_anew(time_went_back=True)
         self.comparison.restart()
         self.learning.restart()
         self._log(Level.WARN, "time went back: the estimate restarts")
 
     def close(self) -> str:
-        """Save the state and end what runs beside; what was done, in words."""
+        """Save the state and end other threads; return a text for the log."""
         self.guard("the service manager", self._service.stopping)
         self.deactivate()
         for message in self._order.rest():

@@ -39,7 +39,7 @@ class Background:
 
 
 class ErrorLines:
-    """Writes lines on standard error. Where nobody takes them, the oldest are dropped, and a line says how many."""
+    """Writes lines to standard error. If nothing reads them, the oldest are dropped, and a line says how many."""
 
     def __init__(self) -> None:
         self._lines: deque[str] = deque(maxlen=MOST_LINES)

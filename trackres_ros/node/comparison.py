@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The measured torque is compared with the expected one, row by row: have they parted, and is a disturbance there?
+"""Compares measured and expected torque, row by row: lasting differences and disturbances.
 
 It looks at the estimate and changes nothing of it: nothing of a disturbance is in an expected torque or in the feed-forward.
 """
@@ -21,7 +21,7 @@ TIME_RESET = int(at.Reason.TIME_RESET)
 
 
 class Comparison:
-    """Takes rows of results; `verdict` and `belief` are what it makes of them.
+    """Compares rows of results; `verdict` and `belief` are the results.
 
     Parameters
     ----------
@@ -38,23 +38,23 @@ class Comparison:
 
     @property
     def verdict(self) -> Mismatch:
-        """Whether measured and expected torque, with what a disturbance explains, have parted."""
+        """Whether measured and expected torque, corrected for a disturbance, differ significantly."""
         return self._detector.verdict
 
     def restart(self) -> None:
-        """Forget everything: the estimate was started anew."""
+        """Reset after a restart of the estimate."""
         self._detector.restart()
         if self._watch is not None:
             self._watch.restart()
             self.belief = self._watch.belief(0)
 
     def change(self, settings: MismatchSettings) -> None:
-        """Go on with other settings; the detector begins anew with them."""
+        """Continue with other settings; the detector restarts with them."""
         if settings != self._detector.settings:
             self._detector = MismatchDetector(settings)
 
     def take(self, stamp_ns: int, row: Sequence[float]) -> str:
-        """Take the results of a step at a time [ns]; what is to be logged of it, empty where nothing is."""
+        """Take the results of a step at a time [ns]; return a text for the log, or an empty one."""
         if int(row[at.OUT_REASONS]) & TIME_RESET:
             self.restart()
         residual, speed, accel = row[at.OUT_RESIDUAL], row[at.OUT_SPEED], row[at.OUT_ACCEL]

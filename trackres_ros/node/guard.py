@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The one guard around what the loop of the node calls: a part that fails is named, and everything else goes on."""
+"""Guards the calls of the node's loop: a failing part is reported, and everything else continues."""
 
 from __future__ import annotations
 

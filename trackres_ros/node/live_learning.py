@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The learning of a running node: what it is shown, what it says, and the three ways it can be: off, watching, on."""
+"""Learning in a running node: inputs, statuses and the three modes off, watch and on."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class LiveLearning:
             self.learner.restart()
 
     def reset(self, session: Session) -> str:
-        """Forget what was learned; what was done, in words."""
+        """Reset the learned parameters; return a text for the log."""
         session.learned[: at.SENSITIVITIES] = 0.0
         if self.learner is None:
             return "no torque is measured, so there is nothing to reset"
@@ -84,7 +84,7 @@ class LiveLearning:
 
     @property
     def text(self) -> str:
-        """What is going on, in a sentence; empty where nothing can be learned."""
+        """Status of learning, in a sentence; empty if learning is off."""
         if self.learner is None:
             return ""
         return "off" if self.mode == OFF else self.learner.text

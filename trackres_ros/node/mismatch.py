@@ -1,7 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Have measured and expected torque parted? A change detector on the whitened residual, a few operations a message.
+"""Detects a lasting difference between measured and expected torque. A change detector on the whitened residual, a few
+operations a message.
 
 The residual r is averaged over bins while the vehicle rolls steadily. Its noise is taken for a first-order autoregression; its
 coefficient phi and scale sigma are those of the deviations from a running mean, which soon follows a lasting offset, so that this
@@ -71,7 +72,7 @@ class MismatchSettings:
 
 @dataclass(frozen=True, slots=True)
 class Mismatch:
-    """What the detector found.
+    """Result of the detector.
 
     Attributes
     ----------
@@ -196,7 +197,7 @@ class _Page:
 
 
 class MismatchDetector:
-    """Takes estimates with a measured torque one by one; `verdict` is what it makes of them."""
+    """Compares estimates with a measured torque one by one; `verdict` is the result."""
 
     def __init__(self, settings: MismatchSettings) -> None:
         self.settings = settings
@@ -205,7 +206,7 @@ class MismatchDetector:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything: the estimate was started anew."""
+        """Reset after a restart of the estimate."""
         self._begin_bin(0)
         self._before: _Bin | None = None
         self._first_ns, self._seconds = 0, 0.0
@@ -249,7 +250,7 @@ class MismatchDetector:
 
     @property
     def verdict(self) -> Mismatch:
-        """What has been found so far."""
+        """Result so far."""
         settled = self._settled
         if self._side is None:
             text = "no lasting difference" if settled else "not enough driving with a measured torque yet"

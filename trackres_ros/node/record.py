@@ -103,7 +103,7 @@ class Recorder:
         return [f"{path} is unfinished but readable; repair it with: trackres recover {path} -o FILE" for path in unfinished]
 
     def end(self) -> list[str]:
-        """Finish the bag and draw the picture; what was written, in words. It never raises."""
+        """Finish the bag and draw the picture; return texts for the log. It never raises."""
         if not self._thread.is_alive():
             return []
         self._stop.set()

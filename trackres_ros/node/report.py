@@ -111,7 +111,7 @@ def overview(
     learning: LiveLearning,
     steady: int,
 ) -> Overview:
-    """Gather what is to be seen now."""
+    """Gather the current overview."""
     estimator = publisher.estimator
     return Overview(
         level,

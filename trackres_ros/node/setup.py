@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a node runs with: the vehicle, topics and settings that its parameters name, read and checked once at the start."""
+"""Reads and checks the vehicle, topics and settings of a node's parameters, once at the start."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Setup:
 
 
 def read_setup(parameters: Parameters) -> Setup:
-    """Read what the parameters of a node name.
+    """Read the files that the parameters of a node name.
 
     Raises
     ------

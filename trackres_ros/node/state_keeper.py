@@ -122,7 +122,7 @@ class StateKeeper:
         self._begin(self.path, content(session, state_at, _beside(learner)))
 
     def save(self, session: Session, state_at: float, learner: Learner | None = None, patience_s: float = 1.0) -> str:
-        """Save now; what was done, in words. See `save_soon`.
+        """Save now; return a text for the log. See `save_soon`.
 
         Raises
         ------

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A replay adds to its table how likely the disturbance of the vehicle file is there, and how large it is."""
+"""Adds the probability and size of the vehicle file's disturbance to the table of a replay."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Computes from rows of results what a drive takes: way, time, resistance, energy and belt temperatures."""
+"""Computes distance, time, resistance, energy and belt temperatures of a drive from rows of results."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def energy_j(step_s: Array, speed: Array, torque: Array, radius: float) -> float
 
 
 def taken(time_s: Array, speed: Array, torque: Array, belts_degc: Array, radius: float) -> dict[str, float]:
-    """What a drive takes.
+    """Summary of a drive: distance, time, resistance, energy and temperatures.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes a sample recording: the paper's lap test as a vehicle's bus would log it, for trying things out."""
+"""Makes a sample recording: the paper's lap test as a vehicle bus would log it."""
 
 from __future__ import annotations
 

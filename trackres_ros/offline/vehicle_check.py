@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Computes what follows from a vehicle file: masses, loads and temperatures to look at, and how exact its tables are."""
+"""Computes derived values of a vehicle file: masses, loads, temperatures and the error of its tables."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def check_vehicle(vehicle: AnyVehicle, points: int) -> dict[str, Any]:
 
 
 def _common(vehicle: AnyVehicle) -> dict[str, Any]:
-    """What any vehicle file says."""
+    """Values common to all vehicle files."""
     flags = [quantity.flag for quantity in vehicle.parameters.values()]
     return {
         "vehicle": vehicle.name,

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Vehicle files to choose from, to begin with, and side by side."""
+"""Lists, copies and compares vehicle files."""
 
 from __future__ import annotations
 

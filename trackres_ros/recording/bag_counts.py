@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Counts how many messages a bag claims to hold, by all the counts that are in it: the difference to what is read was lost."""
+"""Counts the messages that a bag declares, by all its counts: the difference to the read ones was lost."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ class CanSignals(ChannelFile):
         self.channels = [Channel(signal.name, signal.unit or "", one.group) for one, signal in signals]
 
     def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
-        """Choose what to decode."""
+        """Choose the signals to decode."""
         super().settle(time, channels)
         for one in self._messages:
             one.wanted = []

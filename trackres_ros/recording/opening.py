@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Opens whatever the user named, by the kind of recording that its suffix says."""
+"""Opens a recording by the kind that its suffix gives."""
 
 from __future__ import annotations
 

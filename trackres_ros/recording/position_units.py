@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tells degrees from radians by the values of a position, and turns it into radians."""
+"""Distinguishes degrees from radians by the values of a position, and converts it to radians."""
 
 from __future__ import annotations
 

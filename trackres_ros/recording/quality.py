@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds what is odd in the samples of one role: stamps, gaps, quantisation, stuck sensors and dropouts."""
+"""Finds defects in the samples of one role: stamps, gaps, quantisation, stuck sensors and dropouts."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ GRID_TOLERANCE = 1e-3
 
 
 def findings_of(role: str, samples: Series, start_ns: int, zero_is_unset: bool = True) -> list[Finding]:
-    """Look at one role and say what is wrong with it.
+    """Find the defects of one role.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds a recording in memory: every role's samples in SI, in log order, with what was found wrong with them."""
+"""Holds a recording in memory: every role's samples in SI, in log order, with their defects."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Recording:
 
     @classmethod
     def from_source(cls, source: Source) -> Recording:
-        """Read a source to its end, and look for what is odd in its samples.
+        """Read a source to its end, and find defects in its samples.
 
         Parameters
         ----------
@@ -204,7 +204,7 @@ class Recording:
         )
 
     def wheel_notes(self) -> list[str]:
-        """Say what recorded wheel speeds show of radii and slip.
+        """Note the rolling radii and slip from recorded wheel speeds.
 
         Returns
         -------
@@ -214,7 +214,7 @@ class Recording:
         return wheel_notes(self.aligned()) if any(base_role(role) == "wheel_speed" for role in self.series) else []
 
     def _findings(self) -> Iterator[tuple[str, str]]:
-        """Role and text of each finding, with where it was first."""
+        """Role and text of each finding, with its first time."""
         for finding in self.findings:
             first = f" (first at {finding.first_time_s:.2f} s)" if np.isfinite(finding.first_time_s) else ""
             yield finding.role, finding.text + first

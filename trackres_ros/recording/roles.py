@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 @dataclass(frozen=True, slots=True)
 class Role:
-    """What a kind of input means.
+    """Definition of a kind of input.
 
     Attributes
     ----------

@@ -344,7 +344,7 @@ def is_ros1(path: Path) -> bool:
 
 
 def remedy(path: Path) -> str:
-    """What may help where a bag cannot be read."""
+    """Remedy for an unreadable bag."""
     return "try: ros2 bag reindex" if path.is_dir() else REMEDIES.get(path.suffix, "try: ros2 bag reindex")
 
 
@@ -418,7 +418,7 @@ def _check_folder(path: Path) -> None:
 
 
 def _check_storage(storage: Any) -> None:
-    """Refuse what would fill the memory when it is read."""
+    """Refuse content that would exhaust the memory."""
     database = getattr(storage, "dbconn", None)
     if database is not None:
         limit = getattr(database, "limit", None) or database.setlimit

@@ -16,8 +16,8 @@ from trackres_ros.recording.roles import ROLES, base_role
 from trackres_ros.recording.samples import Finding, SampleBlock
 
 APART_S, SLOW_APART_S = 0.5, 60.0
-"""Longest time between two samples of a part that a line is drawn across [s], for what a moving vehicle changes all the time
-and for the rest; assumed, as a measured torque holds for 0.5 s. `max_age_s` of the role replaces it."""
+"""Longest time between two samples of a part for linear interpolation [s], for quickly changing channels and for the rest.
+Assumed: a measured torque holds for 0.5 s. `max_age_s` of the role replaces it."""
 
 
 @dataclass(frozen=True, slots=True)

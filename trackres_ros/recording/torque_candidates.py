@@ -46,7 +46,7 @@ def note_of(candidates: Sequence[str], roles: Iterable[str]) -> list[str]:
 
 
 def remedy_of(candidates: Sequence[str]) -> str:
-    """What to do about a recording without a torque."""
+    """Remedy for a recording without a torque."""
     if not candidates:
         return NAME_IT
     if candidates[0].startswith("/"):

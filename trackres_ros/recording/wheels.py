@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds recorded wheel speeds against the speed of the vehicle: what each rolls on, and by how much it slips under torque."""
+"""Compares recorded wheel speeds with the vehicle speed: rolling radius and slip under torque."""
 
 from __future__ import annotations
 

@@ -213,7 +213,7 @@ class DiagnosisResult:
 
 
 def _plots(found: Diagnosis) -> Interactive | str:
-    """What the page has to zoom into, or why it has nothing."""
+    """The page's interactive plots, or the reason for their absence."""
     from trackres_ros.diagnosis.report.interactive import interactive
 
     try:

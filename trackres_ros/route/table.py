@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads and writes what was learned of the places of a route as a table: a row for each place."""
+"""Reads and writes the learned values of a route's places as a table, one row per place."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _learned(route: RouteMap) -> list[dict[str, str]]:
 
 
 def read_route(path: Path) -> tuple[RouteMap, ...]:
-    """Read what was learned by place: a slope, a torque, or both.
+    """Read learned values by place: a slope, a torque, or both.
 
     Raises
     ------

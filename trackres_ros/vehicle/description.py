@@ -182,7 +182,7 @@ class Spells:
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """A torque that wanders about none; see `schema.DISTURBANCES` for the units."""
+    """A torque that drifts about zero; see `schema.DISTURBANCES` for the units."""
 
     form: ClassVar[str] = "drift"
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The section `disturbance` of a vehicle file is checked here: a torque that comes and goes, or wanders, and is watched for."""
+"""Checks the section `disturbance` of a vehicle file: an intermittent or drifting torque to watch for."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Assembles a `Vehicle` from a checked file, and checks what only the whole can show."""
+"""Assembles a `Vehicle` from a checked file, and checks the consistency of its parts."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A function of the user's own as a base: what drives a machine, of its speed, acceleration and some parameters."""
+"""A user's own function as a base: driving torque as a function of speed, acceleration and parameters."""
 
 from __future__ import annotations
 

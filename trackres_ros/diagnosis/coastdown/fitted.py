@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Fits a base model to rollings out: the forces that slow it down are what its mass loses in speed.
+"""Fits a base model to coast-downs: the decelerating forces equal the loss of momentum per time.
 
-Nothing is measured but the speed, so all that is found scales with the mass and what turns with it, which are held: how well
-these are known widens every interval.
+Only the speed is measured, so all results scale with the mass including rotating parts. These are fixed, and their
+uncertainty widens every interval.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class FittedValue:
 
 @dataclass(frozen=True, eq=False)
 class Coastdown:
-    """What rollings out say.
+    """Results of a fit to coast-downs.
 
     Attributes
     ----------
@@ -106,12 +106,12 @@ class Coastdown:
 
     @property
     def better(self) -> bool:
-        """Whether the values are better on rollings out that were not fitted, beyond chance."""
+        """Whether the values improve the hold-out coast-downs significantly."""
         return self.improvement is not None and self.improvement.after < self.improvement.before and self.improvement.low > 0.0
 
     @property
     def kept(self) -> FileChanges:
-        """What may be written."""
+        """Changes that may be written."""
         values = {p.name: p.value for p in self.parameters}
         spans = {("", p.name): p.interval for p in self.parameters if p.told}
         told = ", ".join(p.name for p in self.parameters if p.told) or "none"
@@ -121,7 +121,7 @@ class Coastdown:
 
 
 def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1) -> Coastdown:
-    """Find what resists a vehicle that rolls out.
+    """Estimate resistance parameters from coast-downs.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
 
 
 def _told_by_rolling(base: Base) -> Base:
-    """The base with those parameters free that a rolling out can tell of."""
+    """The base with the parameters free that a coast-down determines."""
     return _with_free(base, [q.name for q in base.parameters if q.name not in SCALES])
 
 
@@ -247,7 +247,7 @@ def _parameters(
 
 
 def _improvement(problem: Problem, rolled: Rollouts, nominal: Sequence[Array], rng: np.random.Generator) -> Improvement | None:
-    """Of the error where it was not fitted: each part of the rollings out by a fit to the others."""
+    """Cross-validated improvement of the error: each part of the coast-downs by a fit to the others."""
     together = _together(rolled, 2)
     parts = math.ceil(len(rolled.stretches) / together)
     if parts < 2:

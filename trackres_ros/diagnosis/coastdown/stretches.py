@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds where a vehicle rolls out: nothing drives, nothing brakes, and it slows down."""
+"""Finds coast-downs: stretches of deceleration without drive torque and brakes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ AROUND_S, END_S = 5.0, 2.0
 
 @dataclass(frozen=True, slots=True)
 class RollOut:
-    """A rolling out: which session, from which sample to before which."""
+    """A coast-down: session, first sample and end."""
 
     session: int
     begin: int
@@ -38,7 +38,7 @@ class RollOut:
 
 @dataclass(frozen=True, eq=False)
 class Rollouts:
-    """Sessions in which only rolling out counts, each a lap of its own.
+    """Sessions with only coast-downs in use, each as its own lap.
 
     Attributes
     ----------

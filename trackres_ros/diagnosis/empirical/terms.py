@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Terms without a name, as they are said: what a torque follows or how it comes and goes, and what to look at for it."""
+"""Sentences of terms without a name: the variable or the timing of the torque, and possible mechanisms."""
 
 from __future__ import annotations
 
@@ -263,7 +263,7 @@ def of_wave(name: str, wave: Wave, level: float, part: str) -> Described:
 
 
 def of_place(name: str, level: float, place: Place) -> Described:
-    """A torque of a size [Nm] at the same place on each pass."""
+    """Describe a torque of this size [Nm] at the same place on each pass."""
     route = f"each lap of {figures(place.lap_m, 4)} m" if place.folded else "the route of each recording"
     text = (
         f"From {figures(place.begin_m)} to {figures(place.end_m)} m after the start of {route}, the vehicle needs "
@@ -290,7 +290,7 @@ def of_payload(name: str, level: float, payload: Payload) -> Described:
 
 
 def of_route(name: str, size: float, least: float, most: float, route: Route) -> Described:
-    """What goes by place, from a least to a most torque [Nm] and of a size, where it is not told for a slope."""
+    """Describe a torque by place with its minimum, maximum and size [Nm], if it is not a slope."""
     tied = abs(route.apart) <= TOLD
     text = (
         f"On {figures(0.001 * route.metres)} km of streets, the vehicle needs between {_more(least)} and {_more(most)} than the "
@@ -303,7 +303,7 @@ def of_route(name: str, size: float, least: float, most: float, route: Route) ->
 
 
 def of_level_change(name: str, level: float, sessions: Sequence[DriveSession], change: LevelChange) -> Described:
-    """A level that changed for good by so much [Nm]."""
+    """Describe a lasting level change of this size [Nm]."""
     text = (
         f"Since {_when(sessions, change)} the vehicle needs {_more(level)} than before, until the end of the recordings. "
         "Diagnose the recordings since then alone to write that into a vehicle file"
@@ -327,7 +327,7 @@ def _when(sessions: Sequence[DriveSession], change: LevelChange) -> str:
 
 
 def of_recordings(levels: Array, sessions: Sequence[DriveSession]) -> Described:
-    """Another level [Nm] in each recording, nan of one of which nothing is compared."""
+    """Describe a different level [Nm] in each recording; nan if a recording is not compared."""
     low, high = float(np.nanmin(levels)), float(np.nanmax(levels))
     text = (
         f"From recording to recording the vehicle needs between {_more(low)} and {_more(high)} than the model. Within each "
@@ -345,7 +345,7 @@ def _differs(means: Sequence[float]) -> bool:
 
 
 def of_drift(wander: Wander) -> Described:
-    """A torque that wanders."""
+    """Describe a drifting torque."""
     over = f"The residual drifts by {figures(wander.size)} Nm over about {figures(wander.seconds, 2)} s"
     text = f"{over}. It follows no recorded channel"
     return Described("drift", "", "", "", None, wander.seconds, text, OF_DRIFT, wander.size, False)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A torque that comes again with every so many metres: something on a belt or a wheel goes round.
+"""Finds a torque that repeats with distance, caused by a rotating part of a belt or a wheel.
 
 Source: Lomb (1976) and Scargle (1982), over distance instead of time, on residuals whitened as in the fit; means over a step
 of a wave that is short beside it are smaller by the sinc of their ratio, which is taken into account exactly.

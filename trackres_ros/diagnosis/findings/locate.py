@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 3: where a mismatch is: when an effect acts, and whether torque or temperature is to blame."""
+"""Step 3: locates a mismatch: when an effect acts, and whether torque or temperature causes it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 9: what to drive next, so that candidates that look alike here come apart, from one another and from nothing."""
+"""Step 9: proposes drives that separate similar candidates from each other and from no effect."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NOTHING = "nothing"
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """A manoeuvre and what it tells apart.
+    """A manoeuvre and the explanations that it separates.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Advice:
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """What may be true: a fit, and how likely it is; its name is `NOTHING` for the fit without any of the tied."""
+    """A possible explanation: a fit and its probability; named `NOTHING` for the fit without the tied effects."""
 
     name: str
     fit: Fit

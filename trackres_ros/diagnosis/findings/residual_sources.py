@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is left after a fit, by where it comes from: the torque's sensor, the speed's, and the model."""
+"""Splits the residual of a fit by source: torque sensor, speed sensor and model."""
 
 from __future__ import annotations
 

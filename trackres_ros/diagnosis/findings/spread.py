@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds regimes in which the torque shakes more than elsewhere: a judder has no mean, so no term of the fit shows it.
+"""Finds regimes in which the torque oscillates more than elsewhere: a judder has no mean, so no term of the fit shows it.
 
 The measured torque is compared with the expected one within the steps of the fit, by means over a fifth of a second. Second
 differences of that residual show what is faster than a step, and a median over three steps leaves out corners of the torque.

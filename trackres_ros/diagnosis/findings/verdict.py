@@ -166,7 +166,7 @@ def _confirmed(
     listed: Possible,
     after: Sequence[str],
 ) -> Verdict:
-    """The verdict where terms are confirmed, unless what is left is large beside what they explain."""
+    """The verdict with confirmed terms, unless the remaining residual is large compared with them."""
     added = np.concatenate([sum(x) for x in zip(*(t.adds for t in sure), strict=True)])
     explained = float(np.percentile(np.abs(added), 95.0))  # where they act: some do for minutes of an hour
     if max((abs(b.mean_residual) for b in left), default=0.0) > LEFT_SHARE * explained:
@@ -181,7 +181,7 @@ def _confirmed(
 
 
 def _rest(left: Sequence[Bin], left_over: SlowResidual) -> list[str]:
-    """What is left beside what is confirmed."""
+    """Sentences about the remaining residual besides the confirmed terms."""
     return [
         f"A small error remains {range_of(left[0])}" if left else "",
         *(slow(left_over) if left_over.share > MOST_STRAY else []),
@@ -189,7 +189,7 @@ def _rest(left: Sequence[Bin], left_over: SlowResidual) -> list[str]:
 
 
 def _lasts(drift: Told, left: Sequence[Bin], strays: bool) -> bool:
-    """Whether what is left is a level of each recording, or goes with the clock alone."""
+    """Whether the residual is a level of each recording, or follows only the clock."""
     return drift.described.form == "recordings" or (strays and all(BY_NAME[b.variable].as_clock for b in left))
 
 

@@ -55,7 +55,7 @@ def is_small(t: NamedEffect | Told) -> bool:
 
 
 def confirmed_terms(terms: Sequence[NamedEffect | Told], held_out: HeldOut) -> list[str]:
-    """What is confirmed: the large terms, what they are worth together, then the small ones."""
+    """Sentences of the confirmed terms: the large ones, their common improvement, then the small ones."""
     large = [t for t in terms if not is_small(t)]
     small = [t for t in terms if is_small(t)]
     if not large:
@@ -64,7 +64,7 @@ def confirmed_terms(terms: Sequence[NamedEffect | Told], held_out: HeldOut) -> l
 
 
 def _of(t: NamedEffect | Told) -> list[str]:
-    """A term: where and how much, what it is, its values."""
+    """Sentences of one term: place and size, cause, values."""
     if isinstance(t, Told):
         return [t.described.sentence, "No effect of the catalogue explains this", look_for(t.described.mechanisms)]
     members = t.step.members
@@ -98,7 +98,7 @@ def differs(t: NamedEffect | Told) -> str:
 
 
 def look_for(mechanisms: Sequence[str]) -> str:
-    """What to look at in the vehicle, as much as a sentence holds; the page has all."""
+    """Mechanisms to check in the vehicle, within one sentence; the page lists all."""
     text = f"Look for {mechanisms[0]}"
     for one in mechanisms[1:]:
         if len(f"{text} or {one}".split()) <= MOST_WORDS:
@@ -144,7 +144,7 @@ def mean_error(before: float, after: float) -> str:
 def possible(
     unsure: Sequence[NamedEffect | Told], confirmed: Sequence[NamedEffect | Told], shares: Mapping[str, float]
 ) -> Possible:
-    """What it may be besides what is confirmed, with probabilities, the likeliest first and `NONE_OF_THESE` last.
+    """Possible causes besides the confirmed ones, with probabilities, the likeliest first and `NONE_OF_THESE` last.
 
     Without probabilities over whole explanations those within each suspected class are given, and none for a single name.
     """
@@ -165,7 +165,7 @@ def possible(
 
 
 def may_be(listed: Possible, also: bool = False) -> str:
-    """The list of what it may be, in a sentence."""
+    """The list of possible causes, in a sentence."""
     options = [name if share is None else f"{name} ({_percent(share)})" for name, share in listed]
     return f"It may {'also ' if also else ''}be: {', '.join(options)}" if options else ""
 
@@ -190,7 +190,7 @@ def _from_to(i: Improvement) -> str:
 
 
 def rejected(refuted: Sequence[Graded]) -> list[str]:
-    """What the hold-out laps reject, what displaces a value of the file, and what they do not confirm."""
+    """Terms that the hold-out laps reject or do not confirm, and terms that displace a value of the file."""
     worse = [g for g in refuted if g.grade == REFUTED and not g.displaces]
     unsure = ", ".join(g.name for g in refuted if g.grade != REFUTED)
     return [
@@ -209,7 +209,7 @@ def rejected(refuted: Sequence[Graded]) -> list[str]:
 
 
 def moved(q: BaseParameter, value: float) -> str:
-    """A parameter of the base and where it went."""
+    """A parameter of the base with its old and new value."""
     unit = "" if q.unit == "1" else f" {q.unit}"
     return f"{q.name} {figures(q.nominal, 4)} -> {figures(value, 4)}{unit}"
 

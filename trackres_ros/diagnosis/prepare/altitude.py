@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes a slope of a recorded altitude, where the altitude is good enough for one, and says how sure it is."""
+"""Derives a slope from a recorded altitude of sufficient accuracy, with its standard deviation."""
 
 from __future__ import annotations
 

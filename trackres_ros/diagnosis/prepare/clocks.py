@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Checks the clocks of one recording: one that is set back, and one that is off against the speed's by hours or minutes."""
+"""Checks the clocks of one recording: steps back in time, and offsets of minutes or hours to the speed's clock."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 0 of the diagnosis: recordings in, evenly spaced sessions with numbered laps out, and what was left out of them."""
+"""Step 0 of the diagnosis: recordings come in; evenly spaced sessions with numbered laps and the rejected samples go out."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ CLOCK_OFF_S = 60.0  # by which a standing time that is given may be shorter than
 
 @dataclass(frozen=True, slots=True)
 class Exclusion:
-    """What is not compared [s], and why."""
+    """Time that is not compared [s], and the reason."""
 
     reason: str
     seconds: int
@@ -54,7 +54,7 @@ class Exclusion:
 
 @dataclass(frozen=True, eq=False)
 class Gated:
-    """What passed the gate.
+    """Recordings that passed the checks.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Gated:
 def gate(
     recordings: Sequence[Recording], settings: GateSettings, hide: Sequence[str] = (), refused: Sequence[Refusal] = ()
 ) -> Gated:
-    """Check recordings and put them on an even grid; those that cannot be used are left out, and the notes say why.
+    """Check recordings and resample them to an even grid; unusable ones are skipped with a note.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class _Admitted:
 
 @dataclass(frozen=True, eq=False)
 class _Resampled(_Admitted):
-    """The same on an even grid, and what of it is not compared."""
+    """The recording on an even grid, and its time without comparison."""
 
     session: DriveSession
     unknown: Mapping[str, Mask]
@@ -197,7 +197,7 @@ def _resampled(one: _Admitted, step: float, settings: GateSettings) -> _Resample
 
 
 def _checked(one: _Resampled, settings: GateSettings, alone: float) -> _Resampled:
-    """The same with what may be compared, and a slope of its altitude."""
+    """The session with its mask of comparable samples, and a slope from its altitude."""
     session = replace(one.session, used=usable(one.session, one.unknown, settings, one.left_out, alone))
     if "brake" in session.given:
         one.notes.append(_of_brakes(session, one.unknown[BRAKES_ON], settings))
@@ -270,7 +270,7 @@ def _of_brakes(session: DriveSession, on: Mask, settings: GateSettings) -> str:
 
 
 def _of_wheels(recording: Recording) -> list[str]:
-    """What wheel speeds show."""
+    """Notes about the wheel speeds."""
     return wheel_notes(recording.aligned()) if any(base_role(role) == "wheel_speed" for role in recording.series) else []
 
 

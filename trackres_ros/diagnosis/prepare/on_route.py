@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Gives sessions what was learned before of the places of a route, by their positions."""
+"""Adds the learned values of a route's places to sessions, by position."""
 
 from __future__ import annotations
 

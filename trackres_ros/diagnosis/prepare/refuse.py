@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Refuses recordings in which nothing can be compared: too short, of one time, without torque or speed, too fast or too slow."""
+"""Refuses recordings without comparable data: too short, overlapping in time, without torque or speed, too fast or too slow."""
 
 from __future__ import annotations
 

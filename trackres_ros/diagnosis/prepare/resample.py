@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Puts a recording on an even grid: samples of any rate become means over steps, and what is held between samples."""
+"""Resamples a recording to an even grid: means over steps, or held values between samples."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from trackres_ros.units import GRAVITY
 MOST_UNKNOWN = 0.5  # of a recording
 ODOMETER_OFF = 0.15  # of the speed: further off it was reset, or stood still
 QUICK, STEADY = 1.0 / 3.0, 0.01
-"""Share of the speed's mean square that is another one step later. Over 1 s it is up to 0.004 of a car on a road and of a bus,
-0.03 to 0.17 of robots that are driven to and fro, and 0.56 of a carriage on a screw."""
+"""Mean square change of the speed over one step, as a share of its mean square. Over 1 s it is up to 0.004 for a car or a bus on
+a road, 0.03 to 0.17 for robots driven to and fro, and 0.56 for a carriage on a screw."""
 SHORTER_STEPS_S = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
 

@@ -33,7 +33,7 @@ CLEARLY_BETTER = 0.05  # in correlation
 
 
 def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession, str]:
-    """The session with its torque moved in time to where it goes with the speed best, and what was done.
+    """The session with its torque shifted to the best correlation with the speed, and a note.
 
     Only whole steps from `LEAST_SHIFT_S` on: less is a delay, which is physics, or a sensor's.
     """
@@ -139,7 +139,7 @@ def _between(least: float, most: float) -> float:
 
 
 def _remedy(share: float, sessions: Sequence[DriveSession], known: GateSettings) -> str:
-    """What may be wrong with a torque that is such a share of the expected one, and what to put into the topics file."""
+    """Possible causes of a torque that differs from the expected one by this factor, and the line for the topics file."""
     sides = {f"one of {n}": float(n) for n in (2, 3, 4)}
     whats = {
         "in kNm": 1e3,
@@ -167,7 +167,7 @@ LOOK_AT = "check units, signs and that torque, speed and load belong to the whol
 def nothing_to_conclude(
     names: str, r2: Mapping[str, float], mae: Mapping[str, float], size: float, notes: Sequence[str] = ()
 ) -> InputError | None:
-    """What to say where no stage of the model explains the torque of laps held out any better than its mean does.
+    """The error if no stage of the model predicts the torque of hold-out laps better than its mean.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def nothing_to_conclude(
 
 
 def inconsistent_scale_notes(sessions: Sequence[DriveSession], expected: Sequence[Array]) -> list[str]:
-    """What to say of recordings whose torque is in another proportion to the expected one than that of the others."""
+    """Notes on recordings whose ratio of measured to expected torque differs from the others."""
     used = [(s.torque[s.used], e[s.used]) for s, e in zip(sessions, expected, strict=True)]
     shares = [float(m @ e) / max(float(e @ e), 1e-12) for m, e in used]
     middle = float(np.median(shares)) if len(shares) > 2 else max(shares)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A yaw rate out of what else was recorded, where it was not itself: heading, wheel speeds of the sides, or positions."""
+"""Derives a yaw rate from heading, wheel speeds of both sides or positions, if it was not recorded."""
 
 from __future__ import annotations
 

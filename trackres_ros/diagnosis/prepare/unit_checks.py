@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 0, first half: units of what is recorded beside the torque, judged by what vehicle and weather can be."""
+"""Step 0, first half: checks the units of all channels but the torque against plausible values of vehicle and weather."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ OF_SPEED = {"km/h": 1.0 / KMH_PER_MPS, "mph": 0.44704, "knots": 0.51444, "mm/s":
 
 
 class Conversion(NamedTuple):
-    """What makes the unit of a role out of another unit."""
+    """Conversion of another unit to the unit of a role."""
 
     scale: float = 1.0
     offset: float = 0.0
 
     def line(self, role: str) -> str:
-        """What to put into the topics file."""
+        """Line for the topics file."""
         parts = {name: f"{x:.5g}" for name, x in self._asdict().items() if x != Conversion._field_defaults[name]}
         asked = " and ".join(f"{'an' if name == 'offset' else 'a'} {name} of {x}" for name, x in parts.items())
         listed = ", ".join(f"{name}: {x}" for name, x in parts.items())
@@ -49,7 +49,7 @@ class Conversion(NamedTuple):
 
 
 def check_units(name: str, series: Mapping[str, Series], weight: float) -> list[str]:
-    """Refuse what is plainly in another unit, and say what is only unusual.
+    """Refuse values in a wrong unit, and note unusual ones.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The residual over all sessions, one after the other, and what each term that was found takes of it."""
+"""The residual over consecutive sessions, and the share of each found term."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The first picture of a page: the residual over time, each term over it, and what is left."""
+"""The first picture of a page: the residual over time, each term over it, and the remaining residual."""
 
 from __future__ import annotations
 

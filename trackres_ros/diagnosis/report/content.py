@@ -120,7 +120,7 @@ def _base(d: Diagnosis) -> dict[str, Any]:
 
 
 def _verdict(d: Diagnosis) -> dict[str, Any]:
-    """What the diagnosis concludes, and the values of the vehicle file that the re-fit changes."""
+    """The conclusion of the diagnosis, and the values of the vehicle file that the re-fit changes."""
     return {
         "status": d.verdict.status,
         "grade": d.verdict.grade,
@@ -160,7 +160,7 @@ def _held_out(held_out: HeldOut) -> dict[str, Any]:
 
 
 def _advice(d: Diagnosis) -> list[dict[str, Any]]:
-    """Drives that would tell apart what cannot be told apart here."""
+    """Drives that would separate effects that these recordings do not distinguish."""
     return [
         {
             "separates": list(a.separates),
@@ -196,7 +196,7 @@ def _candidates(d: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
-    """What is to be done with what was kept, besides driving with the vehicle file."""
+    """Next steps for the kept results, besides using the vehicle file."""
     said = []
     around, sensors = (", ".join(d.kept.names_of(kind)) for kind in ("surroundings", "sensor"))
     if around:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The plots of the page that one can zoom into and press on, by Bokeh; without it the page has its pictures alone.
+"""The interactive plots of the page, by Bokeh; without it the page has only static pictures.
 
 The library and the data lie in the page packed, and the browser unpacks them: one file, no network.
 """

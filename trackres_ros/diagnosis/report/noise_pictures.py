@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draws what is left after the last fit as noise: whether it is white."""
+"""Draws tests of whether the residual of the last fit is white noise."""
 
 from __future__ import annotations
 

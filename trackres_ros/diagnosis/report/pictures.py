@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The pictures of a diagnosis. Each has a text that says what it shows, for who cannot see it."""
+"""The pictures of a diagnosis. Each has an alternative text."""
 
 from __future__ import annotations
 
@@ -277,8 +277,7 @@ def _by_stretch(d: Diagnosis, of: Described, path: Path) -> Picture:
     return Picture(
         path,
         f"The term: {of.name}",
-        "Mass of each stretch between stops that was used for fitting, beside that of the model, told by what it takes to speed "
-        "up, to roll and to climb.",
+        "Mass of each fitted stretch between stops, minus the model's. Acceleration, rolling and climbing determine it.",
     )
 
 

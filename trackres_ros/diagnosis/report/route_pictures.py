@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draws what goes by place: over the matched distance with its uncertainty, and on a map of the route."""
+"""Draws terms by place: over the matched distance with uncertainty, and on a map of the route."""
 
 from __future__ import annotations
 

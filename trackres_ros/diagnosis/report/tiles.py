@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The four tiles of the page and the sentence over them: where, what, how much better, what to do next."""
+"""The four tiles of the page and the sentence over them: where, what, how much better, next step."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SURE_OF_NONE = {
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """A question, its answer in a few words, and what stands behind it."""
+    """A question, its answer in a few words, and the details."""
 
     name: str
     answer: str
@@ -70,7 +70,7 @@ def headline(report: dict[str, Any]) -> str:
 
 
 def _possible(r: dict[str, Any]) -> str:
-    """What it may be, with probabilities; empty where nothing is listed."""
+    """Possible causes, with probabilities; empty if none is listed."""
     listed = r["verdict"].get("may_be") or ()
     return ", ".join(_plain(x["name"]) + ("" if x["share"] is None else f" ({100.0 * x['share']:.0f} %)") for x in listed[:FEW])
 

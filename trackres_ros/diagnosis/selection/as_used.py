@@ -1,10 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Decides what may be written: each file is judged on held-out laps the way it is used.
-
-A controller runs vehicle.yaml alone, without surroundings and without what a sensor adds. So vehicle.yaml is compared alone with
-the file it came from. The surroundings and the lines for a sensor are compared beside the vehicle.yaml that is written.
+"""Decides which results to write: each file is judged on the hold-out laps the way it is used. A controller runs vehicle.yaml
+alone, without surroundings and without sensor errors. So vehicle.yaml alone is compared with its original. The surroundings
+and the sensor lines are compared together with the written vehicle.yaml.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 8: what the better model is worth on laps that were never used, and whether they confirm it."""
+"""Step 8: the error of the improved model on the hold-out laps, and its grade."""
 
 from __future__ import annotations
 

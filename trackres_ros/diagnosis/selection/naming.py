@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Proposes what may be added to an explanation by name or form: the best to first order, fitted together with it."""
+"""Proposes additions to an explanation by name or form: the best to first order, fitted together with it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 5, first half: what each effect would gain, to first order, and what the best of them would gain from noise alone."""
+"""Step 5, first half: the gain of each effect to first order, and the best gain from noise alone."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 4: what could be seen in these recordings at all, and what could not be told apart, before anything is named."""
+"""Step 4: finds the visible and the indistinguishable effects of these recordings, before naming any."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The verdict comes in; next drives and what may be written go out."""
+"""The verdict comes in; next drives and the changes to write go out."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The chosen explanation comes in; where each of its terms acts, how sure its values are, and the verdict go out."""
+"""The chosen explanation comes in; the range of each term, intervals and the verdict go out."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings come in; sessions with numbered laps go out, split into laps to fit and laps held out, and what may be missing."""
+"""Recordings come in; sessions with numbered laps go out, split into fitted and hold-out laps, with the candidate effects."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The re-fitted base comes in; the best explanation of what it leaves goes out, confirmed on laps left out, or none."""
+"""The re-fitted base comes in; the best cross-validated explanation of its residual goes out, or none."""
 
 from __future__ import annotations
 
