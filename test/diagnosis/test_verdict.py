@@ -145,7 +145,7 @@ def test_several_values_far_out_of_range_reject_the_vehicle_file():
     assert (verdict.status, verdict.grade) == ("unexplained", SUSPECTED)
     assert verdict.seen == "The vehicle file does not fit this vehicle"
     assert "q0 would be 1.8" in verdict.sentence
-    assert "q1 is 0.4 then" in verdict.sentence
+    assert "q1 would be 0.4" in verdict.sentence
     assert "q2" not in verdict.sentence
     assert said(base=refitted(8.0, 1.0)).status == "none"  # one value may be wrong
 

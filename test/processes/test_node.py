@@ -443,7 +443,7 @@ def test_signals_save_and_reset_without_ros(tmp_path, wire):
     n.process.send_signal(signal.SIGUSR1)
     n.until(state.exists, "the state file")
     n.process.send_signal(signal.SIGUSR2)
-    n.until(lambda: "starts anew" in n.log, "the reset")
+    n.until(lambda: "estimate restarts" in n.log, "the reset")
     n.drive(0.3)
     assert n.stop() == 0
     n.close()

@@ -289,7 +289,7 @@ def test_a_row_of_units_below_the_names_counts(tmp_path):
     assert found.series["speed"].value.tolist() == pytest.approx([10.0, 20.0])
     assert found.series["load"].value.tolist() == [90e3, 91e3]
     assert found.time_s("speed").tolist() == [0.0, 0.5]
-    assert {"time: Time is in ms, as the file says", "speed: VehSpd is in km/h, as the file says"} <= set(found.notes)
+    assert {"time: Time is in ms according to the file", "speed: VehSpd is in km/h according to the file"} <= set(found.notes)
 
 
 def test_two_sheets_that_fit_are_both_named(tmp_path):

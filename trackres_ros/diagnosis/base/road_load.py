@@ -43,8 +43,8 @@ FITTED = (
 TORQUE_OFFSET = TorqueOffset.name
 ONLY_ONE_OF = ("mass", "torque_scale")
 """Both scale nearly all, and only their product is identifiable: one is re-fitted if the file fixes the other with a range of
-zero width. With both free, a robot's scale fell to half to a tenth of its value, because errors of the speed hide a part of
-the inertia. Its turning friction went to its bound. A car's mean error on hold-out laps fell by 0.2 of 60 Nm.
+zero width. With both free, a robot's scale fell to half to a tenth of its value: errors of the speed hide inertia.
+Its turning friction went to its bound. A car's mean error on hold-out laps fell by 0.2 of 60 Nm.
 """
 
 

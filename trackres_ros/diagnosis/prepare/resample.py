@@ -30,8 +30,8 @@ from trackres_ros.units import GRAVITY
 MOST_UNKNOWN = 0.5  # of a recording
 ODOMETER_OFF = 0.15  # of the speed: further off it was reset, or stood still
 QUICK, STEADY = 1.0 / 3.0, 0.01
-"""Mean square change of the speed over one step, as a share of its mean square. Over 1 s it is up to 0.004 for a car or a bus on
-a road, 0.03 to 0.17 for robots driven to and fro, and 0.56 for a carriage on a screw."""
+"""Mean square change of the speed over one step, as a share of its mean square. Over 1 s a car or
+a bus reaches 0.004, robots driven to and fro 0.03 to 0.17, a carriage on a screw 0.56."""
 SHORTER_STEPS_S = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
 
