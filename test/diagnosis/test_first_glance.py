@@ -73,10 +73,10 @@ def test_surroundings_are_not_listed_as_in_the_vehicle_file():
     r["effects"][0]["belongs_to"] = "surroundings"
     last = tiles(r)[-1]
     assert last.answer == "Use vehicle.yaml and surroundings.yaml"
-    assert last.detail == "the first has warmup; surroundings.yaml has grade, for where it holds"
+    assert last.detail == "the first has warmup; surroundings.yaml has grade, for the places where it applies"
     assert by_file(r) == (["warmup"], ["grade"])
     r["written"]["effects"] = ["grade"]
-    assert tiles(r)[-1].detail == "surroundings.yaml has grade, for where it holds"
+    assert tiles(r)[-1].detail == "surroundings.yaml has grade, for the places where it applies"
 
 
 def test_a_confirmed_term_without_a_name_is_listed_with_names():
@@ -102,7 +102,7 @@ def test_an_unpredictable_term_is_worth_the_error_it_removes():
     assert where.answer == "From recording to recording"
     assert what.answer == "a different level in each recording (no name)"
     assert better.answer == "75 % less error"
-    assert "400 re-fitted, 75 where the estimate follows it" in better.detail
+    assert "400 re-fitted, 75 when the live estimate tracks it" in better.detail
 
 
 def test_the_tiles_say_what_the_report_does():

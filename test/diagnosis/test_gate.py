@@ -217,7 +217,7 @@ def test_a_short_recording_among_others_is_left_out_with_a_note(recorded, loaded
     short = rewritten(other, tmp_path, cut, "short.csv")
     found = judged([one, short], loaded)
     assert [s.name for s in found.sessions] == [str(one)]
-    assert any("short.csv" in note and "left out" in note for note in found.notes)
+    assert any("short.csv" in note and "not used" in note for note in found.notes)
     assert [x.seconds for x in found.left_out if "left out" in x.reason] == [79]
     with pytest.raises(InputError, match="at least 120 s"):
         judged([short], loaded)
@@ -356,7 +356,7 @@ def test_a_torque_an_hour_late_is_moved_and_all_of_it_compared(recorded, loaded,
     assert abs(int(found.sessions[0].used.sum()) - int(healthy.sessions[0].used.sum())) <= 2
     assert np.corrcoef(found.sessions[0].torque[20:580], healthy.sessions[0].torque[20:580])[0, 1] > 0.99
     said = " ".join(noted(found, path))
-    assert "torque: its clock is +3600 s off against the speed's; moved by that" in said
+    assert "torque: its clock differs from the speed's by +3600 s; corrected" in said
     assert "load: its clock differs from the speed's by +3600 s; corrected (by the torque)" in said
 
 
@@ -375,7 +375,7 @@ def test_header_stamps_an_hour_late_are_moved_by_the_log(recorded, loaded):
     load = recording.series["load"]
     off = replace(load, stamp_ns=load.stamp_ns + 3_600_000_000_000)
     found, *_ = prepared([replace(recording, series={**recording.series, "load": off}), other], loaded)
-    assert any("load: its clock is +3600 s off" in note and "time of logging" in note for note in found.notes)
+    assert any("load: its clock differs from the speed's by +3600 s; corrected (by the log time)" in note for note in found.notes)
     healthy, *_ = prepared([recording, other], loaded)
     np.testing.assert_array_equal(found.sessions[0].weight, healthy.sessions[0].weight)
 

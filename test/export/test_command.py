@@ -78,7 +78,7 @@ def test_an_export_belongs_until_something_changes(own, trackres):
     assert trackres("export", "--check", "out", cwd=own).returncode == 0
     changes = {
         "guard.py": "values of the vehicle",
-        "out/trackres.c": "trackres.c was changed since",
+        "out/trackres.c": "trackres.c was changed after the export",
         "mine.yaml": "the vehicle file",
     }
     for name, said in changes.items():

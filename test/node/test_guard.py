@@ -172,7 +172,7 @@ def test_a_blocked_disk_stops_no_estimate_and_losses_are_bounded(node, monkeypat
     assert time.monotonic() - began < 60.0
     (said,) = [notice for notice in d.app.notices() if notice.name == "NOT_RECORDED"]
     assert said.level is Level.WARN
-    assert "live.mcap.part: the disk has not answered for" in said.text
+    assert "live.mcap.part: the disk has not responded for" in said.text
     assert re.search(r"lost so far: \d+ messages and [1-9]\d* estimates", said.text)
     answers.set()
     lines = recorder.end()

@@ -80,7 +80,7 @@ def test_sides_are_added_at_the_times_of_the_first(tmp_path):
     ]  # late by 100 ms
     np.testing.assert_allclose(torque.value, [-(10.0 * i + 1000.0 * (i - 0.5) + 5.0) for i in range(1, 5)])
     assert [(one.role, one.kind) for one in found.findings if one.kind == "part"] == [("torque", "part")]
-    assert "torque: sum at the times of /left; /right on a line between samples at most 0.5 s apart" in found.notes
+    assert "torque: sum at the times of /left; /right interpolated between samples at most 0.5 s apart" in found.notes
 
 
 def test_a_gap_of_one_side_is_a_gap_of_the_sum(tmp_path):

@@ -258,7 +258,7 @@ def test_parquet_of_other_types(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"speed_mps: given 'string'.*a column of numbers"):
         read(path)
     path.write_bytes(b"PAR1 no")
-    with pytest.raises(InputError, match="Parquet that can be read to its end"):
+    with pytest.raises(InputError, match="Parquet that is readable to its end"):
         read(path)
 
 

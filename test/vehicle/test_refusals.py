@@ -204,7 +204,7 @@ def test_a_value_that_is_not_plausible(folder: Path, content: Content, value: ob
     assert allowed in error.allowed
     if isinstance(value, float) and math.isfinite(value):
         assert error.given == value
-        assert "widen the range" in error.remedy
+        assert "widen its range" in error.remedy
 
 
 @pytest.mark.parametrize(
