@@ -20,7 +20,7 @@ def show(what, channel, stamp, value):
     if estimate is None:
         print(f"{what:34} no new estimate")
         return
-    texts = "; ".join(estimate.reason_texts()) or "all is well"
+    texts = "; ".join(estimate.reason_texts()) or "no warnings"
     torque = f"{estimate.resistance_torque_nm:5.0f} +- {estimate.resistance_std_nm:4.0f} Nm"
     print(f"{what:34} {estimate.status:4} {torque}, belt {estimate.belt_degc()[0]:4.1f} degC: {texts}")
 

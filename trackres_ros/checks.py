@@ -1,8 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Checks what is read from outside. Each function returns the value, or raises `InputError` with where it was given, what, and
-what is allowed.
+"""Checks input from outside. Each function returns the value, or raises `InputError` with its place, the given value and the
+allowed ones.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`InputError` means: what was given cannot be used, and this is what to do."""
+"""Defines `InputError`: unusable input, with a remedy."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ SHORT_NUMBER_BITS = 200
 
 
 class InputError(ValueError):
-    """Bad input from outside: a file, an option, a topic.
+    """Invalid input from outside: a file, an option, a topic.
 
-    Its text is one line that a user can act on, however long or tangled the given value is.
+    Its text is one line with a remedy, however long the given value is.
 
     Parameters
     ----------
     where
-        What was wrong: the file and the key in it, the option, the argument.
+        Place of the error: file and key, option or argument.
     given
-        The value that was given.
+        The given value.
     allowed
-        What would have been allowed.
+        The allowed values.
     remedy
-        What to do, where that does not follow from what is allowed.
+        What to do, if that does not follow from the allowed values.
     """
 
     def __init__(self, where: str, given: object, allowed: str, remedy: str = "") -> None:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tells who listens how far long work is; imports nothing. A terminal listens, a library and a node do not."""
+"""Reports the progress of long work to listeners; imports nothing. Only the terminal listens."""
 
 from __future__ import annotations
 

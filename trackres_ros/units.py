@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds constants of nature and of units, and the one speed below which a vehicle counts as standing; imports nothing."""
+"""Holds constants of nature and of units, and the speed limit of standstill; imports nothing."""
 
 from __future__ import annotations
 

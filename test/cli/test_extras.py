@@ -116,7 +116,7 @@ def test_an_interrupted_command_lists_the_files_it_has_written(tmp_path):
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=120)
     assert process.returncode == 130
-    assert "written until then" in said
+    assert "written so far" in said
     first = sorted(path for path in (tmp_path / "figures").rglob("*") if path.is_file())[0]
     assert str(first) in said
 

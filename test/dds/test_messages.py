@@ -172,7 +172,7 @@ def test_a_message_cut_short_is_refused_and_the_next_one_read(kind):
 @pytest.mark.parametrize(
     ("kind", "field", "said"),
     [
-        ("track_msgs/msg/Speed", "data", "no other is known without ROS"),
+        ("track_msgs/msg/Speed", "data", "the only ones known without ROS"),
         (TWIST, "twist.linear.w", "fields of geometry_msgs/msg/Vector3: x, y, z"),
         (TWIST, "twist.linear", "a number, not geometry_msgs/msg/Vector3"),
         (JOINTS, "effort", "an index"),

@@ -140,7 +140,7 @@ def test_every_participant_has_its_ports(domain):
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, "on all networks"),
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, "on this machine only"),
         ({"ROS_LOCALHOST_ONLY": "1"}, "on this machine only"),
-        ({"CYCLONEDDS_URI": "<CycloneDDS/>", "ROS_LOCALHOST_ONLY": "1"}, "as CYCLONEDDS_URI says"),
+        ({"CYCLONEDDS_URI": "<CycloneDDS/>", "ROS_LOCALHOST_ONLY": "1"}, "as set by CYCLONEDDS_URI"),
     ],
 )
 def test_how_far_it_reaches(monkeypatch, variables, said):

@@ -119,7 +119,7 @@ def test_incompatible_ranges_are_refused_with_a_reason(monkeypatch):
     monkeypatch.setattr(sensing, "load", lambda _: changed)
     # At either end by itself each is all right only if the other allows it: the wheel's contact is no wider than the belt.
     monkeypatch.setattr(sensing, "_ends", lambda *_: (dict.fromkeys(pair, ((1.0,) * 4, (2.0,) * 4)), {}))
-    with pytest.raises(tr.InputError, match=r"draws hold a vehicle that cannot be, as .*contact_length"):
+    with pytest.raises(tr.InputError, match=r"draws give an impossible vehicle, because .*contact_length"):
         sensing.sensitivity("xgd24d", SPEED, AIR, 8)
 
 

@@ -99,7 +99,10 @@ def test_a_vehicle_right_only_with_surroundings_is_not_written(fitted_again):
     errors = {(2.0, "s"): 20.0, (2.0, ""): 2165.0, (0.0, ""): 121.0, (0.0, "s"): 1900.0, (3.0, ""): 110.0}
     rolling, names, kept = written(["s"], Fitted(2.0, S), errors)
     assert (rolling, names) == (3.0, "")
-    assert "not the base's values and s, as vehicle.yaml alone would be 2160 Nm off, 121 Nm with the old one" in kept.text
+    assert (
+        "not the re-fitted values and s, as the mean error of vehicle.yaml alone would be 2160 Nm, 121 Nm with the old file"
+        in kept.text
+    )
     assert written(["s"], Fitted(2.0, S), {**errors, (3.0, ""): 122.0})[:2] == (0.0, "")
 
 
@@ -248,7 +251,7 @@ def test_a_sensor_that_reads_none_at_rest_for_long_has_no_offset(loaded, effects
     gated = Gated((resting(session, reading, seconds),), (), ())
     after, may_be_found = without_an_offset(gated, loaded.base, effects)
     assert ("torque_offset" not in may_be_found) == contradicted
-    assert ("its sensor has no offset" in " ".join(after.notes)) == contradicted
+    assert ("the sensor has no offset" in " ".join(after.notes)) == contradicted
     assert effects.keys() - may_be_found.keys() <= {"torque_offset"}
 
 

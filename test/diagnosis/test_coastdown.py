@@ -153,7 +153,7 @@ def test_a_slope_that_is_known_does_not_matter(tmp_path, reference_vehicle):
     assert known.better
     assert resistance(reference_vehicle, known, 25.0) == pytest.approx(true, rel=0.01)
     hidden = tr.coastdown(written(tmp_path / "hidden.csv", sloped, "time_s,speed_mps"), "xgd24d")
-    assert hidden.better or "record it, or an altitude" in hidden.why_not
+    assert hidden.better or "record the slope or the altitude" in hidden.why_not
     # There and back: what it does to one takes from the other.
     assert resistance(reference_vehicle, hidden, 25.0) == pytest.approx(true, rel=0.1)
 
@@ -176,7 +176,7 @@ def test_each_rolling_out_may_be_a_recording_of_its_own(tmp_path, reference_vehi
 def test_what_is_driven_or_braked_is_not_taken(tmp_path, reference_vehicle, rolled):
     driven = rolled.copy()
     driven[:, 2] += 3.0 * NO_TORQUE_SHARE * reference_vehicle.weight * 0.4  # somebody keeps his foot on it
-    with pytest.raises(tr.InputError, match="rolls out") as error:
+    with pytest.raises(tr.InputError, match="no coast-down") as error:
         tr.coastdown(written(tmp_path / "driven.csv", driven), "xgd24d")
     assert "both directions" in error.value.remedy
     time = np.arange(0.0, 200.0, DT_S)
@@ -197,9 +197,9 @@ def test_a_speed_that_comes_slowly_will_do(tmp_path, reference_vehicle, rolled, 
 def test_too_little_of_it_is_refused_with_what_there_is(tmp_path, rolled):
     with pytest.raises(tr.InputError, match=r"s of .*: ") as error:
         tr.coastdown(written(tmp_path / "slow.csv", rolled[::100], "time_s,speed_mps"), "xgd24d")
-    assert "no piece in which it rolls out" in str(error.value)
+    assert "no coast-down" in str(error.value)
     begin = int(np.argmax(rolled[:, 1])) - 200
-    with pytest.raises(tr.InputError, match=r"1 rollings out, .* s in all, in steps of 1 s"):
+    with pytest.raises(tr.InputError, match=r"1 coast-downs, .* s in all, in steps of 1 s"):
         tr.coastdown(written(tmp_path / "short.csv", rolled[begin : begin + 600], "time_s,speed_mps"), "xgd24d")
 
 

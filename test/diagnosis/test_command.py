@@ -210,7 +210,7 @@ def test_where_nothing_is_explained_nothing_is_concluded(run, recorded, tmp_path
     (path,) = recorded(count=1, minutes=5.0)
     done = run([changed(path, tmp_path, torque_nm=lambda x: rng.normal(4000.0, 3000.0, len(x)))], tmp_path / "out")
     assert isinstance(done.exception, InputError)
-    assert "nothing can be concluded" in str(done.exception)
+    assert "no conclusion is possible" in str(done.exception)
     assert not (tmp_path / "out").exists()
 
 
@@ -240,9 +240,9 @@ def test_order_names_and_bad_files_change_nothing(run, recorded, tmp_path):
         bad = bad_files(good, folder) if texts else {}
         found = found_in(run, [*bad.values(), *(good[i] for i in order)], folder / "out")
         for reason, path in bad.items():
-            (note,) = (n for n in found["notes"] if n.startswith(f"{path}: left out: "))
+            (note,) = (n for n in found["notes"] if n.startswith(f"{path}: not used: "))
             assert reason in note
-        found["notes"] = [n for n in found["notes"] if "left out: " not in n]
+        found["notes"] = [n for n in found["notes"] if "not used: " not in n]
         found["rejected"] = [x for x in found["rejected"] if "left out" not in x["reason"]]
         text = json.dumps(found)
         for i, path in enumerate(good):
@@ -257,7 +257,7 @@ def test_order_names_and_bad_files_change_nothing(run, recorded, tmp_path):
 def test_a_recording_that_is_not_there_is_refused(run, recorded, tmp_path):
     done = run([*recorded(), tmp_path / "nothing.csv"], tmp_path / "out")
     assert isinstance(done.exception, InputError)
-    assert "nothing at this path" in str(done.exception)
+    assert "no such file or folder" in str(done.exception)
 
 
 def test_one_speed_alone_shows_little_and_says_so(run, loaded, tmp_path):
@@ -280,7 +280,7 @@ def test_a_clock_that_is_off_is_put_right(run, recorded, tmp_path):
         late = np.roll(rows[:, header.index("torque_nm")], 25)  # 5 s
         moved.append(changed(path, tmp_path, torque_nm=lambda x, late=late: late))
     found = found_in(run, moved, tmp_path / "out")
-    assert sum("moved by that" in note for note in found["notes"]) == 2
+    assert sum("; corrected" in note for note in found["notes"]) == 2
     assert [e["name"] for e in found["effects"]] == ["turning_scrub"]
 
 
@@ -301,7 +301,7 @@ def test_a_speed_that_reads_too_high_is_in_the_class(run, recorded, tmp_path):
         paths.append(tmp_path / path.name)
         np.savetxt(paths[-1], rows[:, keep], delimiter=",", header=names, comments="", fmt="%.6f")
     found = found_in(run, paths, tmp_path / "out")
-    assert any("reads 4.0% more than the recorded distance" in note for note in found["notes"])
+    assert any("is 4.0% more than the recorded distance" in note for note in found["notes"])
     assert any("speed_scale" in e["class"] for e in found["effects"])
 
 

@@ -135,7 +135,7 @@ def test_every_verdict_says_whether_it_is_confirmed(diagnoses):
         assert verdict.grade in (CONFIRMED, SUSPECTED, REFUTED)
         if verdict.names:
             assert verdict.grade == CONFIRMED
-            assert "The mean error on laps not used for fitting" in verdict.sentence
+            assert "The mean error on hold-out laps" in verdict.sentence
 
 
 def test_a_tilted_plane_takes_more_one_way_and_less_the_other(diagnoses, loaded):

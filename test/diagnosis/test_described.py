@@ -140,7 +140,7 @@ def test_a_drift_is_judged_by_following_it_and_written_as_such(recorded, loaded,
     recordings = with_added(read_recordings(recorded(minutes=15.0), None), adds)
     found = diagnose(recordings, loaded, DiagnosisOptions(quick=True))
     assert (found.verdict.status, found.verdict.grade) == ("described", "confirmed")
-    assert "a zero of the torque sensor that drifts" in found.verdict.sentence
+    assert "a torque sensor with a drifting zero" in found.verdict.sentence
     said = report(found, [])
     check_form({**said, "recordings": ["x"]})
     (drift,) = [one for one in said["described"] if one["form"] == "drift"]

@@ -73,10 +73,10 @@ def test_surroundings_are_not_listed_as_in_the_vehicle_file():
     r["effects"][0]["belongs_to"] = "surroundings"
     last = tiles(r)[-1]
     assert last.answer == "Use vehicle.yaml and surroundings.yaml"
-    assert last.detail == "the first has warmup; surroundings.yaml has grade, for where it holds"
+    assert last.detail == "the first has warmup; surroundings.yaml has grade, for the places where it applies"
     assert by_file(r) == (["warmup"], ["grade"])
     r["written"]["effects"] = ["grade"]
-    assert tiles(r)[-1].detail == "surroundings.yaml has grade, for where it holds"
+    assert tiles(r)[-1].detail == "surroundings.yaml has grade, for the places where it applies"
 
 
 def test_a_confirmed_term_without_a_name_is_listed_with_names():
@@ -100,9 +100,9 @@ def test_an_unpredictable_term_is_worth_the_error_it_removes():
     r = report_of("described", "confirmed", [], described=[{**of, "heldout": {"mae": [400.0, 75.0]}}], heldout={"mae": mae})
     where, what, better, _ = tiles(r)
     assert where.answer == "From recording to recording"
-    assert what.answer == "another level in each recording (no name)"
+    assert what.answer == "a different level in each recording (no name)"
     assert better.answer == "75 % less error"
-    assert "400 re-fitted, 75 where the estimate follows it" in better.detail
+    assert "400 re-fitted, 75 when the live estimate tracks it" in better.detail
 
 
 def test_the_tiles_say_what_the_report_does():
@@ -123,12 +123,12 @@ def graded(term, grade, before, after):
 def test_headline_and_next_step_follow_the_largest_confirmed_one():
     r = report_of("named", "confirmed", [["viscous_bearing"], ["grade"]])
     small, large = r["effects"]
-    large["acts"] = {"text": "", "size": "the vehicle needs at times more and at times less than the re-fitted model"}
+    large["acts"] = {"text": "", "size": "the vehicle needs sometimes more and sometimes less torque than the re-fitted model"}
     r["effects"] = [graded(small, "confirmed", 216.0, 214.0), graded(large, "confirmed", 1311.0, 214.0)]
     r["written"]["effects"] = ["grade"]
     r["advice"] = [{"separates": ["viscous_bearing", "stribeck"], "manoeuvre": "coast down", "minutes": 5.0}]
     assert headline(r).startswith(
-        "The vehicle needs at times more and at times less than the re-fitted model. The cause is grade"
+        "The vehicle needs sometimes more and sometimes less torque than the re-fitted model. The cause is grade"
     )
     assert "(confirmed)" in headline(r)
     assert tiles(r)[1].answer == "grade"  # the other takes less than 2 % off the error
@@ -178,7 +178,7 @@ def test_what_is_only_suspected_asks_for_more_laps():
     assert tiles(named)[-1].answer == "Keep your vehicle file"
     r["verdict"] |= {"status": "described", "grade": "confirmed"}
     r["described"] = [graded(curve, "confirmed", 149.0, 45.0)]
-    assert tiles(r)[-1].answer == "Look at the vehicle"
+    assert tiles(r)[-1].answer == "Inspect the vehicle"
 
 
 def test_where_nothing_is_gained_nothing_is_to_be_done():
@@ -342,7 +342,7 @@ def test_a_press_highlights_times_in_each_series_and_toggles_off(scrubbed, tmp_p
     assert len(found["lit"]) == 4  # two drives, the lap's torque and its speed
     assert sum(n > 0 for n in found["lit"]) >= 2
     assert found["pressed"] == "true"
-    assert re.fullmatch(r"\d+ s are lit up\.", found["said"])
+    assert re.fullmatch(r"\d+ s are highlighted\.", found["said"])
     assert found["out"] == 0
 
 

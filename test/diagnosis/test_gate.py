@@ -118,7 +118,7 @@ def test_nothing_is_concluded_if_the_mean_beats_the_model():
     off = {"nominal": 300.0, "refitted": 290.0, "with_effects": 280.0}
     refused = nothing_to_conclude("a.csv", worse, off, 500.0)
     assert "R2 -0.20" in str(refused)
-    assert "nothing can be concluded" in str(refused)
+    assert "no conclusion is possible" in str(refused)
     assert nothing_to_conclude("a.csv", {**worse, "nominal": 0.1}, off, 500.0) is None
     assert nothing_to_conclude("steady.csv", worse, off, 5000.0) is None
 
@@ -193,7 +193,7 @@ def test_two_recordings_of_one_time_are_refused_by_name(run, recorded, tmp_path)
     copy = rewritten(one, tmp_path, lambda c: c.update(time_s=c["time_s"] + 60.0), "again.csv")
     done = run([one, copy], tmp_path / "out")
     assert isinstance(done.exception, InputError)
-    for part in (one.name, "again.csv", "of one time"):
+    for part in (one.name, "again.csv", "both recordings cover"):
         assert part in str(done.exception)
 
 
@@ -216,7 +216,7 @@ def test_a_short_recording_among_others_is_left_out_with_a_note(recorded, loaded
     short = rewritten(other, tmp_path, cut, "short.csv")
     found = judged([one, short], loaded)
     assert [s.name for s in found.sessions] == [str(one)]
-    assert any("short.csv" in note and "left out" in note for note in found.notes)
+    assert any("short.csv" in note and "not used" in note for note in found.notes)
     assert [x.seconds for x in found.left_out if "left out" in x.reason] == [79]
     with pytest.raises(InputError, match="at least 120 s"):
         judged([short], loaded)
@@ -247,7 +247,7 @@ def test_one_wrong_recording_is_left_out_with_the_line(recorded, loaded, tmp_pat
     wrong = rewritten(one, tmp_path, change)
     found = judged([wrong, *others], loaded)
     assert [s.name for s in found.sessions] == [str(path) for path in others]
-    (note,) = [n for n in found.notes if n.startswith(f"{wrong}: left out: ")]
+    (note,) = [n for n in found.notes if n.startswith(f"{wrong}: not used: ")]
     assert said in note
     assert [x.seconds for x in found.left_out if "left out" in x.reason] == [pytest.approx(600, abs=1)]
 
@@ -293,7 +293,7 @@ def test_one_unusable_recording_is_left_out_with_a_reason(recorded, loaded, tmp_
     found = judged([wrong, *others], loaded)
     assert [s.name for s in found.sessions] == [str(path) for path in others]
     assert {s.step for s in found.sessions} == {1.0}
-    (note,) = [n for n in found.notes if n.startswith(f"{wrong}: left out: ")]
+    (note,) = [n for n in found.notes if n.startswith(f"{wrong}: not used: ")]
     assert UNUSABLE[change] in note
 
 
@@ -355,8 +355,8 @@ def test_a_torque_an_hour_late_is_moved_and_all_of_it_compared(recorded, loaded,
     assert abs(int(found.sessions[0].used.sum()) - int(healthy.sessions[0].used.sum())) <= 2
     assert np.corrcoef(found.sessions[0].torque[20:580], healthy.sessions[0].torque[20:580])[0, 1] > 0.99
     said = " ".join(noted(found, path))
-    assert "torque: its clock is +3600 s off against the speed's; moved by that" in said
-    assert "load: its clock is +3600 s off against the speed's; moved by that, as the torque" in said
+    assert "torque: its clock differs from the speed's by +3600 s; corrected" in said
+    assert "load: its clock differs from the speed's by +3600 s; corrected (by the torque)" in said
 
 
 def test_a_load_an_hour_late_is_not_used_and_noted(recorded, loaded, tmp_path):
@@ -374,7 +374,7 @@ def test_header_stamps_an_hour_late_are_moved_by_the_log(recorded, loaded):
     load = recording.series["load"]
     off = replace(load, stamp_ns=load.stamp_ns + 3_600_000_000_000)
     found, *_ = prepared([replace(recording, series={**recording.series, "load": off}), other], loaded)
-    assert any("load: its clock is +3600 s off" in note and "time of logging" in note for note in found.notes)
+    assert any("load: its clock differs from the speed's by +3600 s; corrected (by the log time)" in note for note in found.notes)
     healthy, *_ = prepared([recording, other], loaded)
     np.testing.assert_array_equal(found.sessions[0].weight, healthy.sessions[0].weight)
 
@@ -388,7 +388,7 @@ def test_an_unlike_torque_an_hour_late_is_left_out(recorded, loaded, tmp_path):
     path = rewritten(one, tmp_path, change)
     found = judged([path, other], loaded)
     (said,) = noted(found, path)
-    for part in ("left out: torque", "from 3600 s to 4200 s", "a clock that is +3600 s off?", "correct the times"):
+    for part in ("not used: torque", "from 3600 s to 4200 s", "its clock may be +3600 s off", "correct the times"):
         assert part in said
 
 
@@ -422,15 +422,15 @@ def test_a_clock_that_was_set_is_left_out_with_the_place(recorded, loaded, tmp_p
     path = rewritten(one, tmp_path, change)
     found = judged([path, other], loaded)
     (said,) = noted(found, path)
-    assert "left out: speed" in said
+    assert "not used: speed" in said
     assert "correct the times" in said
-    assert f"{19.8 if change is set_from_1970 else 299.8:.0f} s after its beginning" in said
+    assert f"{19.8 if change is set_from_1970 else 299.8:.0f} s after the beginning" in said
 
 
 def test_a_clock_set_forward_an_hour_is_noted(recorded, loaded, tmp_path):
     one, other = recorded()
     path = rewritten(one, tmp_path, lambda c: c.update(time_s=c["time_s"] + HOUR_S * (np.arange(len(c["time_s"])) > 1500)))
-    assert "no speed for 3600 s, 300 s after its beginning; taken for a pause" in noted(judged([path, other], loaded), path)
+    assert "no speed for 3600 s, 300 s after the beginning; treated as a pause" in noted(judged([path, other], loaded), path)
 
 
 def test_rows_in_any_order_are_the_same_recording(recorded, loaded, tmp_path):

@@ -101,8 +101,8 @@ def test_the_page_begins_with_the_residual_and_its_terms(scrubbed, tmp_path):
     page = (out / "report.html").read_text()
     assert re.findall("<h2>(.*?)</h2>", page)[0] == "What the model lacks, over time"
     first = re.findall(r'alt="(.*?)"', page)[0]
-    assert first.startswith("Measured torque less the re-fitted model")
-    assert "with turning scrub over it; below it what is left" in first
+    assert first.startswith("Measured torque minus the re-fitted model")
+    assert "with turning scrub over it; below it the residual" in first
     assert 'id="may-be"' not in page
     r = copy.deepcopy(found)
     r["verdict"]["may_be"] = [{"name": "air_drag", "share": 0.4}, {"name": "none of these", "share": None}]

@@ -223,7 +223,7 @@ def test_a_route_that_is_given_is_taken_as_recorded(hilly, diagnosed):
     gated = on_route(gate(read_recordings([hilly], None), given.known), given.route)
     session = gated.sessions[0]
     assert "grade" in session.given
-    assert any("of it lies on the route" in note for note in gated.notes)
+    assert any("of it is on the route" in note for note in gated.notes)
     values = {q.name: q.nominal for q in given.base.parameters}
     level = replace(session, grade=np.zeros(len(session)))
     errors = [np.abs(s.torque - given.base.predict([s], values, ())[0].torque)[s.used].mean() for s in (session, level)]
@@ -235,7 +235,7 @@ def test_a_route_elsewhere_is_not_used(hilly, diagnosed):
     away = replace(given.route[0], latitude=given.route[0].latitude + 0.001)
     gated = on_route(gate(read_recordings([hilly], None), given.known), [away])
     assert "grade" not in gated.sessions[0].given
-    assert gated.notes[-1].endswith("0% of it lies on the route whose slopes are given; they are not used")
+    assert gated.notes[-1].endswith("0% of it is on the route with known slopes; they are not used")
 
 
 def test_soft_ground_is_described_confirmed_and_written_each_way(soft):

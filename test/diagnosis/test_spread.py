@@ -47,7 +47,7 @@ def test_a_judder_while_pulling_away_is_found_with_its_size(judder_nm):
     assert found.regime == "while it pulls away"
     assert found.size_nm == pytest.approx(judder_nm / np.sqrt(2.0), rel=0.3)
     assert found.p < 1e-3
-    assert found.described.sentence.startswith("The torque shakes by ")
+    assert found.described.sentence.startswith("The torque oscillates by ")
 
 
 @pytest.mark.parametrize("noise_share", [0.0, 0.01, 0.05])

@@ -93,7 +93,7 @@ def test_the_gate_makes_one_only_where_none_was_recorded(tmp_path, recorded):
     np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
     gated = gate(read_recordings([path], None), GateSettings(700.0, 20.0, 15.0, False))
     (session,) = gated.sessions
-    said = [note for note in gated.notes if "the yaw rate is made of heading" in note]
+    said = [note for note in gated.notes if "the yaw rate is computed from heading" in note]
     assert len(said) == (0 if recorded else 1)
     expected = np.interp(session.time + 0.5, time, yaw) * (2.0 if recorded else 1.0)
     assert np.abs(session.yaw_rate - expected)[1:-1].max() < 0.02 * (2.0 if recorded else 1.0)

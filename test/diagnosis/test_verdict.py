@@ -147,8 +147,8 @@ def test_several_values_far_out_of_range_reject_the_vehicle_file():
     verdict = said(base=refitted(8.0, -6.0, 1.0), stray=NOISY)
     assert (verdict.status, verdict.grade) == ("unexplained", SUSPECTED)
     assert verdict.seen == "The vehicle file does not fit this vehicle"
-    assert "q0 is 1.8 then" in verdict.sentence
-    assert "q1 is 0.4 then" in verdict.sentence
+    assert "q0 would be 1.8" in verdict.sentence
+    assert "q1 would be 0.4" in verdict.sentence
     assert "q2" not in verdict.sentence
     assert said(base=refitted(8.0, 1.0)).status == "none"  # one value may be wrong
 
@@ -156,7 +156,7 @@ def test_several_values_far_out_of_range_reject_the_vehicle_file():
 def test_hold_out_laps_that_differ_plainly_more_are_unexplained():
     verdict = said(later=(50.0, 200.0))
     assert (verdict.status, verdict.grade) == ("unexplained", SUSPECTED)
-    assert "The unused laps differ from the re-fitted model by 200 Nm, the fitted laps by 50 Nm" in verdict.sentence
+    assert "The hold-out laps differ from the re-fitted model by 200 Nm, the fitted laps by 50 Nm" in verdict.sentence
 
 
 @pytest.mark.parametrize(("unused", "differs"), [(19.0, False), (21.0, True)])
@@ -203,7 +203,7 @@ def test_a_refuted_term_is_named_and_the_unexplained_is_refuted(left):
     refuted = [Graded("payne", WORSE, ())]
     verdict = said(refuted=refuted, **left)
     assert (verdict.status, verdict.grade) == ("unexplained", REFUTED)
-    assert "The unused laps reject payne: it raises their mean error from 100 to 120 Nm." in verdict.sentence
+    assert "The hold-out laps reject payne: it raises their mean error from 100 to 120 Nm." in verdict.sentence
     none = said(refuted=refuted)
     assert (none.status, none.grade) == ("none", CONFIRMED)
     assert "payne" in none.sentence
@@ -211,7 +211,7 @@ def test_a_refuted_term_is_named_and_the_unexplained_is_refuted(left):
 
 def test_a_dropped_term_is_reported_with_the_value_it_displaces():
     sentence = said(refuted=[Graded("torque_offset", BETTER, (), ("rolling_coefficient",))]).sentence
-    assert "drops torque_offset: with it, rolling_coefficient of the vehicle file goes to the end of its range." in sentence
+    assert "drops torque_offset: it pushes rolling_coefficient of the vehicle file to the end of its range." in sentence
     assert "reject" not in sentence
 
 
@@ -223,7 +223,7 @@ def test_a_name_that_laps_confirm_is_named():
     assert (verdict.status, verdict.grade, verdict.names) == ("named", CONFIRMED, True)
     assert verdict.sentence == (
         f"T{SEEN[1:]}. The cause is scrub. Scrub is missing. Its values with 95 % intervals: size 120 Nm. "
-        "The mean error on laps not used for fitting falls from 80 to 60 Nm."
+        "The mean error on hold-out laps falls from 80 to 60 Nm."
     )
 
 
@@ -240,7 +240,7 @@ def test_the_sentence_gives_the_size_of_the_pictured_residual():
     assert "about 63 Nm more" in one_way.residual(here, bins, 20.0)
     both = replace(one_way, smallest=-384.0)
     assert "from 40 Nm less to 63 Nm more" in both.residual(here, bins, 20.0)
-    assert "20 Nm root mean square" in replace(one_way, follows=0.0).residual(here, bins, 20.0)
+    assert "root mean square of 20 Nm" in replace(one_way, follows=0.0).residual(here, bins, 20.0)
     assert "about 63 Nm more" in both.residual(here, regimes(), 20.0)
 
 
@@ -261,7 +261,7 @@ def test_a_suspected_term_never_hides_a_confirmed_one():
     sure, _, unsure = verdict.sentence.partition("It may also be: ")
     assert "The cause is scrub" in sure
     assert "payne" not in sure
-    assert unsure.startswith("payne. The unused laps do not confirm payne: their mean error goes from 100 to 95 Nm")
+    assert unsure.startswith("payne. The hold-out laps do not confirm payne: their mean error goes from 100 to 95 Nm")
     assert "do not confirm scrub" not in verdict.sentence
     assert verdict.may_be == (("payne", None),)
 
@@ -302,29 +302,27 @@ def test_name_probabilities_are_listed_with_none_of_these_last():
 def test_a_confirmed_term_that_removes_little_is_last_and_small():
     little = Improvement(80.0, 79.0, 0.5, 1.5)
     verdict = said([found("payne", improvement=little), found()])
-    assert verdict.sentence.endswith("payne is confirmed but small: it takes 1 Nm off that error.")
+    assert verdict.sentence.endswith("payne is confirmed but small: it reduces that error by 1 Nm.")
     assert "The cause is payne" not in verdict.sentence
     alone = said([found("payne", improvement=little)], held=worth(with_effects=79.0))
     assert (alone.status, alone.grade) == ("named", CONFIRMED)
-    assert alone.sentence.startswith(
-        "What is missing is small. The mean error on laps not used for fitting falls from 80 to 79 Nm."
-    )
+    assert alone.sentence.startswith("The missing physics is small. The mean error on hold-out laps falls from 80 to 79 Nm.")
     assert "The cause is payne" in alone.sentence
 
 
 def test_a_value_on_a_bound_makes_it_suspected_and_says_why():
     verdict = said([found(on_bounds=("size",))])
     assert verdict.grade == SUSPECTED
-    assert "scrub is at the bound of its plausible range (size)." in verdict.sentence
+    assert "scrub is at the limit of its plausible range (size)." in verdict.sentence
 
 
 def test_a_small_residual_is_reported_a_large_one_drops_names():
     limit = LEFT_SHARE * 100.0
     small, large = said([found()], at_end=regimes(-0.99 * limit)), said([found()], at_end=regimes(-1.01 * limit))
     assert (small.status, small.grade) == ("named", CONFIRMED)
-    assert "Something small is left, at speed 0 to 1 m/s" in small.sentence
+    assert "A small error remains at speed 0 to 1 m/s" in small.sentence
     assert (large.status, large.grade, large.names) == ("unexplained", SUSPECTED, False)
-    assert "scrub would explain a part of it, but too much is left to believe that." in large.sentence
+    assert "scrub would explain a part of it, but the remaining error is too large to confirm that." in large.sentence
     assert said([found()], at_end=regimes(-500.0, p=0.02)).status == "named"
 
 
@@ -347,7 +345,7 @@ def test_what_strays_and_can_be_followed_is_described_as_a_drift():
 
     verdict = said(stray=NOISY, drift=drift(BETTER))
     assert (verdict.status, verdict.grade) == ("described", CONFIRMED)
-    assert verdict.sentence.startswith("The residual drifts by 40 Nm. Look for a zero that drifts. It cannot be predicted.")
+    assert verdict.sentence.startswith("The residual drifts by 40 Nm. Look for a zero that drifts. The model cannot predict it.")
     assert "from 100 to 80 Nm" in verdict.sentence
     for not_followed in (None, drift(UNSURE), drift(WORSE)):
         assert said(stray=NOISY, drift=not_followed).status == "unexplained"
@@ -382,7 +380,7 @@ def test_the_next_best_is_told_with_how_much_less_likely_it_is():
 
 def test_a_rival_with_as_much_evidence_lost_on_the_unused_laps():
     rival = candidate("delay", worth=19.5)
-    assert "Delay fits as well, but predicts the unused laps surely worse" in said([found(rivals=(rival,))]).sentence
+    assert "Delay fits as well, but predicts the hold-out laps significantly worse" in said([found(rivals=(rival,))]).sentence
 
 
 def test_certainty_is_bounded():
@@ -424,7 +422,7 @@ def term(name="curve_of_speed", improvement=BETTER, adds=100.0, predictable=True
 def test_what_has_no_name_is_described_with_what_to_look_for():
     verdict = said(terms=[term()])
     assert (verdict.status, verdict.grade, verdict.names) == ("described", CONFIRMED, True)
-    assert verdict.sentence.startswith("The vehicle needs 100 Nm more. No effect of the catalogue does this. Look for a fan.")
+    assert verdict.sentence.startswith("The vehicle needs 100 Nm more. No effect of the catalogue explains this. Look for a fan.")
     beside = said([found()], [term()])
     assert beside.status == "named"
     assert "Look for a fan" in beside.sentence
@@ -462,7 +460,7 @@ def test_a_term_without_a_name_is_described_in_plain_words(effect, values, sente
     described = of_learned(effect, {**{q.name: q.start for q in effect.parameters}, **values})
     assert described.sentence == sentence
     verdict = said(terms=[replace(term(), described=described)])
-    assert verdict.sentence.startswith(f"{sentence}. No effect of the catalogue does this. Look for ")
+    assert verdict.sentence.startswith(f"{sentence}. No effect of the catalogue explains this. Look for ")
 
 
 @pytest.mark.parametrize("effect", catalogue().values(), ids=lambda e: e.name)

@@ -71,7 +71,7 @@ def test_a_length_matches_a_turn_its_multiples_or_its_fractions(once, times, off
     near = 1.0 + SAME_LENGTH * off * 0.95
     assert part_of(once * near, {"belt": once}) == "one turn of the belt"
     assert part_of(times * once * near, {"belt": once}) == f"{times} turns of the belt"
-    assert part_of(once * near / times, {"belt": once}) == f"one part in {times} of a turn of the belt"
+    assert part_of(once * near / times, {"belt": once}) == f"1/{times} of a turn of the belt"
 
 
 @given(st.floats(1.0, 30.0), st.floats(1.15, 1.4))

@@ -222,7 +222,7 @@ def test_a_huge_file_is_not_read(reference, tmp_path):
     path = tmp_path / "state.json"
     with path.open("wb") as file:
         file.truncate(1 << 40)
-    with pytest.raises(InputError, match="no file of this kind"):
+    with pytest.raises(InputError, match="a file of this kind"):
         snapshot.resume(reference, path)
 
 

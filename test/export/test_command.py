@@ -78,7 +78,7 @@ def test_an_export_belongs_until_something_changes(own, trackres):
     assert trackres("export", "--check", "out", cwd=own).returncode == 0
     changes = {
         "guard.py": "values of the vehicle",
-        "out/trackres.c": "trackres.c was changed since",
+        "out/trackres.c": "trackres.c was changed after the export",
         "mine.yaml": "the vehicle file",
     }
     for name, said in changes.items():
@@ -89,7 +89,7 @@ def test_an_export_belongs_until_something_changes(own, trackres):
         assert any(said in line for line in json.loads(done.stdout)["differs"]), done.stdout
         (own / name).write_text(before)
     (own / "mine.yaml").rename(own / "moved.yaml")
-    assert "say where it is" in trackres("export", "--check", "out", cwd=own).stderr
+    assert "give its path" in trackres("export", "--check", "out", cwd=own).stderr
     assert trackres("export", "--check", "out", "--vehicle", "moved.yaml", cwd=own).returncode == 0
 
 
@@ -113,7 +113,9 @@ def test_what_was_learned_is_what_the_state_begins_with(own, trackres):
     session.learned[at.Learned.on] = 1.0
     session.learned[at.Learned.departures.start] = 0.1234567
     save(session, own / "on", 0.0)
-    assert "nothing learned acts" in trackres("export", "c", "mine.yaml", "-o", "out", "--state", "off", cwd=own).stderr
+    assert (
+        "without active learned parameters" in trackres("export", "c", "mine.yaml", "-o", "out", "--state", "off", cwd=own).stderr
+    )
     assert trackres("export", "c", "mine.yaml", "-o", "out", "--state", "on", cwd=own).returncode == 0
     assert "0.1234567" in (own / "out" / "trackres.c").read_text()
 
@@ -130,4 +132,4 @@ def test_a_folder_without_an_export_is_refused(content, tmp_path, trackres):
     (tmp_path / "trackres_export.json").write_text(content)
     done = trackres("export", "--check", tmp_path)
     assert done.returncode == 2
-    assert "trackres export c has written" in done.stderr
+    assert "written by trackres export c" in done.stderr

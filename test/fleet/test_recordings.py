@@ -90,7 +90,7 @@ def test_a_recordings_vehicle_comes_from_its_folder_or_pattern(tmp_path):
     assert fleet.vehicle_of("/data/t1/x.csv").name == "t1"
     assert fleet.vehicle_of("s3://bucket/other/y.csv").name == "t2"
     assert fleet.vehicles["t2"].limits == {"bearing_friction": 0.01}
-    with pytest.raises(InputError, match="none of the vehicles"):
+    with pytest.raises(InputError, match="of no vehicle"):
         fleet.vehicle_of("/data/t10/x.csv")
     with pytest.raises(InputError, match="t1, t2"):
         fleet.vehicle_of("/data/t1/other/x.csv")
@@ -218,7 +218,7 @@ def test_a_broken_recording_is_a_row_with_its_reason(tmp_path, content, part):
     assert done["status"] == "broken"
     assert part in done["reason"]
     assert "\n" not in done["reason"]
-    assert "fault of this program" not in done["reason"]
+    assert "a bug" not in done["reason"]
 
 
 def test_what_may_be_otherwise_the_next_time_is_tried_again(tmp_path):
@@ -234,4 +234,4 @@ def test_a_vehicle_file_that_changes_midway_is_a_reason(tmp_path, repository):
     path = tmp_path / "config" / "xgd24d.yaml"
     vehicle = one_vehicle(str(path), None).vehicles["xgd24d"]
     path.write_text(path.read_text() + "\n# another\n")
-    assert "changed since the run began" in analyse(Task(str(tmp_path / "x.csv"), "1", vehicle))["reason"]
+    assert "modified during the run" in analyse(Task(str(tmp_path / "x.csv"), "1", vehicle))["reason"]

@@ -142,7 +142,7 @@ def test_a_row_with_a_wrong_value_is_left_out_and_named(results, trackres, chang
         done = trackres(*words)
         assert done.returncode == 0
         assert str(bad) in done.stderr
-        assert "left out; trackres fleet makes it anew" in done.stderr
+        assert "skipped; trackres fleet rewrites it" in done.stderr
     assert "6 of 6 recordings" in trackres("trend", results).stdout
     assert bad not in {kept.file for kept in dataset.index().values()}
     assert not bad.exists()

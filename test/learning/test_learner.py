@@ -146,9 +146,9 @@ def test_a_sensor_that_is_broken_is_not_learned_from(road, shown, name):
     ("shown", "words"),
     [
         (lambda _torque, _i: 2500.0, "the measured torque is stuck"),
-        (lambda torque, _i: -torque, "the measured torque has the sense that it cannot have"),
+        (lambda torque, _i: -torque, "the measured torque has an impossible sign"),
         (lambda torque, i: torque if i % 40 < 10 else None, "no torque is measured"),
-        (lambda torque, i: torque + (3000.0 if i % 4 == 0 else 0.0), "the measured torque jumps about"),
+        (lambda torque, i: torque + (3000.0 if i % 4 == 0 else 0.0), "the measured torque is an outlier"),
     ],
 )
 def test_what_is_wrong_with_the_torque_is_told_while_it_is(road, shown, words):

@@ -51,5 +51,5 @@ def test_a_departure_outside_of_the_ranges_is_refused(reference, learner):
 def test_a_variance_below_zero_is_refused(reference, learner, name):
     content = copy.deepcopy(stored(learner))
     content["learned"]["past"][name] = (-1.0).hex()
-    with pytest.raises(ValueError, match="a size that is none"):
+    with pytest.raises(ValueError, match="an invalid size"):
         take(Learner(reference), content)

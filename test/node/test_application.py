@@ -147,8 +147,8 @@ def test_a_healthy_start_logs_no_warning(desk):
     d.drive(8.0, load=270e3, ambient=10.0)
     assert d.logged, "what it waits for is logged"
     assert {level for level, _ in d.logged} == {Level.OK}
-    assert d.logged[0][1].startswith("waits for inputs: no speed yet; ")
-    assert "all is well" in d.logged[-1][1]
+    assert d.logged[0][1].startswith("waiting for inputs: no speed yet; ")
+    assert "no warnings" in d.logged[-1][1]
 
 
 def test_an_input_that_stays_away_is_a_warning(desk):
@@ -200,7 +200,7 @@ def test_parameters_change_without_losing_the_temperature(desk):
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"vehicle": "agri3t"}, "read once"),
+        ({"vehicle": "agri3t"}, "reads it once"),
         ({"gap_s": math.nan}, "a number from 0.05 to 60 s"),
         ({"gap_s": 1e9}, "a number from 0.05 to 60 s"),
         ({"feedforward_parts": ["wheels"]}, "hysteresis"),
@@ -231,7 +231,7 @@ def test_reset_starts_cold(desk):
     d = desk()
     d.drive(120.0, dt=0.1)
     assert d.last("track_temperature/front_left")[1][0] > 15.5
-    assert "anew" in d.app.reset()
+    assert "restarts" in d.app.reset()
     d.drive(0.1)
     assert d.last("track_temperature/front_left")[1][0] == pytest.approx(15.0, abs=0.01)
 

@@ -121,7 +121,7 @@ def test_no_call_besides_the_step_can_change_the_torque(node, monkeypatch, rate_
             if name not in SILENT:
                 status = [found[0] for topic, found in d.statuses if topic == "status"][-1]
                 assert status.level == Level.WARN, name
-                assert "failed, a fault of this program" in status.message, name
+                assert "failed because of a bug" in status.message, name
                 assert "Failure: injected" in status.message, name
             d.app.close()
 
@@ -172,7 +172,7 @@ def test_a_blocked_disk_stops_no_estimate_and_losses_are_bounded(node, monkeypat
     assert time.monotonic() - began < 60.0
     (said,) = [notice for notice in d.app.notices() if notice.name == "NOT_RECORDED"]
     assert said.level is Level.WARN
-    assert "live.mcap.part: the disk has not answered for" in said.text
+    assert "live.mcap.part: the disk has not responded for" in said.text
     assert re.search(r"lost so far: \d+ messages and [1-9]\d* estimates", said.text)
     answers.set()
     lines = recorder.end()

@@ -116,7 +116,7 @@ def test_a_disturbance_is_reported_with_its_kind_if_known(desk, topics, disturbe
     drive(d, 90.0, 1.0, more)
     head = learned_topic(d)["learning"]
     said = dict(head.values)["disturbance"] or dict(head.values)["frozen"]
-    found = re.match(r"a disturbance of \+(\d+) Nm since (\d+) s(, of the kind seen before \(spells\))?", said)
+    found = re.match(r"a disturbance of \+(\d+) Nm for (\d+) s(, of the kind seen before \(spells\))?", said)
     assert float(found[1]) == pytest.approx(more, rel=0.3)
     assert int(found[2]) < 100
     assert (found[3] or "") == kind

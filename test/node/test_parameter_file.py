@@ -119,7 +119,7 @@ def test_what_was_refused_is_asked_again_with_the_next_file(tmp_path):
         file.look(parameters.changed)
         changed, (refused,) = file.look(parameters.changed)
         assert changed == {"feedforward_share": share}
-        assert "read once" in str(refused)
+        assert "reads it once" in str(refused)
         assert str(tmp_path / "p.yaml") in file.refused(refused)
     write(tmp_path / "p.yaml", {"vehicle": "xgd24d", "gap_s": 3.0})
     assert looked(file, parameters).number("gap_s") == 3.0

@@ -96,7 +96,7 @@ def test_a_deadline_that_the_rate_cannot_keep_is_refused():
 def test_what_is_fixed_may_be_set_to_what_it_is():
     parameters = make_parameters({"vehicle": "xgd24d"})
     assert isinstance(parameters.changed({"vehicle": "xgd24d"}), Parameters)
-    with pytest.raises(InputError, match="configure the node anew"):
+    with pytest.raises(InputError, match="reconfigure the node"):
         parameters.changed({"vehicle": "agri3t"})
 
 

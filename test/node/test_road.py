@@ -85,5 +85,5 @@ def test_its_state_is_kept_over_a_restart(desk, tmp_path):
     driven(first, [8.0] * 20)
     first.app.save_state()
     again = desk(**kept)
-    assert "taken from" in again.app.began_with
+    assert "restored from" in again.app.began_with
     assert "belts" not in again.app.began_with

@@ -152,7 +152,7 @@ def test_parts_of_a_saving_that_was_killed_are_cleared_away(desk, warm):
     part.write_text("{")
     d = desk(state_file=str(path))
     assert not part.exists()
-    assert "belts taken from" in d.app.began_with
+    assert "belts restored from" in d.app.began_with
 
 
 def test_each_node_and_vehicle_has_a_file_of_its_own(monkeypatch, tmp_path):
@@ -205,4 +205,4 @@ def test_without_a_home_it_runs_and_says_that_no_state_is_kept(desk, monkeypatch
     assert d.published
     assert "home" in d.app.began_with
     assert "STATE_NOT_SAVED" in d.names()
-    assert d.app.close() == "no state is kept"
+    assert d.app.close() == "no state is saved"

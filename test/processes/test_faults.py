@@ -79,7 +79,7 @@ def test_a_killed_recording_loses_less_than_a_second(node, tmp_path, topics, goo
     other = node(topics=TOPICS, options=("--record", tmp_path / "drive.mcap"))
     other.drive(0.5)
     assert other.stop() == 0
-    assert f"{part} was left unfinished" in other.log
+    assert f"{part} is unfinished" in other.log
     assert len(messages_of(part, topics)[0]) == len(speed)
     assert messages_of(tmp_path / "drive.mcap", topics)[1] == []
 

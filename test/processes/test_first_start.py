@@ -119,7 +119,7 @@ def test_save_and_reset_signals_during_start_act_once_it_runs(transport, tmp_pat
     for number in (signal.SIGUSR1, signal.SIGUSR2):
         process.send_signal(number)
     ended_or = lambda holds: holds or process.poll() is not None  # noqa: E731
-    assert wait_for(lambda: ended_or("starts anew" in log.read_text()), working=process.pid), log.read_text()
+    assert wait_for(lambda: ended_or("estimate restarts" in log.read_text()), working=process.pid), log.read_text()
     assert process.poll() is None, log.read_text()
     assert (tmp_path / "state.json").exists()
     process.send_signal(signal.SIGTERM)

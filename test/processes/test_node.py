@@ -314,7 +314,7 @@ def test_belts_outlive_a_restart(simulated, tmp_path):
     shutil.copy(state, kept)
     begun = time.time()
     again = simulated(state_file=str(state))
-    assert "belts taken from" in again.node.log
+    assert "belts restored from" in again.node.log
     warmest, coolest = (cooled(kept, moment) for moment in (begun, time.time()))  # the machine may take its time to start it
     assert coolest <= warmest <= belt + 0.05
     again.node.until(lambda: again.node.out["belt"].update(), "a temperature", meanwhile=lambda: again.drive(1))
@@ -338,7 +338,7 @@ def test_killed_at_any_moment_the_state_file_is_whole(node, tmp_path):
         n.close()
         assert json.loads(state.read_text())["vehicle"] == "xgd24d"
     n = node(state_file=str(state))
-    assert "belts taken from" in n.log
+    assert "belts restored from" in n.log
     assert not list(tmp_path.glob("state.json*.part"))
 
 
@@ -443,7 +443,7 @@ def test_signals_save_and_reset_without_ros(tmp_path, wire):
     n.process.send_signal(signal.SIGUSR1)
     n.until(state.exists, "the state file")
     n.process.send_signal(signal.SIGUSR2)
-    n.until(lambda: "starts anew" in n.log, "the reset")
+    n.until(lambda: "estimate restarts" in n.log, "the reset")
     n.drive(0.3)
     assert n.stop() == 0
     n.close()

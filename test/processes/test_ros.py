@@ -61,13 +61,13 @@ def test_topics_parameters_services_and_lifecycle_as_typed(cyclone):
 
     assert "gap_s" in shell.ros2("param", "list", "/trackres")
     described = shell.ros2("param", "describe", "/trackres", "gap_s")
-    assert "a longer pause in the speed is a gap and is reported [s]" in described
+    assert "a longer pause in the speed is reported as a gap [s]" in described
     assert "Max value: 60.0" in described
     assert "successful" in shell.ros2("param", "set", "/trackres", "gap_s", "2")
     assert "2" in shell.ros2("param", "get", "/trackres", "gap_s")
     for name, value, said in (
         ("gap_s", "-1.0", "0.05"),
-        ("vehicle", "agri3t", "configure the node anew"),
+        ("vehicle", "agri3t", "reconfigure the node"),
         ("gap_s", ".nan", "0.05"),
     ):
         assert said in shell.ros2("param", "set", "/trackres", name, value, check=False)

@@ -322,7 +322,7 @@ def test_paths_that_are_no_recording(tmp_path: Path) -> None:
     (tmp_path / "bad.bag").write_bytes(b"#ROSBAG V2.0\n")
     for paths, says in [
         ([], "no path"),
-        (["none.mcap"], "nothing at this path"),
+        (["none.mcap"], "no such file or folder"),
         (["empty"], "without metadata.yaml"),
         (["files"], "run_0.mcap"),
         (["run.txt"], r"\.txt"),

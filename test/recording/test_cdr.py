@@ -208,7 +208,7 @@ def test_a_field_that_is_not_there(field: str, says: str) -> None:
     [
         ("nav_msgs/msg/Odometry", "pose.covariance", "an index, as covariance[0]"),
         ("nav_msgs/msg/Odometry", "pose.covariance[36]", "an index below 36"),
-        ("nav_msgs/msg/Odometry", "pose.covariance[a]", "only beside a field string[] name"),
+        ("nav_msgs/msg/Odometry", "pose.covariance[a]", "only with a field string[] name"),
         ("sensor_msgs/msg/JointState", "name[0]", "a number, not string"),
     ],
 )

@@ -51,15 +51,15 @@ def test_a_german_export_reads_as_its_author_means_it(tmp_path, reader):
     assert found.notes[:3] == (
         "cells are separated by semicolons",
         "decimal comma in Drehmoment [Nm], Geschw [km/h]",
-        "time: column Zeit, dd.mm.yyyy hh:mm:ss, without a time zone: taken for UTC",
+        "time: column Zeit, dd.mm.yyyy hh:mm:ss, without a time zone: treated as UTC",
     )
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("1,234", "1,234, a number with a decimal mark or with one between thousands"),
-        ("1.234", "1.234, a number with a decimal mark or with one between thousands"),
+        ("1,234", "1,234, a number whose mark may be a decimal or a thousands separator"),
+        ("1.234", "1.234, a number whose mark may be a decimal or a thousands separator"),
         ("0,5|0.5", "0.5 with a decimal point and 0,5 with a decimal comma"),
         ("1.23,4", "a number, or an empty cell"),
         ("0,5|1.5.6", "a number, or an empty cell"),
@@ -136,7 +136,7 @@ def test_a_time_is_read_as_written_or_refused(tmp_path_factory, begin, steps, fo
         found = tr.read(path).series["speed"].stamp_ns
     except InputError as refused:
         assert not sure
-        assert "day and month may be either way" in str(refused)  # noqa: PT017
+        assert "the order of day and month is ambiguous" in str(refused)  # noqa: PT017
         assert all(t.day <= 12 for t in times)
         order = "dmy" if pattern[1] == "d" else "mdy"
         found = tr.read(path, topics={"time": {"column": "timestamp", "order": order}}).series["speed"].stamp_ns
@@ -222,10 +222,10 @@ def test_no_torque_names_what_may_hold_it(tmp_path, trackres):
     names = "time_s;speed_mps;M links [Nm];M rechts [Nm];torque_note;cmd_torque;Drehzahl"
     path = written(tmp_path, table(names, *(f"{i};5,5;1,5;2,5;x;1;3" for i in range(300))))
     likely = "M links [Nm], M rechts [Nm]"
-    assert f"no torque is read; it may be in: {likely}" in tr.read(path).notes
+    assert f"no torque channel is in use; candidates: {likely}" in tr.read(path).notes
     done = trackres("diagnose", path, "--vehicle", "xgd24d", "-o", tmp_path / "report")
     assert done.returncode == 2
-    assert f"it may be in {likely}: name it in a topics file: torque: {{column: NAME, scale: 1.0}}" in done.stderr
+    assert f"it may be in {likely}: give it in a topics file: torque: {{column: NAME, scale: 1.0}}" in done.stderr
     assert "sum of left and right" in done.stderr
 
 
@@ -271,7 +271,7 @@ def test_a_workbook_reads_like_the_table_it_shows(tmp_path, good):
         ([[0, 1], [None, 2]], "a time in seconds"),
         ([[datetime(2026, 1, 1), 1], [5, 2]], "row 3, time_s: given '5'; allowed: a date with a time"),
         ([[datetime(9999, 1, 1), 1]], "a date with a time"),
-        ([["1/2/2026 10:00", 1]], "day and month may be either way"),
+        ([["1/2/2026 10:00", 1]], "the order of day and month is ambiguous"),
         ([], "at least one row"),
     ],
 )
@@ -289,7 +289,7 @@ def test_a_row_of_units_below_the_names_counts(tmp_path):
     assert found.series["speed"].value.tolist() == pytest.approx([10.0, 20.0])
     assert found.series["load"].value.tolist() == [90e3, 91e3]
     assert found.time_s("speed").tolist() == [0.0, 0.5]
-    assert {"time: Time is in ms, as the file says", "speed: VehSpd is in km/h, as the file says"} <= set(found.notes)
+    assert {"time: Time is in ms according to the file", "speed: VehSpd is in km/h according to the file"} <= set(found.notes)
 
 
 def test_two_sheets_that_fit_are_both_named(tmp_path):

@@ -90,7 +90,7 @@ def test_the_content_is_what_the_suffix_says(tmp_path, refused, suffix, content)
     if OWN.get(suffix) != content:
         text = refused(path)
         assert f"{path}: given '{content}'" in text
-        assert f"{OWN.get(suffix, 'text')}, as its suffix says" in text
+        assert f"{OWN.get(suffix, 'text')}, according to its suffix" in text
     elif suffix != ".csv.gz":  # the others hold their first bytes only
         assert str(path) in refused(path)
 
@@ -100,9 +100,9 @@ def test_only_regular_files_are_opened(tmp_path, refused, suffix):
     made = {
         "a named pipe": lambda path: os.mkfifo(path),
         "a device": lambda path: path.symlink_to("/dev/zero"),
-        "a link that leads back to itself": lambda path: path.symlink_to(path),
+        "a link to itself": lambda path: path.symlink_to(path),
         "where nothing is": lambda path: path.symlink_to(tmp_path / "gone"),
-        "nothing at this path": lambda path: None,
+        "no such file or folder": lambda path: None,
     }
     for number, (says, make) in enumerate(made.items()):
         path = tmp_path / f"{number}{suffix}"
@@ -112,7 +112,7 @@ def test_only_regular_files_are_opened(tmp_path, refused, suffix):
         folder.mkdir()
         (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: {}")
         make(folder / "run.db3")
-        if says != "nothing at this path":
+        if says != "no such file or folder":
             assert says in refused(folder)
 
 
@@ -168,7 +168,7 @@ def refusal(path: Path) -> str:
 @pytest.mark.parametrize(
     ("error", "says"),
     [
-        (MemoryError(), "more than fits into memory"),
+        (MemoryError(), "more than the memory holds"),
         (RecursionError("maximum depth"), "nested too deeply"),
         (OSError(5, "Input/output error"), "given 'Input/output error'"),
         (EOFError("cut"), "EOFError: cut"),

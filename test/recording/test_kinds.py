@@ -98,11 +98,11 @@ def test_every_unit_of_a_role_is_known_in_any_spelling():
 def test_the_topics_file_wins_over_the_unit_of_the_file(files):
     path, _ = files["MF4"]
     by_file = tr.read(path, topics={"speed": {"channel": "VehicleSpeed"}})
-    assert "speed: VehicleSpeed is in km/h, as the file says" in by_file.notes
+    assert "speed: VehicleSpeed is in km/h according to the file" in by_file.notes
     by_topics = tr.read(path, topics={"speed": {"channel": "VehicleSpeed", "unit": "m/s"}})
-    assert any("the topics file converts it otherwise" in note for note in by_topics.notes)
+    assert any("the topics file uses another conversion" in note for note in by_topics.notes)
     by_scale = tr.read(path, topics={"speed": {"channel": "VehicleSpeed", "scale": 0.5}})
-    assert any("the topics file converts it otherwise" in note for note in by_scale.notes)
+    assert any("the topics file uses another conversion" in note for note in by_scale.notes)
     speeds = [one.series["speed"].value[0] for one in (by_file, by_topics, by_scale)]
     assert speeds == pytest.approx([10.0 / 3.6, 10.0, 5.0])
 

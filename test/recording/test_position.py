@@ -64,7 +64,7 @@ def test_a_receiver_without_a_fix_says_nothing_of_the_unit() -> None:
 def test_one_unit_that_is_said_holds_for_both() -> None:
     units = PositionUnits({"latitude": TopicBinding(column="a", unit="deg"), "longitude": TopicBinding(column="b")})
     np.testing.assert_allclose(units.in_radians(block(0.01, 1.0), ROLES).value, [0.01, np.radians(1.0)])
-    assert units.notes == ("longitude: taken for degrees, as latitude",)
+    assert units.notes == ("longitude: treated as degrees, as latitude",)
 
 
 def test_columns_by_name_and_by_file(tmp_path: Path) -> None:
@@ -78,7 +78,7 @@ def test_columns_by_name_and_by_file(tmp_path: Path) -> None:
     topics = {role: {"column": column} for role, column in (("speed", "v"), ("latitude", "lat"), ("longitude", "lon"))}
     read = tr.read(path, topics={"time": {"column": "ms", "scale": 1e-3}, **topics})
     np.testing.assert_allclose(read.series["longitude"].value, np.radians(longitude))
-    assert "latitude, longitude: taken for degrees, by the values" in read.notes
+    assert "latitude, longitude: treated as degrees, by the values" in read.notes
     np.testing.assert_allclose(read.time_s("speed"), time)
 
 

@@ -51,7 +51,7 @@ def test_it_says_what_it_guessed_and_met(recording: Recording) -> None:
     assert set(recording.series) == {"speed", "latitude", "longitude", "altitude"}
     report = "\n".join(recording.report())
     assert "guessed from /odometry (nav_msgs/msg/Odometry, twist.twist.linear.x)" in report
-    assert "header stamps lie" in report
+    assert "header stamps are" in report
     assert "days before log time" in report
     kinds = {finding.kind for finding in recording.findings}
     assert {"stamp_offset", "quantised"} <= kinds

@@ -80,7 +80,7 @@ def test_sides_are_added_at_the_times_of_the_first(tmp_path):
     ]  # late by 100 ms
     np.testing.assert_allclose(torque.value, [-(10.0 * i + 1000.0 * (i - 0.5) + 5.0) for i in range(1, 5)])
     assert [(one.role, one.kind) for one in found.findings if one.kind == "part"] == [("torque", "part")]
-    assert "torque: sum at the times of /left; /right on a line between samples at most 0.5 s apart" in found.notes
+    assert "torque: sum at the times of /left; /right interpolated between samples at most 0.5 s apart" in found.notes
 
 
 def test_a_gap_of_one_side_is_a_gap_of_the_sum(tmp_path):
@@ -130,10 +130,10 @@ def test_live_adds_as_a_bag_does(tmp_path_factory, steps):
 
 def test_a_bag_without_torque_names_the_topics_that_may_hold_it(tmp_path, trackres):
     path = write(tmp_path / "run.mcap", [("/left", START, {"s": 1.0}), ("/right", START, {"s": 1.0})])
-    assert "no torque is read; it may be in: /left, /right" in tr.read(path, topics={"speed": SPEED}).notes
+    assert "no torque channel is in use; candidates: /left, /right" in tr.read(path, topics={"speed": SPEED}).notes
     done = trackres("diagnose", path, "--vehicle", "xgd24d", "-o", tmp_path / "report")
     assert done.returncode == 2
-    assert "it may be in /left, /right: name it in a topics file: torque: {topic: NAME, type: TYPE, field: FIELD}" in done.stderr
+    assert "it may be in /left, /right: give it in a topics file: torque: {topic: NAME, type: TYPE, field: FIELD}" in done.stderr
 
 
 def test_the_line_a_diagnosis_writes_for_a_sum_parses_back():
@@ -168,5 +168,5 @@ def test_a_sum_that_is_none_is_refused(line, says):
 
 
 def test_no_sum_of_angles():
-    with pytest.raises(InputError, match="no angle"):
+    with pytest.raises(InputError, match="not an angle"):
         Topics.parse({"heading": {"sum": [PART, {"column": "b"}]}})

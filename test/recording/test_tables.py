@@ -258,7 +258,7 @@ def test_parquet_of_other_types(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"speed_mps: given 'string'.*a column of numbers"):
         read(path)
     path.write_bytes(b"PAR1 no")
-    with pytest.raises(InputError, match="Parquet that can be read to its end"):
+    with pytest.raises(InputError, match="Parquet that is readable to its end"):
         read(path)
 
 
@@ -274,5 +274,7 @@ def test_parquet_needs_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_a_folder_of_tables_names_them(tmp_path: Path) -> None:
     for number in range(5):
         (tmp_path / f"drive_{number}.csv.gz").touch()
-    with pytest.raises(InputError, match=r"drive_0.csv.gz, drive_1.csv.gz, drive_2.csv.gz and 2 more.*name what is in it"):
+    with pytest.raises(
+        InputError, match=r"drive_0.csv.gz, drive_1.csv.gz, drive_2.csv.gz and 2 more.*give the path of the recording in it"
+    ):
         open_source([tmp_path])

@@ -80,7 +80,7 @@ def whole_blocks(path):
     try:
         return tr.read(path, topics=TOPICS)
     except tr.InputError as error:
-        if "one with a whole message in it" not in str(error):
+        if "one with at least one complete message" not in str(error):
             raise
         return None
 
@@ -135,9 +135,9 @@ def test_recover_reports_what_it_wrote_and_refuses_other_files(good, trackres, t
     (tmp_path / "text.mcap").write_text("no bag")
     for given, output, said in (
         (whole, "out.mcap", "an MCAP file that was not finished"),
-        (part, "out.mcap", "one with a whole message in it"),
+        (part, "out.mcap", "one with at least one complete message"),
         (tmp_path / "text.mcap", "out.mcap", "an MCAP bag"),
-        (tmp_path / "nothing.part", "out.mcap", "nothing at this path"),
+        (tmp_path / "nothing.part", "out.mcap", "no such file or folder"),
         (part, "out.csv", "ends in .mcap"),
         (part, "none/out.mcap", "folder"),
     ):

@@ -39,7 +39,7 @@ def test_radii_and_slip_are_found_whichever_wheels_give_speed(of_vehicle: str) -
     name, (slip, std) = found
     assert name == "rear"
     assert slip == pytest.approx(SLIP, abs=4.0 * std + 0.03 * SLIP)
-    assert ("slips with them" in wheel_notes(held)[1]) == (of_vehicle == "rear")
+    assert ("has the same slip" in wheel_notes(held)[1]) == (of_vehicle == "rear")
 
 
 def test_a_delay_is_no_slip() -> None:

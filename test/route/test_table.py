@@ -70,7 +70,7 @@ def test_slopes_and_one_way_torques_survive_writing_and_reading(tmp_path):
         (OF_SLOPE + "47,8.5,10,steep,0.01,3\n", "slope"),
         (OF_SLOPE + "47,8.5,10,nan,0.01,3\n", "slope"),
         (OF_SLOPE + "47,8.5,10,0.02,,3\n", "both, or neither"),
-        (OF_SLOPE + "47,8.5,10,,,3\n", "nothing that was learned"),
+        (OF_SLOPE + "47,8.5,10,,,3\n", "no learned value"),
         (OF_SLOPE + "47,8.5,,0.02,0.01,3\n", "course_deg"),
         (OF_SLOPE + "147,8.5,10,0.02,0.01,3\n", "latitude_deg"),
         (OF_SLOPE + "47,8.5,10,1.5,0.01,3\n", "slope"),

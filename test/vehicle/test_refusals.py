@@ -70,7 +70,7 @@ def test_a_folder_is_no_vehicle(tmp_path: Path) -> None:
     ("text", "said"),
     [
         (b"name: [1, 2", "line 1"),
-        (b"a: 1\na: 2\n", "stands twice"),
+        (b"a: 1\na: 2\n", "one of the values would be lost"),
         (b"- 1\n- 2\n", "mapping at the top"),
         (b"", "mapping at the top"),
         (b"name: \xff\xfe", "a YAML file"),
@@ -204,7 +204,7 @@ def test_a_value_that_is_not_plausible(folder: Path, content: Content, value: ob
     assert allowed in error.allowed
     if isinstance(value, float) and math.isfinite(value):
         assert error.given == value
-        assert "widen the range" in error.remedy
+        assert "widen its range" in error.remedy
 
 
 @pytest.mark.parametrize(
@@ -341,9 +341,9 @@ def second_axle_idle(content: Content) -> None:
         (sprocket_with_radius, "wrapped_wheels[1].radius", "one of name, kind, wrap_angle"),
         (half_a_motor, "chassis.motor_ratio", "both or neither"),
         (second_axle_idle, "assemblies", "at least one assembly an axle"),
-        (set_at("assemblies.1.name", "front_left"), "assemblies", "occur once"),
-        (set_at("assemblies.1.name", "front"), "assemblies", "occur once"),
-        (set_at("chassis.axles.1.name", "front"), "chassis.axles", "occur once"),
+        (set_at("assemblies.1.name", "front_left"), "assemblies", "unique names"),
+        (set_at("assemblies.1.name", "front"), "assemblies", "unique names"),
+        (set_at("chassis.axles.1.name", "front"), "chassis.axles", "unique names"),
         (set_at("tracks", {}), "tracks", "at least one kind of track"),
     ],
 )

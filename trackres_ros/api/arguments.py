@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Turns what the functions of the front door are given into vehicles, paths and topics."""
+"""Converts the arguments of the public functions to vehicles, paths and topics."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def as_paths(recording: object) -> list[Path]:
 
 
 def as_topics(topics: TopicsGiven | None) -> Topics | None:
-    """A topics file, what stands in one, or neither."""
+    """A topics file, its content as a mapping, or None."""
     if topics is None:
         return None
     from trackres_ros.recording.bindings import Topics

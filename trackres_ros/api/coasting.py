@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds what resists a vehicle that rolls out."""
+"""Estimates resistance parameters from coast-downs."""
 
 from __future__ import annotations
 
@@ -30,22 +30,23 @@ def coastdown(
     thermal: str | None = None,
     seed: int = 1,
 ) -> CoastdownResult:
-    """Parameters of a vehicle file from recordings in which it rolls out, with intervals.
+    """Estimate parameters of a vehicle file from recorded coast-downs, with 95 % intervals.
 
     Parameters
     ----------
     recordings
-        With a speed. Where a torque was recorded, pieces without any are used; else all in which it slows down by itself.
+        Recordings with a speed. With a recorded torque, only stretches without torque are used; else all stretches of free
+        deceleration.
     vehicle
-        A vehicle, the path of its file, or the name of a shipped one; one with a `road_load` section too. Its mass is held.
+        A vehicle, the path of its file, or the name of a shipped one; also one with a `road_load` section. Its mass is fixed.
     topics
         As in `read`, where paths are given.
     surroundings
-        File of what holds where it was driven.
+        File of the site, weather and ground during the drives.
     method, thermal
-        Other methods than the vehicle file has.
+        Methods instead of the vehicle file's.
     seed
-        Of all that is drawn.
+        Seed of all random draws.
 
     Returns
     -------
@@ -55,7 +56,7 @@ def coastdown(
     Raises
     ------
     InputError
-        If it rolls out nowhere, or something else cannot be used.
+        If there is no coast-down, or another input cannot be used.
 
     Examples
     --------
@@ -66,7 +67,7 @@ def coastdown(
     ...     tr.coastdown("drive.csv", "xgd24d")
     ... except tr.InputError as error:
     ...     print(error.remedy)
-    let it roll out from its greatest speed, in both directions
+    let the vehicle coast down from its maximum speed, in both directions
     """
     from trackres_ros import checks
     from trackres_ros.diagnosis.base.loading import load_base

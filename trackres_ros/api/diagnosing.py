@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Diagnoses recordings: which physics they show that the model lacks."""
+"""Diagnoses recordings: finds the physics that the model lacks."""
 
 from __future__ import annotations
 
@@ -37,45 +37,45 @@ def diagnose(
     effects: StrPath | None = None,
     on_stage: Callable[[str], None] = lambda _: None,
 ) -> DiagnosisResult:
-    """Where recordings with a measured torque part from the simulation, which physics is missing, and a vehicle that has it.
+    """Find where measured and simulated torque [Nm] differ, which physics is missing, and a vehicle that includes it.
 
     Parameters
     ----------
     recordings
-        Each a session: what `read` gave, or a path of what it takes.
+        Sessions: each a result of `read`, or a path that it accepts.
     vehicle
         A vehicle, the path of its file, or the name of a shipped one; also one of the base model ``road_load``, or an `OwnModel`.
     topics
         As in `read`, for the paths.
     surroundings
-        File of the site, the weather and the ground that held where it was driven.
+        File of the site, weather and ground during the drives.
     hide
-        Channels to be left unread, such as ``grade`` or ``yaw_rate``.
+        Channels to ignore, such as ``grade`` or ``yaw_rate``.
     holdout
         How many of the last recordings or laps to hold out, or names of recordings, or of laps as a report lists them
         (``day2.mcap: 5``).
     method, thermal
         As in `load_vehicle`.
     seed
-        Of all that is drawn at random: equal seeds give equal results.
+        Seed of all random draws: equal seeds give equal results.
     quick
         Fewer draws for thresholds.
     keep_suspected
-        Keep effects too that fit and that laps not used for fitting do not confirm.
+        Also keep effects that fit but that the hold-out laps do not confirm.
     effects
-        Folder with effects of your own, a Python file each.
+        Folder with your own effects, one Python file each.
     on_stage
         Takes the name of each stage as it begins.
 
     Returns
     -------
     DiagnosisResult
-        `sentence`, `effects`, `vehicle`, and `report("folder")`, which writes what `trackres diagnose` writes.
+        `sentence`, `effects`, `vehicle`, and `report("folder")`, which writes the files of `trackres diagnose`.
 
     Raises
     ------
     InputError
-        If the recordings cannot be used; says why.
+        If the recordings cannot be used, with the reason.
 
     Examples
     --------

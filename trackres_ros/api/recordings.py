@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes sample recordings, reads recordings, and finishes those that were broken off."""
+"""Makes sample recordings, reads recordings and repairs unfinished ones."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def record_sample(
     path: StrPath, *, vehicle: VehicleGiven = "xgd24d", speed_kmh: float = 10.0, laps: int = 3, ambient_degc: float = 15.0
 ) -> Sample:
-    """Make a recording to try things on: the paper's lap test as a vehicle's bus would log it.
+    """Make a sample recording: the paper's lap test as a vehicle bus would log it.
 
     Speed comes in steps of 1 km/h at 50 Hz, load at 10 Hz and air temperature at 1 Hz, all with noise.
 
@@ -30,7 +30,7 @@ def record_sample(
     path
         The `.mcap` file to write.
     vehicle
-        Whose weight is recorded.
+        Vehicle whose weight is recorded.
     speed_kmh
         Speed on the lap [km/h].
     laps
@@ -66,27 +66,28 @@ def record_sample(
 
 
 def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None = None) -> Recording:
-    """Read a recording into memory, and look for what is wrong with it.
+    """Read a recording into memory and check it.
 
     Parameters
     ----------
     recording
         A bag (rosbag2 folder, `.mcap`, `.db3`, `.bag`), table (`.csv`, `.csv.gz`, `.parquet`, `.xlsx`), MDF file (`.mf4`), CAN
-        log (`.blf`, `.asc`, `.log`) or MATLAB file (`.mat`); of bags several, which are read one after another as one recording.
-        An `.mcap` or `.mcap.part` that was not finished is read up to its last whole block, and a finding says so.
+        log (`.blf`, `.asc`, `.log`) or MATLAB file (`.mat`); several bags are read in sequence as one recording.
+        An `.mcap` or `.mcap.part` that is unfinished is read up to its last complete block, with a finding.
     topics
-        Which topic and field, or which column, feeds which role: a topics file, or what stands in one. Without it topics are
+        Which topic and field, or which column, feeds which role: a topics file, or its content as a mapping. Without it
+        topics are
         guessed by message type, columns known by name, and channels of MDF files and CAN logs guessed by name and unit.
 
     Returns
     -------
     Recording
-        Samples by role in SI units with their stamps; `findings` says what was found wrong, and so does its `repr`.
+        Samples by role in SI units with their stamps; `findings` and `repr` list the defects.
 
     Raises
     ------
     InputError
-        Nothing there, nothing that can be read, or no speed in it; says what to do.
+        The file is missing, unreadable or without a speed; the remedy says what to do.
 
     Examples
     --------
@@ -113,24 +114,24 @@ def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None =
 
 
 def recover(recording: StrPath, *, output: StrPath) -> Recovered:
-    """Finish an MCAP recording that was broken off, so that every player opens it; the unfinished file stays.
+    """Repair an unfinished MCAP recording, so that every player opens it; the original file stays.
 
     Parameters
     ----------
     recording
-        The `.mcap.part` that `trackres live --record` leaves where it is killed, or any `.mcap` that was cut off.
+        The `.mcap.part` that a killed `trackres live --record` leaves, or any truncated `.mcap`.
     output
         The `.mcap` file to write.
 
     Returns
     -------
     Recovered
-        Its `path`, how many messages are in it, and how many bytes at the end were of no use.
+        Its `path`, its number of messages, and the number of unusable bytes at the end.
 
     Raises
     ------
     InputError
-        No MCAP, one that is finished, one without a whole message, or the output cannot be written.
+        The file is not MCAP, is finished, or has no complete message; or the output cannot be written.
 
     Examples
     --------
@@ -148,7 +149,7 @@ def recover(recording: StrPath, *, output: StrPath) -> Recovered:
     path, file = Path(recording), output_file(output, (BAG_SUFFIX,), "output")
     check_file(path)
     if not is_unfinished(path):
-        raise InputError("recording", str(path), "an MCAP file that was not finished", "a finished one is read as it is")
+        raise InputError("recording", str(path), "an MCAP file that was not finished", "a finished file needs no recovery")
     if file.resolve() == path.resolve():
         raise InputError("output", str(file), "another file than the unfinished one")
     bag = UnfinishedBag(path)

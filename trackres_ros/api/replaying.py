@@ -31,7 +31,7 @@ def replay(
     output: StrPath | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> ReplayResult:
-    """Resistance torque and belt temperature over the time of a recording: what the live node would have given.
+    """Compute resistance torque [Nm] and belt temperature [degC] over a recording, as the live node would.
 
     Messages are processed in the order they were logged and by their own stamps, so the same recording always gives the same
     bits.
@@ -39,7 +39,7 @@ def replay(
     Parameters
     ----------
     recording
-        What `read` gave, or what it takes.
+        Result of `read`, or its argument.
     vehicle
         A vehicle, the path of its file, or the name of a shipped one.
     topics
@@ -47,15 +47,15 @@ def replay(
     params
         Parameters of the estimator (docs/settings.md): a file, flat or as the live node reads it, or a mapping of name to value.
     resume, save_state
-        State files: to go on from, and to save the state in at the end.
+        State files: to continue from, and to write at the end.
     learning
-        `off`; `watch` learns the vehicle from the measured torque, and moves nothing; `on` uses what was learned; as the live
-        node does with this parameter.
+        `off`; `watch` learns vehicle parameters from the measured torque without using them; `on` uses them, like the live
+        node.
     save_vehicle
-        Vehicle file to write at the end that starts from what was learned.
+        Vehicle file to write at the end, with the learned parameters.
     output
-        File to write while it runs, as `ReplayResult.save` does. Its rows are then not kept, so that memory does not grow with
-        the recording.
+        File to write during the replay, in the format of `ReplayResult.save`. Its rows are then not kept, so memory does not
+        grow.
     progress
         Takes the number of messages of each block.
 
@@ -108,9 +108,9 @@ def replay(
     in_memory = recording if isinstance(recording, Recording) else None
     paths = in_memory.paths if in_memory else as_paths(recording)
     if file is not None and any(file.exists() and file.resolve() == given.resolve() for given in paths):
-        raise InputError("output", str(file), "another file than the recording, which it would replace")
+        raise InputError("output", str(file), "a file other than the recording, which it would overwrite")
     if in_memory and topics is not None:
-        raise InputError("topics", "with a recording that is read", "topics with a path", "give them to read")
+        raise InputError("topics", "with a recording that is read", "topics with a path", "pass them to read")
     mapping = in_memory.topics if in_memory else as_topics(topics)
     given = params if isinstance(params, Mapping) else read_parameters(None if params is None else Path(params))
     source = in_memory or KeptSource(open_source(paths, mapping), keep=file is None or file.suffix.lower() != BAG_SUFFIX)

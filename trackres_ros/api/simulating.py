@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Simulates drives, and explains operating points, that were never driven."""
+"""Simulates drives and explains operating points."""
 
 from __future__ import annotations
 
@@ -30,37 +30,37 @@ def simulate(
     dt: float = 0.1,
     output: StrPath | None = None,
 ) -> SimulationResult:
-    """Torque and belt temperature along a drive that was never driven.
+    """Compute torque [Nm] and belt temperature [degC] along a speed profile.
 
     Parameters
     ----------
     vehicle
         A vehicle, the path of its file, or the name of a shipped one.
     speed_kmh, ramp_s, duration_s
-        Speed after a straight ramp from rest [km/h], time of the ramp [s], and how long to simulate [s]; 2500 s by default.
+        Speed after a linear ramp from rest [km/h], ramp time [s], and simulated time [s]; 2500 s by default.
     profile
-        Instead of them a CSV or Parquet table with ``time_s`` and ``speed_mps`` or ``speed_kmh``, and ``weight_n``,
+        Instead a CSV or Parquet table with ``time_s`` and ``speed_mps`` or ``speed_kmh``, and ``weight_n``,
         ``ambient_degc`` and ``grade`` if need be, and positions (``latitude_deg``, ``longitude_deg``) where the vehicle's
         surroundings have a route; straight lines between its rows.
     ambient_degc, initial_degc
-        Ambient temperature [degC], by default the vehicle file's, and that of the belts at the start, by default the same; a
-        vehicle without belts takes none.
+        Ambient temperature [degC], by default the vehicle file's, and initial belt temperature [degC], by default the ambient
+        one; none for a vehicle without belts.
     weight_kn
         Weight of the whole vehicle [kN]; by default the vehicle file's.
     dt
         Time step [s].
     output
-        File to write it to as well, as `SimulationResult.save` does.
+        File to write as well, in the format of `SimulationResult.save`.
 
     Returns
     -------
     SimulationResult
-        One row a time step: a mapping of column name to array, with `to_pandas`, `to_xarray`, `plot` and `save`.
+        One row per time step: a mapping of column name to array, with `to_pandas`, `to_xarray`, `plot` and `save`.
 
     Raises
     ------
     InputError
-        A speed that the vehicle does not reach, a profile that cannot be used, or both of profile and speed.
+        A speed above the vehicle's maximum, an unusable profile, or both profile and speed.
 
     Examples
     --------
@@ -89,7 +89,7 @@ def simulate(
     if (speed_kmh is None) == (profile is None):
         raise InputError("speed_kmh, profile", "neither" if profile is None else "both", "one of the two")
     if profile is not None and duration_s is not None:
-        raise InputError("duration_s", duration_s, "only with speed_kmh: a profile says itself how long it is")
+        raise InputError("duration_s", duration_s, "only with speed_kmh; a profile has its own duration")
     file = None if output is None else output_file(output)
     described = as_vehicle(vehicle)
     known = (("load", None if weight_kn is None else weight_kn * 1e3), ("ambient", ambient_degc))
@@ -127,7 +127,7 @@ def explain(
     ambient_degc: float | None = None,
     weight_kn: float | None = None,
 ) -> OperatingPoint:
-    """Where the torque of one operating point comes from, by the exact methods.
+    """Compute the parts of the torque [Nm] at one operating point, by the exact methods.
 
     Parameters
     ----------
@@ -136,14 +136,14 @@ def explain(
     speed_kmh
         [km/h]; negative in reverse.
     belt_degc
-        Belt temperature, the mean one [degC]; of a vehicle without belts none.
+        Mean belt temperature [degC]; none for a vehicle without belts.
     ambient_degc, weight_kn
         Ambient temperature [degC] and weight of the whole vehicle [kN]; by default the vehicle file's.
 
     Returns
     -------
     OperatingPoint
-        A mapping of wheel loads, contacts, tension, losses, heat, torque by part and the rainflow matrix; without belts of
+        A mapping of wheel loads, contacts, tension, losses, heat, torque by part and the rainflow matrix; without belts only
         torque by part.
 
     Raises

@@ -29,12 +29,12 @@ def load_vehicle(
     thermal
         Thermal model instead of the file's: ``lumped`` or ``core_surface``.
     surroundings
-        File of the site, the weather and the ground as they hold here and now, as a diagnosis writes it.
+        File of the current site, weather and ground, as a diagnosis writes it.
 
     Returns
     -------
     Vehicle or RoadVehicle
-        Frozen and checked; SI units, temperatures in degC. A file with a section `road_load` is that of a `RoadVehicle`.
+        Frozen and checked; SI units, temperatures in degC. A file with a section `road_load` gives a `RoadVehicle`.
 
     Raises
     ------
@@ -69,14 +69,14 @@ def load_vehicle(
 
 
 def check_vehicle(vehicle: VehicleGiven, *, points: int = 400) -> VehicleCheck:
-    """Check a vehicle and say what follows from it: wheel loads, masses, tension, where its data end, how exact its tables are.
+    """Check a vehicle and derive wheel loads [N], masses [kg], tension [N], data coverage and table errors.
 
     Parameters
     ----------
     vehicle
         A vehicle, the path of its file, or the name of a shipped one.
     points
-        Random points at which the loss table is held against the exact method.
+        Number of random points for comparing the loss table with the exact method.
 
     Returns
     -------
@@ -86,7 +86,7 @@ def check_vehicle(vehicle: VehicleGiven, *, points: int = 400) -> VehicleCheck:
     Raises
     ------
     InputError
-        As `load_vehicle`, and where the physics shows that a value cannot be.
+        As `load_vehicle`, and for a physically impossible value.
     """
     from trackres_ros.offline.vehicle_check import check_vehicle
     from trackres_ros.results.vehicle_check import VehicleCheck

@@ -1,4 +1,4 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The words of a command line come in; text, files and an exit code go out. Each command of `trackres` is one thin file."""
+"""A command line comes in; text, files and an exit code go out. Each command of `trackres` is one thin file."""

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres coastdown` finds parameters of a vehicle file from recordings in which it rolls out."""
+"""`trackres coastdown` estimates parameters of a vehicle file from coast-downs."""
 
 from __future__ import annotations
 
@@ -56,15 +56,15 @@ def coastdown_command(
 ) -> None:
     """Estimate parameters of a vehicle file, with ranges, from recordings of coast-downs.
 
-    With a recorded torque, the stretches without torque are used; else all in which the vehicle slows down by itself. The mass is
-    held, and all results scale with it. Without a recorded slope or altitude, coast down in both directions.
+    With a recorded torque, only stretches without torque are used; else all stretches of free deceleration. The mass is
+    fixed, and all results scale with it. Without a recorded slope or altitude, coast down in both directions.
 
     \b
     trackres coastdown roll_1.csv roll_2.csv --vehicle xgd24d --picture rolls.png
     trackres coastdown roll.mcap --vehicle my.yaml --topics topics.yaml --save-vehicle rolled.yaml
     """
     watch(*(path for path in (save_vehicle, picture) if path))
-    with progress("rolling out", None):
+    with progress("coast-down", None):
         found = tr.coastdown(
             recordings, vehicle, topics=topics, surroundings=surroundings, method=method, thermal=thermal, seed=seed
         )

@@ -33,11 +33,11 @@ DISTRIBUTIONS = {"sklearn": "scikit-learn"}  # where its name is not that of the
 
 
 DBC = f"{__name__}.dbc"
-"""Under which the context of a command keeps the databases."""
+"""Key of a command's context under which the CAN databases are stored."""
 
 
 class Command(click.Command):
-    """A command in whose errors an argument of a function is named by the option that the user typed."""
+    """A command whose errors name the option that the user typed."""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run it."""
@@ -109,7 +109,7 @@ def vehicle_option(command: Decorated) -> Decorated:
 
 
 def topics_option(text: str, with_dbc: bool = True) -> Callable[[Decorated], Decorated]:
-    """`--topics`: a path or the name of a shipped topics file; and `--dbc`, which goes in with it where recordings are read."""
+    """`--topics`: a path or the name of a shipped topics file; with `--dbc` for recordings."""
     names = ", ".join(shipped_topics())
     option = click.option(
         "--topics",
@@ -122,7 +122,7 @@ def topics_option(text: str, with_dbc: bool = True) -> Callable[[Decorated], Dec
 
 
 def params_option(command: Decorated) -> Decorated:
-    """`--params`: a parameter file of the node, of which the estimator's part counts."""
+    """`--params`: a parameter file of the node; only the estimator's settings are used."""
     return click.option(
         "--params",
         type=click.Path(path_type=Path),
@@ -140,7 +140,7 @@ def dbc_option(command: Decorated) -> Decorated:
         is_eager=True,
         expose_value=False,
         callback=lambda context, _, files: context.meta.update({DBC: files}),
-        help="Database of a CAN bus, where its frames were recorded; may be repeated. Instead of dbc in the topics file.",
+        help="Database of a CAN bus, for recorded frames; may be repeated. Overrides dbc in the topics file.",
     )(command)
 
 
@@ -149,7 +149,7 @@ def _with_databases(context: click.Context, _option: click.Parameter, topics: st
 
 
 def with_databases(topics: str | None, files: Sequence[Path]) -> Topics | Any:
-    """A topics file, or none, with the databases of `--dbc` where these are given."""
+    """A topics file, or none, with the databases of `--dbc`."""
     if not files:
         return topics
     from trackres_ros.recording.bindings import Topics
@@ -164,7 +164,7 @@ def surroundings_option(command: Decorated) -> Decorated:
         "--surroundings",
         type=click.Path(path_type=Path),
         metavar="S.yaml",
-        help="Effects of site, weather and ground that hold here and now, as trackres diagnose writes them; never fed forward.",
+        help="Current effects of site, weather and ground, as trackres diagnose writes them; never fed forward.",
     )(command)
 
 
@@ -174,7 +174,7 @@ def json_option(command: Decorated) -> Decorated:
 
 
 def method_options(command: Decorated) -> Decorated:
-    """`--method` and `--thermal`: other models than the vehicle file names."""
+    """`--method` and `--thermal`: models instead of the vehicle file's."""
     command = click.option(
         "--thermal", type=click.Choice(["lumped", "core_surface"]), help="Thermal model instead of the vehicle file's."
     )(command)
@@ -208,33 +208,33 @@ class _Finite(click.FloatRange):
 
 
 def needs(feature: str, extra: str, *modules: str) -> None:
-    """Refuse before any work what would end without an optional library."""
+    """Check for an optional library before any work begins."""
     for module in modules:
         if find_spec(module) is None:
             raise MissingExtraError(feature, DISTRIBUTIONS.get(module, module), extra)
 
 
 def output_folder(path: Path) -> Path:
-    """A folder to write into, made if need be, that an interrupted command looks into."""
+    """An output folder, created if needed; an interrupted command lists its files."""
     watch(path)
     path.mkdir(parents=True, exist_ok=True)
     return path
 
 
 def picture_beside(path: Path) -> Path:
-    """The picture that goes beside a file, of whose suffixes `.csv.gz` is one."""
+    """Path of the picture that belongs to an output file."""
     name = path.name[: -len(".gz")] if path.name.lower().endswith(".csv.gz") else path.name
     return path.with_name(f"{Path(name).stem}.png")
 
 
 def emit(result: dict[str, Any], as_json: bool, text: Callable[[], str]) -> None:
-    """Print a result: as JSON, or as the text made for people."""
+    """Print a result as JSON or as text."""
     click.echo(json.dumps(result, indent=2, allow_nan=False) if as_json else text())
 
 
 @contextmanager
 def progress(label: str, total: float | None) -> Iterator[Callable[[float], None]]:
-    """A progress bar on standard error where that is a terminal; the function takes how much more is done."""
+    """A progress bar on standard error, in a terminal; the function takes the increment."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -256,7 +256,7 @@ def progress(label: str, total: float | None) -> Iterator[Callable[[float], None
 
 @contextmanager
 def stages() -> Iterator[Callable[[str], None]]:
-    """One line on standard error for each stage of long work; in a terminal with how far it is, and how long it took."""
+    """One line on standard error per stage of long work; in a terminal with progress and duration."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 

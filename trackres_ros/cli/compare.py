@@ -18,7 +18,7 @@ A_NUMBER = "A|A:B|A,B,C"
 @click.command("compare", cls=Command)
 @click.argument("one")
 @click.argument("other")
-@click.option("--speed-kmh", metavar=A_NUMBER, help="Two designs: speeds; default 30, and 5 to the slower one's greatest.")
+@click.option("--speed-kmh", metavar=A_NUMBER, help="Two designs: speeds; default 30, and 5 to the maximum of the slower one.")
 @click.option("--belt-degc", metavar=A_NUMBER, help="Two designs: belt temperatures of the table; default -20:80.")
 @click.option("--ambient-degc", metavar=A_NUMBER, help="Two designs: air temperatures; default that of the file ONE.")
 @click.option("--weight-kn", metavar=A_NUMBER, help="Two designs: weights of the whole vehicle; default each file's own.")
@@ -47,12 +47,12 @@ def compare_command(
     """Show the significant differences between two days, vehicles, reports or designs.
 
     ONE and OTHER are each a folder of trackres fleet, all of it or a part (results:truck-01, results:truck-01@2026-03,
-    results@2026-03-14), a folder of trackres diagnose, or a vehicle file. Of two vehicle files the values that differ are listed;
-    of two with tracks also resistance, belt temperature and energy, with how sure the difference is; of two without belts
-    resistance and energy over speed.
+    results@2026-03-14), a folder of trackres diagnose, or a vehicle file. For two vehicle files, the command lists the values
+    that differ. With tracks it also compares resistance, belt temperature and energy, with uncertainties; without belts it
+    compares resistance and energy over speed.
 
-    A:B is five numbers from A to B, A:B:N is N. The drive stages is ten minutes each at a third, two thirds and all of the
-    slower vehicle's greatest speed; laps is ten laps of 628 m with a stop after each.
+    A:B means five numbers from A to B, A:B:N means N. The drive "stages" is ten minutes each at a third, two thirds and all
+    of the slower vehicle's maximum speed; "laps" is ten laps of 628 m with a stop after each.
 
     \b
     trackres compare results:truck-01@2026-01 results:truck-01@2026-03

@@ -35,10 +35,10 @@ def compound_group() -> None:
     show_default=True,
     metavar="FILE|NAME",
     shell_complete=vehicles_to_complete,
-    help="The vehicle that is to drive on it; all but the compound stays as it is there.",
+    help="The vehicle to equip with the compound; all else stays as in its file.",
 )
 @click.option(
-    "--frequency-hz", type=number(1e-9, 1e9), metavar="HZ", help="Frequency of the sweep, where its file does not say it."
+    "--frequency-hz", type=number(1e-9, 1e9), metavar="HZ", help="Frequency of the sweep, if its file does not give it."
 )
 @click.option(
     "-o",
@@ -51,11 +51,11 @@ def compound_group() -> None:
 )
 @json_option
 def fit_command(sweep: Path, vehicle: str, frequency_hz: float | None, output: Path, as_json: bool) -> None:
-    """Fit a compound to a DMA sweep: master curve, shift, rubber file, and a vehicle file that drives on it.
+    """Fit a compound to a DMA sweep: master curve, shift, rubber file and a vehicle file with it.
 
-    SWEEP.csv is text as instruments write it: names of columns with units (behind the name or on a line below) for temperature,
+    SWEEP.csv is the text export of an instrument: column names with units (after the name or on a line below) for temperature,
     frequency, storage modulus (E' or G'), loss modulus or tan delta; tab, semicolon or comma between cells,
-    decimal points or commas. What is known of a shift and what not, what the data cover and what is extrapolated:
+    decimal points or commas. For shift identifiability, coverage and extrapolation, see
     docs/compound.md.
 
     \b

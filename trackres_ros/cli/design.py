@@ -40,7 +40,7 @@ USUAL_KMH = 30.0
 speed_option = click.option(
     "--speed-kmh",
     type=number(0.1, 150.0),
-    help=f"Speed that is held [km/h]; {USUAL_KMH:g} without, or the vehicle's greatest if that is less.",
+    help=f"Constant speed [km/h]; default {USUAL_KMH:g}, or the vehicle's maximum if lower.",
 )
 ambient_option = click.option(
     "--ambient-degc", type=number(-60.0, 60.0), help="Air temperature [degC]; default the vehicle file's."
@@ -54,15 +54,15 @@ ambient_option = click.option(
     multiple=True,
     required=True,
     metavar="PATH=A:B:N",
-    help="Which value, and from where to where in how many steps; PATH=A,B,C; or PATH alone for the file's range. A and B may be "
-    "changes, as +20%. May be repeated: then every one with every other.",
+    help="PATH=A:B:N varies a value from A to B in N steps; PATH=A,B,C lists values; PATH alone takes the file's range. "
+    "A and B may be changes such as +20%. May be repeated, for all combinations.",
 )
 @speed_option
 @ambient_option
 @click.option("--cycle", metavar="DRIVE", help="Energy of a drive: a recording, a speed profile, stages or laps; see compare.")
-@click.option("--engine", default="local", show_default=True, help="tcp://HOST:PORT of a dask scheduler that runs, or local.")
+@click.option("--engine", default="local", show_default=True, help="tcp://HOST:PORT of a running dask scheduler, or local.")
 @click.option("--workers", type=WORKERS, help="Processes of a local engine.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Table, .csv, .csv.gz or .parquet; a .png goes beside it.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Table, .csv, .csv.gz or .parquet; with a picture, .png.")
 @json_option
 def sweep_command(
     vehicle: str,
@@ -77,8 +77,8 @@ def sweep_command(
 ) -> None:
     """Vary values of a vehicle file: resistance cold and warm, belt temperature, energy.
 
-    A PATH is that of vehicle check and of the file, or enough of its words in their order. The same value of several axles,
-    tracks or wheels moves together, as axles.load.
+    A PATH is a path shown by vehicle check, or enough of its words in order. The same value of several axles,
+    tracks or wheels moves together, for example axles.load.
 
     \b
     trackres sweep my.yaml --vary belt.thickness=0.025:0.045:9
@@ -166,5 +166,5 @@ def sensitivity_command(
 
 
 def _held(vehicle: Vehicle, speed_kmh: float | None) -> float:
-    """The speed that is asked for, or the usual one [m/s]."""
+    """The requested speed, or the usual one [m/s]."""
     return min(USUAL_KMH / KMH_PER_MPS, vehicle.chassis.max_speed) if speed_kmh is None else speed_kmh / KMH_PER_MPS

@@ -32,9 +32,7 @@ from trackres_ros.cli.partial_output import watch
 @vehicle_option
 @surroundings_option
 @topics_option("which topic or column feeds which role.")
-@click.option(
-    "--hide", multiple=True, metavar="CHANNEL", help="Leave a channel unread, such as grade or yaw_rate; may be repeated."
-)
+@click.option("--hide", multiple=True, metavar="CHANNEL", help="Ignore a channel, such as grade or yaw_rate; may be repeated.")
 @click.option(
     "--holdout",
     metavar="N|NAMES",
@@ -48,10 +46,10 @@ from trackres_ros.cli.partial_output import watch
     "--effects",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Folder with effects of your own, a Python file each.",
+    help="Folder with your own effects, one Python file each.",
 )
 @click.option("--no-page", is_flag=True, help="Write no report.html and no pictures, which takes as long as a short diagnosis.")
-@folder_option("Folder for the report; made if need be.")
+@folder_option("Folder for the report; created if needed.")
 @json_option
 def diagnose_command(
     recordings: tuple[Path, ...],
@@ -78,9 +76,9 @@ def diagnose_command(
     \b
     trackres diagnose day1.mcap day2.mcap --vehicle xgd24d --topics topics.yaml -o report
 
-    Writes report.json, report.html, vehicle.yaml and pictures, and prints the verdict in one sentence. What is of the site,
-    the weather or the ground goes to surroundings.yaml instead; what is a sensor's is printed as lines for the topics file.
-    Ends with exit code 0 whatever the verdict.
+    Writes report.json, report.html, vehicle.yaml and pictures, and prints the verdict. Effects of the site,
+    the weather or the ground go to surroundings.yaml instead; sensor corrections are printed as lines for the topics file.
+    The exit code is 0 for any verdict.
     """
     watch(output)
     held = None if holdout is None else int(holdout) if holdout.isdecimal() else [name.strip() for name in holdout.split(",")]
@@ -107,10 +105,10 @@ def diagnose_command(
 
 
 @click.command("effects", cls=Command)
-@click.option("--effects", type=click.Path(path_type=Path), metavar="DIR", help="Folder with effects of your own.")
+@click.option("--effects", type=click.Path(path_type=Path), metavar="DIR", help="Folder with your own effects.")
 @json_option
 def effects_command(effects: Path | None, as_json: bool) -> None:
-    """List the catalogue of effects, with what each does and its parameters."""
+    """List the catalogue of effects with descriptions and parameters."""
     listed = [effect.describe() for effect in tr.effects.catalogue(effects).values()]
 
     def text() -> str:

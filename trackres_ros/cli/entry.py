@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The command `trackres` begins here: it listens to signals, or is ready for Ctrl-C, before all else is loaded."""
+"""Entry point of the command `trackres`: sets up signals and Ctrl-C before other modules load."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def main() -> None:
         from trackres_ros.cli.main import main as run
     except KeyboardInterrupt:
         interrupt_handled()
-        print("trackres: interrupted; nothing was begun", file=sys.stderr)
+        print("trackres: interrupted before the start", file=sys.stderr)
         sys.exit(INTERRUPTED)
     try:
         run()

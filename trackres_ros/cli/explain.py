@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres explain` shows one operating point by its parts."""
+"""Runs `trackres explain`: the parts of the torque at one operating point."""
 
 from __future__ import annotations
 

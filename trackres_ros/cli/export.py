@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres export`: the step of a vehicle as C99 or as an FMU, and whether an export belongs to its vehicle."""
+"""Runs `trackres export`: the step of a vehicle as C99 or as an FMU, and the check of an export."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from trackres_ros.cli.partial_output import watch
 
 
 def export_options(command: Decorated) -> Decorated:
-    """What is exported."""
+    """Options of an export."""
     options: list[Callable[[Any], Any]] = [
         surroundings_option,
         method_options,
@@ -35,7 +35,7 @@ def export_options(command: Decorated) -> Decorated:
             "--state",
             type=click.Path(path_type=Path),
             metavar="STATE",
-            help="Start from what was learned, of a state that was saved with learning on.",
+            help="Start from the learned parameters of a state saved with learning on.",
         ),
     ]
     for option in reversed(options):
@@ -45,13 +45,13 @@ def export_options(command: Decorated) -> Decorated:
 
 @click.group("export", cls=Commands, invoke_without_command=True)
 @click.option(
-    "--check", "folder", type=click.Path(path_type=Path), metavar="DIR", help="Tell whether the C in DIR belongs to its vehicle."
+    "--check", "folder", type=click.Path(path_type=Path), metavar="DIR", help="Check that the C in DIR belongs to its vehicle."
 )
-@click.option("--vehicle", metavar="FILE|NAME", help="With --check: the vehicle file, if it is no longer where it was.")
+@click.option("--vehicle", metavar="FILE|NAME", help="With --check: the vehicle file, if it was moved.")
 @json_option
 @click.pass_context
 def export_group(context: click.Context, folder: Path | None, vehicle: str | None, as_json: bool) -> int:
-    """The torque inside a controller: C99 without heap, or an FMU, from the very step that runs live.
+    """Export the live step for a controller: C99 without heap, or an FMU.
 
     \b
     trackres export c my_vehicle.yaml -o out/
@@ -74,7 +74,7 @@ def export_group(context: click.Context, folder: Path | None, vehicle: str | Non
 @click.argument("vehicle", metavar="FILE|NAME")
 @folder_option("Folder for trackres.h, trackres.c, main.c and CMakeLists.txt.")
 @export_options
-@click.option("--single", is_flag=True, help="Numbers are float instead of double: half the size, and less exact.")
+@click.option("--single", is_flag=True, help="Numbers are float instead of double: half the size, less precise.")
 @json_option
 def c_command(
     vehicle: str,

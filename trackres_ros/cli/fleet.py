@@ -36,17 +36,17 @@ CHANGED, NOT_SENT = 3, 4  # exit codes
 
 
 def alert_options(command: Decorated) -> Decorated:
-    """`--webhook` and `--exit-code`: what changed, for other programs."""
+    """`--webhook` and `--exit-code`: report changes to other programs."""
     command = click.option("--exit-code", is_flag=True, help=f"End with exit code {CHANGED} if a vehicle changed.")(command)
-    text = f"Send what changed, if anything did, to this address as JSON by POST; exit code {NOT_SENT} if that fails."
+    text = f"Send changes, if any, to this address as JSON by POST; exit code {NOT_SENT} if that fails."
     return click.option("--webhook", metavar="URL", help=text)(command)
 
 
 class FleetGroup(click.Group):
-    """A group whose own work is a command too, for all words that name none of the others."""
+    """A group that runs its default command `run` for all words that name no other command."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the word `run` before arguments that begin with no command."""
+        """Insert the word `run` before arguments that begin with no command."""
         if args and args[0] not in {*self.commands, "-h", "--help"}:
             args = ["run", *args]
         return super().parse_args(ctx, args)
@@ -54,7 +54,7 @@ class FleetGroup(click.Group):
 
 @click.group("fleet", cls=FleetGroup)
 def fleet_group() -> None:
-    """Many recordings of many vehicles over months: what changed, in which, and since when.
+    """Find which vehicles of a fleet changed, in which parameter and since when.
 
     \b
     trackres fleet RECORDINGS... --vehicles fleet.yaml -o results
@@ -67,16 +67,20 @@ def fleet_group() -> None:
 
 @fleet_group.command("run", cls=Command)
 @click.argument("recordings", nargs=-1, required=True)
-@click.option("--vehicle", metavar="FILE|NAME", help="Vehicle file of one vehicle, which all recordings are of.")
+@click.option("--vehicle", metavar="FILE|NAME", help="Vehicle file, if all recordings are of one vehicle.")
 @click.option(
     "--vehicles", type=click.Path(path_type=Path), metavar="fleet.yaml", help="Vehicles, each with its file and recordings."
 )
 @topics_option("with --vehicle, which topic or column feeds which role.", with_dbc=False)
 @click.option(
-    "--engine", default="local", show_default=True, metavar="local|tcp://HOST:PORT", help="Where it runs: a Dask scheduler."
+    "--engine",
+    default="local",
+    show_default=True,
+    metavar="local|tcp://HOST:PORT",
+    help="Address of the Dask scheduler to run on.",
 )
-@click.option("--workers", type=WORKERS, metavar="N", help="Processes of a local engine; as many as processors without.")
-@click.option("--hide", multiple=True, metavar="CHANNEL", help="Leave a channel unread; may be repeated.")
+@click.option("--workers", type=WORKERS, metavar="N", help="Processes of a local engine; default one per processor.")
+@click.option("--hide", multiple=True, metavar="CHANNEL", help="Ignore a channel; may be repeated.")
 @click.option(
     "--period",
     type=click.Choice(["month", "none"]),
@@ -101,10 +105,10 @@ def run_command(
     output: Path,
     as_json: bool,
 ) -> int:
-    """Analyse what is new, and pool, compare and show all that is there.
+    """Analyse new recordings, then pool, compare and show all results.
 
-    RECORDINGS are paths, folders, globs or URLs (s3://bucket/folder). What was done is kept in DIR: a second run, or one after an
-    interruption, does only what is new. DIR/alerts.csv has a row for each change of a vehicle.
+    RECORDINGS are paths, folders, globs or URLs (s3://bucket/folder). DIR keeps finished results: a second run, or one after an
+    interruption, processes only new recordings. DIR/alerts.csv has a row for each change of a vehicle.
     """
     needs("trackres fleet", "fleet", *EXTRA)
     if (vehicle is None) == (vehicles is None):
@@ -147,7 +151,7 @@ def run_command(
     done = {"found": counts.found, "kept": counts.kept, "good": counts.good, "broken": counts.broken}
 
     def text() -> str:
-        head = f"{counts.found} recordings: {counts.kept} as before, {counts.good} new, {counts.broken} that cannot be used"
+        head = f"{counts.found} recordings: {counts.kept} unchanged, {counts.good} new, {counts.broken} unusable"
         return "\n".join([head, *sentences(found), f"{pages}"])
 
     emit({"run": done, **found, "page": str(pages)}, as_json, text)
@@ -163,7 +167,7 @@ def run_command(
 @folder_option("Folder to write into.")
 @json_option
 def sample_command(vehicles: int, days: int, every: float, minutes: float, seed: int, output: Path, as_json: bool) -> None:
-    """A simulated fleet in which up to three vehicles change; answers.json says which.
+    """Write a simulated fleet in which up to three vehicles change; answers.json lists them.
 
     A vehicle needs two recordings to change, so give --days at least twice --every.
 
@@ -190,14 +194,14 @@ def sample_command(vehicles: int, days: int, every: float, minutes: float, seed:
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @click.option("--name", metavar="VEHICLE", help="Look for changes of this vehicle alone.")
 @click.option(
-    "--limit", "limits", multiple=True, metavar="PARAMETER=VALUE", help="Where a parameter must be looked after; may be repeated."
+    "--limit", "limits", multiple=True, metavar="PARAMETER=VALUE", help="Limit of a parameter for the alarm; may be repeated."
 )
 @click.option(
     "--false-alarms",
     type=number(1e-4, 10.0),
     default=0.2,
     show_default=True,
-    help="How often chance may raise one, per vehicle and year.",
+    help="False alarms allowed per vehicle and year.",
 )
 @click.option("--alerts", "table", type=click.Path(path_type=Path), metavar="A.csv", help="Write a row for each change.")
 @alert_options
@@ -212,9 +216,9 @@ def trend_command(
     exit_code: bool,
     as_json: bool,
 ) -> int:
-    """What changed over the months of a fleet, in which vehicle and since when, and when a limit is reached.
+    """Show changes over the months of a fleet, by vehicle and date, and when a limit is reached.
 
-    DIR is what trackres fleet wrote.
+    DIR is the output folder of trackres fleet.
 
     \b
     trackres trend results --limit bearing_friction=0.012

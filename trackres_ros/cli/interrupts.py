@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Ctrl-C while a command runs: raised until it is handled, then ignored while the command ends."""
+"""Handles Ctrl-C while a command runs: raised until handled, then ignored while the command ends."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ AGAIN_S = 3.0  # longer than any command needs to put things in order
 
 
 def insist() -> None:
-    """Raise an interrupt again until it is handled: where it meets a callback or a destructor, Python swallows it."""
+    """Raise an interrupt again until it is handled, because Python swallows it in callbacks and destructors."""
     signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGALRM, _interrupt)
 
@@ -23,7 +23,7 @@ def _interrupt(_number: int, _frame: object) -> None:
 
 
 def interrupt_handled() -> None:
-    """An interrupt is being handled: nothing more is raised, whatever comes, while the command says so and ends."""
+    """Mark an interrupt as handled: no more are raised while the command ends."""
     # `python -m` ends by the signal if the interrupt met the evaluation of a string, as making a named tuple is one, whoever
     # caught it there (CPython's unhandled_keyboard_interrupt). Evaluating another string makes it forget that.
     exec("")

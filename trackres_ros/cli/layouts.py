@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres layouts` writes what PlotJuggler and Foxglove open to show a vehicle's topics."""
+"""Runs `trackres layouts`: writes layouts of PlotJuggler and Foxglove for a vehicle's topics."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from trackres_ros.cli.live import check_names
 def layouts_command(vehicle: str, name: str, namespace: str, output: Path, as_json: bool) -> None:
     """Write layouts of PlotJuggler and Foxglove for a vehicle: torque by part and assembly, feed-forward, belts, residual.
 
-    They show the topics of a live node, and those in the bag of a replay (`-o out.mcap`), which stand below /trackres.
+    They show the topics of a live node, and those in the bag of a replay (`-o out.mcap`) under /trackres.
 
     \b
     trackres layouts --vehicle my_vehicle.yaml -o layouts

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres live` runs the node, on ROS 2 where rclpy is installed, else on Cyclone DDS."""
+"""Runs `trackres live`: the node, on ROS 2 if rclpy is installed, else on Cyclone DDS."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 @click.command("live")
 @click.option("--vehicle", metavar="FILE|NAME", help="Vehicle file or shipped name; may stand in the parameter file instead.")
-@click.option("--surroundings", metavar="S.yaml", help="Effects of site, weather and ground that hold here and now.")
+@click.option("--surroundings", metavar="S.yaml", help="Current effects of site, weather and ground.")
 @topics_option("which topic feeds which role; default without.", with_dbc=False)
 @click.option(
     "--params",
     "params_file",
     type=click.Path(path_type=Path),
     metavar="P.yaml",
-    help="Parameter file, flat or as ROS has it; without ROS it is watched while the node runs.",
+    help="Parameter file, flat or in the format of ROS; without ROS, the node watches it for changes.",
 )
 @click.option("-p", "single", multiple=True, metavar="NAME:=VALUE", help="One parameter; may be given several times.")
 @click.option("--name", default="trackres", show_default=True, help="Name of the node.")
@@ -42,23 +42,23 @@ if TYPE_CHECKING:
     type=click.Choice(["auto", "ros", "dds"]),
     default="auto",
     show_default=True,
-    help="Middleware: rclpy, or Cyclone DDS without ROS; auto takes rclpy where it imports.",
+    help="Middleware: rclpy, or Cyclone DDS without ROS; auto takes rclpy if it is installed.",
 )
 @click.option(
     "--record",
     type=click.Path(path_type=Path),
     metavar="OUT.mcap",
-    help="Write every message of the topics file and every estimate, to be replayed and diagnosed, and a picture, at the end.",
+    help="Record every message of the topics file and every estimate, for replay and diagnosis, and a picture at the end.",
 )
 @click.option("--record-split-mb", type=number(1, 1e6), help="Begin the next file, OUT_0001.mcap, at this size [MB].")
 @click.option("--record-split-minutes", type=number(0.01, 1e5), help="Begin the next file, OUT_0001.mcap, after this time [min].")
 @click.option(
     "--record-limit-mb",
     type=number(2, 1e8),
-    help="Most that all files of the recording may take [MB], those of earlier runs included: the oldest are deleted.",
+    help="Size limit of all files of the recording [MB], including earlier runs: the oldest are deleted.",
 )
 @click.option("--quiet", is_flag=True, help="No table in the terminal.")
-@click.option("--json", "as_json", is_flag=True, help="Instead of the table a line of JSON a second, and one at the end.")
+@click.option("--json", "as_json", is_flag=True, help="Instead of the table, one line of JSON per second and one at the end.")
 def live_command(
     vehicle: str | None,
     surroundings: str | None,
@@ -156,7 +156,7 @@ def _single(text: str) -> tuple[str, object]:
 
 
 def check_names(name: str, namespace: str) -> None:
-    """Refuse what is no name of a node or no namespace."""
+    """Refuse an invalid node name or namespace."""
     import re
 
     if not re.fullmatch(r"[A-Za-z_]\w*", name):

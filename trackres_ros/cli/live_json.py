@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Prints what the live table shows as lines of JSON, for programs."""
+"""Prints the content of the live table as lines of JSON, for programs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ END_PATIENCE_S = 2.0
 
 
 class LiveJson:
-    """Prints an overview once a second, from a thread of its own, and a last time with `"final": true`."""
+    """Prints an overview once a second from its own thread, and at the end with `"final": true`."""
 
     def __init__(self, overview: Callable[[], Overview]) -> None:
         self._overview = overview
@@ -32,7 +32,7 @@ class LiveJson:
         self._thread.start()
 
     def stop(self) -> None:
-        """Print the last line and end, as far as somebody takes it."""
+        """Print the last line, if the reader accepts it, and stop."""
         self._stop.set()
         self._thread.join(END_PATIENCE_S)
 
@@ -50,7 +50,7 @@ class LiveJson:
 
 
 def as_dict(seen: Overview, final: bool) -> dict[str, Any]:
-    """The overview ready for JSON; torques [Nm] positive where they resist forward travel, numbers that are not known null."""
+    """The overview ready for JSON; torques [Nm] positive where they resist forward travel, unknown numbers are null."""
     return {
         "final": final,
         "level": seen.level.name.lower(),

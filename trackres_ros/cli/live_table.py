@@ -32,7 +32,7 @@ COLOURS = {Level.OK: "green", Level.WARN: "yellow", Level.ERROR: "red", Level.ST
 
 
 class LiveTable:
-    """Shows an overview again and again, from a thread of its own: redrawn in a terminal, else a line now and then."""
+    """Shows an overview repeatedly from its own thread: redrawn in a terminal, else one line at intervals."""
 
     def __init__(self, title: str, overview: Callable[[], Overview]) -> None:
         self._title, self._overview = title, overview
@@ -44,7 +44,7 @@ class LiveTable:
         self._thread.start()
 
     def stop(self) -> bool:
-        """Show the last state and end, as far as a terminal takes it; whether it came to its end."""
+        """Show the last state and stop; return whether the thread ended."""
         self._stop.set()
         self._thread.join(END_PATIENCE_S)
         return not self._thread.is_alive()
@@ -67,7 +67,7 @@ class LiveTable:
 
 
 def table(title: str, seen: Overview) -> Panel:
-    """The overview as a picture for the terminal."""
+    """The overview as a table for the terminal."""
     colour = COLOURS[seen.level]
     status = Text.assemble((f" {seen.level.name} ", f"bold reverse {colour}"), f"  {seen.message}")
     parts: list[RenderableType] = [status, Text(""), _inputs(seen)]
@@ -78,7 +78,7 @@ def table(title: str, seen: Overview) -> Panel:
     if any(given.role == "torque" for given in seen.inputs):
         parts.append(Text(f"measured torque: {seen.mismatch.text}"))
     if seen.disturbance is not None:
-        parts.append(Text(f"watched for: {seen.disturbance.text}"))
+        parts.append(Text(f"disturbance: {seen.disturbance.text}"))
     if seen.learning:
         parts.append(Text(f"learning: {seen.learning}"))
     parts.append(Text(_foot(seen), style="dim"))
@@ -148,7 +148,7 @@ def _belts(seen: Overview) -> Table:
 
 def _foot(seen: Overview) -> str:
     speed = f"{decimals(seen.values['speed_mps'] * KMH_PER_MPS, 1)} km/h, " if seen.values else ""
-    kept = f"state in {seen.state_file}" if seen.state_file else "no state kept"
+    kept = f"state in {seen.state_file}" if seen.state_file else "no state saved"
     if not math.isnan(seen.saved_s_ago):
         kept += f", saved {seen.saved_s_ago:.0f} s ago"
     return f"{_time(seen)}: {speed}age {_age(seen.age_s) or 'none'} s, {seen.steps_hz:.1f} estimates/s, {kept}"

@@ -47,10 +47,10 @@ def cli() -> None:
 
     \b
     Start here:
-      trackres record-sample -o lap.mcap                       make a recording to play with
+      trackres record-sample -o lap.mcap                       make a sample recording
       trackres replay lap.mcap --vehicle xgd24d -o out.csv     torque and temperature over time, and a picture
       trackres live --vehicle xgd24d --topics topics.yaml      the same while driving
-      trackres diagnose day1.mcap day2.mcap --vehicle xgd24d -o report    which physics a model lacks
+      trackres diagnose day1.mcap day2.mcap --vehicle xgd24d -o report    find missing physics
       trackres explain --vehicle xgd24d --speed-kmh 50 --belt-degc 15    one operating point by its parts
     """
 
@@ -105,7 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(0)
     except OSError as error:
         where, why = str(error.filename or partial_output.places() or "system"), str(error.strerror or error)
-        _fail(InputError(where, why, "a file or device that can be used"), one_line(f"{where}: {why}"), as_json)
+        _fail(InputError(where, why, "a usable file or device"), one_line(f"{where}: {why}"), as_json)
     except (click.Abort, KeyboardInterrupt):
         interrupt_handled()
         click.echo(f"trackres: interrupted; {partial_output.so_far()}", err=True)
@@ -114,18 +114,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _refuse_empty(given: Sequence[str]) -> None:
-    """Refuse an empty text: as a path it would be the current folder, and nobody means it.
+    """Refuse an empty text: as a path it would mean the current folder.
 
     Raises
     ------
     InputError
-        With the option that it was given to.
+        For an empty text, with its option.
     """
     for before, argument in zip(["trackres", *given], given, strict=False):
         option, equals, value = argument.partition("=")
         if not argument.strip() or (equals and not value.strip() and option.startswith("--")):
             where = option or (before if before.startswith("-") else "trackres")
-            raise InputError(where, "", "a text that is not empty", "if it comes from a shell variable, that is not set")
+            raise InputError(where, "", "a text that is not empty", "if it comes from a shell variable, that variable is not set")
 
 
 def _fail(error: InputError, text: str, as_json: bool) -> None:

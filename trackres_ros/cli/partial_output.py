@@ -18,29 +18,29 @@ _began_ns = 0
 
 
 def begin() -> None:
-    """A command begins: nothing is written yet."""
+    """Mark the start of a command, before any output."""
     global _began_ns
     _places.clear()
     _began_ns = time.time_ns()
 
 
 def watch(*places: Path) -> None:
-    """Files that a command is to write, or folders it writes into."""
+    """Register the files or folders that a command writes."""
     _places.extend(places)
 
 
 def places() -> str:
-    """Where the command writes, for an error that does not say it."""
+    """The output places of the command, for error messages."""
     return ", ".join(str(place) for place in _places[:SHOWN])
 
 
 def so_far() -> str:
-    """What stands there that is newer than the command, in words."""
+    """The files written since the command started, in words."""
     found = sorted({str(path) for place in _places for path in _files(place) if _is_new(path)})
     if not found:
         return "nothing was written"
     more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
-    return f"written until then: {', '.join(found[:SHOWN])}{more}"
+    return f"written so far: {', '.join(found[:SHOWN])}{more}"
 
 
 def _files(place: Path) -> Iterator[Path]:

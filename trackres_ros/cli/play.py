@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres play` plays a bag onto the DDS wire, without ROS."""
+"""Runs `trackres play`: plays a bag over DDS, without ROS."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LISTENERS_WITHIN_S = 30.0
 @click.option("--wait-for", multiple=True, metavar="TOPIC", help="Start once this topic has a subscriber; may be repeated.")
 @json_option
 def play_command(recording: Path, rate: float, wait_for: tuple[str, ...], as_json: bool) -> None:
-    """Play a bag of ROS 2 to a live node, with a /clock, on machines without ROS; elsewhere `ros2 bag play --clock` does it.
+    """Play a ROS 2 bag with a /clock to a live node, without ROS. With ROS, use `ros2 bag play --clock`.
 
     \b
     trackres live --transport dds --vehicle xgd24d --topics config/topics/sample.yaml -p use_sim_time:=true
@@ -42,7 +42,7 @@ def play_command(recording: Path, rate: float, wait_for: tuple[str, ...], as_jso
         if unknown:
             raise InputError("--wait-for", unknown[0], f"a topic that is played: {', '.join(player.topics)}")
         for topic in player.left_out:
-            click.echo(f"trackres: not played, as its type is not known without ROS: {topic}", err=True)
+            click.echo(f"trackres: not played, because its type is unknown without ROS: {topic}", err=True)
         if not player.wait_for_listeners(wait_for, LISTENERS_WITHIN_S):
             raise InputError("--wait-for", ", ".join(wait_for), f"a node that listens within {LISTENERS_WITHIN_S:g} s")
         with progress("playing", player.duration_s) as advance:

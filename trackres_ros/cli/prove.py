@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres prove` runs the diagnosis on cases whose cause is concealed from it."""
+"""Runs `trackres prove`: the diagnosis on cases with a concealed cause."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ into_folder = folder_option("Folder for recordings and page.")
 @click.option("--level", "levels", multiple=True, metavar="L[=N]", help="Only N cases of this level; may be repeated.")
 @click.option("--cases", "count", type=whole(1, 100_000), metavar="N", help="Number of cases of each level given without one.")
 @click.option("--seed", type=SEEDS, default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
-@click.option("--quick", is_flag=True, help="81 cases of shorter drives.")
+@click.option("--quick", is_flag=True, help="Run 81 cases of shorter drives.")
 @click.option("--first", type=whole(1, 100_000), metavar="N", help="Diagnose and score N of the sealed cases, by drawn names.")
 @click.option(
     "--earlier",
@@ -46,9 +46,9 @@ into_folder = folder_option("Folder for recordings and page.")
     "--profiles",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Folder with bmw_i3 or ztbus: some of the vehicles drive at the speeds recorded there.",
+    help="Folder with bmw_i3 or ztbus: some vehicles drive with the speeds recorded there.",
 )
-@click.option("--fresh", is_flag=True, help="Begin anew instead of going on with what is in the folder.")
+@click.option("--fresh", is_flag=True, help="Start over instead of continuing with the results in the folder.")
 @click.option(
     "-o",
     "--output",
@@ -70,15 +70,15 @@ def prove_command(
     output: Path | None,
     as_json: bool,
 ) -> None:
-    """Count how often the diagnosis is right or wrong on simulated drives, and how often it rightly names nothing.
+    """Count right, wrong and rightly empty diagnoses on simulated drives.
 
     \b
     trackres prove --quick -o proof
     trackres prove --level outside=18 --level none=6 --seed 31 -o development
 
-    The work is split over processes: one draws the cases, prints a hash of their labels and writes recordings; one
-    diagnoses them, given recordings and vehicle files and nothing else; one lets vehicles drive the advised manoeuvres;
-    the last opens the labels and counts. An interrupted run goes on where it was.
+    Separate processes do the work: one draws the cases, prints a hash of their labels and writes recordings; one
+    diagnoses them from recordings and vehicle files only; one simulates the advised manoeuvres;
+    the last opens the labels and counts. An interrupted run continues where it stopped.
     """
     if context.invoked_subcommand:
         return
@@ -99,7 +99,7 @@ def prove_command(
     settings = " ".join(drawn_by)
     settings_file = output / "asked.txt"
     if not settings_file.exists() and any((output / name).exists() for name in FOLDERS):
-        raise InputError("-o", str(output), f"a folder of its own; there are {', '.join(FOLDERS)} in it that are not of a proof")
+        raise InputError("-o", str(output), f"its own folder; this one has {', '.join(FOLDERS)} that belong to no proof")
     if settings_file.exists() and (fresh or settings_file.read_text(encoding="utf-8") != settings):
         for name in FOLDERS:
             shutil.rmtree(output / name, ignore_errors=True)
@@ -136,7 +136,7 @@ def _process(stream: IO[str] | None, module: str, *arguments: str, room: str = "
     command = [sys.executable, "-m", f"trackres_ros.evaluation.{room}.{module}", *arguments]
     done = subprocess.run(command, env={**os.environ, **alone}, stdout=stream, check=False)
     if done.returncode:
-        raise click.ClickException(f"{module} ended with exit code {done.returncode}; what was done is kept")
+        raise click.ClickException(f"{module} ended with exit code {done.returncode}; finished results are kept")
 
 
 @prove_command.command("second")
@@ -145,10 +145,10 @@ def _process(stream: IO[str] | None, module: str, *arguments: str, room: str = "
 @into_folder
 @json_option
 def prove_second_command(cases: Path, first: int | None, output: Path, as_json: bool) -> None:
-    """Diagnose and score cases that another simulator made, by the same scores as the project's own.
+    """Diagnose and score cases from another simulator, with the same scores as the project's own.
 
-    CASES holds labels.json and cases/NAME/session1.csv and so on; a case without a vehicle.yaml is of the vehicle xgd24d. The
-    diagnosis runs in a process that gets the folder of recordings alone. An interrupted run goes on where it was.
+    CASES holds labels.json, cases/NAME/session1.csv and so on; a case without a vehicle.yaml uses the vehicle xgd24d. The
+    diagnosis runs in a process that sees only the recordings. An interrupted run continues where it stopped.
     """
     needs("trackres prove second", *EXTRA, "sklearn", "pysindy")
     from trackres_ros.evaluation.sealed.second import read_labels
@@ -157,7 +157,7 @@ def prove_second_command(cases: Path, first: int | None, output: Path, as_json: 
     output_folder(output)
     asked, settings = output / "asked.txt", f"second {cases.resolve()}"
     if any(output.iterdir()) and (not asked.exists() or asked.read_text(encoding="utf-8") != settings):
-        raise InputError("-o", str(output), "a folder that is empty, or of a run with the same cases")
+        raise InputError("-o", str(output), "an empty folder, or one of a run with the same cases")
     asked.write_text(settings, encoding="utf-8")
     stream, so_many = sys.stderr if as_json else None, [] if first is None else [str(first)]
     _process(stream, "blind", str(cases / "cases"), str(output / "results"), *so_many)
@@ -172,7 +172,7 @@ def prove_second_command(cases: Path, first: int | None, output: Path, as_json: 
     type=click.Path(path_type=Path),
     required=True,
     metavar="DIR",
-    help="Folder with bmw_i3, husky_warthog and ztbus, as far as they are there.",
+    help="Folder with any of bmw_i3, husky_warthog and ztbus.",
 )
 @into_folder
 @json_option
@@ -189,8 +189,10 @@ def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
 
 @prove_command.command("learning")
 @click.option("--seed", type=SEEDS, default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
-@click.option("--vehicles", type=whole(0, 10_000), default=60, show_default=True, help="Vehicles whose files are off.")
-@click.option("--hostile", type=whole(0, 10_000), default=40, show_default=True, help="Vehicles that something misleads.")
+@click.option("--vehicles", type=whole(0, 10_000), default=60, show_default=True, help="Number of vehicles with wrong files.")
+@click.option(
+    "--hostile", type=whole(0, 10_000), default=40, show_default=True, help="Number of vehicles with misleading disturbances."
+)
 @click.option("--first", type=whole(1, 100_000), metavar="N", help="Only N of the sealed vehicles, by drawn names.")
 @click.option("--hours", type=number(0.0, 1e6), default=200.0, show_default=True, help="Hours of an ageing run; 0: none.")
 @into_folder
@@ -198,10 +200,10 @@ def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
 def prove_learning_command(
     seed: int, vehicles: int, hostile: int, first: int | None, hours: float, output: Path, as_json: bool
 ) -> None:
-    """Learn vehicles that are other than their files while they drive, and compare with re-fits and with the truth.
+    """Learn vehicles with wrong files while driving, and compare with re-fits and the truth.
 
-    Recordings are drawn and sealed by one process, learned from by a second that sees nothing else, and scored by a third.
-    A folder serves one seed and one number of cases; an interrupted run goes on where it was.
+    One process draws and seals the recordings, a second learns from them alone, and a third scores the result.
+    A folder serves one seed and one number of cases; an interrupted run continues where it stopped.
     """
     needs("trackres prove learning", *EXTRA)
     output_folder(output)
@@ -223,13 +225,21 @@ def prove_learning_command(
 
 @prove_command.command("delay")
 @click.option("--seed", type=SEEDS, default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
-@click.option("--vehicles", type=whole(0, 10_000), default=100, show_default=True, help="Vehicles that nothing misleads.")
-@click.option("--hostile", type=whole(0, 10_000), default=40, show_default=True, help="Vehicles that something misleads.")
+@click.option(
+    "--vehicles",
+    type=whole(0, 10_000),
+    default=100,
+    show_default=True,
+    help="Number of vehicles without misleading disturbances.",
+)
+@click.option(
+    "--hostile", type=whole(0, 10_000), default=40, show_default=True, help="Number of vehicles with misleading disturbances."
+)
 @click.option("--minutes", type=number(1.0, 600.0), default=10.0, show_default=True, help="Length of a drive.")
 @into_folder
 @json_option
 def prove_delay_command(seed: int, vehicles: int, hostile: int, minutes: float, output: Path, as_json: bool) -> None:
-    """Learn the delay of the torque behind the speed on vehicles whose delay is concealed.
+    """Learn the concealed delay of the torque behind the speed.
 
     One process draws, seals and records; a second learns from the recordings alone; the last opens the seal and compares.
     """
@@ -237,7 +247,7 @@ def prove_delay_command(seed: int, vehicles: int, hostile: int, minutes: float, 
     output_folder(output)
     asked, settings = output / "asked.txt", f"delay {seed} {vehicles} {hostile} {minutes:g}"
     if any(output.iterdir()) and (not asked.exists() or asked.read_text(encoding="utf-8") != settings):
-        raise InputError("-o", str(output), "a folder that is empty, or of a run with the same options")
+        raise InputError("-o", str(output), "an empty folder, or one of a run with the same options")
     asked.write_text(settings, encoding="utf-8")
     stream = sys.stderr if as_json else None
     drawn_by = [str(seed), f"{minutes:g}", str(vehicles), str(hostile)]
@@ -252,7 +262,7 @@ def prove_delay_command(seed: int, vehicles: int, hostile: int, minutes: float, 
 @into_folder
 @json_option
 def prove_paper_command(output: Path, as_json: bool) -> None:
-    """Diagnose the paper's own test: laps of a circle on a tilted site, with torque computed from the engine's."""
+    """Diagnose the paper's own test: circular laps on a tilted site, with torque computed from the engine torque."""
     needs("trackres prove paper", *EXTRA)
     from trackres_ros.evaluation.paper import diagnose_all, page
 
@@ -264,7 +274,7 @@ def prove_paper_command(output: Path, as_json: bool) -> None:
 @into_folder
 @json_option
 def prove_loop_command(output: Path, as_json: bool) -> None:
-    """Compare the feed-forward before and after a diagnosis, on a drive that the diagnosis never saw."""
+    """Compare the feed-forward before and after a diagnosis, on an unused drive."""
     needs("trackres prove loop", *EXTRA)
     from trackres_ros.evaluation.closed_loop import close_loop, draw, page
 
@@ -283,7 +293,7 @@ def prove_loop_command(output: Path, as_json: bool) -> None:
 @into_folder
 @json_option
 def prove_fleet_command(vehicles: int, days: int, every: float, minutes: float, seed: int, output: Path, as_json: bool) -> None:
-    """Count how many changes in a simulated fleet are found, how soon, and how often chance is taken for one.
+    """Count found changes in a simulated fleet, their delay and the false alarms.
 
     One process draws, seals and records; trackres fleet sees recordings and fleet.yaml; the last opens the seal and counts.
     """
@@ -291,7 +301,7 @@ def prove_fleet_command(vehicles: int, days: int, every: float, minutes: float, 
     output_folder(output)
     asked, settings = output / "asked.txt", f"fleet {seed} {vehicles} {days} {every:g} {minutes:g}"
     if any(output.iterdir()) and (not asked.exists() or asked.read_text(encoding="utf-8") != settings):
-        raise InputError("-o", str(output), "a folder that is empty, or of a run with the same options")
+        raise InputError("-o", str(output), "an empty folder, or one of a run with the same options")
     asked.write_text(settings, encoding="utf-8")
     stream = sys.stderr if as_json else None
     _process(stream, "prove", "generate", str(output), *settings.split()[1:], room="fleet")
@@ -300,7 +310,7 @@ def prove_fleet_command(vehicles: int, days: int, every: float, minutes: float, 
         words += ["--period", "none", "-o", str(output / "results"), "--json"]
         done = subprocess.run([sys.executable, "-m", "trackres_ros", *words], stdout=into, check=False)
     if done.returncode:
-        raise click.ClickException(f"trackres fleet ended with exit code {done.returncode}; what was done is kept")
+        raise click.ClickException(f"trackres fleet ended with exit code {done.returncode}; finished results are kept")
     _process(stream, "prove", "score", str(output), room="fleet")
     if as_json:
         click.echo((output / "scores.json").read_text(encoding="utf-8"))

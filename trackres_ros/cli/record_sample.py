@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres record-sample` makes a recording to try things on."""
+"""Runs `trackres record-sample`: makes a sample recording."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from trackres_ros.cli.partial_output import watch
 @click.option("-o", "--output", "path", type=click.Path(path_type=Path), required=True, help="File to write, .mcap.")
 @json_option
 def record_sample_command(vehicle: str, speed_kmh: float, laps: int, ambient_degc: float, path: Path, as_json: bool) -> None:
-    """Make a recording as a vehicle's bus would log it: the paper's lap test, speed in steps of 1 km/h, load, air temperature.
+    """Make a recording like a vehicle bus log: the paper's lap test, speed in steps of 1 km/h, load, air temperature.
 
     \b
     trackres record-sample -o lap.mcap

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres recover` finishes a recording that was broken off."""
+"""Runs `trackres recover`: repairs an unfinished recording."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from trackres_ros.cli.partial_output import watch
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="File to write, .mcap.")
 @json_option
 def recover_command(recording: Path, output: Path, as_json: bool) -> None:
-    """Finish an MCAP recording that was broken off by a kill, a crash or a power cut. The unfinished file stays.
+    """Repair an MCAP recording that a kill, a crash or a power cut left unfinished. The original file stays.
 
-    RECORDING is the .mcap.part that `trackres live --record` leaves then, or any .mcap that was cut off.
+    RECORDING is the .mcap.part that `trackres live --record` left behind, or any truncated .mcap.
 
     \b
     trackres recover drive.mcap.part -o drive.mcap
@@ -34,5 +34,5 @@ def recover_command(recording: Path, output: Path, as_json: bool) -> None:
         "duration_s": found.duration_s,
         "lost_bytes": found.lost_bytes,
     }
-    lost = f"; the last {found.lost_bytes} bytes of {recording} are incomplete and left out" if found.lost_bytes else ""
+    lost = f"; the last {found.lost_bytes} bytes of {recording} are incomplete and dropped" if found.lost_bytes else ""
     emit(result, as_json, lambda: f"{output}: {found.messages} messages, {found.duration_s:.1f} s{lost}")

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres replay` sends a recording through the estimator."""
+"""Runs `trackres replay`: sends a recording through the estimator."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ from trackres_ros.errors import one_line
 @click.argument("recording", nargs=-1, required=True, type=click.Path(path_type=Path))
 @vehicle_option
 @surroundings_option
-@topics_option("which topic, field or column feeds which role; guessed by message type, or by name and unit, without.")
+@topics_option("which topic, field or column feeds which role; without it, guessed by message type, or by name and unit.")
 @params_option
 @method_options
-@click.option("--resume", type=click.Path(path_type=Path), metavar="STATE", help="Continue from a state that --save-state saved.")
+@click.option("--resume", type=click.Path(path_type=Path), metavar="STATE", help="Continue from a state saved by --save-state.")
 @click.option("--save-state", type=click.Path(path_type=Path), metavar="STATE", help="Save the state at the end.")
 @click.option(
     "--learning",
     default="off",
     show_default=True,
     metavar="off|watch|on",
-    help="Learn the vehicle from the measured torque as the live node does; on: use the learned parameters.",
+    help="Learn vehicle parameters from the measured torque, as the live node does; on: use them.",
 )
 @click.option(
     "--save-vehicle",
@@ -54,8 +54,8 @@ from trackres_ros.errors import one_line
     "-o",
     "--output",
     type=click.Path(path_type=Path),
-    help="Result: .parquet, .csv, .csv.gz or .mf4 as a table, .mcap as topics. A picture .png goes beside it. By default a table "
-    "here, named after the recording: Parquet, or .csv.gz without pyarrow.",
+    help="Result: .parquet, .csv, .csv.gz or .mf4 as a table, .mcap as topics; with a picture, .png. Default: a table "
+    "in this folder, named after the recording: Parquet, or .csv.gz without pyarrow.",
 )
 @json_option
 def replay_command(
@@ -73,9 +73,9 @@ def replay_command(
     output: Path | None,
     as_json: bool,
 ) -> None:
-    """Resistance torque and belt temperature over the time of a recording.
+    """Compute resistance torque and belt temperature over a recording.
 
-    RECORDING is a rosbag2 folder, .mcap, .db3, ROS 1 .bag (several are read one after the other), or one .csv, .csv.gz,
+    RECORDING is a rosbag2 folder, .mcap, .db3, ROS 1 .bag (several are read in sequence), or one .csv, .csv.gz,
     .parquet or .xlsx with time_s and speed_mps (or speed_kmh), or with columns that the topics file names; or one .mf4, .blf,
     .asc, .log (candump) or .mat, whose channels are named there too or guessed by name and unit.
 
@@ -114,5 +114,5 @@ def replay_command(
 
 
 def _table_of(recording: Path) -> Path:
-    """The table that a replay writes where none is named."""
+    """The default table of a replay."""
     return Path(f"{recording.name.split('.')[0] or 'recording'}_replay{'.parquet' if find_spec('pyarrow') else '.csv.gz'}")

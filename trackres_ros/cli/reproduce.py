@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres reproduce` draws the paper's figures."""
+"""Runs `trackres reproduce`: draws the paper's figures."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from trackres_ros.cli.partial_output import watch
 )
 @json_option
 def reproduce_command(output: Path, page: Path | None, as_json: bool) -> None:
-    """The paper's Figures 6, 10, 11, 16, 24, 25, 26 and its three tests, as PNG and CSV, with a page that says what holds.
+    """Reproduce the paper's Figures 6, 10, 11, 16, 24, 25, 26 and three tests, as PNG and CSV, with a page of checks.
 
     \b
     trackres reproduce -o figures

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres simulate` computes a drive that was never driven."""
+"""Runs `trackres simulate`: computes torque and temperature of a speed profile."""
 
 from __future__ import annotations
 
@@ -40,11 +40,13 @@ from trackres_ros.cli.partial_output import watch
     "--profile",
     type=click.Path(path_type=Path),
     metavar="P.csv",
-    help="CSV or Parquet with time_s and speed_mps or speed_kmh instead, and weight_n, ambient_degc and grade if need be; "
-    "straight lines between its rows.",
+    help="CSV or Parquet with time_s and speed_mps or speed_kmh instead of --speed-kmh, optionally with weight_n, "
+    "ambient_degc and grade; linear interpolation between rows.",
 )
 @click.option("--ambient-degc", type=number(-60, 60), help="Ambient temperature [degC]; default the vehicle file's.")
-@click.option("--initial-degc", type=number(-60, 150), help="Belt temperature at the start [degC]; default the ambient one.")
+@click.option(
+    "--initial-degc", type=number(-60, 150), help="Belt temperature at the start [degC]; default the ambient temperature."
+)
 @click.option("--weight-kn", type=number(0.1, 1e5), help="Weight of the whole vehicle [kN]; default the vehicle file's.")
 @method_options
 @click.option("--dt", type=number(1e-4, 10), default=default_of(tr.simulate, "dt"), show_default=True, help="Time step [s].")
@@ -68,7 +70,7 @@ def simulate_command(
     output: Path,
     as_json: bool,
 ) -> None:
-    """Torque and belt temperature along a speed profile.
+    """Compute torque and belt temperature along a speed profile.
 
     \b
     trackres simulate --vehicle xgd24d --speed-kmh 50 -o out.csv
@@ -77,7 +79,7 @@ def simulate_command(
     Columns: time_s, speed_mps, weight_n, ambient_degc, belt_degc (mean over the assemblies), resistance_torque_nm, which is the
     sum of hysteresis_nm, bearing_nm, wind_nm and effects_nm (of the vehicle file's effects), inertia_nm, drive_torque_nm
     (resistance and inertia); whole vehicle.
-    With a grade in the profile grade_nm too, which the drive torque holds as well.
+    With a grade in the profile also grade_nm, which the drive torque includes.
     """
     from trackres_ros.offline.energy import taken_text
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres topics`: the topics files that are shipped."""
+"""Runs `trackres topics`: lists and guesses topics files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def topics_group() -> None:
 @topics_group.command("list")
 @json_option
 def list_command(as_json: bool) -> None:
-    """List the topics files that are shipped, which go by their names wherever a topics file does."""
+    """List the shipped topics files; commands accept their names instead of a path."""
     from trackres_ros.recording.shipped_topics import shipped, shipped_text
 
     found = shipped()
@@ -33,7 +33,7 @@ def list_command(as_json: bool) -> None:
 @json_option
 @click.pass_context
 def guess_command(context: click.Context, recording: tuple[Path, ...], as_json: bool) -> None:
-    """Print the topics file that a recording is read with where none is named, to check and to keep.
+    """Print the guessed topics file of a recording, to check and save.
 
     \b
     trackres topics guess drive.mf4 > topics.yaml

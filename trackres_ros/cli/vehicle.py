@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres vehicle`: files to choose from and to begin with, whether one is right, and where two differ."""
+"""Runs `trackres vehicle`: lists, creates, checks and compares vehicle files."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def vehicle_group() -> None:
     type=whole(10, 100_000),
     default=default_of(tr.check_vehicle, "points"),
     show_default=True,
-    help="Random points at which the loss table is held against the exact method.",
+    help="Number of random points for comparing the loss table with the exact method.",
 )
 @json_option
 def check_command(file: str, points: int, as_json: bool) -> None:
-    """Check a vehicle file and print what follows from it, with units.
+    """Check a vehicle file and print the derived values with units.
 
     \b
     trackres vehicle check xgd24d
@@ -42,7 +42,7 @@ def check_command(file: str, points: int, as_json: bool) -> None:
 @vehicle_group.command("list", cls=Command)
 @json_option
 def list_command(as_json: bool) -> None:
-    """List the vehicles that are shipped, which go by their names wherever a vehicle file does."""
+    """List the shipped vehicles; commands accept their names instead of a path."""
     from trackres_ros.offline.vehicle_files import shipped, shipped_text
 
     found = shipped()
@@ -51,7 +51,7 @@ def list_command(as_json: bool) -> None:
 
 @vehicle_group.command("new", cls=Command)
 @click.argument("name", metavar="NAME")
-@click.option("--like", default="xgd24d", show_default=True, metavar="VEHICLE", help="The shipped vehicle to begin with.")
+@click.option("--like", default="xgd24d", show_default=True, metavar="VEHICLE", help="The shipped vehicle to start from.")
 @click.option(
     "-o",
     "--output",
@@ -63,7 +63,7 @@ def list_command(as_json: bool) -> None:
 )
 @json_option
 def new_command(name: str, like: str, output: Path, as_json: bool) -> None:
-    """Write a vehicle file to begin with: that of a shipped vehicle under another name.
+    """Write a vehicle file to start from: a copy of a shipped vehicle under a new name.
 
     \b
     trackres vehicle new truck7 -o vehicles

@@ -1,4 +1,4 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A sweep of a DMA instrument comes in; master curve, rubber file, a vehicle that drives on it, and a picture go out."""
+"""A sweep of a DMA instrument comes in; master curve, rubber file, a vehicle with the compound and a picture go out."""

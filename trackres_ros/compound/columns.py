@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Knows the columns of a DMA file by what instruments call them, and their units."""
+"""Recognises the columns of a DMA file by the names and units that instruments use."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def role_of(name: str) -> str | None:
 
 
 def unit_of(text: str, role: str) -> tuple[float, float] | None:
-    """Factor and offset of a unit; None of what is none of that role."""
+    """Factor and offset of a unit; None if the unit does not fit the role."""
     wanted = text.strip().replace("\u00b7", "*").strip("[]() ")
     known = UNITS[role]
     if wanted in known:

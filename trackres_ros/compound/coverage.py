@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which temperatures and frequencies a vehicle's belts have, and how much of that a sweep covers by superposition."""
+"""Computes the temperatures and frequencies of a vehicle's belts, and the share that a sweep covers by superposition."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Need:
 
 @dataclass(frozen=True, eq=False)
 class Covered:
-    """What of a need the data cover.
+    """The share of a need that the data cover.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Covered:
     hottest_slow: float
 
     def sentence(self, need: Need) -> str:
-        """What is covered and what is not, in words."""
+        """Covered and extrapolated ranges, in words."""
         belts = f"{need.coldest:.0f} to {need.hottest:.0f} degC, {need.slowest:.1f} to {need.fastest:.0f} Hz"
         text = f"The data cover {floor(100.0 * self.share)} % of what the vehicle's belts need ({belts})"
         beyond = []
@@ -100,7 +100,7 @@ def is_covered(fit: CompoundFit, frequency: NDArray[np.float64], temp_degc: NDAr
 
 
 def covered(fit: CompoundFit, need: Need) -> Covered:
-    """What of a need the data of a fit cover."""
+    """Compute the share of a need that the data of a fit cover."""
     temp, log_f = np.meshgrid(
         np.linspace(need.coldest, need.hottest, POINTS), np.linspace(np.log10(need.slowest), np.log10(need.fastest), POINTS)
     )

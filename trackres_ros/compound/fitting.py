@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Fits a compound: chooses the law of its shift, and says what is known of it.
+"""Fits a compound: chooses the law of its shift, with intervals.
 
 The laws are Arrhenius', WLF, and WLF with the bend at the glass transition. A number more is taken where it gains evidence and
 its interval excludes that it is not needed.
@@ -105,7 +105,7 @@ def fit_compound(sweep: Sweep, vehicle: Vehicle) -> CompoundFit:
     at = float(np.clip(sweep.frequencies[0], SWEEP_FREQUENCY.low, SWEEP_FREQUENCY.high))
     decades = float(np.log10(sweep.frequency.max() / sweep.frequency.min()))
     if decades < FEWEST_DECADES:
-        return _kept(sweep, vehicle, at, "one frequency shows none, so that of the vehicle file stays")
+        return _kept(sweep, vehicle, at, "one frequency does not determine it, so the vehicle file's shift stays")
     rows = _some(sweep)
     arrhenius, wlf, bent = (fitted(rows, law, at) for law in _laws(rows, vehicle))
     pole = wlf.value(lambda theta: theta[1])
@@ -115,10 +115,10 @@ def fit_compound(sweep: Sweep, vehicle: Vehicle) -> CompoundFit:
     else:
         best, why = (
             arrhenius,
-            f"WLF, with a number more, betters BIC by {decimals(gain)} alone, where {figures(CLEAR_BIC)} is strong evidence",
+            f"WLF, with one more parameter, improves BIC by only {decimals(gain)}; {figures(CLEAR_BIC)} is strong evidence",
         )
         if gain > CLEAR_BIC:
-            why = f"the pole of a WLF shift is not told from 0 K ({decimals(pole.low)} to {decimals(pole.high)} degC)"
+            why = f"the pole of a WLF shift is not distinguishable from 0 K ({decimals(pole.low)} to {decimals(pole.high)} degC)"
     glass = bent.value(lambda theta: theta[2])
     bend_gain = best.bic - bent.bic
     isotherms = np.unique(np.round(sweep.temp_degc / ISOTHERM_K)) * ISOTHERM_K
@@ -131,9 +131,9 @@ def fit_compound(sweep: Sweep, vehicle: Vehicle) -> CompoundFit:
             f"{decimals(bend_gain)} than without the bend, by {decimals(arrhenius.bic - bent.bic)} than Arrhenius'"
         )  # fmt: skip
     if max(float(np.sqrt(c[0, 0])) for c in best.covariances) > WIDEST_LOG_STD:
-        return _kept(sweep, vehicle, at, "these frequencies tell it too little, so that of the vehicle file stays")
+        return _kept(sweep, vehicle, at, "these frequencies determine it too poorly, so the vehicle file's shift stays")
     if _overlapping(rows, best.shift, decades) < OVERLAPPING:
-        return _kept(sweep, vehicle, at, "isotherms lie too far apart to overlap, so that of the vehicle file stays")
+        return _kept(sweep, vehicle, at, "the isotherms are too far apart to overlap, so the vehicle file's shift stays")
     raised = fitted(rows, with_power(best), at)
     power = raised.value(lambda theta: theta[-1])
     better = max(1.0 - after / before for after, before in zip(raised.rms, best.rms, strict=True)) > BETTER_RMS
@@ -241,7 +241,7 @@ def _of_law(
             values[name] = values[name].joined(found.value(of, (limits.low, limits.high)))
         if not limits.low <= values[name].value <= limits.high:
             given = f"data whose shift has {name} = {figures(values[name].value)} {limits.unit} ({found.law.name})"
-            remedy = "check units of frequency and temperature; leave out what was measured in the glass"
+            remedy = "check units of frequency and temperature; remove rows measured in the glassy state"
             raise InputError(str(sweep.path), given, f"{limits.low:g} to {limits.high:g} {limits.unit}", remedy)
     shift = Shift(free.strength, free.pole, glass)
     energy = None

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draws a fitted compound: what its data cover, its master curve, its shift, and what the fit leaves."""
+"""Draws a fitted compound: data coverage, master curve, shift and residuals."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ def _coverage(axes: Axes, fit: CompoundFit, need: Need) -> None:
     axes.fill([], [], color=PALE, label="covered by superposition")
     box_t = [need.coldest, need.hottest, need.hottest, need.coldest, need.coldest]
     box_f = [need.slowest, need.slowest, need.fastest, need.fastest, need.slowest]
-    axes.plot(box_t, box_f, color=PURPLE, label="what the belts need")
+    axes.plot(box_t, box_f, color=PURPLE, label="required by the belts")
     axes.set_yscale("log")
     axes.set_ylim(10.0**low, 10.0**high)
     axes.set_xlim(temps[0], temps[-1])
-    axes.set_title(f"what {shortened(sweep.path.name, 30)} covers; white is extrapolated")
+    axes.set_title(f"coverage of {shortened(sweep.path.name, 30)}; white is extrapolated")
     axes.set_xlabel("temperature [°C]")
     axes.set_ylabel("frequency [Hz]")
 

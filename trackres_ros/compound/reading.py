@@ -51,7 +51,7 @@ NEEDED = {
     (LOSS, TANGENT): "a loss modulus (E'' or G'') or tan delta",
 }
 WHAT = "table of a DMA sweep as text"
-UNIT_REMEDY = "check its unit; a row that the instrument could not measure may be deleted"
+UNIT_REMEDY = "check its unit; delete rows that the instrument could not measure"
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +219,10 @@ def _lines_of_numbers(
         raise InputError(name, f"{len(at)} rows", f"at most {MOST_ROWS}", "average or thin the sweep")
     if separator == "\t" and not any("\t" in lines[i].strip() for i in at):
         separator = SPACES
-    remedies = {",": "decimal commas need semicolons or tabs between cells", SPACES: "an empty cell is not seen between spaces"}
+    remedies = {
+        ",": "decimal commas need semicolons or tabs between cells",
+        SPACES: "empty cells cannot be detected between spaces",
+    }
     wanted = []
     for i in at:
         cells = _cells(lines[i], separator)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""From the sweep to what is written and said of it."""
+"""Runs the whole fit, from the sweep to files and summary."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BADLY_APART = 0.1  # of a Prony series from either modulus: a tenth of both is m
 
 
 def fit_and_write(sweep_file: Path, vehicle_given: str, folder: Path, frequency_hz: float | None = None) -> dict[str, Any]:
-    """Fit a sweep, write the compound and its picture; what was found, ready for JSON.
+    """Fit a sweep, write the compound and its picture; return the results, ready for JSON.
 
     Raises
     ------
@@ -93,9 +93,7 @@ def _remarks(fit: CompoundFit) -> list[str]:
             f"{100 * fit.prony.rms[1]:.0f} % in loss modulus; strain amplitude, clamping or the shift may be the cause"
         )
     if fit.law == KEPT:
-        remarks.append(
-            "for a shift of its own a compound needs several frequencies, over a factor of 10 or more, at each temperature"
-        )
+        remarks.append("to fit a shift, measure several frequencies over a factor of 10 or more at each temperature")
     if fit.power is not None and fit.with_power is not None:
         power = alike([fit.power.value, fit.power.low, fit.power.high], fit.power.high - fit.power.low)
         rms = " and ".join(f"{decimals(100.0 * x, 2)} %" for x in fit.with_power)

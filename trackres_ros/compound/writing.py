@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes a fitted compound: a rubber file, a vehicle file that drives on it, and the Prony series for other programs."""
+"""Writes a fitted compound: a rubber file, a vehicle file that uses it, and the Prony series for other programs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MOST_MEASURED_ROWS = 300
 ALIKE_K = 0.05  # temperatures that differ by less are one
 TWO_SIDED_95 = 1.96
 SCATTER = [0.8, 1.2]  # of the loss modulus, as the reference vehicle has it
-SCATTER_REASON = "batch scatter and strain amplitude, of which a sweep of one specimen says nothing"
+SCATTER_REASON = "batch scatter and strain amplitude, which a sweep of one specimen does not determine"
 LONGEST_STEM = 40
 # What an earlier fit has put on top of the vehicle file, below what this one has.
 EARLIER = re.compile(r"(?<=\n)# Written by trackres compound fit .*\n(# (Of the file|Shift|Master curve).*\n)*")
@@ -61,7 +61,7 @@ def files_of(sweep: Path, folder: Path) -> dict[str, Path]:
         "picture": folder / f"{stem}.png",
     }
     if any(path.exists() and path.samefile(sweep) for path in found.values()):
-        raise InputError("output", str(folder), "a folder where the sweep itself is not written over")
+        raise InputError("output", str(folder), "a folder in which the sweep itself is not overwritten")
     if (folder / SURROUNDINGS_FILE).exists():
         raise InputError("output", f"{folder}, which has a {SURROUNDINGS_FILE}", "a folder of its own")
     return found
@@ -85,7 +85,7 @@ def write_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -
         _set_rubber(files["vehicle"], with_rubber, fit)
     except OSError as error:
         raise InputError(
-            "output", f"{error.filename or files['vehicle'].parent}: {error.strerror or error}", "a folder that can be written to"
+            "output", f"{error.filename or files['vehicle'].parent}: {error.strerror or error}", "a writable folder"
         ) from error
     return load(files["vehicle"])
 
@@ -107,7 +107,7 @@ def _check_warm(fit: CompoundFit) -> None:
             str(fit.sweep.path),
             f"a sweep whose warm end, {figures(fit.master.high_degc)} degC, has a storage modulus of {figures(warmest)} MPa",
             f"a warm end where it is a rubber, at most {WARM_STORAGE.high:g} MPa",
-            "measure on to warmer temperatures",
+            "extend the sweep to warmer temperatures",
         )
 
 

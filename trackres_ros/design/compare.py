@@ -1,7 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Two designs side by side: steady states, drives, resistance over speed and belt temperature, and how sure the difference is."""
+"""Two designs side by side: steady states, drives, resistance over speed and belt temperature, and the uncertainty of the
+difference.
+"""
 
 from __future__ import annotations
 

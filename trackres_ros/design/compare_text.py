@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Says and draws how two designs compare."""
+"""Prints and draws a comparison of two designs."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def designs_text(found: Mapping[str, Any]) -> str:
 
 
 def headline(row: Mapping[str, Any], names: Sequence[str]) -> str:
-    """What the first drive takes more or less, in a sentence."""
+    """The difference in energy on the first drive, in a sentence."""
     difference, one, half = row["difference"], row["one"], interval(row, "std")
     if not difference or not one or half is None:
         return f"On the drive {row['cycle']} both take the same energy."
@@ -64,7 +64,7 @@ def headline(row: Mapping[str, Any], names: Sequence[str]) -> str:
         f"On the drive {row['cycle']} {names[1]} takes {size} +- {wide} kWh/km {'more' if difference > 0.0 else 'less'} than "
         f"{names[0]} ({100.0 * difference / one:+.1f} %)"
     )
-    return f"{text}." if abs(difference) > half else f"{text}: the ranges of the files do not settle which takes more."
+    return f"{text}." if abs(difference) > half else f"{text}: the ranges of the files do not decide which takes more."
 
 
 def _conditions(

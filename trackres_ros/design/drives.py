@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Drives that a design is put through: built-in cycles, speed profiles and recordings; and what a design takes on one."""
+"""Drive cycles for designs: built-in cycles, speed profiles and recordings, and the energy of a design on one."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def read_cycle(given: str, fastest_mps: float) -> DriveCycle:
     at_time, first = np.unique(time[usable], return_index=True)
     drive = through_points(at_time, speed[usable][first], STEP_S)
     others = [role for role in recording.roles if role not in ("speed", *OF_PROFILE)]
-    notes = (f"{given}: of the recording speed, load and air are used, not {', '.join(others)}",) if others else ()
+    notes = (f"{given}: only speed, load and air of the recording are used, not {', '.join(others)}",) if others else ()
     return DriveCycle(path.name, drive, recording, notes)
 
 

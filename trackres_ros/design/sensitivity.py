@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which value of a vehicle file is worth measuring first: what each leaves open, by Sobol's indices over the file's ranges."""
+"""Ranks the values of a vehicle file by their share of the uncertainty, by Sobol's indices over the file's ranges."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Index:
 
 @dataclass(frozen=True, eq=False)
 class SensitivityResult:
-    """What was found.
+    """Results of a sensitivity analysis.
 
     Attributes
     ----------
@@ -124,14 +124,16 @@ class SensitivityResult:
             table(rows, head),
         ]
         rest = [path for path in ranked[MOST_SHOWN:] if of[path].total > 0.0]
-        lines += [f"and {len(rest)} more, each with less"] if rest else []
+        lines += [f"and {len(rest)} more with smaller shares"] if rest else []
         apart = of[ranked[0]].total - of[ranked[1]].total > math.hypot(of[ranked[0]].total_pm, of[ranked[1]].total_pm)
-        open_ = f"Measure {first} or {second} first: which leaves more open, {self.samples} samples do not tell."
+        open_ = f"Measure {first} or {second} first: {self.samples} samples do not decide which has the larger share."
         lines.append(f"Measure {first} first, then {second}." if apart else open_)
         for why in dict.fromkeys(self.held.values()):
             lines.append(f"Held: {', '.join(short(p, list(self.held)) for p, of_it in self.held.items() if of_it == why)}: {why}")
         if self.lost:
-            lines.append(f"{self.lost} of {self.samples} draws are left out, as a vehicle in each cannot be: {self.why_lost}")
+            lines.append(
+                f"{self.lost} of {self.samples} draws are dropped, because their vehicles are impossible: {self.why_lost}"
+            )
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
@@ -206,8 +208,8 @@ def sensitivity(
         if lost:
             why = _why_not(vehicle, dict(zip(paths, map(float, rows[int(np.argmax(bad))]), strict=True)), speed, air)
         if lost > MOST_LOST * samples:
-            given = f"ranges of which {lost} of {samples} draws hold a vehicle that cannot be, as {why}"
-            raise InputError(file, given, f"at most {MOST_LOST:.0%}", "narrow those that have to go together")
+            given = f"ranges in which {lost} of {samples} draws give an impossible vehicle, because {why}"
+            raise InputError(file, given, f"at most {MOST_LOST:.0%}", "narrow the ranges of values that depend on each other")
         return found
 
     of_all, drawn = sobol(paths, bounds, model, samples, seed)
@@ -302,7 +304,7 @@ def _why_not(vehicle: Vehicle, values: Mapping[str, float], speed: float, ambien
         _outcomes(variants(vehicle), values, speed, ambient)
     except InputError as error:
         return f"{error.where.rpartition(': ')[2]}: given {error.given}; allowed: {error.allowed}"
-    return f"its belts find no balance below {WARMEST_K:.0f} K over the air"
+    return f"its belts do not settle below {WARMEST_K:.0f} K over the air"
 
 
 def _outcomes(
@@ -335,7 +337,7 @@ def _ends(
     """Outcomes with each value at either end of its range; and why some are held."""
     ends, held, make = {}, {}, variants(vehicle)
     paths = [path for path in scalars(vehicle) if path not in NOT_OF_THE_VEHICLE]
-    advance = progress("each value by itself", len(paths))
+    advance = progress("each value alone", len(paths))
     for path in paths:
         quantity = vehicle.parameters[path]
         advance(1)
@@ -345,7 +347,7 @@ def _ends(
             low, high = (_outcomes(make, {path: value}, speed, ambient) for value in (quantity.low, quantity.high))
             ends[path] = low, high
         except InputError as error:
-            held[path] = f"it cannot change by itself: {error.given}; allowed: {error.allowed}"
+            held[path] = f"it cannot change alone: {error.given}; allowed: {error.allowed}"
     return ends, held
 
 

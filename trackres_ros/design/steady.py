@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A vehicle at one speed: what rolling takes while its belts are cold, how warm they become, and what it takes then."""
+"""A vehicle at constant speed: resistance with cold belts, steady belt temperature, and resistance with warm belts."""
 
 from __future__ import annotations
 

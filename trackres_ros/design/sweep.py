@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A vehicle with other values, one after the other: what each does to resistance, temperature and energy."""
+"""Varies values of a vehicle: effects on resistance, temperature and energy."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Swept:
-    """What came of it.
+    """Results of a sweep.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class Swept:
 
     @property
     def outcomes(self) -> list[str]:
-        """Names of what was computed."""
+        """Names of the outcomes."""
         return [name for name in (*OUTCOMES, DRIVE) if name in self.columns]
 
     def text(self, most: int = 60) -> str:
@@ -116,10 +116,11 @@ class Swept:
             lines.append(f"and {count - most} more")
         for number, why in self.refused.items():
             at = ", ".join(f"{short(p, paths)} {figures(self.columns[p][number], 5)}" for p in paths)
-            lines.append(f"not so: {at}: {why}")
+            lines.append(f"skipped: {at}: {why}")
         kmh = KMH_PER_MPS * self.asked.speed
         lines.append(
-            f"Steady at {kmh:g} km/h, air {self.asked.ambient:g} degC; cold: belts are so too, warm: as warm as they become"
+            f"Steady at {kmh:g} km/h, air {self.asked.ambient:g} degC; cold: belts at air temperature, "
+            "warm: belts at their steady temperature"
         )
         return "\n".join(lines)
 
@@ -176,7 +177,7 @@ def sweep(
     names = [*OUTCOMES, *([DRIVE] if asked.cycle is not None else [])]
     refused = {number: result for number, result in enumerate(found) if isinstance(result, str)}
     if len(refused) == len(found):
-        raise InputError("--vary", f"{len(found)} points", "at least one that the vehicle can have", next(iter(refused.values())))
+        raise InputError("--vary", f"{len(found)} points", "at least one possible vehicle", next(iter(refused.values())))
     rows = np.array([[np.nan] * len(names) if isinstance(result, str) else result for result in found])
     columns = {path: np.array([values[path] for values in points]) for path in asked.paths}
     return Swept(asked, {**columns, **dict(zip(names, rows.T, strict=True))}, refused)

@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""How far the ranges of two vehicle files let a difference between them be off.
+"""Computes the uncertainty of a difference between two vehicle files from their ranges.
 
-To first order, as the live estimate propagates them (`estimator.uncertainty`). A value that both files have alike is off in both
-alike: what it does to both cancels. Values that differ are off each by itself.
+To first order, as the live estimate propagates them (`estimator.uncertainty`). An error of a value that both files share
+cancels. Errors of differing values are independent.
 """
 
 from __future__ import annotations

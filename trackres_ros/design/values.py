@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which value of a vehicle file somebody means, and which values it is to have."""
+"""Parses which value of a vehicle file to vary, and over which values."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _in_order(words: Sequence[str], of: Sequence[str]) -> bool:
 
 
 def varied(vehicle: Vehicle, given: str, where: str = "--vary") -> Varied:
-    """What `PATH=A:B:N`, `PATH=A:B`, `PATH=A,B,C` and `PATH` say; the last takes the range of the file.
+    """Parse `PATH=A:B:N`, `PATH=A:B`, `PATH=A,B,C` and `PATH`; the last takes the range of the file.
 
     A number with a percent sign is a change of the file's value: `PATH=-20%:+20%:5`, `PATH=+20%`. A single change is compared
     with the file's value.
@@ -101,7 +101,7 @@ def varied(vehicle: Vehicle, given: str, where: str = "--vary") -> Varied:
     if not relative:
         return Varied(paths, unit, (found,) * len(paths))
     if unit == DEGREES:
-        raise InputError(where, given, f"values in {DEGREES}", f"a percentage of {DEGREES} means nothing")
+        raise InputError(where, given, f"values in {DEGREES}", f"a percentage of {DEGREES} is meaningless")
     if len(found) == 1:
         found = (0.0, *found)
     now = [q.value for q in quantities if isinstance(q.value, float)]

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings and a vehicle in; out come where they part from the simulation, what physics is missing, and a model that has it."""
+"""Recordings and a vehicle come in; differences to the simulation, missing physics and an improved model go out."""
 
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.diagnosis.pipeline import Diagnosis, diagnose, read_recordings

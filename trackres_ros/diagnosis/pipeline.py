@@ -134,7 +134,7 @@ def read_recordings(paths: Sequence[Path], topics: Topics | None) -> list[Record
 
 
 def diagnose(recordings: Sequence[Recording], vehicle: LoadedBase, options: DiagnosisOptions = BY_DEFAULT) -> Diagnosis:
-    """Find where recordings part from a base model, which effect is left out, and what a model with it is worth.
+    """Find where recordings differ from a base model, the missing effects, and the error of the improved model.
 
     Parameters
     ----------

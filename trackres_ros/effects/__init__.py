@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The catalogue of left-out effects has a file for each. The same object is fitted, runs live and is named in the report."""
+"""The catalogue of missing-physics effects, one file each. The same object is fitted, runs live and is named in the report."""
 
 from trackres_ros.effects.effect import Active, Conditions, Effect, Lag, Parameter, Terms, VehicleConstants, together
 from trackres_ros.effects.registry import catalogue, check_effects

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Defines what a left-out effect is: one interface for the fit, the live estimator and the report."""
+"""Defines the interface of an effect, for the fit, the live estimator and the report."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def values_type(names: tuple[str, ...]) -> Any:
 
 
 class VehicleConstants(NamedTuple):
-    """What an effect may know of the vehicle, SI; of an assembly where it says so."""
+    """Constants of the vehicle that an effect may use, in SI units; some are per assembly."""
 
     radius: float  # sprocket pitch radius, or of the wheel
     weight: float  # nominal, whole vehicle
@@ -110,7 +110,7 @@ class VehicleConstants(NamedTuple):
 
 
 class Conditions(NamedTuple):
-    """What an effect may look at, at one instant; nan where not known. `conditions` makes it from what is measured."""
+    """Conditions at one instant that an effect may use; nan if unknown. `conditions` makes them from measurements."""
 
     facts: VehicleConstants
     speed: float  # m/s
@@ -151,7 +151,7 @@ def conditions(
 
 
 class Terms(NamedTuple):
-    """What an effect does now. The defaults do nothing.
+    """The action of an effect at one instant. The defaults do nothing.
 
     Attributes
     ----------
@@ -221,7 +221,7 @@ class Lag(NamedTuple):
 
 
 class Effect(ABC):
-    """A left-out effect. A class of its own in a file of its own; it holds nothing but what is written here.
+    """An effect that the base model lacks: one class in one file, without other state.
 
     `lag` and `terms` are for one instant: numbers in, numbers out. They are compiled into the step that runs live, in replay and
     in a fit, so they use their arguments, constants of their file and `math`, and no `self`; what cannot be compiled runs in
@@ -275,7 +275,7 @@ class Effect(ABC):
         return values_type(tuple(q.name for q in self.parameters))
 
     def terms(self, at: Conditions, p: Values) -> Terms:
-        """What it does under the conditions with these values of its parameters."""
+        """Its action under the conditions, with these parameter values."""
         raise NotImplementedError
 
     def values(self, off: bool = False) -> dict[str, float]:

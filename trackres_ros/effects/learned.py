@@ -181,9 +181,9 @@ class Curve(EmpiricalEffect):
         self.needs = tuple(dict.fromkeys((*follows.needs, *opens.needs)))
         zero = 1 + int(min(range(len(at)), key=lambda i: abs(at[i])))
         self.parameters = (
-            _fixed("variable", variable, "code of what it follows"),
-            _fixed("gate", gate, "code of where it acts"),
-            Parameter("threshold", opens.unit, -FURTHEST, FURTHEST, threshold, "where the gate opens", fitted=False),
+            _fixed("variable", variable, "code of the variable that it follows"),
+            _fixed("gate", gate, "code of the gate"),
+            Parameter("threshold", opens.unit, -FURTHEST, FURTHEST, threshold, "threshold of the gate", fitted=False),
             *(
                 Parameter(f"x{i}", follows.unit, -FURTHEST, FURTHEST, x, f"{follows.text or 'nothing'} at knot {i}", fitted=False)
                 for i, x in enumerate(at, 1)
@@ -226,12 +226,12 @@ class Corner(EmpiricalEffect):
         side = "below" if kind == BELOW else "above"
         self.text = f"a torque that {'is there' if kind == STEP else 'grows'} {side} a value of the {follows.text}"
         self.parameters = (
-            _fixed("variable", variable, "code of what it follows"),
+            _fixed("variable", variable, "code of the variable that it follows"),
             _fixed("kind", kind, "code of a step, a hinge above or a hinge below"),
             _place("threshold", follows, threshold, "where it begins"),
             _place("x1", follows, low, "lowest that was driven"),
             _place("x2", follows, high, "highest that was driven"),
-            height("y1", "torque above it" if kind == STEP else "torque at the end of the range"),
+            height("y1", "torque above the threshold" if kind == STEP else "torque at the end of the range"),
         )
 
     @property
@@ -267,12 +267,12 @@ class Latch(EmpiricalEffect):
         self.variable, self.needs, self.name = variable, follows.needs, latch_name(variable)
         self.text = f"a torque that comes above one value of the {follows.text} and goes below another"
         self.parameters = (
-            _fixed("variable", variable, "code of what it follows"),
-            _place("off", follows, off, "below it goes"),
-            _place("on", follows, on, "above it comes"),
+            _fixed("variable", variable, "code of the variable that it follows"),
+            _place("off", follows, off, "lower threshold, where it ends"),
+            _place("on", follows, on, "upper threshold, where it begins"),
             _place("x1", follows, low, "lowest that was driven"),
             _place("x2", follows, high, "highest that was driven"),
-            height("y1", "torque while it is there"),
+            height("y1", "torque while it acts"),
         )
 
     @property
@@ -307,7 +307,7 @@ class SidedGain(EmpiricalEffect):
         self.side, self.name, self.needs = side, gain_name(side), VARIABLES[DRIVING_TORQUE].needs
         self.text = f"another gain on the torque {of.text}"
         self.parameters = (
-            _fixed("side", side, "1 while it drives, -1 while it brakes"),
+            _fixed("side", side, "1 while driving, -1 while braking"),
             Parameter("gain", "1", -MOST_GAIN, MOST_GAIN, TYPICAL_GAIN, f"share added to the torque {of.text}", off=0.0),
             _place("x1", of, most, "largest torque of that sign that was driven"),
         )
@@ -340,7 +340,7 @@ class BuildUp(EmpiricalEffect):
         self.parameters = (
             _fixed("by", by, "code of what builds it up"),
             height("y1", "torque when built up"),
-            Parameter("scale", of.unit, low, high, scale, "in which two thirds of it have come or gone",
+            Parameter("scale", of.unit, low, high, scale, "time or distance constant of build-up or decay",
                       more_starts=(0.25 * scale, 4.0 * scale)),
         )  # fmt: skip
 

@@ -27,7 +27,7 @@ from trackres_ros.errors import InputError, nearest
 NOWHERE = VehicleConstants(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 ELSEWHERE = {
     "vehicle": "list it under effects of the vehicle file",
-    "surroundings": "move it to a file of the surroundings and give that with --surroundings where it holds",
+    "surroundings": "move it to a file of the surroundings and give that with --surroundings where it applies",
     "sensor": "correct the sensor in the topics file, by scale, offset or delay_s of its line",
 }
 

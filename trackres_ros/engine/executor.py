@@ -29,7 +29,7 @@ CONNECT_S, PAGE_S = 10.0, 2.0
 DEATHS = 3  # of workers with a task, before it counts as the task's fault; with the engine's own meaning
 AHEAD = 4  # tasks for each thread of the workers that the engine has at a time: more would be in the client's memory for nothing
 LOUD = "distributed", "tornado", "asyncio"
-SAID = "tcp://HOST:PORT of a dask scheduler that runs, or local"
+SAID = "tcp://HOST:PORT of a running dask scheduler, or local"
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
@@ -160,7 +160,7 @@ def _done(client: Client, function: Callable[[Work], Any], work: Iterable[Work],
 def _gone(client: Client) -> EngineGoneError:
     return EngineGoneError(
         "--engine", f"{client.scheduler.address if client.scheduler else 'a scheduler'}, which does not answer any more", SAID,
-        "what was done is kept: run the same command again",
+        "finished results are kept: run the same command again",
     )  # fmt: skip
 
 
@@ -169,5 +169,5 @@ def why(error: BaseException) -> str:
     from distributed import KilledWorker
 
     if isinstance(error, KilledWorker):
-        return f"{DEATHS} workers died with it and nothing else, one after the other: out of memory, most likely"
+        return f"{DEATHS} workers died in sequence on this task alone, most likely out of memory"
     return one_line(f"{type(error).__name__}: {error}")

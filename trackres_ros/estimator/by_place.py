@@ -1,8 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the surroundings say of the ground under the vehicle, by its positions: their messages go to the follower of the route,
-and each step looks at what it sees.
+"""Ground slope and torque from the surroundings by position: messages go to the route follower, and each step reads its
+result.
 """
 
 from __future__ import annotations

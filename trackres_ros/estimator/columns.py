@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Says where each number stands in the arrays that the kernel works on, and the names of the numbers outside of it."""
+"""Defines the layout of the kernel's arrays, and the public names of its columns."""
 
 from __future__ import annotations
 
@@ -226,29 +226,29 @@ class Reason(IntFlag):
 
 
 REASON_TEXT = {
-    Reason.LOAD_HELD: "no fresh load: the last one is used",
-    Reason.LOAD_NOMINAL: "no load: the vehicle file's nominal load is used",
-    Reason.AMBIENT_NOMINAL: "no ambient temperature: the vehicle file's is used",
-    Reason.SPEED_STUCK: "the speed has not changed for long while moving",
-    Reason.GAP_BRIDGED: "a gap in the speed was bridged by a straight line",
-    Reason.GAP_UNKNOWN: "a long gap in the speed: the belt lies between cooling at rest and driving on",
-    Reason.CLOCK_JUMPED: "the stamps jumped against arrival: time was carried on by arrival",
-    Reason.TIME_RESET: "time went back: the estimate was started anew",
+    Reason.LOAD_HELD: "no recent load: the estimate uses the last one",
+    Reason.LOAD_NOMINAL: "no load: the estimate uses the vehicle file's nominal load",
+    Reason.AMBIENT_NOMINAL: "no ambient temperature: the estimate uses the vehicle file's",
+    Reason.SPEED_STUCK: "the speed has not changed for a long time while moving",
+    Reason.GAP_BRIDGED: "a gap in the speed was interpolated linearly",
+    Reason.GAP_UNKNOWN: "a long gap in the speed: the belt temperature is between that of standing and of driving on",
+    Reason.CLOCK_JUMPED: "the stamps jumped relative to arrival times: the arrival times are used",
+    Reason.TIME_RESET: "time went back: the estimate was restarted",
     Reason.BELT_UNSURE: "the belt temperature is uncertain",
-    Reason.BELT_SENSOR_DISAGREES: "the measured belt temperature is far from the estimate and was left out",
-    Reason.OUTSIDE_TABLE: "load or temperature is outside of the model's range or the rubber data: the torque is extrapolated",
+    Reason.BELT_SENSOR_DISAGREES: "the measured belt temperature is far from the estimate and was rejected",
+    Reason.OUTSIDE_TABLE: "load or temperature is outside the range of the model or the rubber data: the torque is extrapolated",
     Reason.FEEDFORWARD_CLAMPED: "the feed-forward torque is at its limit",
-    Reason.FEEDFORWARD_RATE_LIMITED: "the feed-forward torque follows at its largest rate",
-    Reason.SPEED_QUANTISED: "the speed comes in coarse steps: its acceleration is known only roughly",
-    Reason.EFFECT_LEFT_OUT: "an effect is left out: an input of it is missing, or what it gives is no number or implausible",
-    Reason.SURROUNDINGS: "site, weather and ground are those of the surroundings file, not measured",
-    Reason.OUTSIDE_LEARNED: "outside of the range in which it was learned, a learned term keeps the value at its end",
-    Reason.OFF_ROUTE: "the surroundings do not say what slope or torque is here: the ground counts as level and firm",
-    Reason.PLACE_UNKNOWN: "where on the route it is, is not known: no position, an old one, or no course of it yet",
-    Reason.SPEED_IMPLAUSIBLE: "the speed changed faster than the vehicle can: speeds were refused until some agreed again",
-    Reason.SPEED_DISAGREES: "the speed disagrees with all wheel speeds: the feed-forward goes to zero",
-    Reason.DISABLED: "the feed-forward is not enabled: it goes to zero",
-    Reason.ENABLE_OLD: "no fresh enable: the feed-forward goes to zero",
+    Reason.FEEDFORWARD_RATE_LIMITED: "the feed-forward torque is at its rate limit",
+    Reason.SPEED_QUANTISED: "the speed is coarsely quantised: its acceleration is uncertain",
+    Reason.EFFECT_LEFT_OUT: "an effect is inactive: an input is missing, or its output is not finite or implausible",
+    Reason.SURROUNDINGS: "site, weather and ground come from the surroundings file, not from measurements",
+    Reason.OUTSIDE_LEARNED: "a learned term is outside the range it was fitted on: it keeps its end value",
+    Reason.OFF_ROUTE: "the surroundings file does not cover this place: the ground is assumed level and firm",
+    Reason.PLACE_UNKNOWN: "the place on the route is unknown: the position is missing or old, or has no course yet",
+    Reason.SPEED_IMPLAUSIBLE: "the speed changed faster than the vehicle can: samples were rejected until several agreed again",
+    Reason.SPEED_DISAGREES: "the speed disagrees with all wheel speeds: the feed-forward fades to zero",
+    Reason.DISABLED: "the feed-forward is not enabled: it fades to zero",
+    Reason.ENABLE_OLD: "no recent enable message: the feed-forward fades to zero",
 }
 # Remarks that go with a fully usable estimate; any other reason makes it a warning.
 HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED | Reason.SPEED_QUANTISED | Reason.DISABLED

@@ -1,9 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Gathers what the kernel needs to know and never changes: vehicle, tables, uncertainties and settings, as plain arrays and
-numbers.
-"""
+"""Gathers the kernel's constants: vehicle, tables, uncertainties and settings, as plain arrays and numbers."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A torque that nothing foretells is watched for in what is measured: how likely it is there now, or how large it is.
+"""Watches for an unpredictable torque in the measurement: its probability, or its size.
 
 The steps of both filters are here once: a diagnosis takes them over blocks of a residual, the live node block by block as they
 come. Spells are a Markov chain of two levels (forward algorithm; Rabiner 1989, Proc. IEEE 77, 257), a drift is a process of
@@ -67,7 +67,7 @@ def seen_there(there: float, mean: float, levels: tuple[float, float], variance:
 
 @inlined
 def later_level(level: float, variance: float, keep: float, size: float) -> tuple[float, float]:
-    """Mean [Nm] and variance [Nm^2] of a level that wanders, some time later.
+    """Mean [Nm] and variance [Nm^2] of a drifting level, some time later.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def seen_level(level: float, variance: float, mean: float, noise_variance: float
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """What is known of a disturbance at a moment.
+    """Belief about a disturbance at one time.
 
     Attributes
     ----------
@@ -120,9 +120,9 @@ class Belief:
     def text(self) -> str:
         """The same in a sentence."""
         if self.form == Drift.form:
-            return f"a torque that wanders is expected to be {self.torque_nm:.0f} Nm against travel, +-{2.0 * self.std_nm:.0f} Nm"
-        state = "there for longer than it lasts" if self.overdue else "there" if self.present else "not there"
-        return f"a torque that comes and goes is {state} (probability {self.there:.2f}): {self.torque_nm:.0f} Nm against travel"
+            return f"the drifting torque is estimated at {self.torque_nm:.0f} Nm against travel, +-{2.0 * self.std_nm:.0f} Nm"
+        state = "present for longer than usual" if self.overdue else "present" if self.present else "absent"
+        return f"the intermittent torque is {state} (probability {self.there:.2f}): {self.torque_nm:.0f} Nm against travel"
 
 
 class _SpellsFilter:
@@ -173,7 +173,7 @@ class _DriftFilter:
 
 
 class DisturbanceWatch:
-    """Takes residuals one by one; `belief` is what it makes of them.
+    """Filters residuals one by one; `belief` is the result.
 
     Means are taken over blocks of `BLOCK_S`, of the time for which residuals count. Over standstills, pauses and while no torque
     is measured the belief ages towards what is known without any.
@@ -187,7 +187,7 @@ class DisturbanceWatch:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything: the estimate was started anew."""
+        """Reset after a restart of the estimate."""
         self._filter.restart()
         self._block_ns: int | None = None
         self._known_ns = 0  # the filter is of this time

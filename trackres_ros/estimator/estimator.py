@@ -34,17 +34,18 @@ IntArray = NDArray[np.int64]
 
 
 class Estimator:
-    """Resistance torque and belt temperatures of one vehicle; holds what never changes, so one serves many sessions.
+    """Estimate resistance torque [Nm] and belt temperatures [degC] of one vehicle; holds constants only, so one serves many
+    sessions.
 
-    `step` is pure: state and inputs in, state and estimate out. `run` does it along a series; `session` takes messages as
-    they come, with guards for what may be wrong with them.
+    `step` is pure: state and inputs in, state and estimate out. `run` does it along a series; `session` takes messages in
+    order of arrival, with guards against invalid ones.
 
     Parameters
     ----------
     vehicle
         As `trackres_ros.load_vehicle` gives it.
     settings
-        See docs/settings.md; by default those.
+        See docs/settings.md for the defaults.
     cache
         Folder of computed tables; by default the user's.
     entries
@@ -53,8 +54,7 @@ class Estimator:
     Attributes
     ----------
     assemblies, columns, channels
-        Names of the track assemblies, none of a vehicle without belts, of the results in a row, and of the kinds of message a
-        session takes.
+        Names of the track assemblies (none without belts), of the results in a row, and of the messages that a session takes.
 
     Examples
     --------
@@ -103,7 +103,7 @@ class Estimator:
         distance: float = math.nan,
         measured_torque: float = math.nan,
     ) -> Inputs:
-        """Inputs of a step from what is known, the rest nominal.
+        """Make the inputs of a step from known values, the rest nominal.
 
         Parameters
         ----------
@@ -143,7 +143,7 @@ class Estimator:
         )
 
     def cold_start(self, inputs: Inputs, belt_degc: float | None = None, belt_std_k: float | None = None) -> State:
-        """State of belts that are at the ambient temperature, or at a known one [degC] with a standard deviation [K].
+        """Make the state of belts at the ambient temperature, or at a known one [degC] with a standard deviation [K].
 
         Parameters
         ----------
@@ -170,7 +170,7 @@ class Estimator:
         return state
 
     def step(self, state: State, inputs: Inputs, dt: float) -> tuple[State, Estimate]:
-        """Advance by dt [s] to the time of `inputs`. Pure: the state given is left as it was.
+        """Advance by dt [s] to the time of `inputs`. Pure: the given state does not change.
 
         Parameters
         ----------
@@ -214,7 +214,7 @@ class Estimator:
         distance: ArrayLike = math.nan,
         ground: GroundSeries | None = None,
     ) -> tuple[State, Array]:
-        """`step` along a whole series: the same numbers, without a call for each.
+        """Run `step` along a series: the same numbers, without a call per step.
 
         Parameters
         ----------
@@ -271,7 +271,7 @@ class Estimator:
         return GroundSeries(*found.T)
 
     def rest(self, state: State, ambient: float, seconds: float) -> State:
-        """The state after standing, or being switched off, for a while at an ambient temperature [degC].
+        """Compute the state after standing or being switched off for some time [s] at an ambient temperature [degC].
 
         Parameters
         ----------
@@ -298,7 +298,7 @@ class Estimator:
         return after
 
     def session(self) -> Session:
-        """A new session: a stream of messages through the guards.
+        """Begin a session: a stream of messages through the guards.
 
         Returns
         -------
@@ -368,7 +368,7 @@ class Session:
             mine[:] = its
 
     def start_anew(self, time_went_back: bool) -> None:
-        """Forget belts and messages, as at a cold start; counters stay. The next estimate says so if time went back."""
+        """Reset belts and messages, as at a cold start; counters stay. The next estimate reports a time reset."""
         self.memory.times[:], self.memory.values[:] = 0, math.nan
         self.memory.followed[:], self.memory.tracked[:] = NOTHING_YET, NOTHING_TRACKED
         self.effects[:] = cooled_effects(self.effects)

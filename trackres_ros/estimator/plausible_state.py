@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Checks that the numbers of a stored state can be those of a vehicle: each is held against what the estimate can reach.
+"""Checks that the numbers of a stored state are within the range that the estimate can reach.
 
 A seal shows that a file is as it was written; these checks show that what was written is a state. Both are needed: nothing that
 is read again may move a vehicle by a number that no drive could have left.

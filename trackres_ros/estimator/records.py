@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Names what a step takes in and what it carries on."""
+"""Defines the inputs and the state of a step."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Computes the speeds and forces of a step that all assemblies share, and the torque that they come to."""
+"""Computes the speeds and forces of a step that all assemblies share, and their torque."""
 
 from __future__ import annotations
 

@@ -182,29 +182,29 @@ def _take(session: Session, path: Path) -> float:
         check_learned(session.estimator, session.learned)
         check_memory(session.memory, session.estimator.constants.channel_limits)
     except KeyError as error:
-        raise InputError(where, f"no {error.args[0]}", "a whole file written by this program", REMEDY) from error
+        raise InputError(where, f"no {error.args[0]}", "a complete file written by this program", REMEDY) from error
     except (TypeError, ValueError, OverflowError) as error:
-        given = f"numbers that do not fit: {str(error)[:80]}"
-        raise InputError(where, given, "the state of a vehicle, as this program writes it", REMEDY) from error
+        given = f"inconsistent numbers: {str(error)[:80]}"
+        raise InputError(where, given, "the state of a vehicle in this program's format", REMEDY) from error
     return float(saved_at)
 
 
 def _float(given: str) -> float:
     value = float.fromhex(given)
     if value.hex() != given:  # more than is written can be read: "abc" is 2748
-        raise ValueError("a number that is not written as it is written here")
+        raise ValueError("a number in another notation than this program's")
     return value
 
 
 def _integer(given: Any) -> int:
     if isinstance(given, bool) or not isinstance(given, int):
-        raise TypeError("a count or time that is no whole number")
+        raise TypeError("a count or time that is not a whole number")
     return given
 
 
 def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
     """The one way into a state file: nothing of it counts before its seal was found whole."""
-    where, whole = f"state file {path}", "a whole file written by this program"
+    where, whole = f"state file {path}", "a complete file written by this program"
     try:
         data = own_files.read(path, LARGEST)
     except OSError as error:
@@ -222,12 +222,12 @@ def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
         given = f"version {version}" if isinstance(version, int) and 0 <= version < 1000 else "no version"
         raise InputError(where, given, f"version {VERSION}", REMEDY)
     if not intact:
-        raise InputError(where, "a damaged file: its content is not what its checksum says", whole, REMEDY)
+        raise InputError(where, "a damaged file: its checksum does not match", whole, REMEDY)
     if content.get("key") != key(estimator):
         raise InputError(
             where,
-            f"a state of vehicle {str(content.get('vehicle'))[:80]}, or of other values in its file",
-            f"a state of this very vehicle, {estimator.vehicle.name}",
+            f"a state of vehicle {str(content.get('vehicle'))[:80]}, or with other values in its file",
+            f"a state of this vehicle, {estimator.vehicle.name}",
             REMEDY,
         )
     return content

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Compares the speed with what else tells it: wheel speeds, and the way by the odometer. Both serve this check alone."""
+"""Compares the speed with wheel speeds and with the odometer. Both serve only this check."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The state of the estimate is all that is carried from one step to the next."""
+"""Defines the state that is carried from one step to the next."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads the estimator's settings out of a topics file: age limits, the belt sensor, and the mass of a passenger."""
+"""Reads the estimator's settings from a topics file: age limits, the belt sensor, and the mass of a passenger."""
 
 from __future__ import annotations
 

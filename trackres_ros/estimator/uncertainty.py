@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Computes how far the plausible ranges of the vehicle file let loss, cooling, heat capacity and sprocket radius be off."""
+"""Computes the uncertainty of loss, cooling, heat capacity and sprocket radius from the ranges of the vehicle file."""
 
 from __future__ import annotations
 

@@ -99,8 +99,10 @@ def translated(request: Request, tuned: tuple[str, ...] = ()) -> CSource:
 def _learned(estimator: Estimator, path: Path) -> Any:
     learned = snapshot.resume(estimator, path).learned
     if not learned[at.Learned.on] > 0.0:
-        remedy = "save it with --learning on, once the vehicle has driven long enough"
-        raise InputError(f"state file {path}", "a state in which nothing learned acts", "one of learning that is on", remedy)
+        remedy = "save it with --learning on, after enough driving"
+        raise InputError(
+            f"state file {path}", "a state without active learned parameters", "a state of a run with --learning on", remedy
+        )
     return learned
 
 
@@ -170,21 +172,21 @@ def check(folder: Path, vehicle: str | None = None) -> list[str]:
         if not path.is_file():
             found.append(f"{name} is missing")
         elif _digest(path) != digest:
-            found.append(f"{name} was changed since")
+            found.append(f"{name} was changed after the export")
     given = vehicle or _found_again(listed["vehicle"], folder)
     surroundings = listed["surroundings"] and Path(_found_again(listed["surroundings"], folder))
     of_file = find_vehicle(given)
     if _digest(of_file) != listed["vehicle_sha256"]:
-        found.append(f"the vehicle file {of_file} is another than the one it was made of")
+        found.append(f"the vehicle file {of_file} differs from the exported one")
     settings = {**listed["settings"], "feedforward_parts": tuple(listed["settings"]["feedforward_parts"])}
     loaded = Request(str(of_file), surroundings, method=listed["method"], thermal=listed["thermal"]).load()
     if values_key(Estimator(loaded, Settings(**settings))) != listed["values"]:
-        found.append("values of the vehicle, its rubber, its effects or its surroundings are others")
+        found.append("values of the vehicle, its rubber, its effects or its surroundings differ")
     return found
 
 
 def _read_list(path: Path) -> dict[str, Any]:
-    allowed = "a folder that trackres export c has written"
+    allowed = "a folder written by trackres export c"
     try:
         with path.open("rb") as file:
             listed = parse_json(file.read(LARGEST))
@@ -215,7 +217,7 @@ def _relative(path: Path, folder: Path) -> str:
 def _found_again(path: str, folder: Path) -> str:
     found = config_dir() / path.removeprefix(SHIPPED) if path.startswith(SHIPPED) else folder / path
     if not found.is_file():
-        raise InputError(str(folder / LIST), str(path), "a vehicle file that is there", "say where it is: --vehicle FILE")
+        raise InputError(str(folder / LIST), str(path), "an existing vehicle file", "give its path: --vehicle FILE")
     return str(found)
 
 

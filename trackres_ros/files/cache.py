@@ -20,7 +20,7 @@ from pathlib import Path
 from trackres_ros.files import own_files
 
 ONLY_OURS = 0o700
-REMEDY = "set XDG_CACHE_HOME to a folder of your own to keep them"
+REMEDY = "set XDG_CACHE_HOME to your own folder to keep them"
 
 _log = logging.getLogger("trackres")
 
@@ -121,4 +121,4 @@ def _group_of_one(group: int) -> bool:
 
 @cache
 def _say(reason: str) -> None:
-    _log.warning("trackres: compiled code and tables are not kept for the next start: %s; %s", reason, REMEDY)
+    _log.warning("trackres: compiled code and tables are not cached for the next start: %s; %s", reason, REMEDY)

@@ -34,9 +34,9 @@ def output_file(path: str | PathLike[str], suffixes: Sequence[str] = OUTPUT_SUFF
     if not file.name.lower().endswith(tuple(suffixes)):
         raise InputError(where, str(file), f"a file name that ends in {', '.join(suffixes)}")
     if not file.parent.is_dir():
-        raise InputError(where, str(file), "a file in a folder that exists", f"make it first: mkdir -p {file.parent}")
+        raise InputError(where, str(file), "a file in a folder that exists", f"create it first: mkdir -p {file.parent}")
     if file.is_dir():
-        raise InputError(where, str(file), "a file; there is a folder of that name")
+        raise InputError(where, str(file), "a file; a folder of that name exists")
     if file.suffix.lower() in WRITTEN_WITH:
         feature, module, extra = WRITTEN_WITH[file.suffix.lower()]
         if find_spec(module) is None:
@@ -54,7 +54,7 @@ def output_folder(path: str | PathLike[str], where: str = "output") -> Path:
     """
     folder = Path(path)
     if folder.exists() and not folder.is_dir():
-        raise InputError(where, str(folder), "a folder; there is a file of that name")
+        raise InputError(where, str(folder), "a folder; a file of that name exists")
     return folder
 
 

@@ -56,7 +56,7 @@ def _check(path: Path, found: os.stat_result, most: int) -> None:
     if not stat.S_ISREG(found.st_mode):
         raise NotOurFileError(errno.EINVAL, KINDS.get(stat.S_IFMT(found.st_mode), "not a regular file"), str(path))
     if found.st_size > most:
-        raise NotOurFileError(errno.EFBIG, f"{found.st_size} bytes, and no file of this kind has more than {most}", str(path))
+        raise NotOurFileError(errno.EFBIG, f"{found.st_size} bytes; a file of this kind has at most {most}", str(path))
 
 
 def write(path: Path, data: bytes) -> None:

@@ -30,7 +30,7 @@ def read_text(path: Path, what: str, most_bytes: int) -> str:
     try:
         text = read_bytes(path, what, most_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(str(path), f"byte {error.start} is no UTF-8", f"a {what} in UTF-8") from None
+        raise InputError(str(path), f"byte {error.start} is not UTF-8", f"a {what} in UTF-8") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -46,5 +46,5 @@ def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:
     if not stat.S_ISREG(mode):
         raise InputError(str(path), "a pipe" if stat.S_ISFIFO(mode) else "a device", f"a {what}")
     if len(content) > most_bytes:
-        raise InputError(str(path), f"more than {most_bytes} bytes", f"a {what} of at most so many")
+        raise InputError(str(path), f"more than {most_bytes} bytes", f"a {what} of at most that size")
     return content

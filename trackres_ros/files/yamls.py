@@ -64,7 +64,7 @@ class _Loader(Composer, _Events, SafeConstructor, Resolver):
         self._depth -= 1
         if node is not None and id(node) not in self._sizes:
             if node.__class__ is not ScalarNode:  # an alias to what is not composed yet stands in itself
-                raise _Refused("an alias to what it stands in", node)
+                raise _Refused("an alias to its own parent", node)
             self._sizes[id(node)] = 1
         return node
 
@@ -85,12 +85,12 @@ class _Loader(Composer, _Events, SafeConstructor, Resolver):
 
     def _check_depth(self) -> None:
         if self._depth > MOST_DEPTH:
-            raise _Refused(f"more than {MOST_DEPTH} lists and mappings in each other", _Here(self.peek_event()))
+            raise _Refused(f"more than {MOST_DEPTH} nested lists and mappings", _Here(self.peek_event()))
 
     def _measure(self, node: CollectionNode, parts: list[Node]) -> None:
         size = 1 + sum(self._sizes[id(part)] for part in parts)
         if size > MOST_NODES:
-            raise _Refused(f"more than {MOST_NODES} values, aliases written out", node)
+            raise _Refused(f"more than {MOST_NODES} values with aliases expanded", node)
         self._sizes[id(node)] = size
 
     def _refuse_repeated_keys(self, node: MappingNode) -> None:
@@ -100,7 +100,7 @@ class _Loader(Composer, _Events, SafeConstructor, Resolver):
                 continue  # lists and mappings cannot be keys: the library says so
             key = self.construct_object(key_node, deep=True)
             if key in seen:
-                raise _Refused(f"given twice: {key_node.value} (of a key that stands twice one would be lost)", key_node)
+                raise _Refused(f"given twice: {key_node.value} (one of the values would be lost)", key_node)
             seen.add(key)
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What changed in a fleet as rows for other programs: a CSV table, and a message to a web address."""
+"""Reports the changes of a fleet to other programs: a CSV table, and a message to a web address."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Lets one run at a time write into a folder of results."""
+"""Locks a results folder for one run at a time."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def alone(folder: Path) -> Iterator[None]:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             lock.seek(0)
-            given = f"{folder}, where another run writes ({lock.read(MOST_READ).strip() or 'of unknown number'})"
-            raise InputError("--output", given, "a folder for one run at a time", "wait until it ends") from None
+            given = f"{folder}, in use by another run ({lock.read(MOST_READ).strip() or 'of unknown number'})"
+            raise InputError("--output", given, "a folder that no other run uses", "wait until it ends") from None
         except OSError:  # a file system without locks
             yield
             return

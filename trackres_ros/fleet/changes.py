@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""When a parameter of one vehicle changes: at once, or more and more from some day on.
+"""Finds changes of a vehicle's parameter: steps and trends.
 
 Each recording is compared with what the vehicle is like by all its recordings and by its type. A change counts where the
 recordings are likelier with it by more than chance brings within as many recordings, whenever one looks, but at a stated rate.

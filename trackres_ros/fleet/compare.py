@@ -45,7 +45,7 @@ class Side:
 
 
 def compare(one: str, other: str) -> dict[str, Any]:
-    """What differs between two, ready for JSON; see `trackres compare`.
+    """Compute the differences between two results, ready for JSON; see `trackres compare`.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def compare(one: str, other: str) -> dict[str, Any]:
     sides = side(one), side(other)
     names = [name for name in sides[0].names if name in sides[1].names]
     if not names:
-        raise InputError(f"{one}, {other}", "nothing that both have", "two with parameters in common")
+        raise InputError(f"{one}, {other}", "no common parameter", "two with parameters in common")
     at = [[s.names.index(name) for name in names] for s in sides]
     change = sides[1].value[at[1]] - sides[0].value[at[0]]
     parts = [s.covariance[np.ix_(i, i)] for s, i in zip(sides, at, strict=True)]
@@ -184,7 +184,7 @@ def _of_report(path: Path) -> Side:
             if q["ci95"] and None not in q["ci95"]
         ]
         if not all(std >= 0.0 for *_, std in listed):
-            raise ValueError("an interval that ends before it begins")
+            raise ValueError("an interval whose end is before its beginning")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(str(path), f"{type(error).__name__}: {error}", "report.json of trackres diagnose") from None
     return _uncorrelated(str(path.parent), listed)

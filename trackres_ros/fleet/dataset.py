@@ -198,7 +198,7 @@ def unsound(row: Mapping[str, Any]) -> str:
 
 
 def _left_out(file: str, why: str) -> list[dict[str, Any]]:
-    warnings.warn(f"{file} is damaged ({one_line(why)}) and left out; trackres fleet makes it anew", stacklevel=2)
+    warnings.warn(f"{file} is damaged ({one_line(why)}) and skipped; trackres fleet rewrites it", stacklevel=2)
     return []
 
 

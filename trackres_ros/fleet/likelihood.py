@@ -1,7 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What one recording says of the base's parameters, in a form that adds up over recordings: a quadratic log-likelihood without
+"""The information of one recording about the base's parameters, in a form that adds up over recordings: a quadratic
+log-likelihood without
 the vehicle file's ranges, which would count once for each recording, and whatever wind there was.
 """
 

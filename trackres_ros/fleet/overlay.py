@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draws two that are compared over each other."""
+"""Draws two compared results in one picture."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def draw_overlay(found: Mapping[str, Any], path: Path) -> Path:
     axes.set_yticks(range(len(listed)), [f"{q['parameter']}{' *' if q['differs'] else ''}" for q in listed])
     axes.invert_yaxis()
     axes.axvline(0.0, color="0.8", zorder=0)
-    axes.set_xlabel("from the middle of both, in standard deviations of the difference (* differs)")
+    axes.set_xlabel("distance from the mean of both, in standard deviations of the difference (* differs)")
     figure.legend(loc="outside upper center", ncols=1)
     write_figure(figure, path)
     return path

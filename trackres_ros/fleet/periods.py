@@ -118,7 +118,7 @@ def _verdict(report: Path) -> dict[str, str]:
         verdict = parse_json(read(report, MOST_BYTES))["verdict"]
         return {"status": str(verdict["status"]), "text": str(verdict["sentence"])}
     except (OSError, ValueError, KeyError, TypeError) as error:
-        text = f"{report} is damaged ({type(error).__name__}: {error}); without {report.parent} it is diagnosed again"
+        text = f"{report} is damaged ({type(error).__name__}: {error}); delete {report.parent} to diagnose it again"
         return {"status": "refused", "text": text}
 
 

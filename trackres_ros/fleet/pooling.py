@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What recordings of many vehicles of one type say together: parameters of the type, and how far each vehicle is from it.
+"""Pools recordings of many vehicles of one type: parameters of the type, and each vehicle's deviation.
 
 Each recording gives a quadratic log-likelihood of the parameters (`likelihood.Evidence`), which here has three causes to differ:
 the type, the vehicle, and the recording itself (weather, load, what the model lacks). Parameters are those of the vehicle file
@@ -183,7 +183,7 @@ def pool(data: Vehicles) -> Pooled:
         If there is no recording.
     """
     if not len(data):
-        raise InputError("recordings", "none that could be compared", "at least one")
+        raise InputError("recordings", "no comparable recording", "at least one")
     between, within = _spreads(data)
     weight = np.ones(len(data))
     for _ in range(TURNS):

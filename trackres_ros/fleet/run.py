@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A run: what is new among the recordings is analysed, and each becomes a row."""
+"""Runs a fleet analysis: each new recording becomes a row."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UNKNOWN = "unknown"  # instead of a digest where no vehicle was found
 
 @dataclass(slots=True)
 class RunCounts:
-    """What a run came to."""
+    """Results of a run."""
 
     found: int = 0
     kept: int = 0

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the last run of a fleet was asked, for what is computed of its rows later on: limits."""
+"""Stores the limits of the last fleet run for later evaluations of its rows."""
 
 from __future__ import annotations
 

@@ -63,7 +63,10 @@ def analyse(task: Task) -> dict[str, Any]:
     try:
         if digest(task.vehicle.file) != task.vehicle.sha:
             raise InputError(
-                str(task.vehicle.file), "a vehicle file that changed since the run began", "one that stays", "run again"
+                str(task.vehicle.file),
+                "a vehicle file that was modified during the run",
+                "an unmodified vehicle file",
+                "run again",
             )
         with fetched((task.url,)) as (path,):
             here = str(path)
@@ -77,7 +80,7 @@ def analyse(task: Task) -> dict[str, Any]:
     except OSError as error:
         row |= {"reason": one_line(f"{task.url}: {error.strerror or error}"), "inputs": AGAIN}
     except Exception as error:  # one recording is never the end of a run; what it was is in its row
-        row["reason"] = one_line(f"{type(error).__name__}: {error} (a fault of this program: please report it, with the file)")
+        row["reason"] = one_line(f"{type(error).__name__}: {error} (a bug: please report it, with the file)")
     return {**row, "took_s": time.perf_counter() - began}
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a fleet's rows say together, ready for JSON: types, vehicles, changes over months, and when a limit is reached."""
+"""Summarises a fleet's rows, ready for JSON: types, vehicles, changes over months, and dates of reaching limits."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[st
             before is not None and before["vehicle"] == row["vehicle"] and before["status"] == "good" and before["day"] != NO_DAY
         )
         if timed and same and before is not None and row["start_s"] < before["start_s"] + before["duration_s"] - OVERLAP_S:
-            reason = f"its clock says that it was recorded while {before['url']} was: of one vehicle only one can be right"
+            reason = f"its clock overlaps with {before['url']}: of one vehicle only one can be right"
             left_out.append({"url": row["url"], "vehicle": row["vehicle"], "reason": reason})
         else:
             kept.append(row)
@@ -84,9 +84,7 @@ def trends(
     good = [row for row in kept if row["status"] == "good"]
     if not good:
         broken = Counter(row["reason"] for row in rows).most_common(1)
-        raise InputError(
-            str(dataset.folder), "no recording that could be compared", "one at least", broken[0][0] if broken else ""
-        )
+        raise InputError(str(dataset.folder), "no comparable recording", "one at least", broken[0][0] if broken else "")
     named = sorted({row["vehicle"] for row in good})
     if vehicle is not None and vehicle not in named:
         raise InputError("--name", vehicle, f"one of {some_of(named)}", nearest(vehicle, named))
@@ -233,7 +231,7 @@ def change_sentence(vehicle: str, c: Mapping[str, Any]) -> str:
     """A change in a sentence."""
     how = "rises" if c["size"] > 0 else "falls"
     what = (
-        f"{c['parameter']} {how} more and more since {c['since']}"
+        f"{c['parameter']} {how} gradually since {c['since']}"
         if c["kind"] == RAMP
         else (f"{c['parameter']} {'rose' if c['size'] > 0 else 'fell'} at once on {c['since']}")
     )
@@ -242,10 +240,10 @@ def change_sentence(vehicle: str, c: Mapping[str, Any]) -> str:
         size += f" ({100.0 * c['relative']:+.0f} %)"
     text = f"{vehicle}: {what}, by {size}, known on {c['known']}"
     if c["alike"]:
-        text += f"; {' or '.join(c['alike'])} would explain it as well"
+        text += f"; {' or '.join(c['alike'])} would also explain it"
     f = c["forecast"]
     if f and f["reached"]:
-        text += f"; beyond its limit {figures(f['limit'])} already"
+        text += f"; already beyond its limit {figures(f['limit'])}"
     elif f:
         ends = f"{f['from'] or 'later'} to {f['to'] or 'not within 20 years'}"
         text += f"; reaches {figures(f['limit'])} on {f['day'] or 'no day within 20 years'} ({ends})"
@@ -253,21 +251,23 @@ def change_sentence(vehicle: str, c: Mapping[str, Any]) -> str:
 
 
 def sentences(found: Mapping[str, Any]) -> list[str]:
-    """What is found, in lines."""
+    """Findings as lines of text."""
     changed = [change_sentence(name, c) for name, v in found["vehicles"].items() for c in v["changes"]]
     count = len(found["vehicles"])
     head = [f"{found['compared']} of {found['recordings']} recordings of {count} vehicles compared"]
     if not changed:
-        head.append("No vehicle has changed beyond chance")
+        head.append("No vehicle has changed significantly")
     rate = found["false_alarms_per_vehicle_year"]
     here = figures(rate * found["vehicle_years"], 2)
-    tail = f"Chance alone would say so {figures(rate)} times per vehicle and year: {here} times here"
+    tail = f"Expected false alarms: {figures(rate)} per vehicle and year, {here} here"
     lines = [*head, *changed, tail]
     unloaded = sum(v["without_load"] for v in found["vehicles"].values())
     if unloaded:
         lines.append(f"{unloaded} recordings have no load: their mismatch may come from the payload, and has no colour")
     if found["overlapping"]:
-        lines.append(f"{len(found['overlapping'])} recordings left out, as clocks overlap: {found['overlapping'][0]['url']}")
+        lines.append(
+            f"{len(found['overlapping'])} recordings not used because their clocks overlap: {found['overlapping'][0]['url']}"
+        )
     if found["broken"]:
-        lines.append(f"{len(found['broken'])} recordings that cannot be used, the first: {found['broken'][0]['reason']}")
+        lines.append(f"{len(found['broken'])} unusable recordings, the first: {found['broken'][0]['reason']}")
     return lines

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The vehicles of a fleet: which file each has, and which recordings are its."""
+"""The vehicles of a fleet, with their files and recordings."""
 
 from __future__ import annotations
 
@@ -84,8 +84,8 @@ class Fleet:
             raise InputError(url, f"a recording of {names}", "one vehicle", "make the recordings patterns of fleet.yaml narrower")
         raise InputError(
             url,
-            "a recording of none of the vehicles",
-            "a folder with the name of one",
+            "a recording of no vehicle",
+            "a folder named after a vehicle",
             "or give recordings patterns in fleet.yaml",
         )
 

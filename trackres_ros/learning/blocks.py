@@ -1,8 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Means over blocks of seconds: how fast what is left wanders, whether it came at once, and whether the file or what was learned
-fits better what neither has seen.
+"""Means over blocks of seconds: the residual's drift and steps, and whether the file or the learned parameters predict new
+data better.
 """
 
 from __future__ import annotations

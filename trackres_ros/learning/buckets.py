@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Counts for how long it has driven where, by speed, belt temperature and load: one corner is not yet the whole."""
+"""Counts driving time by speed, belt temperature and load, to judge coverage."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is learned as columns behind the results of a step, and as lines of a status: live, in a bag and in a table the same."""
+"""Learned parameters as columns after the results of a step, and as lines of a status; the same live, in bags and in tables."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from trackres_ros.text.numbers import figures
 LEARNING, LEARNED, FROZEN = range(3)
 STATES_OF = ("learning", "learned", "frozen")
 TORQUE, COVERAGE, ACTS = "learned_resistance_torque_nm", "learned_coverage", "learned_acts"
-TEXTS = ("the vehicle file is used", "what was learned fits better than the vehicle file")
+TEXTS = ("the vehicle file is used", "the learned parameters fit better than the vehicle file")
 
 
 class LearningColumns:
@@ -103,7 +103,7 @@ def lines(learnables: Sequence[Learnable], ranges: Sequence[tuple[float, float]]
 
 
 class LearnedTopic:
-    """What is learned as lines of a status, out of rows that have the columns of a learner.
+    """Learned parameters as lines of a status, from rows with the columns of a learner.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Lets what was learned act on the step: of what counts so much as it may, and how sure that is."""
+"""Applies the learned parameters to the step, within limits, with their uncertainty."""
 
 from __future__ import annotations
 

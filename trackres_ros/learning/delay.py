@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Estimates by how much the measured torque comes later than the speed, and how sure that is.
+"""Estimates the delay of the measured torque behind the speed [s], with its standard deviation.
 
 Each window of 20 s with changes of speed tells a delay. The delays of the last windows give the mean, and what they differ by its
 standard deviation.

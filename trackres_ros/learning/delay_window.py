@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds by how much the torque comes later than the speed in one window of samples, and how well the window tells it.
+"""Finds the delay of the torque behind the speed in one window of samples [s], and its quality.
 
 References
 ----------

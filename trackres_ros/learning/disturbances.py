@@ -1,8 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tells a torque that came at once, or wanders, from the vehicle: what is left over blocks goes in, and why nothing is learned of
-the vehicle comes out.
+"""Separates a torque step or drift from the vehicle's parameters: block residuals come in; the reason to pause learning goes
+out.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def let_last(s: LearnerState, compared: bool) -> None:
 
 
 def why_frozen(s: LearnerState, now: int, known: Disturbance | None) -> str:
-    """Why nothing is learned of the vehicle now; empty where it is.
+    """Reason why learning is paused; empty if it is not.
 
     Parameters
     ----------
@@ -113,22 +113,22 @@ def why_frozen(s: LearnerState, now: int, known: Disturbance | None) -> str:
     if s.disagrees > DISAGREES_SHARE:
         return f"{100.0 * s.disagrees:.0f} % of the measured torques disagree with the others"
     if s.suspect:
-        return f"a step of {s.suspect:+.0f} Nm is looked at"
+        return f"a step of {s.suspect:+.0f} Nm is being checked"
     if s.step_s < STEP_HOLDS_S:
         since = max(now - s.step_second, 0)
-        return f"{said(s.step_nm, since, known)}: a sensor, a brake, a load or the ground, not the belts"
+        return f"{said(s.step_nm, since, known)}: caused by a sensor, brake, load or the ground, not by the belts"
     return ""
 
 
 def beside(s: LearnerState, now: int, known: Disturbance | None) -> str:
-    """A torque that is there beside the vehicle, in words; empty where none is. See `why_frozen`."""
+    """Unmodelled torque besides the vehicle's parameters, in words; empty without one. See `why_frozen`."""
     return "" if s.beside_since < 0 else said(s.beside_nm, max(now - s.beside_since, 0), known)
 
 
 def said(torque_nm: float, since_s: int, known: Disturbance | None) -> str:
-    """A disturbance in words, and whether it is as large as one that the vehicle file tells of."""
+    """A disturbance in words, with a remark if it is as large as the vehicle file's."""
     kind = ""
     if isinstance(known, Spells):
         size = abs(known.level - known.rest)
         kind = f", of the kind seen before ({known.form})" if abs(abs(torque_nm) - size) < ALIKE_SHARE * size else ""
-    return f"a disturbance of {torque_nm:+.0f} Nm since {since_s} s{kind}"
+    return f"a disturbance of {torque_nm:+.0f} Nm for {since_s} s{kind}"

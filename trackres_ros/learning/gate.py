@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Says of each step whether its measured torque is one to learn from, and of each second what it comes to."""
+"""Decides for each step whether its measured torque is usable for learning, and sums up each second."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ UNSURE = int(
 NO_TORQUE, SLOW, HARD, BRAKES, TURNS, STUCK, AGAINST, OUTLYING, DOUBTFUL = range(9)
 TEXTS = (
     "no torque is measured",
-    "it stands or crawls",
-    "it accelerates hard",
-    "it brakes",
-    "it turns",
+    "the vehicle stands or crawls",
+    "the vehicle accelerates hard",
+    "the vehicle brakes",
+    "the vehicle turns",
     "the measured torque is stuck",
-    "the measured torque has the sense that it cannot have",
-    "the measured torque jumps about",
-    "the estimate itself is in doubt",
+    "the measured torque has an impossible sign",
+    "the measured torque is an outlier",
+    "the estimate itself is uncertain",
 )
 COUNTED, TAKEN = len(TEXTS), -1
 OF_SENSOR = (NO_TORQUE, STUCK, AGAINST, OUTLYING)  # what is wrong with a measured torque, whatever is driven
@@ -125,7 +125,7 @@ class Gate:
         self.restart()
 
     def restart(self) -> None:
-        """Forget what passed: the estimate was started anew."""
+        """Reset after a restart of the estimate."""
         self.second, self.samples = Second(), SampleHistory()
         self.of_late = np.zeros(COUNTED)  # share of the samples of each reason
 
@@ -138,7 +138,7 @@ class Gate:
         self.second = Second(number)
 
     def wrong_of_late(self) -> tuple[str, float]:
-        """What is wrong with most of the torques that cannot be learned from, and in which share of late."""
+        """The most frequent defect of recent unusable torques, and its share."""
         worst = max(OF_SENSOR, key=lambda why: self.of_late[why])
         return TEXTS[worst], float(self.of_late[worst])
 

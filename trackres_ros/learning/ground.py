@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Follows the slope of the ground where an altitude or an IMU shows it, beside what is learned of the vehicle.
+"""Follows the slope of the ground from an altitude or an IMU, in parallel to the vehicle's parameters.
 
 The slope is a state that is forgotten with the way; the height is its sum over the way, and what an altimeter shows is that
 height, with an error that wanders. Where neither is measured both stay zero, and hills are part of what comes and goes.

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is known of a vehicle while it is learned, as plain values: all of it is kept over a restart."""
+"""The state of learning as plain values, all saved across a restart."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LEAST_WANDERING_SHARE = 0.003  # assumed: of what rolling takes; no model is bet
 
 @dataclass
 class LearnerState:
-    """What is known, and what it is known by; all of it is kept over a restart.
+    """The state of learning; all of it is saved across a restart.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class LearnerState:
 
 
 def nothing_learned(prior: Prior) -> LearnerState:
-    """What is known before anything was learned."""
+    """The state before learning."""
     mean, covariance, rolling, none = np.zeros(STATES), prior.covariance, prior.rolling_nm, np.zeros(at.LEARNABLE)
     found = LearnerState(
         *(mean, covariance.copy()),

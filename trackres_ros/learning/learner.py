@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Learns the vehicle while it drives: rows of results in, departures from the vehicle file out, and how sure they are.
+"""Learns vehicle parameters while driving: rows of results come in; departures from the vehicle file with covariance go out.
 
 Once a second of driving that counts, a Kalman filter takes in the mean of what measured and expected torque differ by. What is
 learned acts on the step only where it is covered, sure, and better than the file.
@@ -64,7 +64,7 @@ def belt_variances(session: Session) -> tuple[float, float]:
 
 
 class Learner:
-    """What one session learns; `take` after each of its steps.
+    """Learner of one session; call `take` after each of its steps.
 
     Parameters
     ----------
@@ -224,17 +224,17 @@ class Learner:
 
     @property
     def frozen(self) -> str:
-        """Why nothing is learned of the vehicle now; empty where it is."""
+        """Reason why learning is paused; empty if it is not."""
         return why_frozen(self.learned, self.gate.second.number, self._known)
 
     @property
     def disturbance(self) -> str:
-        """A torque that is there beside the vehicle, in words; empty where none is."""
+        """Unmodelled torque besides the vehicle's parameters, in words; empty without one."""
         return beside(self.learned, self.gate.second.number, self._known)
 
     @property
     def left_out(self) -> str:
-        """What is wrong with the measured torque of late, in words; empty where little is."""
+        """Recent defect of the measured torque, in words; empty without one."""
         why, share = self.gate.wrong_of_late()
         return f"{why} in {100.0 * share:.0f} % of the last minute" if share > LEFT_OUT_SHARE else ""
 
@@ -266,7 +266,7 @@ class Learner:
 
     @property
     def text(self) -> str:
-        """What is going on, in a sentence."""
+        """Status of learning, in a sentence."""
         return f"{self._stage}; {self.left_out}" if self.left_out else self._stage
 
     @property
@@ -276,13 +276,14 @@ class Learner:
             return f"frozen: {self.frozen}"
         second = self.gate.second
         if self.disturbance:
-            return f"{self.disturbance} is there beside the vehicle"
+            return f"{self.disturbance}, separate from the vehicle's parameters"
         if not s.seconds and second.number >= 0:
-            return f"nothing to learn from yet: {TEXTS[second.mostly]}"
+            return f"no usable data yet: {TEXTS[second.mostly]}"
         count = int(self.counted.sum())
         if not count:
-            return f"learning: {100.0 * self.buckets.share:.0f} % of what is needed has been driven"
+            return f"learning: {100.0 * self.buckets.share:.0f} % of the required driving is done"
         if not self.acts:
-            return "learned, but no better than the vehicle file so far: the file is used"
-        using = "used" if self.mode == "on" else "not used, as it only watches"
-        return f"learned {count} of {len(self.own)}, {self.learned.contest.gain:.0f} Nm better than the vehicle file; {using}"
+            return "the learned parameters fit no better than the vehicle file so far: the file is used"
+        using = "used" if self.mode == "on" else "not used in this mode"
+        better = f"{self.learned.contest.gain:.0f} Nm better than the vehicle file"
+        return f"{count} of {len(self.own)} parameters learned, {better}; {using}"

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Says what is learned of a vehicle while it drives: names, how far its file lets each be off, and nuisances beside it."""
+"""Defines the learned parameters: names, priors from the vehicle file, and nuisance parameters."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 Array = NDArray[np.float64]
 
 # The filter's states: the departures of `estimator.columns`, then what is learned only so that it is not taken for them: offset
-# [Nm] and gain of the torque sensor, a torque against travel that wanders within minutes, and one that came at once [Nm]; the
+# [Nm] and gain of the torque sensor, a drifting torque against travel within minutes, and one that came at once [Nm]; the
 # slope of the ground that the step does not know [1], how far it has risen [m], and what an IMU is tilted by [1], see `ground`.
 OFFSET, GAIN, SLOW, STEP, SLOPE, HEIGHT, TILT = range(at.LEARNABLE, at.LEARNABLE + 7)
 STATES = at.LEARNABLE + 7
@@ -68,7 +68,7 @@ class Learnable:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known before anything was learned.
+    """Prior of the learned parameters.
 
     Attributes
     ----------
@@ -87,14 +87,14 @@ class Prior:
 
 
 def learnables(vehicle: AnyVehicle) -> tuple[Learnable, ...]:
-    """What is learned of a vehicle, in the order in which it is published."""
+    """Learned parameters of a vehicle, in the order of publication."""
     of_vehicle = _of_tracks(vehicle) if isinstance(vehicle, Vehicle) else _of_wheels(vehicle)
     return (
         *of_vehicle,
         Learnable("torque_gain", "1", "gain of the torque sensor", GAIN, 1.0),
         Learnable("torque_offset", "Nm", "offset of the torque sensor", OFFSET, 0.0),
-        Learnable("disturbance", "Nm", "torque against travel that wanders", SLOW, 0.0),
-        Learnable("step", "Nm", "torque against travel that came at once", STEP, 0.0),
+        Learnable("disturbance", "Nm", "drifting torque against travel", SLOW, 0.0),
+        Learnable("step", "Nm", "torque step against travel", STEP, 0.0),
         Learnable("torque_delay", "s", "delay of the measured torque behind the speed", DELAY, 0.0),
     )
 
@@ -102,21 +102,21 @@ def learnables(vehicle: AnyVehicle) -> tuple[Learnable, ...]:
 def _of_tracks(vehicle: Vehicle) -> tuple[Learnable, ...]:
     chassis = vehicle.chassis
     return (
-        Learnable("loss_modulus_scale", "1", "loss of the belts", at.OF_LOSS, vehicle.rubber.loss_modulus_scale),
-        Learnable("bearing_friction", "1", "friction of bearings", at.OF_BEARING, chassis.bearing_friction),
-        Learnable("drag_coefficient", "1", "drag", at.OF_DRAG, chassis.drag_coefficient),
-        Learnable("rotating_mass_factor", "1", "mass where it accelerates", at.OF_MASS, chassis.rotating_mass_factor),
-        Learnable("film_scale", "1", "cooling of the belts", at.OF_COOLING, 1.0),
-        Learnable("capacity_scale", "1", "heat capacity of the belts", at.OF_CAPACITY, 1.0),
+        Learnable("loss_modulus_scale", "1", "scale of the belts' loss", at.OF_LOSS, vehicle.rubber.loss_modulus_scale),
+        Learnable("bearing_friction", "1", "bearing friction", at.OF_BEARING, chassis.bearing_friction),
+        Learnable("drag_coefficient", "1", "drag coefficient", at.OF_DRAG, chassis.drag_coefficient),
+        Learnable("rotating_mass_factor", "1", "rotating-mass factor", at.OF_MASS, chassis.rotating_mass_factor),
+        Learnable("film_scale", "1", "scale of the belts' cooling", at.OF_COOLING, 1.0),
+        Learnable("capacity_scale", "1", "scale of the belts' heat capacity", at.OF_CAPACITY, 1.0),
     )
 
 
 def _of_wheels(vehicle: RoadVehicle) -> tuple[Learnable, ...]:
     values = vehicle.values
     return (
-        Learnable("rolling_coefficient", "1", "what rolls over the weight", at.OF_BEARING, values["rolling_coefficient"]),
-        Learnable("drag_area", "m^2", "drag", at.OF_DRAG, values["drag_area"]),
-        Learnable("rotating_mass_factor", "1", "mass where it accelerates", at.OF_MASS, values["rotating_mass_factor"]),
+        Learnable("rolling_coefficient", "1", "rolling resistance over weight", at.OF_BEARING, values["rolling_coefficient"]),
+        Learnable("drag_area", "m^2", "drag area", at.OF_DRAG, values["drag_area"]),
+        Learnable("rotating_mass_factor", "1", "rotating-mass factor", at.OF_MASS, values["rotating_mass_factor"]),
     )
 
 

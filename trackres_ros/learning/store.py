@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What was learned as plain values for a state file, bit by bit, and back; whatever no learning leaves is refused."""
+"""Converts the learning state to plain values of a state file and back, bit by bit, and refuses impossible values."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def take(learner: Learner, given: object) -> None:
         _check(learner)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         learner.reset()
-        raise ValueError(f"what was learned: {str(error)[:80]}") from error
+        raise ValueError(f"learned parameters: {str(error)[:80]}") from error
 
 
 def take_learned(learner: Learner, given: object, path: Path) -> None:
@@ -59,7 +59,7 @@ def take_learned(learner: Learner, given: object, path: Path) -> None:
         take(learner, given)
     except ValueError as error:
         raise InputError(
-            f"state file {path}", str(error), "what this program learned", "delete the file to start anew"
+            f"state file {path}", str(error), "learned parameters saved by this program", "delete the file to start anew"
         ) from error
 
 
@@ -89,7 +89,7 @@ def _fill(part: Any, given: Any) -> None:
     named = isinstance(part, Mapping)
     names = list(part) if named else [item.name for item in dataclasses.fields(part)]
     if not isinstance(given, Mapping) or set(given) != set(names):
-        raise TypeError("other entries than are kept")
+        raise TypeError("other entries than expected")
     for name in names:
         now, new = part[name] if named else getattr(part, name), given[name]
         if isinstance(now, np.ndarray):
@@ -108,7 +108,7 @@ def _fill(part: Any, given: Any) -> None:
 
 def _number(given: object, name: str) -> float:
     if not isinstance(given, str):
-        raise TypeError("a number that is not written as it is written here")
+        raise TypeError("a number in another notation than this program's")
     value = float.fromhex(given)
     known = abs(value) <= LARGEST or repr(value) == NOT_YET.get(name)
     if value.hex() != given or not known:
@@ -117,11 +117,11 @@ def _number(given: object, name: str) -> float:
 
 
 def _check(learner: Learner) -> None:
-    """Raise ValueError for what no learning leaves."""
+    """Raise ValueError for an impossible learning state."""
     s, prior = learner.learned, learner.prior
     for covariance in (s.covariance, s.recent_covariance, s.before_covariance):
         if np.linalg.eigvalsh(0.5 * (covariance + covariance.T)).min() < -1e-9 * np.abs(covariance).max():
-            raise ValueError("a covariance that is none")
+            raise ValueError("an invalid covariance")
     for departures in (s.mean, s.recent_mean, s.before_mean, s.aim, s.applied):
         for state in VEHICLES_OWN:
             if not prior.low[state] * REACH <= departures[state] <= prior.high[state] * REACH:
@@ -130,11 +130,11 @@ def _check(learner: Learner) -> None:
     sizes += [s.wandering.variance, s.contest.variance, s.ground.altitude_variance, s.ground.drift, s.ground.felt_variance]
     sizes += [s.ground.slope_variance]
     if not all(size >= 0.0 for size in sizes) or s.past.slow < 0.0 or s.past.white < 0.0:
-        raise ValueError("a size that is none")
+        raise ValueError("an invalid size")
     kept = learner.delay.kept
     if kept.count < 0 or kept.fresh < 0 or not (kept.variances >= 0.0).all():
-        raise ValueError("delays that are none")
+        raise ValueError("invalid delays")
     if not ((kept.delays >= EARLIEST_S) & (kept.delays <= LATEST_S)).all():
-        raise ValueError("a delay beyond those that are looked for")
+        raise ValueError("a delay outside the searched range")
     if not ((learner.buckets.seconds >= 0.0).all() and (learner.buckets.accelerating >= 0.0).all()):
-        raise ValueError("seconds that are none")
+        raise ValueError("invalid seconds")

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes a vehicle file that starts from what was learned; what does not count as learned, or is no better, stays as it was."""
+"""Writes a vehicle file with the learned parameters; uncertain or worse ones keep the file's values."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ REASON = "learned by trackres while driving"
 
 
 def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> list[str]:
-    """Write the file of a vehicle with what was learned of it.
+    """Write a vehicle file with the learned parameters.
 
     Returns
     -------

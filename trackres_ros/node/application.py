@@ -150,7 +150,7 @@ class Application:
         for given, text in listed:
             if text is None:
                 name = self._transport.topic_name(given.name)
-                self._log(Level.WARN, f"{name} is not recorded: {given.type} is not known here")
+                self._log(Level.WARN, f"{name} is not recorded: its type {given.type} is unknown")
         known = [(given, text) for given, text in listed if text is not None]
         place = {index: known.index((given, text)) for index, (given, text) in enumerate(listed) if text is not None}
         self._keep = lambda index, raw, arrival_ns: keep(place[index], raw, arrival_ns) if index in place else None
@@ -383,7 +383,7 @@ class Application:
 
     def _log_notices(self, steady: int) -> None:
         notices = self.notices(steady)
-        texts = "; ".join(notice.text for notice in notices) or "all is well"
+        texts = "; ".join(notice.text for notice in notices) or "no warnings"
         self.guard("the service manager", self._service.status, f"{level_of(notices).name.lower()}: {texts}")
         entry = self._watch.to_log(notices, steady)
         if entry:
@@ -466,22 +466,22 @@ class Application:
         return changed_parameters(self.parameters, given, self.topics)
 
     def reset(self) -> str:
-        """Start cold, as if switched on with belts at the ambient temperature; what was done, in words."""
+        """Start cold, with belts at the ambient temperature; return a text for the log."""
         self.session.start_anew(time_went_back=False)
         self.comparison.restart()
         self.learning.restart()
-        text = f"the estimate starts anew, with cold {'belts' if self.estimator.assemblies else 'effects'}, at the next speed"
+        text = f"the estimate restarts with cold {'belts' if self.estimator.assemblies else 'effects'} at the next speed"
         self._log(Level.WARN, f"reset: {text}")
         return text
 
     def reset_learning(self) -> str:
-        """Forget what was learned of the vehicle; what was done, in words."""
+        """Reset the learned parameters; return a text for the log."""
         text = self.learning.reset(self.session)
         self._log(Level.WARN, f"reset of learning: {text}")
         return text
 
     def save_state(self) -> str:
-        """Save the state now; what was done, in words.
+        """Save the state now; return a text for the log.
 
         Raises
         ------
@@ -492,14 +492,14 @@ class Application:
         return self.keeper.save(self.session, self._state_at, self.learning.learner, SAVING_ON_REQUEST_S)
 
     def time_went_back(self) -> None:
-        """The simulated clock jumped back: start anew, and say so with the next estimate."""
+        """Restart after a backward jump of the simulated clock; the next estimate reports it."""
         self.session.start_anew(time_went_back=True)
         self.comparison.restart()
         self.learning.restart()
-        self._log(Level.WARN, "time went back: the estimate starts anew")
+        self._log(Level.WARN, "time went back: the estimate restarts")
 
     def close(self) -> str:
-        """Save the state and end what runs beside; what was done, in words."""
+        """Save the state and end other threads; return a text for the log."""
         self.guard("the service manager", self._service.stopping)
         self.deactivate()
         for message in self._order.rest():
@@ -507,14 +507,14 @@ class Application:
         self.guard("ending the compiler", self._warm_up.close)
         self.guard("the log", self._log_counts)
         if self.keeper.path is None:
-            return "no state is kept"
+            return "no state is saved"
         try:
             self._rest_unused_belts()
             return self.keeper.save(self.session, self._state_at, self.learning.learner, SAVING_AT_THE_END_S)
         except InputError as error:
             return str(error)
         except Exception as error:  # whatever fails, it is to end
-            return f"the state is not saved, a fault of this program: {type(error).__name__}: {error}"
+            return f"the state is not saved because of a bug: {type(error).__name__}: {error}"
 
     def _log_counts(self) -> None:
         counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]

@@ -39,7 +39,7 @@ class Background:
 
 
 class ErrorLines:
-    """Writes lines on standard error. Where nobody takes them, the oldest are dropped, and a line says how many."""
+    """Writes lines to standard error. If nothing reads them, the oldest are dropped, and a line says how many."""
 
     def __init__(self) -> None:
         self._lines: deque[str] = deque(maxlen=MOST_LINES)
@@ -72,7 +72,7 @@ class ErrorLines:
                 dropped = self._put - self._taken - len(self._lines)
                 if dropped > 0:
                     self._taken += dropped
-                    line = f"[{dropped} lines of the log were dropped, as nobody took them]\n{line}"
+                    line = f"[{dropped} lines of the log were dropped, because nothing read them]\n{line}"
                 self._write(line)
 
     def _write(self, line: str) -> None:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The measured torque is compared with the expected one, row by row: have they parted, and is a disturbance there?
+"""Compares measured and expected torque, row by row: lasting differences and disturbances.
 
 It looks at the estimate and changes nothing of it: nothing of a disturbance is in an expected torque or in the feed-forward.
 """
@@ -21,7 +21,7 @@ TIME_RESET = int(at.Reason.TIME_RESET)
 
 
 class Comparison:
-    """Takes rows of results; `verdict` and `belief` are what it makes of them.
+    """Compares rows of results; `verdict` and `belief` are the results.
 
     Parameters
     ----------
@@ -38,23 +38,23 @@ class Comparison:
 
     @property
     def verdict(self) -> Mismatch:
-        """Whether measured and expected torque, with what a disturbance explains, have parted."""
+        """Whether measured and expected torque, corrected for a disturbance, differ significantly."""
         return self._detector.verdict
 
     def restart(self) -> None:
-        """Forget everything: the estimate was started anew."""
+        """Reset after a restart of the estimate."""
         self._detector.restart()
         if self._watch is not None:
             self._watch.restart()
             self.belief = self._watch.belief(0)
 
     def change(self, settings: MismatchSettings) -> None:
-        """Go on with other settings; the detector begins anew with them."""
+        """Continue with other settings; the detector restarts with them."""
         if settings != self._detector.settings:
             self._detector = MismatchDetector(settings)
 
     def take(self, stamp_ns: int, row: Sequence[float]) -> str:
-        """Take the results of a step at a time [ns]; what is to be logged of it, empty where nothing is."""
+        """Take the results of a step at a time [ns]; return a text for the log, or an empty one."""
         if int(row[at.Results.reasons]) & TIME_RESET:
             self.restart()
         residual, speed, accel = row[at.Results.residual_nm], row[at.Results.speed_mps], row[at.Results.accel_mps2]
@@ -72,7 +72,7 @@ class Comparison:
         """What is to be noticed; `command` looks into a mismatch."""
         verdict, belief = self.verdict, self.belief
         return [
-            *([Notice("MISMATCH", f"{verdict.text}; look into it with: {command}")] if verdict.parted else []),
+            *([Notice("MISMATCH", f"{verdict.text}; investigate with: {command}")] if verdict.parted else []),
             *([Notice("DISTURBANCE", belief.text)] if belief is not None and belief.present else []),
         ]
 
@@ -81,4 +81,4 @@ def _turned(before: Belief | None, now: Belief | None) -> str:
     """That a spell begins or is over, in words; empty where neither is."""
     if before is None or now is None or before.present is now.present:
         return ""
-    return f"{'a spell begins' if now.present else 'a spell is over'}: {now.text}"
+    return f"{'the disturbance begins' if now.present else 'the disturbance is over'}: {now.text}"

@@ -21,7 +21,7 @@ DIAGNOSTICS = OutputTopic(
     "/diagnostics",
     "diagnostic_msgs/msg/DiagnosticArray",
     "status",
-    "once a second: the estimate, each input, the comparison with a measured torque, what is watched for, the state file",
+    "once a second: the estimate, each input, the comparison with a measured torque, the disturbance, the state file",
 )
 WIRE_DEPTH = 5000  # that a middleware drops nothing while this process is held up for a few seconds at 1 kHz: it would not say so
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The one guard around what the loop of the node calls: a part that fails is named, and everything else goes on."""
+"""Guards the calls of the node's loop: a failing part is reported, and everything else continues."""
 
 from __future__ import annotations
 
@@ -75,14 +75,14 @@ class Guard:
         before = self._failures.get(part)
         self._failures[part] = _Failure(text, now, essential)
         if before is None or before.text != text or now - before.at_ns > SHOWN_NS:
-            self._report(f"{part} failed, a fault of this program: {''.join(traceback.format_exception(error))}")
+            self._report(f"{part} failed because of a bug: {''.join(traceback.format_exception(error))}")
 
     def notices(self, steady: int) -> list[Notice]:
         """The parts that have failed of late."""
         return [
-            Notice("INTERNAL_ERROR", f"{part} failed, a fault of this program: {failure.text}")
+            Notice("INTERNAL_ERROR", f"{part} failed because of a bug: {failure.text}")
             if failure.essential
-            else Notice("PART_FAILED", f"{part} failed, a fault of this program, and the estimate goes on: {failure.text}")
+            else Notice("PART_FAILED", f"{part} failed because of a bug, and the estimate continues: {failure.text}")
             for part, failure in list(self._failures.items())
             if steady - failure.at_ns < SHOWN_NS
         ]

@@ -107,7 +107,7 @@ class InputReader:
 
 def _channel(role: str, channels: Sequence[str]) -> int:
     if role not in channels:
-        raise InputError(f"role {role}", role, f"what this vehicle has: {', '.join(channels)}")
+        raise InputError(f"role {role}", role, f"a part of this vehicle: {', '.join(channels)}")
     return channels.index(role)
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The learning of a running node: what it is shown, what it says, and the three ways it can be: off, watching, on."""
+"""Learning in a running node: inputs, statuses and the three modes off, watch and on."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class LiveLearning:
             try:
                 self.learner.take(stamp_ns, row, session)
                 if not np.isfinite(session.learned).all():
-                    raise ArithmeticError("what is learned is not finite")
+                    raise ArithmeticError("a learned parameter is not finite")
             except BaseException:  # what acts on the next step stays as it was
                 session.learned[:] = before
                 raise
@@ -75,16 +75,16 @@ class LiveLearning:
             self.learner.restart()
 
     def reset(self, session: Session) -> str:
-        """Forget what was learned; what was done, in words."""
+        """Reset the learned parameters; return a text for the log."""
         session.learned[: at.Learned.sensitivities.start] = 0.0
         if self.learner is None:
-            return "no torque is measured, so nothing was learned"
+            return "no torque is measured, so there is nothing to reset"
         self.learner.reset()
-        return "what was learned of the vehicle is forgotten: the vehicle file counts"
+        return "the learned parameters are reset: the vehicle file is used"
 
     @property
     def text(self) -> str:
-        """What is going on, in a sentence; empty where nothing can be learned."""
+        """Status of learning, in a sentence; empty if learning is off."""
         if self.learner is None:
             return ""
         return "off" if self.mode == OFF else self.learner.text
@@ -114,4 +114,4 @@ class LiveLearning:
         """What is to be noticed of it."""
         if self.learner is None or self.mode == OFF or not self.learner.frozen:
             return []
-        return [Notice("LEARNING_FROZEN", f"nothing is learned of the vehicle now: {self.learner.frozen}")]
+        return [Notice("LEARNING_FROZEN", f"learning is paused: {self.learner.frozen}")]

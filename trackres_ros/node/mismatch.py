@@ -1,7 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Have measured and expected torque parted? A change detector on the whitened residual, a few operations a message.
+"""Detects a lasting difference between measured and expected torque. A change detector on the whitened residual, a few
+operations a message.
 
 The residual r is averaged over bins while the vehicle rolls steadily. Its noise is taken for a first-order autoregression; its
 coefficient phi and scale sigma are those of the deviations from a running mean, which soon follows a lasting offset, so that this
@@ -51,18 +52,18 @@ class MismatchSettings:
         0.1, "1", 0.0, 10.0, "a lasting difference up to this share of the expected torque is tolerated"
     )
     mismatch_std: float = _setting(
-        1.0, "1", 0.0, 10.0, "a lasting difference up to so many standard deviations of the estimate is tolerated"
+        1.0, "1", 0.0, 10.0, "a lasting difference up to this many standard deviations of the estimate is tolerated"
     )
     mismatch_evidence: float = _setting(
-        6.0, "1", 3.0, 100.0, "standard errors by which it must exceed both; more means fewer false alarms, and later"
+        6.0, "1", 3.0, 100.0, "standard errors by which the difference must exceed both; larger means fewer and later alarms"
     )
     mismatch_hold_s: float = _setting(
-        300.0, "s", 10.0, 86400.0, "driving time it must last; longer than what comes round with each lap"
+        300.0, "s", 10.0, 86400.0, "driving time that the difference must last; choose it longer than a lap"
     )
     mismatch_bin_s: float = _setting(2.0, "s", 0.1, 60.0, "time over which the residual is averaged")
-    mismatch_memory_s: float = _setting(600.0, "s", 30.0, 86400.0, "memory of the noise of the residual")
-    mismatch_min_speed_mps: float = _setting(STEADY_MPS, "m/s", 0.0, 30.0, "slower is not compared")
-    mismatch_max_accel: float = _setting(STEADY_MPS2, "m/s^2", 0.01, 15.0, "a larger acceleration is not compared")
+    mismatch_memory_s: float = _setting(600.0, "s", 30.0, 86400.0, "time constant of the residual's noise estimate")
+    mismatch_min_speed_mps: float = _setting(STEADY_MPS, "m/s", 0.0, 30.0, "lower speeds are not compared")
+    mismatch_max_accel: float = _setting(STEADY_MPS2, "m/s^2", 0.01, 15.0, "larger accelerations are not compared")
 
     def compares(self, speed_mps: float, accel_mps2: float) -> bool:
         """Whether measured and expected torque are compared at a speed [m/s] and an acceleration [m/s^2]."""
@@ -71,7 +72,7 @@ class MismatchSettings:
 
 @dataclass(frozen=True, slots=True)
 class Mismatch:
-    """What the detector found.
+    """Result of the detector.
 
     Attributes
     ----------
@@ -196,7 +197,7 @@ class _Page:
 
 
 class MismatchDetector:
-    """Takes estimates with a measured torque one by one; `verdict` is what it makes of them."""
+    """Compares estimates with a measured torque one by one; `verdict` is the result."""
 
     def __init__(self, settings: MismatchSettings) -> None:
         self.settings = settings
@@ -205,7 +206,7 @@ class MismatchDetector:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything: the estimate was started anew."""
+        """Reset after a restart of the estimate."""
         self._begin_bin(0)
         self._before: _Bin | None = None
         self._first_ns, self._seconds = 0, 0.0
@@ -249,10 +250,10 @@ class MismatchDetector:
 
     @property
     def verdict(self) -> Mismatch:
-        """What has been found so far."""
+        """Result so far."""
         settled = self._settled
         if self._side is None:
-            text = "no lasting difference" if settled else "too little driving with a measured torque to judge yet"
+            text = "no lasting difference" if settled else "not enough driving with a measured torque yet"
             return Mismatch(False, None, math.nan, math.nan, math.nan, settled, text)
         page = self._sides[self._side]
         mean, share = page.residual / page.seconds, page.residual / max(page.drive, 1e-9)
@@ -260,7 +261,7 @@ class MismatchDetector:
         when = "from the start on" if after_s == 0.0 else f"after {after_s / 60.0:.1f} min of driving"
         text = (
             f"the measured torque is {abs(mean):.0f} Nm ({100.0 * abs(share):.0f} %) "
-            f"{'above' if mean > 0.0 else 'below'} the expected one for {page.seconds / 60.0:.1f} min of driving, {when}"
+            f"{'above' if mean > 0.0 else 'below'} the expected torque for {page.seconds / 60.0:.1f} min of driving, {when}"
         )
         return Mismatch(True, page.since_ns, after_s, mean, share, settled, text)
 

@@ -47,50 +47,50 @@ class Notice:
 
 
 LIVE_KINDS = {
-    "NO_SPEED": NoticeKind(
-        Level.STALE, "no speed was accepted since the start: nothing but the status is published", awaited=True
-    ),
+    "NO_SPEED": NoticeKind(Level.STALE, "no speed was accepted since the start: only the status is published", awaited=True),
     "SPEED_OLD": NoticeKind(
         Level.STALE,
-        "no speed was accepted for longer than `speed_max_age_s`: the outputs keep the stamp and values of the last state, "
+        "the last accepted speed is older than `speed_max_age_s`: the outputs keep the last stamp and values, "
         "and the feed-forward fades to zero",
     ),
-    "NO_CLOCK": NoticeKind(Level.STALE, "`use_sim_time` is set and no /clock has come", awaited=True),
+    "NO_CLOCK": NoticeKind(Level.STALE, "`use_sim_time` is set and no /clock message has arrived", awaited=True),
     "INTERNAL_ERROR": NoticeKind(
         Level.ERROR,
-        "a message, a step or an output failed by a fault of this program, which the log has: do not use the estimate",
+        "a bug made a message, a step or an output fail (details in the log): do not use the estimate",
     ),
     "PART_FAILED": NoticeKind(
-        Level.WARN, "another part failed by a fault of this program, which the log has; the estimate and its outputs go on"
+        Level.WARN, "a bug made another part fail (details in the log); the estimate and its outputs continue"
     ),
     "NOT_RECORDED": NoticeKind(
-        Level.WARN, "`--record` cannot write, or not as fast as messages come; the text names the file and what is lost"
+        Level.WARN, "`--record` cannot write fast enough, or not at all; the text names the file and the losses"
     ),
-    "OUTPUT_FAILED": NoticeKind(Level.ERROR, "the middleware did not take a message of an output topic; the others go on"),
-    "REFUSED": NoticeKind(Level.WARN, "more than a tenth of the messages of an input were refused in the last second"),
+    "OUTPUT_FAILED": NoticeKind(Level.ERROR, "the middleware rejected a message of an output topic; the others continue"),
+    "REFUSED": NoticeKind(Level.WARN, "more than 10 % of an input's messages were rejected in the last second"),
     "OVERRUN": NoticeKind(
-        Level.WARN, "messages came faster than they could be worked off: the oldest were dropped, and are counted as `dropped`"
+        Level.WARN, "messages arrived faster than they could be processed: the oldest were dropped and counted as `dropped`"
     ),
     "NO_PUBLISHER": NoticeKind(Level.WARN, "nobody publishes on the topic of an input", awaited=True),
-    "WRONG_TYPE": NoticeKind(Level.WARN, "somebody publishes another message type on the topic of an input; it never arrives"),
+    "WRONG_TYPE": NoticeKind(
+        Level.WARN, "a publisher uses another message type on the topic of an input; its messages never arrive"
+    ),
     "INCOMPATIBLE_QOS": NoticeKind(
-        Level.WARN, "a publisher's quality of service is less than the input asks for; it never connects"
+        Level.WARN, "a publisher's quality of service is below what the input requests; it never connects"
     ),
     "SEVERAL_PUBLISHERS": NoticeKind(Level.WARN, "more than one publisher on the topic of an input: their values are mixed"),
-    "CLOCK_OFFSET": NoticeKind(Level.WARN, "the stamps of the speed are more than a second away from this machine's time"),
-    "MISMATCH": NoticeKind(Level.WARN, "measured and expected torque have parted by more than the estimate's own uncertainty"),
+    "CLOCK_OFFSET": NoticeKind(Level.WARN, "the stamps of the speed differ from this machine's time by more than a second"),
+    "MISMATCH": NoticeKind(Level.WARN, "measured and expected torque differ by more than the estimate's uncertainty"),
     "DISTURBANCE": NoticeKind(
-        Level.OK, "a torque that comes and goes, as the vehicle file tells of, is there now; the estimate does not have it"
+        Level.OK, "the vehicle file's intermittent torque is present now; the estimate does not include it"
     ),
     "LEARNING_FROZEN": NoticeKind(
-        Level.OK, "a measured torque is there and nothing is learned from it now; what was learned before goes on as it was"
+        Level.OK, "learning from the measured torque is paused; the learned parameters stay as they were"
     ),
     "STATE_NOT_SAVED": NoticeKind(
-        Level.WARN, "the state file could not be written: a restart would begin with an older state or cold"
+        Level.WARN, "the state file could not be written: a restart would use an older state or start cold"
     ),
-    "STATE_NOT_USED": NoticeKind(Level.OK, "there was a state file and it could not be used: cold start", of_start=True),
+    "STATE_NOT_USED": NoticeKind(Level.OK, "the state file could not be used: cold start", of_start=True),
     "COMPILING": NoticeKind(
-        Level.OK, "first start on a machine: steps run in plain Python until they are compiled; same numbers"
+        Level.OK, "first start on this machine: steps run in plain Python until compiled, with the same numbers"
     ),
 }
 AWAITED = at.Reason.LOAD_NOMINAL | at.Reason.AMBIENT_NOMINAL | at.Reason.EFFECT_LEFT_OUT | at.Reason.PLACE_UNKNOWN

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Watches the parameter file of a running node: the way to change parameters where there are no parameter services."""
+"""Watches the parameter file of a running node, to change parameters without parameter services."""
 
 from __future__ import annotations
 

@@ -27,8 +27,8 @@ from trackres_ros.node.mismatch import MismatchSettings
 
 Value = int | float | bool | str | tuple[str, ...]
 
-AT_START = "it is read once, when the node is configured"
-CONNECTED = "connections are made with it when the node is configured"
+AT_START = "the node reads it once, when it is configured"
+CONNECTED = "the node connects with it when it is configured"
 RELIABILITIES = ("best_effort", "reliable")
 ROS_KEY = "ros__parameters"
 SWITCH = MappingProxyType({True: "on", False: "off"})
@@ -118,48 +118,48 @@ def _of(settings: type[Settings | MismatchSettings]) -> tuple[NodeParameter, ...
 
 
 NODE_PARAMETERS = (
-    NodeParameter("vehicle", "", "vehicle file, or the name of a shipped vehicle; must be given", fixed_because=AT_START),
+    NodeParameter("vehicle", "", "vehicle file, or the name of a shipped vehicle; required", fixed_because=AT_START),
     NodeParameter(
         "surroundings",
         "",
-        "file of effects of site, weather and ground that hold here and now, as trackres diagnose writes it; empty: none",
+        "file with the current effects of site, weather and ground, as trackres diagnose writes it; empty: none",
         fixed_because=AT_START,
     ),
     NodeParameter("topics", "", "topics file, or the name of a shipped one; empty: default", fixed_because=AT_START),
     NodeParameter(
         "state_file",
         "auto",
-        "file that keeps belt temperatures over a restart. auto: one per node and vehicle in "
+        "file that saves belt temperatures across restarts. auto: one per node and vehicle in "
         "~/.local/state/trackres, none in simulated time; none: start cold",
         fixed_because=AT_START,
     ),
     NodeParameter(
         "learning",
         "watch",
-        "whether a measured torque is learned from: off; watch: learned and published; on: what was learned is used too",
+        "learning from a measured torque: off; watch: learn and publish; on: also use the learned parameters",
         choices=MODES,
     ),
-    NodeParameter("save_period_s", 30.0, "time between two savings of the state", "s", 1.0, 3600.0),
-    NodeParameter("output_rate_hz", 50.0, "rate of the outputs; 0: once on each accepted speed", "Hz", 0.0, 1000.0),
+    NodeParameter("save_period_s", 30.0, "time between two saves of the state", "s", 1.0, 3600.0),
+    NodeParameter("output_rate_hz", 50.0, "rate of the outputs; 0: one output per accepted speed", "Hz", 0.0, 1000.0),
     NodeParameter(
         "autostart",
         True,
         "configure and activate at the start; false: wait for a lifecycle manager; trackres live always starts",
         fixed_because=AT_START,
     ),
-    NodeParameter("use_sim_time", False, "take the time from /clock, as in a simulation or a replay", fixed_because=AT_START),
+    NodeParameter("use_sim_time", False, "take the time from /clock, for a simulation or a replay", fixed_because=AT_START),
     NodeParameter("frame_id", "base_link", "frame of the stamped outputs", fixed_because=AT_START),
     NodeParameter(
         "input_reliability",
         "best_effort",
-        "reliability asked of publishers; best effort connects to both kinds",
+        "reliability requested from publishers; best effort connects to both kinds",
         choices=RELIABILITIES,
         fixed_because=CONNECTED,
     ),
     NodeParameter(
         "input_depth",
         100,
-        "messages of one topic that may wait to be worked off; the oldest of more are dropped, and counted",
+        "queue length of each topic; when it is full, the oldest messages are dropped and counted",
         "1",
         1,
         10000,
@@ -168,7 +168,7 @@ NODE_PARAMETERS = (
     NodeParameter(
         "input_deadline_s",
         0.0,
-        "deadline asked of publishers; 0: none, as a publisher that offers none would never connect",
+        "deadline requested from publishers; 0: none (a publisher without a deadline would never connect otherwise)",
         "s",
         0.0,
         3600.0,
@@ -178,7 +178,7 @@ NODE_PARAMETERS = (
         "output_reliability", "reliable", "reliability offered to subscribers", choices=RELIABILITIES, fixed_because=CONNECTED
     ),
     NodeParameter(
-        "output_depth", 10, "messages kept for a reliable subscriber that lags", "1", 1, 10000, fixed_because=CONNECTED
+        "output_depth", 10, "messages kept for a reliable subscriber that falls behind", "1", 1, 10000, fixed_because=CONNECTED
     ),
     NodeParameter(
         "output_deadline_s",
@@ -246,8 +246,8 @@ class Parameters:
                 raise InputError(
                     f"parameter {name}",
                     given[name],
-                    f"its value at the start, {self.values[name]}: {parameter.fixed_because}",
-                    "set it in the parameter file and configure the node anew",
+                    f"its initial value {self.values[name]}: {parameter.fixed_because}",
+                    "set it in the parameter file and reconfigure the node",
                 )
         return make_parameters({**self.values, **given})
 
@@ -276,7 +276,7 @@ def make_parameters(given: Mapping[str, object]) -> Parameters:
     rate, deadline = parameters.number("output_rate_hz"), parameters.number("output_deadline_s")
     if rate > 0.0 and 0.0 < deadline < 2.0 / rate:
         allowed = f"0, or at least {2.0 / rate:g} s, two outputs at an output_rate_hz of {rate:g} Hz"
-        raise InputError("parameter output_deadline_s", deadline, allowed, "what is offered must be kept")
+        raise InputError("parameter output_deadline_s", deadline, allowed, "the node must be able to meet the offered deadline")
     return parameters
 
 
@@ -314,7 +314,7 @@ def read_entries(path: Path, node: str, namespace: str) -> dict[str, object]:
         fitting = [values for pattern, values in sections if fnmatchcase(full, pattern) or pattern == "/**"]
         if not fitting:
             names = ", ".join(pattern for pattern, _ in sections)
-            raise InputError(str(path), f"parameters of {names}", f"a section for {full}", "name it so, or /** for any node")
+            raise InputError(str(path), f"parameters of {names}", f"a section for {full}", "use that name, or /** for any node")
         for values in fitting:
             given.update(values)
     else:

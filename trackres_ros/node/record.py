@@ -100,18 +100,16 @@ class Recorder:
         application.on_estimate, application.recording_notices = self._take, self.notices
         self._answered_ns = time.monotonic_ns()
         self._thread.start()
-        return [
-            f"{path} was left unfinished; it can be read, and finished: trackres recover {path} -o FILE" for path in unfinished
-        ]
+        return [f"{path} is unfinished but readable; repair it with: trackres recover {path} -o FILE" for path in unfinished]
 
     def end(self) -> list[str]:
-        """Finish the bag and draw the picture; what was written, in words. It never raises."""
+        """Finish the bag and draw the picture; return texts for the log. It never raises."""
         if not self._thread.is_alive():
             return []
         self._stop.set()
         self._thread.join(END_PATIENCE_S)
         if self._thread.is_alive():
-            return [f"{self._part}: the disk does not answer: it is not finished, see trackres recover"]
+            return [f"{self._part}: the disk does not respond, the file is unfinished; see trackres recover"]
         inputs = ", ".join(
             f"{n} of {input_name(given.name, '/')}" for (given, _), n in zip(self._given, self._counts, strict=True)
         )
@@ -120,9 +118,9 @@ class Recorder:
         if any(self._lost()):
             lines.append(f"not recorded: {_counted(self._lost())}")
         if self._files.deleted:
-            lines.append(f"{self._files.deleted} of the oldest files were deleted, to stay within --record-limit-mb")
+            lines.append(f"{self._files.deleted} of the oldest files were deleted to stay within --record-limit-mb")
         if not self._is_finished:
-            lines.append(f"{self._part} is not finished: {self._error}; it can be read, and finished: trackres recover")
+            lines.append(f"{self._part} is unfinished: {self._error}; it is readable, repair it with: trackres recover")
         return [*lines, *self._picture()]
 
     def _where(self) -> str:
@@ -134,11 +132,11 @@ class Recorder:
         now = time.monotonic_ns()
         silent_s = (now - self._answered_ns) * 1e-9
         if silent_s * 1e9 > SHOWN_NS:
-            why = f"the disk has not answered for {silent_s:.0f} s"
+            why = f"the disk has not responded for {silent_s:.0f} s"
         elif now - self._failed_ns < SHOWN_NS:
             why = self._error
         elif now - self._dropped_ns < SHOWN_NS:
-            why = "the disk takes less than comes"
+            why = "the disk is too slow for the data"
         else:
             return []
         return [Notice("NOT_RECORDED", f"recording to {self._part}: {why}; lost so far: {_counted(self._lost())}")]

@@ -81,7 +81,7 @@ class RecordingFiles:
         return self._path, part
 
     def left_unfinished(self) -> list[Path]:
-        """What earlier runs left unfinished."""
+        """Unfinished files of earlier runs."""
         beginning = self._path.stem if self._limits.splits else self._path.name
         found = self._path.parent.glob(f"*{SUFFIX}")
         return sorted(path for path in found if path.name.startswith(beginning) and _is_ours(path))

@@ -24,13 +24,13 @@ from trackres_ros.units import NANOSECOND
 
 ESTIMATE_KEYS = {
     "level": "ok, warn, error or stale",
-    "remarks": "names of all that is noticed, see docs/robustness.md",
+    "remarks": "names of all notices, see docs/robustness.md",
     "stamp": "time of the state [s since 1970], nan before the first",
     "age_s": "time since the last accepted speed [s], by a clock that never jumps",
     "rate_hz": "estimates made [1/s], over the last second",
     "published": "how often the outputs were published",
     "feedforward_left": "share of the feed-forward that is published: 1, falling to 0 while the speed is old",
-    "resistance_torque/<name>": f"as on that topic, of {', '.join(TOTALS)} [Nm]: negative what resists forward travel",
+    "resistance_torque/<name>": f"as on that topic: each of {', '.join(TOTALS)} [Nm]; resistance to forward travel is negative",
     "resistance_std_nm": "standard deviation of its total [Nm]",
     "feedforward_torque_nm": "feed-forward as published [Nm]",
     "speed_mps": "speed of the last step [m/s]",
@@ -41,30 +41,35 @@ ESTIMATE_KEYS = {
 }
 INPUT_KEYS = {
     "topic": "the full name of the topic, remapped",
-    "rate_hz": "messages [1/s] over the last second, refused ones too",
-    "age_s": "time since the last accepted one came, by a clock that never jumps [s]",
+    "rate_hz": "messages [1/s] over the last second, including rejected ones",
+    "age_s": "time since the last accepted message [s], by a clock that never jumps",
     "value": "last accepted value in the unit of the role",
-    "accepted, non_finite, out_of_range, implausible, duplicate, late, future, backward, bad_stamp": "messages, each in one",
+    "accepted, non_finite, out_of_range, implausible, duplicate, late, future, backward, bad_stamp": "messages so far, each in "
+    "one counter",
     "zero_stamp, gap, clock_jump, reset": "remarks on accepted messages so far",
     "absent": "messages without the element, so far",
-    "dropped": "messages of the topic so far that came faster than they could be worked off, and are in no other counter",
+    "dropped": "messages of the topic so far that were dropped because they arrived too fast; in no other counter",
 }
 COMPARISON_KEYS = {
-    "parted": "true while measured and expected torque have parted",
-    "after_s": "driving time with a measured torque until they parted [s]",
-    "mean_nm": "measured less expected, mean since then [Nm]",
+    "parted": "true while measured and expected torque differ significantly",
+    "after_s": "driving time with a measured torque until then [s]",
+    "mean_nm": "measured minus expected torque, mean since then [Nm]",
     "share": "the same as a share of the expected torque",
     "settled": "true once there is enough data to judge",
 }
 DISTURBANCE_KEYS = {
-    "form": "spells or drift, as the vehicle file has it",
-    "there": "probability that a spell is there; nan of a drift",
+    "form": "spells or drift, from the vehicle file",
+    "there": "probability that a spell is present; nan for a drift",
     "present": "true from a probability of 0.9 on until it is below 0.1",
-    "since": "time at which the present spell began, or the last one ended [s since 1970]; nan before either, and of a drift",
-    "torque_nm": "expected torque of the disturbance against travel [Nm]; it is in no other output",
+    "since": "time when the present spell began or the last one ended [s since 1970]; nan before, and for a drift",
+    "torque_nm": "estimated torque of the disturbance against travel [Nm]; no other output includes it",
     "std_nm": "its standard deviation [Nm]",
 }
-STATE_KEYS = {"file": "the state file, empty if none is kept", "saved_s_ago": "time since it was written [s]", "error": "why not"}
+STATE_KEYS = {
+    "file": "the state file, empty if none is saved",
+    "saved_s_ago": "time since it was written [s]",
+    "error": "why not",
+}
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,7 @@ def overview(
     learning: LiveLearning,
     steady: int,
 ) -> Overview:
-    """Gather what is to be seen now."""
+    """Gather the current overview."""
     estimator = publisher.estimator
     return Overview(
         level,
@@ -197,9 +202,9 @@ def _of_disturbance(belief: Belief, node: str, vehicle: str) -> Status:
 
 def _input_level(given: InputState) -> tuple[Level, str]:
     if math.isnan(given.age_s):
-        return Level.STALE, "nothing was accepted yet"
+        return Level.STALE, "no accepted message yet"
     if given.rate_hz == 0.0:
-        return Level.STALE, "nothing in the last second"
+        return Level.STALE, "no message in the last second"
     return Level.OK, f"{given.rate_hz:.1f} Hz"
 
 

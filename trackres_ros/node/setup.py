@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a node runs with: the vehicle, topics and settings that its parameters name, read and checked once at the start."""
+"""Reads and checks the vehicle, topics and settings of a node's parameters, once at the start."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Setup:
 
 
 def read_setup(parameters: Parameters) -> Setup:
-    """Read what the parameters of a node name.
+    """Read the files that the parameters of a node name.
 
     Raises
     ------
@@ -77,8 +77,8 @@ def changed_parameters(before: Parameters, given: Mapping[str, object], topics: 
             raise InputError(
                 f"parameter {name}",
                 given[name],
-                f"{getattr(settings, name)}, which the topics file says",
-                f"change max_age_s, sensor or std_k in {topics.origin} and configure the node anew",
+                f"{getattr(settings, name)}, set by the topics file",
+                f"change max_age_s, sensor or std_k in {topics.origin} and reconfigure the node",
             )
     return parameters
 
@@ -89,6 +89,8 @@ def _check_live(topics: Topics) -> None:
         if not topics[role].of_topics:
             raise InputError(f"{topics.origin}: {role}", "a column of a table", "a topic with type and field")
         if role in POSITION and not topics[role].unit:
-            raise InputError(f"{topics.origin}: {role}: unit", "none", "deg or rad", "live there are no values yet to tell it by")
+            raise InputError(
+                f"{topics.origin}: {role}: unit", "none", "deg or rad", "a live node has no values yet to infer the unit from"
+            )
     if "speed" not in topics:
-        raise InputError(topics.origin, f"roles {', '.join(topics)}", "a speed among them")
+        raise InputError(topics.origin, f"roles {', '.join(topics)}", "roles including speed")

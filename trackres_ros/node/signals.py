@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Requests that come to the running node as signals: to stop, to save its state, to start cold, to forget what was learned.
+"""Requests that come to the running node as signals: to stop, to save its state, to start cold, to reset learning.
 
 Signals are listened to from the very start, while libraries are still being loaded, and each request is carried out once the node
 can: no work is broken off in the middle, and no signal ends the process without a line of text. So this imports nothing of the
@@ -28,7 +28,7 @@ SAVE, RESET, RESET_LEARNING = signal.SIGUSR1, signal.SIGUSR2, signal.SIGRTMIN
 WHAT: dict[int, str] = {
     SAVE: "the state is saved",
     RESET: "the estimate starts cold",
-    RESET_LEARNING: "what was learned is forgotten",
+    RESET_LEARNING: "the learned parameters are reset",
     **dict.fromkeys(STOP, "it ends"),
 }
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Stamps that a message can carry: builtin_interfaces/msg/Time has int32 seconds and less than 1e9 nanoseconds."""
+"""Checks stamps against the range of a message: builtin_interfaces/msg/Time has int32 seconds and less than 1e9 nanoseconds."""
 
 from __future__ import annotations
 

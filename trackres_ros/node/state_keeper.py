@@ -25,7 +25,7 @@ from trackres_ros.node.notices import Notice
 AUTO, NONE = "auto", "none"
 LONGEST_NAME = 100
 SLOW_NS = 5_000_000_000  # of one saving
-NO_HOME = "there is no home folder to keep it in: set state_file or XDG_STATE_HOME"
+NO_HOME = "there is no home folder to save it in: set state_file or XDG_STATE_HOME"
 
 
 def state_path(parameter: str, sim_time: bool, node: str, namespace: str, vehicle: str) -> tuple[Path | None, str]:
@@ -69,22 +69,22 @@ class StateKeeper:
         A learner goes on with what was learned, less sure by the time off; a file without it leaves it as it is.
         """
         if self.path is None:
-            return estimator.session(), f"no state is kept{self.error and f', as {self.error}'}: cold start"
+            return estimator.session(), f"no state is saved{self.error and f' ({self.error})'}: cold start"
         try:
             for part in leftovers(self.path):
                 part.unlink(missing_ok=True)
             if not self.path.exists():
                 return estimator.session(), f"no state file {self.path} yet: cold start"
         except (OSError, ValueError) as error:
-            self.unused = f"cold start, as the state file {self.path} is out of reach: {error}"
+            self.unused = f"cold start: the state file {self.path} cannot be reached: {error}"
             return estimator.session(), self.unused
         try:
             session, off_s = after_time_off(estimator, self.path, time.time())
         except InputError as error:
-            self.unused = f"cold start, as the state file is of no use: {error}"
+            self.unused = f"cold start: the state file cannot be used: {error}"
             return estimator.session(), self.unused
-        what = "belts" if estimator.assemblies else "warmth of effects"
-        text = f"{what} taken from {self.path}, cooled over {off_s / 60.0:.1f} min off"
+        what = "belts" if estimator.assemblies else "temperatures of the effects"
+        text = f"{what} restored from {self.path} and cooled for {off_s / 60.0:.1f} min"
         session.learned[:] = 0.0  # it acts again once the learner says so
         beside = read_beside(estimator, self.path)
         if learner is None or beside is None:
@@ -92,16 +92,18 @@ class StateKeeper:
         try:
             take(learner, beside)
         except ValueError as error:
-            self.unused = f"nothing is learned yet, as in the state file {error}"
+            self.unused = f"learning starts from the vehicle file: {error}"
             return session, text
         learner.age(off_s)
-        return session, f"{text}; {learner.learned.seconds / 60.0:.0f} min of driving were learned from"
+        return session, f"{text}; {learner.learned.seconds / 60.0:.0f} min of driving were used for learning"
 
     def notices(self) -> list[Notice]:
         """That the state file cannot be written, or that the one that was there could not be used."""
         found = []
         if self._writer.busy and time.monotonic_ns() - self._began_ns > SLOW_NS:
-            text = f"the disk has not taken the state file {self.path} for {(time.monotonic_ns() - self._began_ns) * 1e-9:.0f} s"
+            text = (
+                f"the disk has not accepted the state file {self.path} for {(time.monotonic_ns() - self._began_ns) * 1e-9:.0f} s"
+            )
             found.append(Notice("STATE_NOT_SAVED", text))
         elif self.error:
             where = f" in {self.path}" if self.path else ""
@@ -120,7 +122,7 @@ class StateKeeper:
         self._begin(self.path, content(session, state_at, _beside(learner)))
 
     def save(self, session: Session, state_at: float, learner: Learner | None = None, patience_s: float = 1.0) -> str:
-        """Save now; what was done, in words. See `save_soon`.
+        """Save now; return a text for the log. See `save_soon`.
 
         Raises
         ------
@@ -128,13 +130,15 @@ class StateKeeper:
             If no state is kept, the file cannot be written, or the disk takes longer than `patience_s`.
         """
         if self.path is None:
-            raise InputError("state file", "none", "a node with the parameter state_file set to a path, or auto")
+            raise InputError("state file", "none", "the node's parameter state_file set to a path or to auto")
         if not self._writer.wait(patience_s):
-            raise InputError(f"state file {self.path}", "an earlier saving that is not over yet", "a disk that answers")
+            raise InputError(f"state file {self.path}", "an earlier save that is still running", "a disk that responds")
         self._begin(self.path, content(session, state_at, _beside(learner)))
         if not self._writer.wait(patience_s):
-            given = f"a disk that does not answer within {patience_s:g} s"
-            raise InputError(f"state file {self.path}", given, "a faster one", "the saving goes on; the status says if it fails")
+            given = f"a disk that does not respond within {patience_s:g} s"
+            raise InputError(
+                f"state file {self.path}", given, "a faster disk", "the save continues; the status reports if it fails"
+            )
         if self.error:
             raise InputError(f"state file {self.path}", self.error, "a file that can be written")
         return f"state saved in {self.path}"

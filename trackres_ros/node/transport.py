@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the application and a middleware say to each other: the two transports, `ros` and `dds`, offer the same."""
+"""Defines the interface between the application and a middleware; the transports `ros` and `dds` implement it."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ KeepMessage = Callable[[int, bytes, int], None]
 
 
 class Transport(Protocol):
-    """What the application needs of a middleware. All calls come from one thread, the one that calls the application.
+    """Interface of a middleware for the application. All calls come from the thread that calls the application.
 
     Inputs and outputs are named by their place in `Application.inputs` and `Application.outputs`.
     """

@@ -146,22 +146,22 @@ class Watch:
         """All that is to be noticed of inputs and estimate now."""
         found: list[Notice] = []
         if not clock_runs:
-            found.append(Notice("NO_CLOCK", "use_sim_time is set and nothing comes on /clock"))
+            found.append(Notice("NO_CLOCK", "use_sim_time is set and no /clock message has arrived"))
         if math.isinf(age_s):
             found.append(Notice("NO_SPEED", "no speed yet"))
         elif age_s > max_age_s:
             fading = "the feed-forward fades to zero"
-            found.append(Notice("SPEED_OLD", f"no speed for {age_s:.1f} s, allowed are {max_age_s:g} s: {fading}"))
+            found.append(Notice("SPEED_OLD", f"no speed for {age_s:.1f} s, at most {max_age_s:g} s allowed: {fading}"))
         for name, number in self._overrun:
-            text = f"{name}: {number} messages of the last second came faster than they could be worked off"
+            text = f"{name}: {number} messages were dropped in the last second, as they arrived too fast"
             found.append(Notice("OVERRUN", text))
         for role, refused in self._refused.items():
             why = ", ".join(f"{number} {name}" for name, number in refused)
-            found.append(Notice("REFUSED", f"{role}: refused in the last second: {why}"))
+            found.append(Notice("REFUSED", f"{role}: rejected in the last second: {why}"))
         found += [notice for given, peers in zip(self._topics, self._peers, strict=True) for notice in _of_peers(given, peers)]
         if abs(self._offset_ns) > CLOCK_OFFSET_NS and clock_runs and not math.isinf(age_s):
             side = "behind" if self._offset_ns > 0 else "ahead of"
-            text = f"the stamps of the speed are {abs(self._offset_ns) * 1e-9:.1f} s {side} this node's time"
+            text = f"the stamps of the speed are {abs(self._offset_ns) * 1e-9:.1f} s {side} this node's clock"
             found.append(Notice("CLOCK_OFFSET", text))
         return found + of_reasons(at.Reason(self._shown_reasons))
 
@@ -178,8 +178,8 @@ class Watch:
         if names == self._logged:
             return None
         self._logged = names
-        text = "; ".join(notice.text for notice in heavy) or "all is well"
-        return (Level.OK, f"waits for inputs: {text}") if heavy and starting else (level_of(heavy), text)
+        text = "; ".join(notice.text for notice in heavy) or "no warnings"
+        return (Level.OK, f"waiting for inputs: {text}") if heavy and starting else (level_of(heavy), text)
 
 
 def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
@@ -187,12 +187,12 @@ def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
     right = [peer for peer in peers if peer.type == given.type]
     found = []
     for kind in sorted({peer.type for peer in peers} - {given.type}):
-        found.append(Notice("WRONG_TYPE", f"{roles}: a publisher on {given.name} sends {kind}, expected is {given.type}"))
+        found.append(Notice("WRONG_TYPE", f"{roles}: a publisher on {given.name} sends {kind} instead of {given.type}"))
     if not right:
         found.append(Notice("NO_PUBLISHER", f"{roles}: nobody publishes {given.type} on {given.name}"))
     elif len(right) > 1:
         found.append(Notice("SEVERAL_PUBLISHERS", f"{roles}: {len(right)} publishers on {given.name}"))
     if any(not peer.compatible for peer in right):
-        text = f"{roles}: a publisher on {given.name} does not offer the reliability or deadline that is asked for"
+        text = f"{roles}: a publisher on {given.name} does not offer the requested reliability or deadline"
         found.append(Notice("INCOMPATIBLE_QOS", text))
     return found

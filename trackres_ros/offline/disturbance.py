@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A replay adds to its table how likely the disturbance of the vehicle file is there, and how large it is."""
+"""Adds the probability and size of the vehicle file's disturbance to the table of a replay."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 THERE, TORQUE = "disturbance_probability", "disturbance_torque_nm"
 MEANING = MappingProxyType(
     {
-        THERE: "probability that a spell of the vehicle file's `disturbance` is there; nan of a drift",
-        TORQUE: "expected torque of it against travel [Nm], by the blocks of 5 s before; in no other column",
+        THERE: "probability that a spell of the vehicle file's `disturbance` is present; nan for a drift",
+        TORQUE: "its estimated torque against travel [Nm], from the previous 5 s blocks; no other column includes it",
     }
 )
 TIME_RESET = int(at.Reason.TIME_RESET)

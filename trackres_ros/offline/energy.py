@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Computes from rows of results what a drive takes: way, time, resistance, energy and belt temperatures."""
+"""Computes distance, time, resistance, energy and belt temperatures of a drive from rows of results."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def energy_j(step_s: Array, speed: Array, torque: Array, radius: float) -> float
 
 
 def taken(time_s: Array, speed: Array, torque: Array, belts_degc: Array, radius: float) -> dict[str, float]:
-    """What a drive takes.
+    """Summary of a drive: distance, time, resistance, energy and temperatures.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def _ends(belts_degc: Array) -> dict[str, float]:
 def taken_text(of: Mapping[str, float]) -> str:
     """The same in a sentence."""
     if not of["under_way_s"]:
-        return "The vehicle stood all the time"
+        return "The vehicle stood the whole time"
     way, minutes = decimals(of["distance_m"] / 1000.0, 2), decimals(of["under_way_s"] / 60.0, 1)
     mean, largest = decimals(of["mean_resistance_nm"]), decimals(of["largest_resistance_nm"])
     energy, each_km = decimals(of["energy_mj"], 1), decimals(of["kwh_per_km"], 2)
@@ -81,6 +81,6 @@ def taken_text(of: Mapping[str, float]) -> str:
     if "coldest_belt_degc" in of:
         belts = f"; belts {decimals(of['coldest_belt_degc'], 1)} to {decimals(of['warmest_belt_degc'], 1)} degC"
     return (
-        f"The drive: {way} km, {minutes} min under way; resistance {mean} Nm in the mean, {largest} Nm at most; {energy} MJ "
+        f"The drive: {way} km, {minutes} min of driving; mean resistance {mean} Nm, at most {largest} Nm; {energy} MJ "
         f"({each_km} kWh/km){belts}"
     )

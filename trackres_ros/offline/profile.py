@@ -44,9 +44,9 @@ def read_profile(profile: str | PathLike[str] | Recording, on_route: bool = Fals
     unused = [role for role in recording.roles if role not in taken]
     if unused:
         allowed = ", ".join(taken)
-        remedy = "leave out what a simulation does not take"
+        remedy = "remove the columns that a simulation does not use"
         if set(unused) <= set(POSITION):
-            remedy = "a position counts with a route in the surroundings: --surroundings FILE"
+            remedy = "a position needs a route in the surroundings: --surroundings FILE"
         raise InputError(f"{recording.name}: columns of", ", ".join(unused), allowed, remedy)
     return recording
 

@@ -139,7 +139,7 @@ def replay(
         refused = ", ".join(f"{name} {count.name.lower()} {number}" for name, count, number in session.counts())
         raise InputError(
             source.name,
-            f"{messages} messages, none of them a usable speed ({refused or 'no message'})",
+            f"{messages} messages, but no usable speed ({refused or 'no message'})",
             "at least one finite, plausible speed",
             "check topic, field, scale and unit of the speed",
         )

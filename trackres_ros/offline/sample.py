@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes a sample recording: the paper's lap test as a vehicle's bus would log it, for trying things out."""
+"""Makes a sample recording: the paper's lap test as a vehicle bus would log it."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ SEED = 20230514
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A recording that was made.
+    """A sample recording.
 
     Attributes
     ----------
     path, topics
         Its file, and the topics file that fits it.
     duration_s, distance_m
-        How long [s] and how far [m] it goes.
+        Duration [s] and distance [m].
     """
 
     path: Path

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Simulates torques and belt temperature over a speed profile: the estimator run on a drive that was never driven."""
+"""Simulates torques and belt temperature over a speed profile: the estimator on a computed drive."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Sums up a replay: what was read, what was wrong with it, what came out."""
+"""Summarises a replay: inputs, defects and results."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class KeptSource:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What reading says of it; see `Source`."""
+        """Notes of the reader; see `Source`."""
         return self._source.notes
 
     @property
@@ -54,7 +54,7 @@ class KeptSource:
         """What reading itself met."""
         if not self._dropped:
             return self._source.findings
-        text = f"more than {MOST_KEPT} samples: gaps, stuck and quantised values are not looked for"
+        text = f"more than {MOST_KEPT} samples: gaps, stuck and quantised values are not searched"
         return (*self._source.findings, Finding("", "too_long", 1, float("nan"), text))
 
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
@@ -161,7 +161,7 @@ def text(report: dict[str, Any]) -> str:
 
 
 def _learned(learner: Learner) -> dict[str, Any]:
-    """What was learned, at the end."""
+    """Learned parameters at the end."""
     values = shown(learner)
     each = lines_of(learner.learnables, ranges_of(learner), values)
     return {

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Computes what follows from a vehicle file: masses, loads and temperatures to look at, and how exact its tables are."""
+"""Computes derived values of a vehicle file: masses, loads, temperatures and the error of its tables."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def check_vehicle(vehicle: AnyVehicle, points: int) -> dict[str, Any]:
 
 
 def _common(vehicle: AnyVehicle) -> dict[str, Any]:
-    """What any vehicle file says."""
+    """Values common to all vehicle files."""
     flags = [quantity.flag for quantity in vehicle.parameters.values()]
     return {
         "vehicle": vehicle.name,
@@ -133,8 +133,8 @@ def _physics(vehicle: Vehicle, name: str, model: TrackModel, table: LossTable) -
     if strain >= 1.0:
         raise InputError(
             f"{vehicle.source}: tracks.{name}",
-            f"a road wheel that presses {strain:.0%} of the belt's thickness in",
-            "less than all of it",
+            f"a road wheel that indents the belt by {strain:.0%} of its thickness",
+            "less than 100 %",
             "check the unit of the moduli, the thickness, and radius, number and contact length of the road wheels",
         )
     speeds = [share * chassis.max_speed for share in SHOWN_SPEED_SHARES]
@@ -144,16 +144,16 @@ def _physics(vehicle: Vehicle, name: str, model: TrackModel, table: LossTable) -
     if coldest[-1] > ambient:
         remarks.append(
             f"track {name}: the rubber data end at {coldest[-1]:.0f} degC at {chassis.max_speed * 3.6:.0f} km/h, and the file's "
-            f"ambient temperature begins at {ambient:g} degC: below it the moduli are held, and the status shows OUTSIDE_TABLE"
+            f"ambient temperature begins at {ambient:g} degC. Below, the end values are used, and the status shows OUTSIDE_TABLE"
         )
     if settles > covered.hottest:
         remarks.append(
             f"track {name}: at {chassis.max_speed * 3.6:.0f} km/h the belt settles at {settles:.0f} degC, and the data or the "
-            f"life of its rubber end at {covered.hottest:.0f} degC: above it the status shows OUTSIDE_TABLE"
+            f"life of its rubber end at {covered.hottest:.0f} degC. Above, the status shows OUTSIDE_TABLE"
         )
     if strain > DEEP_STRAIN:
         remarks.append(
-            f"track {name}: a road wheel presses {strain:.0%} of the thickness of a hot belt in: too deep for the contact model"
+            f"track {name}: a road wheel indents a hot belt by {strain:.0%} of its thickness: too deep for the contact model"
         )
     physics = {
         "balance_degc": settles,

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Vehicle files to choose from, to begin with, and side by side."""
+"""Lists, copies and compares vehicle files."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def shipped() -> list[dict[str, str]]:
 def shipped_text(found: Iterable[Mapping[str, str]]) -> str:
     """The same for people."""
     rows = [(v["name"], v["title"], RUNS_ON[v["model"]]) for v in found]
-    return table(rows, ("name", "what it is", "runs on"), numbers=False)
+    return table(rows, ("name", "description", "runs on"), numbers=False)
 
 
 def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
@@ -60,7 +60,7 @@ def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
         raise InputError("--like", like, f"one of {', '.join(known)}", nearest(like, list(known)))
     target, source = folder / f"{name}.yaml", known[like]
     if target.exists():
-        raise InputError(str(target), "a file that is there already", "another name or folder")
+        raise InputError(str(target), "a file that already exists", "another name or another folder")
     document, content = Document(source.read_text(encoding="utf-8")), read_yaml(source)
     document.set(("name",), name)
     written = [target]
@@ -71,7 +71,7 @@ def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         write(target, (document.text() or document.plain()).encode())
     except OSError as error:
-        raise InputError("-o", f"{folder}: {error.strerror or error}", "a folder that can be written to") from error
+        raise InputError("-o", f"{folder}: {error.strerror or error}", "a writable folder") from error
     return written
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tells the unit of a column of results by its name."""
+"""Gives the unit of a column of results from its name."""
 
 from __future__ import annotations
 

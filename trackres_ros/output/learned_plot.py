@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draws what is learned of a vehicle: values with their bands over time, and where was driven as a map."""
+"""Draws learned parameters over time with bands, and a map of the driving conditions."""
 
 from __future__ import annotations
 

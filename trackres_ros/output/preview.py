@@ -16,7 +16,7 @@ PICTURE_SAMPLES = 8000  # kept for the picture; twice as many are thinned to hal
 
 
 class ResultPreview:
-    """What is remembered of results that pass by: the last row, and every n-th row for the picture.
+    """Stored part of passing results: the last row, and every n-th row for the picture.
 
     n doubles as they come, so that a picture of any length costs the same memory.
     """

@@ -72,7 +72,7 @@ PARAMETERS_TOPIC = OutputTopic(
     "parameters",
     "diagnostic_msgs/msg/DiagnosticArray",
     "status",
-    "what is learned of the vehicle and of the torque's delay, once a second while a torque is measured: value, standard "
+    "learned parameters of the vehicle and the torque's delay, once a second while a torque is measured: value, standard "
     "deviation, range, coverage, state",
 )
 
@@ -111,7 +111,7 @@ def output_topics(vehicle: AnyVehicle) -> tuple[OutputTopic, ...]:
             "feedforward_torque_nm",
             "std_msgs/msg/Float64",
             "number",
-            "the same number for controllers that take only that; it has no stamp",
+            "the same number without a stamp, for controllers that accept only a number",
             ("feedforward_torque_nm",),
         ),
         OutputTopic(
@@ -139,7 +139,7 @@ def output_topics(vehicle: AnyVehicle) -> tuple[OutputTopic, ...]:
             "torque_residual",
             "sensor_msgs/msg/JointState",
             "joints",
-            "measured torque less what driving takes after the model [Nm], while a torque is measured",
+            "measured minus expected drive torque [Nm], while a torque is measured",
             ("measured_torque_nm", "drive_torque_nm", "residual_nm"),
             ("measured", "expected", "residual"),
         ),
@@ -147,7 +147,7 @@ def output_topics(vehicle: AnyVehicle) -> tuple[OutputTopic, ...]:
             "status",
             "diagnostic_msgs/msg/DiagnosticArray",
             "status",
-            "level and every reason for it, whenever that changes and once a second",
+            "level and every reason for it, at each change and once a second",
         ),
     )
 

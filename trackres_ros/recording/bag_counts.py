@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Counts how many messages a bag claims to hold, by all the counts that are in it: the difference to what is read was lost."""
+"""Counts the messages that a bag declares, by all its counts: the difference to the read ones was lost."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class MessageCounts:
         """Return a count that is one; of what is none a remark remains."""
         if isinstance(count, int) and 0 <= count <= MOST_MESSAGES:
             return count
-        self.remarks.append(f"it counts {shown(count)} messages: what is lost cannot be determined")
+        self.remarks.append(f"it counts {shown(count)} messages: the losses cannot be determined")
         return 0
 
 
@@ -126,12 +126,12 @@ def _look_at_mcap(storage: Any) -> Iterator[str]:
             chunks += kind == CHUNK
             at += RECORD.size + length
         if at != size:
-            yield f"records do not follow on one another at byte {at}: messages behind it may be lost"
+            yield f"records are not contiguous at byte {at}: later messages may be lost"
         elif chunks != len(storage.chunks):
             yield f"the index names {len(storage.chunks)} of {chunks} chunks: messages may be lost"
         file.seek(size - FOOTER_BYTES)
         if not any(file.read(8)):
-            yield "the file has no summary: messages that were lost before it was closed do not show"
+            yield "the file has no summary: messages lost before it was closed cannot be detected"
 
 
 def _count_ros1(reader: Any, path: Path, counts: MessageCounts) -> None:
@@ -158,7 +158,7 @@ def _records(file: BinaryIO, counts: MessageCounts) -> Iterator[dict[bytes, byte
         head = file.read(length) if length < MOST_HEAD_BYTES else b""
         file.seek(_length(file, size), 1)
         if file.tell() > size or not head:
-            counts.remarks.append(f"records do not follow on one another at byte {start}: messages behind it may be lost")
+            counts.remarks.append(f"records are not contiguous at byte {start}: later messages may be lost")
             return
         yield _fields(head)
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     Connection = RosbagsConnection | RosTopic
     Reader = Reader1 | Reader2 | RosBag
 
-READABLE = "a bag that can be read to its end"
+READABLE = "a bag that is readable to its end"
 REMEDIES = {".mcap": "try: mcap recover", ".bag": "try: rosbag reindex"}
 MAX_METADATA_BYTES, MAX_METADATA_DEPTH = 2**24, 50
 """Of the metadata.yaml of a bag; ten hours in files of a minute fill a hundredth of it, and the deepest value has 8 above it."""
@@ -48,7 +48,7 @@ def is_ros1(path: Path) -> bool:
 
 
 def remedy(path: Path) -> str:
-    """What may help where a bag cannot be read."""
+    """Remedy for an unreadable bag."""
     return "try: ros2 bag reindex" if path.is_dir() else REMEDIES.get(path.suffix, "try: ros2 bag reindex")
 
 
@@ -122,7 +122,7 @@ def _check_folder(path: Path) -> None:
 
 
 def _check_storage(storage: Any) -> None:
-    """Refuse what would fill the memory when it is read."""
+    """Refuse content that would exhaust the memory."""
     database = getattr(storage, "dbconn", None)
     if database is not None:
         limit = getattr(database, "limit", None) or database.setlimit

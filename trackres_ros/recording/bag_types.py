@@ -58,7 +58,7 @@ def types_of(one: Connection | RosTopic, path: Path, encoding: Encoding) -> Defi
     """Return the definition of a connection's type: of the bag where it has one, else the common one."""
     where = f"{path}: {one.topic}"
     try:
-        with reading(Path(where), f"a definition of {one.msgtype} that can be read"):
+        with reading(Path(where), f"a readable definition of {one.msgtype}"):
             find = _finder(one, encoding)
         types = find()
     except KeyError as error:
@@ -66,7 +66,7 @@ def types_of(one: Connection | RosTopic, path: Path, encoding: Encoding) -> Defi
             where,
             f"{one.msgtype} with {error}",
             "a message type with its definition",
-            "the bag holds no definition of it: record as MCAP, which does",
+            "the bag does not define it: record as MCAP, which does",
         ) from None
     check_size(types, one.msgtype, where, MAX_MESSAGE_BYTES)
     return types

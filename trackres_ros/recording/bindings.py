@@ -106,7 +106,7 @@ class Topics:
             The file is not there, no YAML, or says something that is not allowed: which role and key.
         """
         path = find_topics(path_or_name)
-        content = read_yaml(path, "a mapping with one line a role", f"write for example: {EXAMPLE}")
+        content = read_yaml(path, "a mapping with one line per role", f"write for example: {EXAMPLE}")
         return cls.parse(content, str(path), path.parent)
 
     @classmethod
@@ -128,7 +128,7 @@ class Topics:
             Unknown role or key, missing or impossible value.
         """
         if not isinstance(content, Mapping) or not content:
-            raise InputError(origin, content, "a mapping with one line a role", f"write for example: {EXAMPLE}")
+            raise InputError(origin, content, "a mapping with one line per role", f"write for example: {EXAMPLE}")
         bindings: dict[str, TopicBinding] = {}
         for role, line in content.items():
             if role == BOTH:
@@ -148,7 +148,7 @@ def _check_role(role: object, origin: str) -> None:
     base, slash, part = role.partition("/")
     if slash and not ROLES[base].parts:
         parts = ", ".join(name for name, about in ROLES.items() if about.parts)
-        raise InputError(f"{origin}: role", role, f"an axle, assembly or wheel only for {parts}", f"write {base}")
+        raise InputError(f"{origin}: role", role, f"a name of an axle, assembly or wheel only for {parts}", f"write {base}")
     if slash and not PART.fullmatch(part):
         raise InputError(f"{origin}: role", role, f"{base}/NAME with the name of an axle, assembly or wheel")
 
@@ -226,7 +226,7 @@ def _source(line: Mapping[object, object], where: str) -> dict[str, str]:
 def _parts(role: str, given: object, where: str) -> tuple[TopicBinding, ...]:
     """The parts of a sum: all of them columns, or all of them fields of topics."""
     if ROLES[base_role(role)].unit == "rad":
-        raise InputError(where, role, "a role that is no angle")
+        raise InputError(where, role, "a role that is not an angle")
     if not isinstance(given, list) or not 2 <= len(given) <= MOST_PARTS:
         raise InputError(where, given, f"a list of 2 to {MOST_PARTS} parts", f"write for example: {SUM_EXAMPLE}")
     for number, line in enumerate(given, 1):

@@ -86,7 +86,7 @@ class CanSignals(ChannelFile):
         self.name, self._frames = name, frames
         files = topics.dbc if topics else ()
         if not files:
-            remedy = "name it: dbc: bus.dbc in the topics file, or --dbc bus.dbc"
+            remedy = "give it: dbc: bus.dbc in the topics file, or --dbc bus.dbc"
             raise InputError(
                 name, "a log of CAN frames without a database", "the database of the bus, such as a .dbc file", remedy
             )
@@ -96,7 +96,7 @@ class CanSignals(ChannelFile):
         self.channels = [Channel(signal.name, signal.unit or "", one.group) for one, signal in signals]
 
     def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
-        """Choose what to decode."""
+        """Choose the signals to decode."""
         super().settle(time, channels)
         for one in self._messages:
             one.wanted = []
@@ -225,17 +225,17 @@ def _signal(column: int, signal: Any, j1939: bool) -> _Signal:
 
 
 TEXTS = {
-    "lost": ("unusable", "entries of the log are no frames that can be read; they are left out"),
-    "cut": ("cut", "line at the end does not end: the log may have been cut off within a frame"),
-    "unknown": ("unknown_topic", "frames with identifiers that no database describes are left out"),
-    "other_source": ("other_source", "frames of further control units that send the same group are left out"),
-    "malformed": ("malformed", "frames do not hold what the database describes; they give no sample"),
+    "lost": ("unusable", "entries of the log are unreadable; they are skipped"),
+    "cut": ("cut", "line at the end is incomplete: the log may be truncated within a frame"),
+    "unknown": ("unknown_topic", "frames have identifiers that no database describes; they are skipped"),
+    "other_source": ("other_source", "frames come from other control units that send the same group; they are skipped"),
+    "malformed": ("malformed", "frames do not match the database; they give no sample"),
     "incomplete": (
         "missing",
-        "messages of the J1939 transport protocol are incomplete or were aborted; they are left out",
+        "messages of the J1939 transport protocol are incomplete or aborted; they are skipped",
     ),
-    "stray": ("malformed", "packets of the J1939 transport protocol belong to no announced message; they are left out"),
-    "absent": ("absent", "values say that they are not available or an error; they give no sample"),
+    "stray": ("malformed", "packets of the J1939 transport protocol belong to no announced message; they are skipped"),
+    "absent": ("absent", "values are marked as unavailable or as an error; they give no sample"),
 }
 
 

@@ -154,7 +154,7 @@ def check_dates(time: ChosenChannel, name: str, are_dates: bool) -> None:
         With the line of the topics file.
     """
     if not are_dates and time.dates_only:
-        remedy = f"say the unit in a topics file: time: {{column: {time.name}, scale: 1.0}}, or name the column time_s"
+        remedy = f"give the unit in a topics file: time: {{column: {time.name}, scale: 1.0}}, or name the column time_s"
         raise InputError(f"{name}: {time.name}", "numbers of an unknown unit", "dates with times", remedy)
     if are_dates and time.binding.scale != 1.0:
         raise InputError(f"{name}: {time.name}", f"scale {time.binding.scale:g}", "no scale for dates with times")

@@ -142,7 +142,7 @@ class ChannelSource:
             self.findings = (*self.findings, *sums.findings)
 
     def _reading(self) -> AbstractContextManager[None]:
-        return reading(self._path, f"{self._kind} that can be read to its end")
+        return reading(self._path, f"{self._kind} that is readable to its end")
 
     def _blocks(self, max_rows: int) -> Iterator[SampleBlock]:
         """Readings row by row, before parts with other times are added."""
@@ -167,7 +167,7 @@ class ChannelSource:
                 yield SampleBlock(column.astype(np.int16), stamps - delay_ns[column], stamps, found)
         if not done:
             if self._file.has_times:
-                raise InputError(self._file.name, "no sample of any channel that is read", "at least one sample")
+                raise InputError(self._file.name, "no sample of any channel in use", "at least one sample")
             raise InputError(self._file.name, "no row", "at least one row below the column names")
         self.findings = (*self._file.findings, *self._of_rows())
 
@@ -212,7 +212,7 @@ class ChannelSource:
     def _of_rows(self) -> Iterator[Finding]:
         for one, count in zip(self._readings, self._alone, strict=True):
             if count:
-                text = f"{count} rows hold only some parts of the sum: they give no sample"
+                text = f"{count} rows have only some parts of the sum: they give no sample"
                 yield Finding(one.role, "part", count, float("nan"), text)
 
 

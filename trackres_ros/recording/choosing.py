@@ -71,11 +71,11 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
             notes.append(f"{topics_line(role, chosen[-1].binding)}  # guessed{possible}")
     if not any(one.role == "speed" for one in chosen):
         allowed = "a column speed_mps or speed_kmh"
-        remedy = "or name it in a topics file: speed: {column: NAME, scale: 1.0}"
+        remedy = "or give it in a topics file: speed: {column: NAME, scale: 1.0}"
         if file.has_times:
             allowed, remedy = (
                 f"{allowed}, or a speed with a unit",
-                "or name it in a topics file: speed: {channel: NAME, unit: km/h}",
+                "or give it in a topics file: speed: {channel: NAME, unit: km/h}",
             )
         raise InputError(file.name, f"columns {listed_names(names.all)}", allowed, remedy)
     for name in ((time.name,) if time else ()) + tuple(one.name for one in chosen):
@@ -105,7 +105,7 @@ class _Names:
         if len(places) > 1:
             groups = [self._file.channels[place].group for place in places]
             several = [f"{group}/{name}" for group in groups if group]
-            remedy = f"name the group before it: {listed_names(several)}" if len(set(groups)) == len(groups) else ""
+            remedy = f"put the group name before it: {listed_names(several)}" if len(set(groups)) == len(groups) else ""
             raise InputError(self._file.name, f"{len(places)} columns {name}", "each column once", remedy)
 
     def chosen(self, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> ChosenChannel:
@@ -137,14 +137,16 @@ def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, no
     said = (binding.scale, binding.offset) != (1.0, 0.0) or bool(binding.unit)
     if said:
         if of_file is None or tuple(of_file) != (binding.scale, binding.offset):
-            notes.append(f"{role}: {channel.name} is in {channel.unit}, as the file says; the topics file converts it otherwise")
+            notes.append(
+                f"{role}: {channel.name} is in {channel.unit} according to the file, but the topics file uses another conversion"
+            )
         return binding
     if of_file is None:
         remedy = f"give its unit in the topics file: {role}: {{channel: {channel.name}, unit: {next(iter(UNITS[inside]))}}}"
         raise InputError(f"{origin}: {role}: unit of {channel.name}", channel.unit, ", ".join(UNITS[inside]), remedy)
     unit = next(name for name, one in UNITS[inside].items() if one == of_file)
     if unit != inside:
-        notes.append(f"{role}: {channel.name} is in {unit}, as the file says")
+        notes.append(f"{role}: {channel.name} is in {unit} according to the file")
     return replace(binding, scale=of_file.scale, offset=of_file.offset, unit=unit)
 
 
@@ -161,7 +163,7 @@ def _known(file: ChannelFile, by_file: frozenset[str], names: _Names) -> list[Ch
             continue
         if role in columns:
             given = f"columns {columns[role].name} and {name}"
-            raise InputError(file.name, given, f"one column for {role}", "name the right one in a topics file")
+            raise InputError(file.name, given, f"one column for {role}", "give the right one in a topics file")
         by_unit = conversion(unit, about.unit)
         assert by_unit is not None
         binding = TopicBinding(column=name, scale=by_unit.scale, unit=unit)
@@ -181,7 +183,7 @@ def _time(file: ChannelFile, topics: Topics | None, names: _Names, notes: list[s
         place, name = dated[0]
         chosen = names.chosen(TIME, TopicBinding(column=name), file.name, notes)
         return replace(chosen, dates_only=not conversion(file.channels[place].unit or "?", "s"))
-    name_it = "or name it in a topics file: time: {column: NAME, scale: 1.0}"
+    name_it = "or give it in a topics file: time: {column: NAME, scale: 1.0}"
     allowed = f"a column {TIME_S}, in seconds, or timestamp, of dates with times"
     raise InputError(file.name, f"columns {listed_names(names.all)}", allowed, nearest(TIME_S, names.all) or name_it)
 

@@ -81,9 +81,9 @@ class DateTimes:
         if len(self._more) > 1:
             raise InputError(where, " and ".join(self._more.values()), "dates in one order of day and month")
         if not self._more:
-            remedy = "name the order in a topics file: time: {column: NAME, order: dmy}, or mdy; or write dates as 2026-11-23"
-            given = f"{self._first}: day and month may be either way in the whole column"
-            raise InputError(where, given, "dates of which one has a day above 12", remedy)
+            remedy = "give the order in a topics file: time: {column: NAME, order: dmy}, or mdy; or write dates as 2026-11-23"
+            given = f"{self._first}: the order of day and month is ambiguous in the whole column"
+            raise InputError(where, given, "at least one date with a day above 12", remedy)
         self._order = next(iter(self._more))
 
     def ns(self, text: str) -> int:
@@ -119,7 +119,7 @@ class DateTimes:
         return f"{form}, {'with a time zone' if self._has_zone else NO_ZONE}"
 
 
-NO_ZONE = "without a time zone: taken for UTC"
+NO_ZONE = "without a time zone: treated as UTC"
 
 
 @lru_cache(maxsize=64)

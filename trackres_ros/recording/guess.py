@@ -116,7 +116,7 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
     if "speed" not in found:
         listed = "; ".join(f"{topic} ({kind})" for topic, kind in sorted(available.items())) or "no topic at all"
         raise InputError(
-            "speed", listed, "a topic of a type that tells the speed of the vehicle", f"name it in a topics file: {EXAMPLE}"
+            "speed", listed, "a topic with a type that holds the vehicle's speed", f"give it in a topics file: {EXAMPLE}"
         )
     notes = []
     for role, options in found.items():

@@ -76,10 +76,10 @@ class McapIndex:
             file.seek(max(0, size - FOOTER_BYTES))
             end = file.read()
             if len(end) != FOOTER_BYTES or not end.endswith(MAGIC) or HEAD.unpack_from(end) != (FOOTER, 20):
-                raise McapError("no end as MCAP has it")
+                raise McapError("no valid end of an MCAP file")
             (start,) = struct.unpack_from("<Q", end, HEAD.size)
             if start and not len(MAGIC) <= start <= size - FOOTER_BYTES:
-                raise McapError("an index outside of the file")
+                raise McapError("an index outside the file")
             if start and size - start > MAX_INDEX_BYTES:
                 raise TooLargeError(f"an index of {size - start} bytes; at most {MAX_INDEX_BYTES} are read")
             _check_chunks(file, start or size - FOOTER_BYTES)
@@ -88,7 +88,7 @@ class McapIndex:
                 try:
                     self._read(file.read(size - start - FOOTER_BYTES))
                 except (struct.error, UnicodeDecodeError) as error:
-                    raise McapError(f"an index that breaks off: {error}") from error
+                    raise McapError(f"a truncated index: {error}") from error
 
     def _read(self, data: bytes) -> None:
         at = 0

@@ -128,8 +128,8 @@ def check_size(types: Definitions, msgtype: str, where: str, most: int) -> None:
 
     def size_of(name: str, within: tuple[str, ...]) -> int:
         if name in within or len(within) > MAX_DEPTH:
-            given = f"{name} within itself" if name in within else f"more than {MAX_DEPTH} messages within one another"
-            raise InputError(where, given, f"a definition of {msgtype} that can be read")
+            given = f"{name} nested in itself" if name in within else f"more than {MAX_DEPTH} nested messages"
+            raise InputError(where, given, f"a readable definition of {msgtype}")
         if name not in sizes:
             total = 0
             for field in types[name]:
@@ -181,7 +181,7 @@ def check_field(types: Definitions, msgtype: str, path: str, where: str) -> tupl
         if step.element is not None:
             names = fields.get("name")
             if not names or (names.type, names.many) != ("string", "sequence") or field.type not in NUMBERS:
-                raise InputError(where, path, f"an element by name only beside a field string[] name; {listed}")
+                raise InputError(where, path, f"an element by name only with a field string[] name; {listed}")
         last = depth == len(steps) - 1
         if last and field.type not in NUMBERS:
             remedy = f"it holds {', '.join(inner.name for inner in types[field.type])}" if field.type in types else ""

@@ -107,9 +107,9 @@ def _mark_of(marks: ColumnMarks, shown: set[Mark], where: str) -> Mark:
         return POINT
     if set(marks.either) == shown:
         return next(iter(shown))
-    given = f"{next(iter(marks.either.values()))}, a number with a decimal mark or with one between thousands"
-    remedy = "name the decimal mark in a topics file, in the line of the column: decimal: ',' or decimal: '.'"
-    raise InputError(where, given, "a column or table that shows which mark is the decimal one, as 0,5 does", remedy)
+    given = f"{next(iter(marks.either.values()))}, a number whose mark may be a decimal or a thousands separator"
+    remedy = "give the decimal mark in a topics file, in the line of the column: decimal: ',' or decimal: '.'"
+    raise InputError(where, given, "a column or table with an unambiguous decimal mark, as in 0,5", remedy)
 
 
 def is_number(text: str) -> bool:

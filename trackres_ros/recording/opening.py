@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Opens whatever the user named, by the kind of recording that its suffix says."""
+"""Opens a recording by the kind that its suffix gives."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def further_kinds() -> tuple[FileKind, ...]:
     kinds: list[FileKind] = []
     for point in sorted(entry_points(group=GROUP), key=lambda one: one.name):
         with reading(
-            Path(f"entry point {GROUP}: {point.name}"), "a tuple of FileKind that can be imported", "mend or remove its package"
+            Path(f"entry point {GROUP}: {point.name}"), "a tuple of FileKind that can be imported", "repair or remove its package"
         ):
             found = point.load()
         if not isinstance(found, tuple) or not all(isinstance(kind, FileKind) for kind in found):
@@ -92,7 +92,7 @@ def _kind_of(path: Path) -> FileKind | BagKind:
         if (path / "metadata.yaml").is_file():
             return next(kind for kind in shipped_kinds() if isinstance(kind, BagKind))
         inside = sorted(file.name for file in path.iterdir() if file.name.lower().endswith(suffixes()))
-        remedy = "name what is in it" if inside else "a rosbag2 directory has one; ros2 bag reindex writes it"
+        remedy = "give the path of the recording in it" if inside else "a rosbag2 directory has one; ros2 bag reindex writes it"
         more = f" and {len(inside) - MOST_NAMED} more" if len(inside) > MOST_NAMED else ""
         given = f"no metadata.yaml, but {', '.join(inside[:MOST_NAMED])}{more}" if inside else "a directory without metadata.yaml"
         raise InputError(str(path), given, _allowed(), remedy)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tells degrees from radians by the values of a position, and turns it into radians."""
+"""Distinguishes degrees from radians by the values of a position, and converts it to radians."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class PositionUnits:
 
     def _decide(self, degrees: bool, why: str) -> None:
         self._scale = DEGREE if degrees else 1.0
-        self.notes = (f"{', '.join(self._open)}: taken for {'degrees' if degrees else 'radians'}, {why}",)
+        self.notes = (f"{', '.join(self._open)}: treated as {'degrees' if degrees else 'radians'}, {why}",)
 
     def in_radians(self, block: SampleBlock, roles: Sequence[str]) -> SampleBlock:
         """A block with its position in radians; nan as long as it has not shown what it is in.

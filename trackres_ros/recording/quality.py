@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds what is odd in the samples of one role: stamps, gaps, quantisation, stuck sensors and dropouts."""
+"""Finds defects in the samples of one role: stamps, gaps, quantisation, stuck sensors and dropouts."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ GRID_TOLERANCE = 1e-3
 
 
 def findings_of(role: str, samples: Series, start_ns: int, zero_is_unset: bool = True) -> list[Finding]:
-    """Look at one role and say what is wrong with it.
+    """Find the defects of one role.
 
     Parameters
     ----------
@@ -68,14 +68,14 @@ def findings_of(role: str, samples: Series, start_ns: int, zero_is_unset: bool =
     bad = np.flatnonzero(~finite)
     note("non_finite", bad, f"{bad.size} values are not finite")
     unset = np.flatnonzero(samples.stamp_ns == 0) if zero_is_unset else bad[:0]
-    note("zero_stamp", unset, f"{unset.size} stamps are zero: never set")
+    note("zero_stamp", unset, f"{unset.size} stamps are zero (never set)")
     _look_at_stamps(samples, note)
     value = samples.value[finite]
     runs = np.flatnonzero(np.concatenate(([True], value[1:] != value[:-1])))
     step = _quantum(value, runs)
     if step:
         repeats = 1.0 - len(runs) / len(value)
-        text = f"values come in steps of {_step_text(step, unit)}; {repeats:.0%} repeat the one before"
+        text = f"values are quantised in steps of {_step_text(step, unit)}; {repeats:.0%} repeat the previous one"
         note("quantised", np.flatnonzero(finite)[:1], text)
     if lively:
         _look_for_stuck(samples, np.flatnonzero(finite), runs, note)
@@ -96,14 +96,14 @@ def _look_at_stamps(samples: Series, note: _Note) -> None:
     stamp = samples.stamp_ns[rows]
     step = np.diff(stamp)
     same, back = np.flatnonzero(step == 0), np.flatnonzero(step < 0)
-    note("duplicate_stamp", rows[same + 1], f"{same.size} stamps equal the one before")
+    note("duplicate_stamp", rows[same + 1], f"{same.size} stamps equal the previous one")
     if back.size:
-        text = f"{back.size} stamps lie before the one before, by up to {_span(int(-step[back].min()))}"
+        text = f"{back.size} stamps are earlier than the previous one, by up to {_span(int(-step[back].min()))}"
         note("backward_stamp", rows[back + 1], text)
     offset = int(np.median(stamp - samples.arrival_ns[rows]))
     if abs(offset) > OFFSET_NS:
         side = "before" if offset < 0 else "after"
-        note("stamp_offset", rows, f"header stamps lie {_span(abs(offset))} {side} log time (median)")
+        note("stamp_offset", rows, f"header stamps are {_span(abs(offset))} {side} log time (median)")
     forward = step[step > 0]
     if forward.size:
         limit = max(GAP_NS, GAP_FACTOR * int(np.median(forward)))
@@ -121,7 +121,7 @@ def _look_for_stuck(samples: Series, rows: NDArray[np.intp], runs: NDArray[np.in
     if stuck.any():
         at = np.flatnonzero(np.repeat(stuck, last - runs + 1))
         longest = _span(int(lasting[stuck].max()))
-        text = f"{int(stuck.sum())} times one non-zero value for more than 60 s, at most {longest}"
+        text = f"{int(stuck.sum())} periods with one non-zero value for more than 60 s, at most {longest}"
         note("stuck", rows[at], text)
 
 
@@ -133,7 +133,7 @@ def _look_for_drops(samples: Series, note: _Note) -> None:
     start, stop = start[inside], stop[inside]
     moving = (np.abs(samples.value[start - 1]) > MOVING_MPS) & (np.abs(samples.value[stop]) > MOVING_MPS)
     at = start[moving]
-    note("dropout", at, f"{at.size} times it drops to exactly 0 for {DROP_SAMPLES} samples or fewer while moving")
+    note("dropout", at, f"{at.size} dropouts to exactly 0 for {DROP_SAMPLES} samples or fewer while moving")
 
 
 def _quantum(value: FloatArray, runs: NDArray[np.intp]) -> float:

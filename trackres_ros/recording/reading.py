@@ -14,7 +14,7 @@ from pathlib import Path
 
 from trackres_ros.errors import InputError, one_line
 
-OWN_FAULT = "a fault of this program: please report it, with the file"
+OWN_FAULT = "a bug: please report it, with the file"
 HEAD_BYTES = 512
 SPECIAL = (
     (stat.S_ISFIFO, "a named pipe"),
@@ -61,12 +61,12 @@ def check_there(path: Path) -> None:
         mode = path.stat().st_mode
     except OSError as error:
         if error.errno == errno.ELOOP:
-            given = "a link that leads back to itself"
+            given = "a link to itself"
         elif path.is_symlink():
-            given = f"a link to {path.readlink()}, where nothing is"
+            given = f"a link to {path.readlink()}, which does not exist"
         else:
-            given = "nothing at this path" if error.errno == errno.ENOENT else str(error.strerror)
-        raise InputError(str(path), given, "a file or folder that can be read") from error
+            given = "no such file or folder" if error.errno == errno.ENOENT else str(error.strerror)
+        raise InputError(str(path), given, "a readable file or folder") from error
     for is_it, what in SPECIAL:
         if is_it(mode):
             raise InputError(str(path), what, "a regular file", "save the recording to a file first")
@@ -81,18 +81,18 @@ def check_file(path: Path) -> None:
         With what it is.
     """
     check_there(path)
-    with reading(path, "a file that can be read"), path.open("rb") as file:
+    with reading(path, "a readable file"), path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     name = path.name.lower()
     expected = next((what for _, what, suffixes, _ in CONTENTS if name.endswith(suffixes)), "text")
     if not head:
-        raise InputError(str(path), "an empty file", f"{expected}, as its suffix says")
+        raise InputError(str(path), "an empty file", f"{expected}, according to its suffix")
     found = next(((what, suffixes, remedy) for magic, what, suffixes, remedy in CONTENTS if head.startswith(magic)), None)
     if found and not name.endswith(found[1]):
-        raise InputError(str(path), found[0], f"{expected}, as its suffix says", found[2])
+        raise InputError(str(path), found[0], f"{expected}, according to its suffix", found[2])
     if not found and (expected != "text" or b"\0" in head):
         given = "binary data" if b"\0" in head else f"a file that begins with {head[:16]!r}"
-        raise InputError(str(path), given, f"{expected}, as its suffix says")
+        raise InputError(str(path), given, f"{expected}, according to its suffix")
 
 
 @contextmanager
@@ -127,7 +127,7 @@ def _is_own(error: Exception, frame: traceback.FrameSummary) -> bool:
 
 def _message_of(error: Exception) -> str:
     if isinstance(error, MemoryError):
-        return "more than fits into memory"
+        return "more than the memory holds"
     if isinstance(error, RecursionError):
         return "nested too deeply"
     if isinstance(error, OSError) and error.strerror:

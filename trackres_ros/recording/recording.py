@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds a recording in memory: every role's samples in SI, in log order, with what was found wrong with them."""
+"""Holds a recording in memory: every role's samples in SI, in log order, with their defects."""
 
 from __future__ import annotations
 
@@ -28,30 +28,30 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Recording:
-    """A recording in memory; it is a `Source` too, and gives its samples in the order in which they were read.
+    """A recording in memory; also a `Source` that yields its samples in the order of reading.
 
     Attributes
     ----------
     name : str
-        Where it is from.
+        Name of the source.
     series : mapping of role to Series
-        Every role of the source, also those without a sample.
+        Samples by role, including roles without a sample.
     notes : tuple of str
-        What was guessed and which stamps are used.
+        Guesses and the stamps in use.
     findings : tuple of Finding
-        What was found wrong.
+        Defects of the recording.
     zero_is_unset : bool
         See `Source`.
     order : ndarray of int16, shape (samples of all roles,), optional
-        Index into `roles` of each sample in the order of the log; by time of logging without it, speed last.
+        Index into `roles` of each sample in log order; without it the order is by log time, speed last.
     paths : tuple of Path
         The files it was read from.
     bindings : mapping of role to TopicBinding
-        Which topic or column each role was read from.
+        Topic or column of each role.
     topics : Topics, optional
-        The topics file that was named.
+        The given topics file.
     torque_candidates : tuple of str
-        Columns or topics that were not read and may hold a torque.
+        Unused columns or topics that may hold a torque.
     """
 
     name: str
@@ -67,7 +67,7 @@ class Recording:
 
     @classmethod
     def from_source(cls, source: Source) -> Recording:
-        """Read a source to its end, and look for what is odd in its samples.
+        """Read a source to its end, and find defects in its samples.
 
         Parameters
         ----------
@@ -112,7 +112,7 @@ class Recording:
 
     @property
     def roles(self) -> tuple[str, ...]:
-        """Roles in the order that `order` counts."""
+        """Roles in the order of `order`."""
         return tuple(self.series)
 
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
@@ -152,7 +152,7 @@ class Recording:
 
     @property
     def start_ns(self) -> int:
-        """Stamp of time 0: the earliest of speed that is set, or of the first role with samples [ns]."""
+        """Stamp of time 0 [ns]: the earliest valid one of speed, or of the first role with samples."""
         return _start_ns(self.series, self.zero_is_unset)
 
     def time_s(self, role: str) -> FloatArray:
@@ -171,7 +171,7 @@ class Recording:
         return _seconds(self.series[role].stamp_ns - self.start_ns)
 
     def aligned(self) -> dict[str, FloatArray]:
-        """Hold every role on the samples of speed.
+        """Resample every role to the samples of speed, by sample and hold.
 
         Returns
         -------
@@ -204,7 +204,7 @@ class Recording:
         )
 
     def wheel_notes(self) -> list[str]:
-        """Say what recorded wheel speeds show of radii and slip.
+        """Note the rolling radii and slip from recorded wheel speeds.
 
         Returns
         -------
@@ -214,13 +214,13 @@ class Recording:
         return wheel_notes(self.aligned()) if any(base_role(role) == "wheel_speed" for role in self.series) else []
 
     def _findings(self) -> Iterator[tuple[str, str]]:
-        """Role and text of each finding, with where it was first."""
+        """Role and text of each finding, with its first time."""
         for finding in self.findings:
             first = f" (first at {finding.first_time_s:.2f} s)" if np.isfinite(finding.first_time_s) else ""
             yield finding.role, finding.text + first
 
     def report(self) -> list[str]:
-        """Report what is there, what was assumed, and what was found wrong.
+        """Report contents, assumptions and defects, one line each.
 
         Returns
         -------

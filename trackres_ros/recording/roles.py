@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 @dataclass(frozen=True, slots=True)
 class Role:
-    """What a kind of input means.
+    """Definition of a kind of input.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ ROLES: Mapping[str, Role] = MappingProxyType(
         ),
         "torque": Role(
             "Nm",
-            "measured torque at the sprockets, whole vehicle or of an assembly",
+            "measured torque at the sprockets, of the whole vehicle or of an assembly",
             parts=True,
             lively=True,
             columns={"torque_nm": "Nm"},
@@ -79,12 +79,10 @@ ROLES: Mapping[str, Role] = MappingProxyType(
             words=r"\b(belt|track|rubber)\b",
             not_words=AMBIENT,
         ),
-        "accel": Role(
-            "m/s2", "acceleration along the track, without the share of gravity", lively=True, columns={"accel_mps2": "m/s2"}
-        ),
+        "accel": Role("m/s2", "acceleration along the track, without gravity", lively=True, columns={"accel_mps2": "m/s2"}),
         "specific_force": Role(
             "m/s2",
-            "what an IMU feels along the track: acceleration and, on a slope, the share of gravity",
+            "what an IMU measures along the track: acceleration and, on a slope, gravity",
             lively=True,
             columns={"specific_force_mps2": "m/s2"},
         ),
@@ -98,7 +96,7 @@ ROLES: Mapping[str, Role] = MappingProxyType(
         ),
         "heading": Role("rad", "direction of travel about the upward axis", columns={"heading_rad": "rad"}),
         "distance": Role("m", "distance travelled", columns={"distance_m": "m"}),
-        "stood": Role("s", "how long it had stood when the recording began; one value", columns={"stood_s": "s"}),
+        "stood": Role("s", "standing time before the recording began; one value", columns={"stood_s": "s"}),
         "latitude": Role(
             "rad", "latitude, positive north", columns={"latitude_deg": "deg", "latitude_rad": "rad"}, words=r"\blatitude\b"
         ),
@@ -114,19 +112,19 @@ ROLES: Mapping[str, Role] = MappingProxyType(
             not_words=r"\bwheel\b|ratio",
         ),
         "passengers": Role(
-            "1", "people on board, who come on top of the empty vehicle", columns={"passengers": "1"}, words=r"\bpassengers?\b"
+            "1", "people on board, added to the empty vehicle", columns={"passengers": "1"}, words=r"\bpassengers?\b"
         ),
         "brake": Role(
             "Pa",
-            "pressure of the friction brakes, or 0 and 1 of a switch",
+            "pressure of the friction brakes, or a switch (0 or 1)",
             columns={"brake_pa": "Pa", "brake_on": "Pa"},
             words=r"brake pressure",
             not_words=r"park|halt",
         ),
-        "wheel_speed": Role("m/s", "speed of the rim of a wheel", parts=True, columns={"wheel_speed_mps": "m/s"}),
+        "wheel_speed": Role("m/s", "circumferential speed of a wheel", parts=True, columns={"wheel_speed_mps": "m/s"}),
         "enable": Role(
             "1",
-            "whether the feed-forward is wanted: 1 or 0, or a mode, which `values` turns into them",
+            "request for the feed-forward: 1 or 0, or a mode that `values` maps to them",
             columns={"enable": "1"},
         ),
     }

@@ -77,7 +77,7 @@ class Source(Protocol):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was guessed, which stamps are used, what is ignored."""
+        """Guesses, used stamps and ignored channels."""
 
     @property
     def findings(self) -> tuple[Finding, ...]:

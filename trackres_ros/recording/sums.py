@@ -16,8 +16,8 @@ from trackres_ros.recording.roles import ROLES, base_role
 from trackres_ros.recording.samples import Finding, SampleBlock
 
 APART_S, SLOW_APART_S = 0.5, 60.0
-"""Longest time between two samples of a part that a line is drawn across [s], for what a moving vehicle changes all the time
-and for the rest; assumed, as a measured torque holds for 0.5 s. `max_age_s` of the role replaces it."""
+"""Longest time between two samples of a part for linear interpolation [s], for quickly changing channels and for the rest.
+Assumed: a measured torque holds for 0.5 s. `max_age_s` of the role replaces it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class Sums:
         """Messages that gave no sum."""
         for role, one in self._sums.items():
             if one.alone:
-                text = f"{one.alone} messages have no sum, as another part is missing: they give no sample"
+                text = f"{one.alone} messages give no sample, because another part of the sum is missing"
                 yield Finding(role, "part", one.alone, float("nan"), text)
 
     def added(self, block: SampleBlock) -> SampleBlock:
@@ -134,7 +134,7 @@ class Sum:
         if len(self._topics) == 1:
             return f"{self._role}: sum of {len(self._topic_of)} fields of {self._topics[0]}"
         others = ", ".join(self._topics[1:])
-        between = f"on a line between samples at most {self._apart_s:g} s apart"
+        between = f"interpolated between samples at most {self._apart_s:g} s apart"
         return f"{self._role}: sum at the times of {self._topics[0]}; {others} {between}"
 
     def add(self, part: int, stamp_ns: int, arrival_ns: int, value: float) -> list[tuple[int, float]]:

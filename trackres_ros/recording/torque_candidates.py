@@ -21,7 +21,7 @@ FIELDS: Mapping[str, str] = {
     **dict.fromkeys(SCALARS, "data"),
 }
 """Types of messages that may hold a torque, and the field; of plain numbers if the topic sounds like one."""
-NAME_IT = "name it in a topics file: torque: {column: NAME, scale: 1.0}"
+NAME_IT = "give it in a topics file: torque: {column: NAME, scale: 1.0}"
 
 
 def of_columns(names: Iterable[str]) -> list[str]:
@@ -42,11 +42,11 @@ def note_of(candidates: Sequence[str], roles: Iterable[str]) -> list[str]:
     """What the notes of a recording say of candidates; nothing where a torque was read."""
     if not candidates or any(base_role(role) == "torque" for role in roles):
         return []
-    return [f"no torque is read; it may be in: {listed_names(candidates)}"]
+    return [f"no torque channel is in use; candidates: {listed_names(candidates)}"]
 
 
 def remedy_of(candidates: Sequence[str]) -> str:
-    """What to do about a recording without a torque."""
+    """Remedy for a recording without a torque."""
     if not candidates:
         return NAME_IT
     if candidates[0].startswith("/"):
@@ -54,7 +54,7 @@ def remedy_of(candidates: Sequence[str]) -> str:
     else:
         line, more = "torque: {column: NAME, scale: 1.0}", "{column: ...}, {column: ...}"
     several = f", or the sum of left and right: torque: {{sum: [{more}]}}" if len(candidates) > 1 else ""
-    return f"it may be in {listed_names(candidates)}: name it in a topics file: {line}{several}"
+    return f"it may be in {listed_names(candidates)}: give it in a topics file: {line}{several}"
 
 
 def _sounds_like_torque(name: str) -> bool:

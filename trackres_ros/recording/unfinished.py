@@ -91,16 +91,16 @@ class _Found:
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """A recording that was finished after all.
+    """A repaired recording.
 
     Attributes
     ----------
     path
         Its file.
     messages, duration_s
-        How many messages are in it, and from the first to the last [s].
+        Number of messages, and time from the first to the last [s].
     lost_bytes
-        Bytes at the end of the unfinished file that are not in it.
+        Dropped bytes at the end of the unfinished file.
     """
 
     path: Path
@@ -131,13 +131,15 @@ class UnfinishedBag:
         with path.open("rb") as file:
             found = _scanned(file, self._size)
         if not found.counts.total():
-            raise InputError(str(path), f"an unfinished recording of {self._size} bytes", "one with a whole message in it")
+            raise InputError(
+                str(path), f"an unfinished recording of {self._size} bytes", "one with at least one complete message"
+            )
         self._whole, self._ending = _end_of(found)
         self.messages = found.counts.total()
         self.duration_s = (found.last_ns - found.first_ns) * 1e-9
         self.lost_bytes = 0 if found.ended else self._size - found.whole
         self.remark = (
-            f"the recording was not finished: its {self.messages} messages are read, its index was cut off"
+            f"the recording is unfinished: its {self.messages} messages are read, its index is truncated"
             if found.ended
             else f"the recording was not finished: {self.messages} messages up to its last whole block are read, "
             f"the {self.lost_bytes} bytes behind it are incomplete; messages that were not written yet do not show"
@@ -172,7 +174,7 @@ class UnfinishedBag:
                 shutil.copyfileobj(file, finished, 2**20)
             part.replace(path)
         except OSError as error:
-            raise InputError(str(path), str(error.strerror), "a file that can be written") from error
+            raise InputError(str(path), str(error.strerror), "a writable file") from error
         finally:
             part.unlink(missing_ok=True)
 
@@ -192,7 +194,7 @@ class _Joined(io.RawIOBase):
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
         start = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._whole + len(self._behind)}[whence]
         if start + offset < 0:
-            raise ValueError("a place before the beginning of the file")
+            raise ValueError("a position before the beginning of the file")
         self._at = start + offset
         return self._at
 
@@ -288,7 +290,7 @@ def _records(data: bytes) -> Iterator[tuple[int, int, bytes]]:
         kind, length = HEAD.unpack_from(data, at)
         content = data[at + HEAD.size : at + HEAD.size + length]
         if len(content) != length or length < LEAST.get(kind, 0):
-            raise ValueError("a record that is cut off")
+            raise ValueError("a truncated record")
         if kind in (SCHEMA, CHANNEL, MESSAGE):
             yield kind, at, content
         at += HEAD.size + length

@@ -143,7 +143,7 @@ def unpacked(make: Callable[[], _Decompressor], data: bytes, most: int) -> bytes
         if left < 0:
             raise TooLargeError(f"it unpacks to more than {most} bytes")
         if not one.eof:
-            raise EOFError("packed data that breaks off")
+            raise EOFError("truncated compressed data")
         data = one.unused_data or b""
     return parts[0] if len(parts) == 1 else b"".join(parts)
 
@@ -204,7 +204,7 @@ def _inflate(data: bytes) -> bytes:
     if one.unconsumed_tail:
         raise TooLargeError(f"it unpacks to more than {MAX_MESSAGE_BYTES} bytes")
     if not one.eof:
-        raise EOFError("packed data that breaks off")
+        raise EOFError("truncated compressed data")
     return whole
 
 

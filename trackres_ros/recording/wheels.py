@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds recorded wheel speeds against the speed of the vehicle: what each rolls on, and by how much it slips under torque."""
+"""Compares recorded wheel speeds with the vehicle speed: rolling radius and slip under torque."""
 
 from __future__ import annotations
 
@@ -109,12 +109,12 @@ def wheel_notes(held: Mapping[str, FloatArray]) -> list[str]:
     if not found:
         return []
     ratios = ", ".join(f"{wheel.name} {wheel.ratio:.4f} +- {wheel.ratio_std:.4f}" for wheel in found)
-    notes = [f"speeds of wheels over the vehicle's, straight on without torque (each rolls on its radius over that): {ratios}"]
+    notes = [f"wheel speed over vehicle speed, straight on without torque (divide each radius by it): {ratios}"]
     slipping = driven(found)
     if slipping:
         listed = ", ".join(f"{name} {slip:.3%} +- {std:.3%}" for name, (slip, std) in slipping.items())
         free, most = min(found, key=lambda wheel: wheel.slip), max(slip for slip, _ in slipping.values())
-        text = f"wheels that turn faster than {free.name} under torque, by their slip for each kNm: {listed}"
+        text = f"wheels that turn faster than {free.name} under torque, with their slip per kNm: {listed}"
         behind = free.slip < -0.5 * most  # its speed is nearer to that of the wheels that slip
-        notes.append(f"{text}; the vehicle's speed slips with them" if behind else text)
+        notes.append(f"{text}; the vehicle's speed has the same slip" if behind else text)
     return notes

@@ -20,14 +20,14 @@ from trackres_ros.units import KMH_PER_MPS
 
 
 class CoastdownResult:
-    """What resists a vehicle that rolls out; see `trackres_ros.coastdown`.
+    """Resistance parameters from coast-downs; see `trackres_ros.coastdown`.
 
     Attributes
     ----------
     recordings
         Paths of the recordings.
     coastdown
-        All that was found, step by step.
+        All intermediate results, step by step.
     """
 
     def __init__(self, found: Coastdown, recordings: Sequence[Path]) -> None:
@@ -35,23 +35,23 @@ class CoastdownResult:
 
     @property
     def better(self) -> bool:
-        """Whether the values are better on rollings out that were not fitted, beyond chance: only then they are written."""
+        """Whether the values improve the hold-out coast-downs significantly; only then they are written."""
         return self.coastdown.better
 
     @property
     def why_not(self) -> str:
-        """Why the values are not better; empty where they are."""
+        """Why the values are not better; empty if they are."""
         improvement = self.coastdown.improvement
         if self.better:
             return ""
         hidden = not all("grade" in session.given for session in self.coastdown.rolled.sessions)
-        remedy = "; a slope that was not recorded may hide it: record it, or an altitude" if hidden else ""
+        remedy = "; an unrecorded slope may hide a gain: record the slope or the altitude" if hidden else ""
         if not any(p.told for p in self.coastdown.parameters):
-            return f"nothing was told that the vehicle file does not say as well{remedy}"
+            return f"the coast-downs add nothing to the vehicle file{remedy}"
         if improvement is None:
-            return "it rolls out too seldom to hold a part out: roll out twice or more, without a known slope in both directions"
+            return "too few coast-downs for a hold-out set: record two or more, in both directions if the slope is unknown"
         return (
-            f"on rollings out that were not fitted the mean error is {figures(improvement.after, 3)} Nm with them and "
+            f"on the hold-out coast-downs the mean error is {figures(improvement.after, 3)} Nm with them and "
             f"{figures(improvement.before, 3)} Nm with the vehicle file as it is"
             f"{remedy}"
         )
@@ -59,27 +59,28 @@ class CoastdownResult:
     def __repr__(self) -> str:
         rolled, found = self.coastdown.rolled, self.coastdown
         seconds = sum((s.end - s.begin) * rolled.sessions[s.session].step for s in rolled.stretches)
-        lines = [f"It rolls out {len(rolled.stretches)} times, {seconds:.0f} s in all"]
+        lines = [f"{len(rolled.stretches)} coast-downs, {seconds:.0f} s in all"]
         rows = [("parameter", "file", "+-", "found" if self.better else "not confirmed", "low", "high", "unit", "")]
         for p in found.parameters:
             at = alike([p.before, p.value, p.interval.low, p.interval.high], p.interval.high - p.interval.low)
             std = "" if math.isinf(p.before_std) else figures(2.0 * p.before_std, 2)
-            beside = f"with {', '.join(p.with_others)} only" if p.with_others and p.told else ""
-            told = (at[1], at[2], at[3]) if p.told else ("not told", "", "")
+            beside = f"only together with {', '.join(p.with_others)}" if p.with_others and p.told else ""
+            told = (at[1], at[2], at[3]) if p.told else ("not identified", "", "")
             rows.append((p.name, at[0], std, *told, "" if p.unit == "1" else p.unit, beside))
         widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
         align = ("<", ">", ">", ">", ">", ">", "<", "<")
         lines += ["  ".join(f"{c:{a}{w}}" for c, a, w in zip(row, align, widths, strict=True)).rstrip() for row in rows]
         lines.append(
-            f"All scales with the mass and what turns with it, held as in the file, +-{200 * found.mass_std:.0f} % in the ranges"
+            f"All values scale with the mass including rotating parts, taken from the file, +-{200 * found.mass_std:.0f} % in "
+            "the ranges"
         )
         if found.improvement is not None and self.better:
             before, after = figures(found.improvement.before, 3), figures(found.improvement.after, 3)
-            lines.append(f"On rollings out that were not fitted the mean error falls from {before} to {after} Nm")
+            lines.append(f"On the hold-out coast-downs the mean error falls from {before} to {after} Nm")
         else:
             lines.append(f"The vehicle file stays as it is: {self.why_not}")
         lines += [f"  note: {note}" for note in rolled.notes]
-        lines += [f"  left out: {count} {reason}" for reason, count in rolled.left_out.items()]
+        lines += [f"  not used: {count} {reason}" for reason, count in rolled.left_out.items()]
         return "\n".join(map(one_line, lines))
 
     def as_dict(self) -> dict[str, Any]:
@@ -119,7 +120,7 @@ class CoastdownResult:
         }  # fmt: skip
 
     def save_vehicle(self, path: str | PathLike[str]) -> list[Path]:
-        """Write a vehicle file with the values found and their ranges.
+        """Write a vehicle file with the estimates and their ranges.
 
         Parameters
         ----------
@@ -134,7 +135,7 @@ class CoastdownResult:
         Raises
         ------
         InputError
-            Where they are not better than those of the file on rollings out that were not fitted.
+            If they are not better than the file's on the hold-out coast-downs.
         """
         file = output_file(path, (".yaml",), "save_vehicle")
         if not self.better:
@@ -144,7 +145,7 @@ class CoastdownResult:
         return self.coastdown.loaded.base.write(file, self.coastdown.kept, text)
 
     def plot(self, path: str | PathLike[str]) -> Path:
-        """Draw the speed as measured, by the vehicle file and by the values found.
+        """Draw the measured speed, and the speeds by the vehicle file and by the estimates.
 
         Parameters
         ----------
@@ -176,9 +177,13 @@ class CoastdownResult:
                 for (label, colour, line), over in zip(looks[1:], (one.over_file, one.over_found), strict=True):
                     kmh = KMH_PER_MPS * one.measured
                     bottom.plot(kmh, over, line, color=colour, lw=1.0, label=label if number == 0 else None)
-            top.set(xlabel="since it rolls out [s]", ylabel="speed [km/h]", title=shortened(self.coastdown.loaded.title, 90))
+            top.set(
+                xlabel="time since the coast-down began [s]",
+                ylabel="speed [km/h]",
+                title=shortened(self.coastdown.loaded.title, 90),
+            )
             bottom.axhline(0.0, color=BLACK, lw=0.8)
-            bottom.set(xlabel="speed [km/h]", ylabel="resists too much [Nm]")
+            bottom.set(xlabel="speed [km/h]", ylabel="residual torque [Nm]")
             top.legend()
             bottom.legend()
         return file

@@ -34,21 +34,21 @@ from trackres_ros.vehicle import AnyVehicle, load_any
 if TYPE_CHECKING:
     from trackres_ros.diagnosis.report.interactive import Interactive
 
-STAGES = {"nominal": "vehicle file as it is", "refitted": "base re-fitted", "with_effects": "with the effects"}
+STAGES = {"nominal": "vehicle file as given", "refitted": "base re-fitted", "with_effects": "with the effects"}
 VEHICLE_FILE = "vehicle.yaml"
 
 
 class DiagnosisResult:
-    """Where recordings and simulation part, and which physics is missing; see `trackres_ros.diagnose`.
+    """Differences between measurement and simulation, and the missing physics; see `trackres_ros.diagnose`.
 
     Attributes
     ----------
     recordings
-        Paths of the recordings that were used, in the order in which they were driven; see `in_order`.
+        Paths of the used recordings, in driving order; see `in_order`.
     diagnosis
-        All that was found, step by step, for who wants to look further.
+        All intermediate results, step by step.
     written
-        The files of the last `report`.
+        Files of the last `report`.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class DiagnosisResult:
 
     @property
     def sentence(self) -> str:
-        """The verdict, in a sentence or a few."""
+        """The verdict, in one or several sentences."""
         return self.diagnosis.verdict.sentence
 
     @property
@@ -78,27 +78,27 @@ class DiagnosisResult:
 
     @property
     def grade(self) -> str:
-        """What laps not used for fitting show of it: ``confirmed``, ``suspected`` or ``refuted``."""
+        """Grade by the hold-out laps: ``confirmed``, ``suspected`` or ``refuted``."""
         return self.diagnosis.verdict.grade
 
     @property
     def effects(self) -> tuple[NamedEffect, ...]:
-        """The effects that were found, each with `name`, `values`, `intervals` and `graded`."""
+        """Found effects, each with `name`, `values`, `intervals` and `graded`."""
         return self.diagnosis.found
 
     @property
     def described(self) -> tuple[Told, ...]:
-        """Terms without a name that were found, each with `described`, `intervals` and `graded`."""
+        """Found terms without a name, each with `described`, `intervals` and `graded`."""
         return self.diagnosis.described
 
     @property
     def to_do(self) -> tuple[str, ...]:
-        """What is to be done with it: where surroundings go, and lines for the topics file where a sensor is off."""
+        """Next steps: use of the surroundings, and lines for the topics file if a sensor is wrong."""
         return (*self._content["to_do"], *self._content["topics_lines"].values())
 
     @cached_property
     def vehicle(self) -> AnyVehicle | OwnModel:
-        """The vehicle with the effects that held-out laps confirm, and no others: never worse there than the one given.
+        """The vehicle with the effects that the hold-out laps confirm; on these laps never worse than the given one.
 
         It is the vehicle of the file that `report` writes, in the surroundings that were given. What was found of the site, the
         weather and the ground is not in it: `report` writes a file of its own. Its `source` is a file that is kept while the
@@ -117,8 +117,8 @@ class DiagnosisResult:
         return self._loaded.base.write(folder / VEHICLE_FILE, self.diagnosis.kept, text)
 
     def report(self, folder: str | PathLike[str], page: bool = True) -> Path:
-        """Write what `trackres diagnose -o` writes: report.json, report.html with its pictures, vehicle.yaml, and where
-        something is of the surroundings, surroundings.yaml.
+        """Write the files of `trackres diagnose -o`: report.json, report.html with pictures, vehicle.yaml, and
+        surroundings.yaml if an effect belongs to the surroundings.
 
         Without jinja2 or matplotlib there is no page, and a warning says so.
 
@@ -192,9 +192,9 @@ class DiagnosisResult:
         return panel(
             f"Diagnosis of {self._loaded.title}",
             paragraph(self.sentence),
-            table(("effect", "parameter", "value", "95 % interval", "unit", "laps held out"), rows),
-            table(("on laps not used for fitting", "mean error", "bias"), errors, ("", "Nm", "Nm")),
-            listed("What to do with it", self.to_do),
+            table(("effect", "parameter", "value", "95 % interval", "unit", "hold-out laps"), rows),
+            table(("on hold-out laps", "mean error", "bias"), errors, ("", "Nm", "Nm")),
+            listed("Next step", self.to_do),
             self._picture(),
         )
 
@@ -212,7 +212,7 @@ class DiagnosisResult:
 
 
 def _plots(found: Diagnosis) -> Interactive | str:
-    """What the page has to zoom into, or why it has nothing."""
+    """The page's interactive plots, or the reason for their absence."""
     from trackres_ros.diagnosis.report.interactive import interactive
 
     try:

@@ -15,10 +15,10 @@ WHEEL_HEAD = {"load": "N", "half length": "mm", "strain": "1", "frequency": "Hz"
 
 
 class OperatingPoint(Content):
-    """One operating point; see `trackres_ros.explain`. A mapping of what `as_dict` holds.
+    """One operating point; see `trackres_ros.explain`. A mapping with the content of `as_dict`.
 
     Torques (``torque_nm``), heat and cooling are of the whole vehicle; ``contact``, ``tension_n``, ``loss_force_n`` and
-    ``rainflow`` of the first assembly. Of a vehicle without belts it holds torques and power alone.
+    ``rainflow`` of the first assembly. Without belts it holds only torques and power.
     """
 
     def _head(self) -> str:
@@ -31,13 +31,13 @@ class OperatingPoint(Content):
     def _sentences(self) -> list[str]:
         torques = ", ".join(f"{k} {decimals(v)}" for k, v in self["torque_nm"].items())
         left_out = self["effects_left_out"]
-        without = [f"Left out, as they need more than an operating point: {', '.join(left_out)}"] if left_out else []
+        without = [f"Inactive, because they need more than an operating point: {', '.join(left_out)}"] if left_out else []
         if "belt_degc" not in self:
             power = decimals(self["power_w"] / 1e3, 2)
-            return [f"Torque at the wheels [Nm]: {torques}", f"Power against the resistance {power} kW", *without]
+            return [f"Torque at the wheels [Nm]: {torques}", f"Power to overcome the resistance {power} kW", *without]
         lines = [
             f"Belt tension {self['tension_n']:.0f} N; film coefficient {self['film_coefficient_w_m2k']:.1f} W/m2K",
-            f"Loss per metre of travel of {self['assemblies'][0]} [N]: "
+            f"Loss per metre of travel, per assembly, of {self['assemblies'][0]} [N]: "
             + ", ".join(f"{k} {decimals(v, 1)}" for k, v in self["loss_force_n"].items()),
             f"Heat of all belts {self['heat_w'] / 1e3:.2f} kW, cooling {decimals(self['cooling_w'] / 1e3, 2)} kW",
             "",

@@ -33,20 +33,20 @@ TIMES = ("time_s", "stamp_ns")
 
 
 class ReplayResult(SeriesResult):
-    """The estimate over the time of a recording: one row for each accepted speed; see `trackres_ros.replay`.
+    """The estimate over a recording, one row for each accepted speed; see `trackres_ros.replay`.
 
     Attributes
     ----------
     name
         Of the recording.
     notes, findings
-        What was assumed when it was read, and what was found wrong with it.
+        Assumptions of the reader, and defects of the recording.
     messages, steps, duration_s
-        How many messages were read, rows came out, and seconds lie between the first and the last of them.
+        Number of messages and of rows, and time from the first row to the last [s].
     session
         The estimator's session at the end, with its counters.
     output
-        The file that was written on the way; the rows were not kept then.
+        The file written during the replay; its rows are then not in memory.
     """
 
     def __init__(
@@ -66,12 +66,12 @@ class ReplayResult(SeriesResult):
 
     @property
     def estimator(self) -> Estimator:
-        """The estimator that made it."""
+        """The estimator of the replay."""
         return self.session.estimator
 
     @property
     def vehicle(self) -> AnyVehicle:
-        """The vehicle it was made for."""
+        """The vehicle of the replay."""
         return self.estimator.vehicle
 
     @property
@@ -81,7 +81,7 @@ class ReplayResult(SeriesResult):
 
     @property
     def learner(self) -> Learner | None:
-        """What learned on the way; None where learning was off."""
+        """The learner; None if learning was off."""
         return self._replayed.learner
 
     @property
@@ -114,7 +114,10 @@ class ReplayResult(SeriesResult):
     def _blocks(self) -> Sequence[Steps]:
         if self._kept is None:
             raise InputError(
-                "replay", f"output={str(self.output)!r}", "a replay without output, which keeps its rows", "or read that file"
+                "replay",
+                f"output={str(self.output)!r}",
+                "a replay without output, which holds its rows in memory",
+                "or read that file",
             )
         return self._kept
 
@@ -129,7 +132,7 @@ class ReplayResult(SeriesResult):
         return {"vehicle": self.vehicle.name, "recording": self.name}
 
     def save(self, path: str | PathLike[str]) -> Path:
-        """Write the rows to a file: the very bytes that `trackres replay -o` writes.
+        """Write the rows to a file, with the same bytes as `trackres replay -o`.
 
         Parameters
         ----------
@@ -170,5 +173,5 @@ class ReplayResult(SeriesResult):
         first, *others = repr(self).splitlines()
         about = [line.strip() for line in others if line.startswith("  ")]
         end = [line for line in others if not line.startswith("  ")]
-        found = listed("Read and found", about, folded=len(about) > MOST_UNFOLDED)
+        found = listed("Inputs and findings", about, folded=len(about) > MOST_UNFOLDED)
         return panel(self.title, paragraph(first), self._table(), *map(paragraph, end), found)

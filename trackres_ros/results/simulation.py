@@ -34,7 +34,7 @@ SUMMARY_TIMES_S = (50.0, 250.0, 600.0, 1000.0, 2500.0)
 
 
 class SimulationResult(SeriesResult):
-    """Torques and belt temperature along a drive, one row a time step; see `trackres_ros.simulate`.
+    """Torques [Nm] and belt temperature [degC] along a drive, one row per time step; see `trackres_ros.simulate`.
 
     Columns are ``time_s``, ``speed_mps``, ``weight_n``, ``ambient_degc``, ``belt_degc`` (mean over the assemblies),
     ``resistance_torque_nm``, which is the sum of ``hysteresis_nm``, ``bearing_nm``, ``wind_nm`` and ``effects_nm`` (without
@@ -45,7 +45,7 @@ class SimulationResult(SeriesResult):
     Attributes
     ----------
     notes
-        Columns of the profile that were not read.
+        Unused columns of the profile.
     """
 
     def __init__(
@@ -60,12 +60,12 @@ class SimulationResult(SeriesResult):
 
     @property
     def vehicle(self) -> AnyVehicle:
-        """The vehicle it was made for."""
+        """The vehicle of the simulation."""
         return self.estimator.vehicle
 
     @property
     def remarks(self) -> list[str]:
-        """Where belts were hotter or colder than the rubber data cover."""
+        """Belt temperatures outside the rubber data."""
         index = self.estimator.column_index
         belts = {name: self._rows[:, index[f"belt_degc/{name}"]] for name in self.estimator.assemblies}
         return beyond_data(self.vehicle, self["speed_mps"], belts)
@@ -85,7 +85,7 @@ class SimulationResult(SeriesResult):
         return {"vehicle": self.vehicle.name, "hysteresis": self.vehicle.hysteresis, "thermal": self.vehicle.thermal}
 
     def save(self, path: str | PathLike[str]) -> Path:
-        """Write to a file: the very bytes that `trackres simulate -o` writes.
+        """Write to a file, with the same bytes as `trackres simulate -o`.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class SimulationResult(SeriesResult):
 
     @property
     def drive(self) -> dict[str, float]:
-        """What the drive takes against resistance: way, time under way, resistance [Nm], energy, kWh/km, belts."""
+        """Summary of the drive: distance, driving time, resistance [Nm], energy, kWh/km, belts."""
         belts = assembly_values(self._rows, at.OfAssembly.belt_degc).T
         radius = vehicle_constants(self.vehicle).radius
         return taken(self.time_s, self["speed_mps"], self["resistance_torque_nm"], belts, radius)

@@ -14,7 +14,7 @@ from trackres_ros.text.table import table as text_table
 
 
 class VehicleCheck(Content):
-    """A checked vehicle file; see `trackres_ros.check_vehicle`. A mapping of what `as_dict` holds."""
+    """A checked vehicle file; see `trackres_ros.check_vehicle`. A mapping with the content of `as_dict`."""
 
     @property
     def _model(self) -> str:
@@ -27,7 +27,7 @@ class VehicleCheck(Content):
     def __repr__(self) -> str:
         quantities = self["quantities"]
         lines = [
-            f"{self['title']} ({self['file']}): all values are as allowed" + (", but:" if self["remarks"] else ""),
+            f"{self['title']} ({self['file']}): all values are within their limits" + (", but:" if self["remarks"] else ""),
             *(f"  ! {remark}" for remark in self["remarks"]),
             f"  {quantities['P']} values from the paper, {quantities['L']} from literature, {quantities['A']} assumed, "
             f"{quantities['F']} fitted; " + self._model,
@@ -52,16 +52,17 @@ class VehicleCheck(Content):
                 "cooled area": f"{t['cooled_area_m2']:.2f} m2",
                 "axial stiffness": f"{t['axial_stiffness_n'] / 1e6:.1f} MN",
                 "tension": f"{t['tension_n']:.0f} N, sag {t['sag_m'] * 1e3:.1f} mm",
-                "one sigma of": ", ".join(f"{k} {v:.0%}" for k, v in uncertainty.items()) + " (from the ranges in the file)",
+                "one standard deviation of": ", ".join(f"{k} {v:.0%}" for k, v in uncertainty.items())
+                + " (from the ranges in the file)",
                 "loss table": f"error at most {table['largest_error']:.3%}, rms {table['rms_error']:.3%} at {table['points']} "
                 f"points, loads {table['load_range_n'][0] / 1e3:.1f} to {table['load_range_n'][1] / 1e3:.1f} kN, "
-                f"ready in {table['seconds']:.2f} s",
-                "drive torque": f"moves the loss by at most {table['drive_torque_share']:.4%}; "
+                f"computed in {table['seconds']:.2f} s",
+                "drive torque": f"changes the loss by at most {table['drive_torque_share']:.4%}; "
                 f"forward and reverse differ by at most {table['reverse_share']:.4%}",
                 "rubber data": "cover belts of "
                 + ", ".join(f"{low:.0f} degC at {v * 3.6:.0f} km/h" for v, low in ends)
                 + f" and warmer, to {data['hottest_degc']:.0f} degC",
-                "heat": f"in balance at {t['balance_degc']:.0f} degC at the greatest speed and nominal load",
+                "heat": f"settles at {t['balance_degc']:.0f} degC at the greatest speed and nominal load",
             }
             lines += [f"Track {name}", text_table(facts.items(), indent=2, numbers=False)]
         return "\n".join(lines)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What was learned of the places of a route, and what it says where a vehicle is."""
+"""Learned values of a route's places, and their interpolation at a position."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads and writes what was learned of the places of a route as a table: a row for each place."""
+"""Reads and writes the learned values of a route's places as a table, one row per place."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _learned(route: RouteMap) -> list[dict[str, str]]:
 
 
 def read_route(path: Path) -> tuple[RouteMap, ...]:
-    """Read what was learned by place: a slope, a torque, or both.
+    """Read learned values by place: a slope, a torque, or both.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def read_route(path: Path) -> tuple[RouteMap, ...]:
     known = next((header for header in HEADERS if rows and rows[0] == list(header)), None)
     if known is None:
         allowed = f"a first line {' or '.join(','.join(header) for header in HEADERS)}"
-        raise InputError(str(path), "another first line" if rows else "nothing", allowed)
+        raise InputError(str(path), "a different first line" if rows else "nothing", allowed)
     if len(rows) < 2:
         raise InputError(str(path), "no place", "at least one row")
     table = np.array([_row(row, known, f"{path}, line {line}") for line, row in numbered[1:]])
@@ -100,7 +100,7 @@ def read_route(path: Path) -> tuple[RouteMap, ...]:
     route = tuple(_map(kind, columns) for kind in LEARNED if set(LEARNED[kind]) <= set(known))
     route = tuple(one for one in route if len(one))
     if not route:
-        raise InputError(str(path), "nothing that was learned", "at least one row with a slope or a torque")
+        raise InputError(str(path), "no learned value", "at least one row with a slope or a torque")
     _check_places(path, route)
     return route
 

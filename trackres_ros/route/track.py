@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A drive as a course in local metres over the distance driven, out of scattered positions that come now and then."""
+"""Converts scattered, sparse positions to a course in local metres over the driven distance."""
 
 from __future__ import annotations
 

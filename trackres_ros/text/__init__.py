@@ -1,4 +1,4 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Values come in; numbers and tables as people read them go out, as text or HTML."""
+"""Values come in; readable numbers and tables go out, as text or HTML."""

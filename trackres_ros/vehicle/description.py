@@ -182,7 +182,7 @@ class Spells:
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """A torque that wanders about none; see `schema.DISTURBANCES` for the units."""
+    """A torque that drifts about zero; see `schema.DISTURBANCES` for the units."""
 
     form: ClassVar[str] = "drift"
 
@@ -196,12 +196,12 @@ Disturbance = Spells | Drift
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Vehicle:
-    """The whole vehicle, in SI.
+    """A track vehicle, in SI units.
 
     Attributes
     ----------
     name, title
-        Name for files and topics, and for people.
+        Name for files and topics, and title for readers.
     source, rubber_source
         The vehicle file, and the file of the rubber's temperature sweep.
     hysteresis, thermal
@@ -213,11 +213,11 @@ class Vehicle:
     parameters
         Every quantity by its path in the file, with range and provenance.
     effects, surroundings
-        Effects that the vehicle file switches on, and those of site, weather and ground from a file of their own.
+        Effects that the vehicle file switches on, and those of site, weather and ground from the surroundings file.
     route
-        Slope and torque by place, of the surroundings; empty where there is neither.
+        Slope and torque by place, from the surroundings; empty without either.
     disturbance
-        A torque that nothing foretells: watched for where a torque is measured, part of no estimate.
+        An unpredictable torque: watched if a torque is measured, never part of the estimate.
     """
 
     name: str

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The section `disturbance` of a vehicle file is checked here: a torque that comes and goes, or wanders, and is watched for."""
+"""Checks the section `disturbance` of a vehicle file: an intermittent or drifting torque to watch for."""
 
 from __future__ import annotations
 
@@ -33,5 +33,5 @@ def read_disturbance(reader: ValueReader, given: Any) -> Disturbance:
     form = own.text(given["form"], "disturbance.form", tuple(KINDS))
     found = KINDS[form](**own.table(given, "disturbance", schema.DISTURBANCES[form], others=("form",)))
     if isinstance(found, Spells) and found.level == found.rest:
-        raise InputError(own.where("disturbance.level"), found.level, "another torque than that of the rest")
+        raise InputError(own.where("disturbance.level"), found.level, "a torque different from that of the rest")
     return found

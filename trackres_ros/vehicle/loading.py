@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Assembles a `Vehicle` from a checked file, and checks what only the whole can show."""
+"""Assembles a `Vehicle` from a checked file, and checks the consistency of its parts."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def listed_effects(
         return ()
     for file in files:
         if not file.is_file():
-            raise InputError(reader.where("effect_files"), str(file), "Python files that are there, relative to this file")
+            raise InputError(reader.where("effect_files"), str(file), "existing Python files, relative to this file")
     known = catalogue(size=size, on_tyres=on_tyres, files=files)
     return check_effects(content.get("effects", {}), reader.where("effects"), known, belongs_to, size)
 
@@ -158,7 +158,7 @@ def _rubber_file(vehicle_file: Path, file: Path) -> Path:
 
 @cache
 def _say_shipped(path: Path, shipped: Path) -> None:
-    logging.getLogger("trackres").warning("trackres: there is no %s: the shipped %s is used", path, shipped)
+    logging.getLogger("trackres").warning("trackres: %s does not exist: the shipped %s is used", path, shipped)
 
 
 def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -194,8 +194,8 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
         raise InputError(
             f"{path}",
-            "temperatures that do not rise, or values that are not finite",
-            "finite numbers with T_degC rising from row to row",
+            "temperatures that do not increase, or values that are not finite",
+            "finite numbers with T_degC increasing from row to row",
         )
     _check_sweep(path, table, columns)
     return table[:, 0].copy(), table[:, 1] * 1e6, table[:, 2] * 1e6
@@ -262,7 +262,7 @@ def _assemblies(reader: ValueReader, given: Any, axles: tuple[Axle, ...], tracks
 def _refuse_repeats(reader: ValueReader, key: str, names: list[str]) -> None:
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
-        raise InputError(reader.where(key), ", ".join(repeated), "names of axles and assemblies that occur once")
+        raise InputError(reader.where(key), ", ".join(repeated), "unique names of axles and assemblies")
 
 
 def _track(reader: ValueReader, name: str, given: Any) -> Track:
@@ -357,7 +357,7 @@ def _check_geometry(reader: ValueReader, key: str, track: Track) -> None:
             reader.where(f"{key}.road_wheels.positions"),
             f"{beside} wheels of radius {wheels.radius:g} m that overlap along the track, with contacts of "
             f"{wheels.contact_length:g} m each on a belt {belt.width:g} m wide",
-            f"wheels at least {2 * wheels.radius:g} m apart, or so narrow that those which overlap stand side by side",
+            f"wheels at least {2 * wheels.radius:g} m apart, or so narrow that overlapping wheels fit side by side",
             "check radius (not diameter) and positions",
         )
     if belt.tread_depth * belt.width * belt.tread_land_ratio > belt.lug_section:

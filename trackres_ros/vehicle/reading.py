@@ -103,7 +103,7 @@ class ValueReader:
         return quantity
 
     def _number(self, given: Any, key: str, low: float, high: float, unit: str) -> float:
-        remedy = "correct the value, or widen the range beside it if you trust the value"
+        remedy = "correct the value, or widen its range if you trust the value"
         return checks.number(given, self.where(key), low, high, unit, if_outside=remedy)
 
     def check_overrides_used(self) -> None:

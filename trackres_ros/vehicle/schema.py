@@ -47,11 +47,11 @@ CHASSIS = {
     "frontal_area": QuantityLimits("m^2", 0.0, 30.0, "frontal area"),
     "air_density": QuantityLimits("kg/m^3", 0.3, 2.0, "air density"),
     "rotating_mass_factor": QuantityLimits("1", 1.0, 3.0, "effective over true mass in acceleration"),
-    "max_speed": QuantityLimits("m/s", 0.5, 60.0, "greatest speed; faster measurements are refused"),
+    "max_speed": QuantityLimits("m/s", 0.5, 60.0, "maximum speed; faster measurements are rejected"),
     "max_acceleration": QuantityLimits(
-        "m/s^2", 1.0, 50.0, "greatest acceleration and braking; a speed that changes faster is refused", optional=True
+        "m/s^2", 1.0, 50.0, "maximum acceleration and braking; speeds that change faster are rejected", optional=True
     ),
-    "ambient": QuantityLimits("degC", -60.0, 60.0, "ambient temperature where none is given"),
+    "ambient": QuantityLimits("degC", -60.0, 60.0, "ambient temperature used if none is given"),
     "motor_ratio": QuantityLimits("1", 0.1, 500.0, "motor speed over sprocket speed", optional=True),
     "motor_efficiency": QuantityLimits("1", 0.3, 1.0, "efficiency from motor to sprocket", optional=True),
 }
@@ -112,37 +112,37 @@ ROAD_LOAD = {
     "mass": QuantityLimits("kg", 0.5, 1e6, "mass with driver and load"),
     "rotating_mass_factor": QuantityLimits("1", 1.0, 3.0, "effective over true mass in acceleration"),
     "wheel_radius": QuantityLimits("m", 0.01, 3.0, "rolling radius of the driven wheels"),
-    "torque_scale": QuantityLimits("1", 0.01, 100.0, "shown over true torque at the wheels, as of a motor constant"),
+    "torque_scale": QuantityLimits(
+        "1", 0.01, 100.0, "measured over true torque at the wheels, for example from a motor constant"
+    ),
     "efficiency": QuantityLimits("1", 0.75, 1.0, "of the gears between the measured torque and the wheels"),
-    "torque_delay": QuantityLimits("s", 0.0, 1.0, "by which the measured torque is late"),
+    "torque_delay": QuantityLimits("s", 0.0, 1.0, "delay of the measured torque"),
     "contact_length": QuantityLimits("m", 0.01, 10.0, "length of the ground contact, or the wheelbase of a skid-steered vehicle"),
-    "track_width": QuantityLimits("m", 0.02, 10.0, "distance of left from right wheels, as they turn it", optional=True),
+    "track_width": QuantityLimits("m", 0.02, 10.0, "effective track width for turning", optional=True),
     "max_speed": QuantityLimits("m/s", 0.1, 100.0, "greatest speed"),
-    "ambient": QuantityLimits("degC", -60.0, 60.0, "ambient temperature where none is given"),
-    "coulomb_friction": QuantityLimits("N", 0.0, 1e6, "friction of what slides, at any speed", optional=True),
-    "viscous_friction": QuantityLimits("N s/m", 0.0, 1e8, "friction of what slides, over its speed", optional=True),
-    "torque_offset": QuantityLimits("Nm", -1e5, 1e5, "shown at no torque", optional=True),
+    "ambient": QuantityLimits("degC", -60.0, 60.0, "ambient temperature used if none is given"),
+    "coulomb_friction": QuantityLimits("N", 0.0, 1e6, "Coulomb friction", optional=True),
+    "viscous_friction": QuantityLimits("N s/m", 0.0, 1e8, "viscous friction over speed", optional=True),
+    "torque_offset": QuantityLimits("Nm", -1e5, 1e5, "reading at zero torque", optional=True),
 }
 
 MODEL_CHOICES = {"hysteresis": ("spectral", "rainflow"), "thermal": ("lumped", "core_surface")}
 
 # What is watched for. Its noise is that of blocks of `estimator.disturbance.BLOCK_S`.
-_NOISE = QuantityLimits(
-    "Nm", 1e-3, 1e6, "standard deviation of the measured torque's mean over 5 s, about what is expected with it"
-)
+_NOISE = QuantityLimits("Nm", 1e-3, 1e6, "standard deviation of 5 s means of the measured torque about the expected torque")
 DISTURBANCES = {
     "spells": {
-        "level": QuantityLimits("Nm", -1e6, 1e6, "torque against travel while it is there, above the expected one"),
+        "level": QuantityLimits("Nm", -1e6, 1e6, "torque against travel while it is present, above the expected torque"),
         "rest": QuantityLimits(
-            "Nm", -1e6, 1e6, "the same while it is away: not 0 where the fitted values have taken up its mean"
+            "Nm", -1e6, 1e6, "torque against travel while it is absent; not 0 if the fitted values absorb its mean"
         ),
         "mean_there": QuantityLimits("s", 10.0, 1e5, "mean length of a spell"),
         "mean_away": QuantityLimits("s", 10.0, 1e6, "mean time between two"),
         "noise": _NOISE,
     },
     "drift": {
-        "size": QuantityLimits("Nm", 1e-3, 1e6, "standard deviation of the torque that wanders"),
-        "time_constant": QuantityLimits("s", 10.0, 1e6, "time over which it wanders"),
+        "size": QuantityLimits("Nm", 1e-3, 1e6, "standard deviation of the drifting torque"),
+        "time_constant": QuantityLimits("s", 10.0, 1e6, "time constant of the drift"),
         "noise": _NOISE,
     },
 }

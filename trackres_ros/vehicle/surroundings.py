@@ -58,7 +58,7 @@ def load_surroundings(path: Path, vehicle: str, size: float, on_tyres: bool) -> 
     if content["schema"] != SCHEMA:
         raise InputError(reader.where("schema"), content["schema"], str(SCHEMA))
     if reader.text(content["vehicle"], "vehicle") != vehicle:
-        remedy = "surroundings are fitted together with a vehicle: run trackres diagnose with this one"
+        remedy = "surroundings are fitted for one vehicle: run trackres diagnose with this vehicle"
         raise InputError(reader.where("vehicle"), content["vehicle"], vehicle, remedy)
     return listed_effects(reader, content, size, on_tyres, "surroundings")
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A base model: what is simulated without any left-out effect, and which of its parameters may be re-fitted."""
+"""A base model: the simulation without missing effects, and the parameters that may be re-fitted."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from trackres_ros.vehicle.writing.changes import FileChanges
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
-USABLE = "finite terms within reason, with all values of its parameters within their bounds"
+USABLE = "finite, plausible terms, with all values of its parameters within their bounds"
 ROUNDING = 1e-6  # of the span between the bounds of a fit
 MOST_CHECKED = 20  # steps looked at to find why an effect was left out
 
@@ -87,7 +87,7 @@ class Model(Protocol):
 
     @property
     def parameters(self) -> tuple[BaseParameter, ...]:
-        """What may be re-fitted: units, values with how well they are known, ranges and bounds."""
+        """Parameters that may be re-fitted: units, values with standard deviations, ranges and bounds."""
 
     @property
     def facts(self) -> VehicleConstants:
@@ -136,7 +136,7 @@ class Base(Model, Protocol):
 
     @property
     def held(self) -> Values:
-        """What else may be, and is not, by name."""
+        """Possible further effects by name."""
 
     @property
     def alone(self) -> Base:
@@ -192,7 +192,7 @@ class Remembered(threading.local):
     def rows(
         self, sessions: Sequence[DriveSession], values: Values, acting: Acting, simulate: Callable[[], list[Array]]
     ) -> list[Array]:
-        """What `simulate` gives, or gave when it was last asked with the same."""
+        """Result of `simulate`, cached for the last arguments."""
         stepped = tuple((active.effect, *active.numbers) for active in (*acting.stepped, *acting.slopes, *acting.torques))
         hangs_on = (*map(id, sessions), *values.values(), acting.sensors.speed_factor, *stepped)
         if hangs_on != self._hangs_on:
@@ -248,7 +248,7 @@ class Acting:
         return _with_series(torque, self.watched, session)
 
     def sensed(self, torque: Array, session: DriveSession) -> Array:
-        """What the torque sensor shows of a torque [Nm]."""
+        """Torque as the sensor shows it [Nm]."""
         terms = self.sensors
         shown = terms.sensor_gain * torque + terms.sensor_offset
         if terms.sensor_delay == 0.0:

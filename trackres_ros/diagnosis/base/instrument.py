@@ -1,11 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What every torque sensor does a little: parameters of the fit with tight priors, and no finding.
+"""Small errors of every torque sensor: parameters of the fit with tight priors, not findings.
 
-A torque that is a few hundredths of a second late, an offset of some Nm and a gain within a percent are what instruments are
-like. They are fitted along with the base, within the bounds here. Beyond those, an effect of the catalogue says so, and then
-takes the instrument's place.
+Instruments have a delay of some hundredths of a second, an offset of some Nm and a gain error of up to a percent. They are
+fitted together with the base, within the bounds here. Beyond these bounds, an effect of the catalogue replaces them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which base model a vehicle file asks for."""
+"""Loads the base model of a vehicle file."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def _road(road: RoadVehicle, settings: Settings) -> LoadedBase:
 
 
 def _check_as_in_its_file(vehicle: Vehicle) -> None:
-    """Refuse a vehicle that was changed in memory: what is learned of it is written into a copy of its file."""
+    """Refuse a vehicle changed in memory, because results are written into a copy of its file."""
     in_file = load(vehicle.source)
     changed = [path for path, q in vehicle.parameters.items() if q.value != in_file.parameters[path].value]
     of_both = [{a.effect.name: dict(a.values) for a in v.effects} for v in (vehicle, in_file)]

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A function of the user's own as a base: what drives a machine, of its speed, acceleration and some parameters."""
+"""A user's own function as a base: driving torque as a function of speed, acceleration and parameters."""
 
 from __future__ import annotations
 
@@ -50,23 +50,23 @@ AMBIENT_DEGC = 20.0
 
 @dataclass(frozen=True)
 class OwnModel:
-    """A model of your own, to be diagnosed as a vehicle is: see `trackres_ros.diagnose`.
+    """Your own model, diagnosed like a vehicle: see `trackres_ros.diagnose`.
 
     Attributes
     ----------
     name
-        Of it.
+        Name of the model.
     torque
-        ``torque(inputs, p)``: the torque or force that drives it in each step, shape (n,), as the recording's ``torque`` has it.
+        ``torque(inputs, p)``: the driving torque or force in each step, shape (n,), in the unit of the recording's ``torque``.
         ``inputs.speed`` and ``inputs.accel`` are arrays of that shape, means over each step; ``p["name"]`` is a parameter.
     parameters
-        By name: value, least and greatest value that you expect (read as +-2 standard deviations), and the unit. A fit may go
-        beyond by the width of that range, and not to another sign. With the two alike it is held.
+        By name: value, expected minimum and maximum (read as +-2 standard deviations), and unit. A fit may exceed the range
+        by its width, but not change the sign. With equal limits the value is fixed.
     max_speed, max_torque
-        The greatest that occur: slower than a tenth of the speed friction may be static, and with the torque grows what is
-        looked for.
+        Maximum speed and torque. Below a tenth of the speed, friction may be static; thresholds of the search scale with the
+        torque.
     effects
-        Effects that are already in it, as `DiagnosisResult.vehicle` gives them.
+        Effects that the model already has, as `DiagnosisResult.vehicle` gives them.
     """
 
     name: str
@@ -86,7 +86,7 @@ class OwnModel:
 
     @property
     def known(self) -> GateSettings:
-        """What the gate must know."""
+        """Facts for the checks of the recordings."""
         return GateSettings(self.max_torque / SIZE, self.max_speed, AMBIENT_DEGC, None)
 
 

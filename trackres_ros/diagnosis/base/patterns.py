@@ -1,9 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What follows no series of the estimator: the clock alone, or the place. A series found in what a fit leaves, fitted along in
-size.
-"""
+"""Terms that follow only the clock or the place: a series found in the residual, whose size is fitted."""
 
 from __future__ import annotations
 

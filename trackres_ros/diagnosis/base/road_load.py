@@ -39,12 +39,12 @@ FITTED = (
     "rolling_coefficient", "rolling_rise", "drag_area", "mass",
     "rotating_mass_factor", "torque_scale", "efficiency", "torque_delay",
 )  # fmt: skip
-"""What is re-fitted, if its range has a width; beside what slides, and an offset, where the file has them."""
+"""Re-fitted parameters, if their range has a width; also sliding friction and an offset, if the file has them."""
 TORQUE_OFFSET = TorqueOffset.name
 ONLY_ONE_OF = ("mass", "torque_scale")
-"""Both scale nearly all, and only the product shows: of these, one is re-fitted where the file holds the other, by a range
-without width. With both free a robot's scale came to lie at half to a tenth of its value, as errors of the speed hide a
-part of the inertia, and the friction of its turning at its bound; a car's mean error on held-out laps fell by 0.2 of 60 Nm.
+"""Both scale nearly all, and only their product is identifiable: one is re-fitted if the file fixes the other with a range of
+zero width. With both free, a robot's scale fell to half to a tenth of its value: errors of the speed hide inertia.
+Its turning friction went to its bound. A car's mean error on hold-out laps fell by 0.2 of 60 Nm.
 """
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Steps through sessions one after the other, by the step that runs live; for a vehicle on tracks and for one without belts."""
+"""Simulates sessions in sequence with the live step, for vehicles with and without belts."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a residual, and what an effect adds to the torque, is looked at over: one catalogue for every step."""
+"""The catalogue of variables over which residuals and effects are examined."""
 
 from __future__ import annotations
 

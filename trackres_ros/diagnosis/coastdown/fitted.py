@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Fits a base model to rollings out: the forces that slow it down are what its mass loses in speed.
+"""Fits a base model to coast-downs: the decelerating forces equal the loss of momentum per time.
 
-Nothing is measured but the speed, so all that is found scales with the mass and what turns with it, which are held: how well
-these are known widens every interval.
+Only the speed is measured, so all results scale with the mass including rotating parts. These are fixed, and their
+uncertainty widens every interval.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 Array = NDArray[np.float64]
 
 SCALES = ("mass", "rotating_mass_factor", "torque_scale", "efficiency", "torque_delay")
-"""Of these, and of a torque sensor, a rolling out tells nothing."""
+"""A coast-down does not determine these, nor the parameters of a torque sensor."""
 FORCES = ("loss_modulus_scale", "bearing_friction", "drag_coefficient", "rolling_coefficient", "rolling_rise", "drag_area")
 """Parameters in proportion to which a force grows, so that they scale with the mass."""
 SAMPLES_A_STEP = 1  # what slows it down hardly changes within a step, so that nothing hides between samples
@@ -79,7 +79,7 @@ class FittedValue:
 
 @dataclass(frozen=True, eq=False)
 class Coastdown:
-    """What rollings out say.
+    """Results of a fit to coast-downs.
 
     Attributes
     ----------
@@ -106,22 +106,22 @@ class Coastdown:
 
     @property
     def better(self) -> bool:
-        """Whether the values are better on rollings out that were not fitted, beyond chance."""
+        """Whether the values improve the hold-out coast-downs significantly."""
         return self.improvement is not None and self.improvement.after < self.improvement.before and self.improvement.low > 0.0
 
     @property
     def kept(self) -> FileChanges:
-        """What may be written."""
+        """Changes that may be written."""
         values = {p.name: p.value for p in self.parameters}
         spans = {("", p.name): p.interval for p in self.parameters if p.told}
         told = ", ".join(p.name for p in self.parameters if p.told) or "none"
         return FileChanges(
-            values, (), spans, f"found in {len(self.rolled.stretches)} rollings out: {told}", by="trackres coastdown"
+            values, (), spans, f"found in {len(self.rolled.stretches)} coast-downs: {told}", by="trackres coastdown"
         )
 
 
 def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1) -> Coastdown:
-    """Find what resists a vehicle that rolls out.
+    """Estimate resistance parameters from coast-downs.
 
     Parameters
     ----------
@@ -139,29 +139,29 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
     """
     base = _told_by_rolling(loaded.base)
     if not base.parameters:
-        given = "a vehicle file in which everything that rolling out could tell has a range without a width"
-        raise InputError("vehicle", given, "ranges in which its values may lie", "widen the ranges of what is not known well")
+        given = "a vehicle file with a zero-width range on every value that a coast-down could determine"
+        raise InputError("vehicle", given, "ranges for its values", "widen the ranges of uncertain values")
     step = step_for(recordings, SAMPLES_A_STEP)
     rolled = rollouts(list(recordings), loaded.known, base.facts.radius, step)
     for session in rolled.sessions:
         check_speed(session, loaded.known.max_speed)
     if not rolled.stretches:
         counts = "; ".join(f"{count} {reason}" for reason, count in rolled.left_out.items())
-        why = counts or "nowhere does it slow down for some seconds with neither"
+        why = counts or "it nowhere slows down for several seconds"
         raise InputError(
             ", ".join(r.name for r in recordings),
-            f"no piece in which it rolls out ({why})",
-            "at least one of 10 s or more, with no torque and no brake",
-            "let it roll out from its greatest speed, in both directions",
+            f"no coast-down ({why})",
+            "at least one coast-down of 10 s or more, without torque and brakes",
+            "let the vehicle coast down from its maximum speed, in both directions",
         )
     rows = sum(int(whole_past(s.used, MOST_LAGS).sum()) for s in rolled.sessions)
     if rows < FEWEST_ROWS:
         seconds = sum(float(s.used.sum()) * s.step for s in rolled.sessions)
         raise InputError(
             ", ".join(r.name for r in recordings),
-            f"{len(rolled.stretches)} rollings out, {figures(seconds, 3)} s in all, in steps of {figures(step, 3)} s",
+            f"{len(rolled.stretches)} coast-downs, {figures(seconds, 3)} s in all, in steps of {figures(step, 3)} s",
             f"{FEWEST_ROWS} steps or more, without the first {MOST_LAGS} of each",
-            "record more of them, from a greater speed, or the speed more often",
+            "record more coast-downs, from a higher speed, or with a higher sample rate",
         )
     problem = Problem(base, rolled.sessions, tuple(s.used for s in rolled.sessions))
     all_free = fit(problem, largest_root=LARGEST_ROOT)
@@ -184,7 +184,7 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
 
 
 def _told_by_rolling(base: Base) -> Base:
-    """The base with those parameters free that a rolling out can tell of."""
+    """The base with the parameters free that a coast-down determines."""
     return _with_free(base, [q.name for q in base.parameters if q.name not in SCALES])
 
 
@@ -247,7 +247,7 @@ def _parameters(
 
 
 def _improvement(problem: Problem, rolled: Rollouts, nominal: Sequence[Array], rng: np.random.Generator) -> Improvement | None:
-    """Of the error where it was not fitted: each part of the rollings out by a fit to the others."""
+    """Cross-validated improvement of the error: each part of the coast-downs by a fit to the others."""
     together = _together(rolled, 2)
     parts = math.ceil(len(rolled.stretches) / together)
     if parts < 2:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Rollings out as people look at them: speeds over time, as measured and as a model has them."""
+"""Speeds over time of coast-downs, measured and modelled, for pictures."""
 
 from __future__ import annotations
 

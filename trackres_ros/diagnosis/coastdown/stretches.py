@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds where a vehicle rolls out: nothing drives, nothing brakes, and it slows down."""
+"""Finds coast-downs: stretches of deceleration without drive torque and brakes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ AROUND_S, END_S = 5.0, 2.0
 
 @dataclass(frozen=True, slots=True)
 class RollOut:
-    """A rolling out: which session, from which sample to before which."""
+    """A coast-down: session, first sample and end."""
 
     session: int
     begin: int
@@ -38,7 +38,7 @@ class RollOut:
 
 @dataclass(frozen=True, eq=False)
 class Rollouts:
-    """Sessions in which only rolling out counts, each a lap of its own.
+    """Sessions with only coast-downs in use, each as its own lap.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ def rollouts(recordings: list[Recording], settings: GateSettings, radius: float,
     for recording in recordings:
         measured = any(r.partition("/")[0] == "torque" and np.isfinite(s.value).any() for r, s in recording.series.items())
         if not measured:
-            notes.append(f"{recording.name}: no torque was recorded; where it slows down nothing is taken to drive or brake")
+            notes.append(f"{recording.name}: no torque was recorded; deceleration is assumed to be without drive or brakes")
         rolling = recording if measured else _without_torque(recording)
         session, unknown = resample(rolling, step, settings, frozenset(), notes, SHORTEST_RECORDING_S)
         session, of_slope = with_slope(session)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A slope or a torque by place: a smooth function along the streets of a route, learned from what is left on passes of them.
+"""A slope or a torque by place: a smooth function along the streets of a route, learned from the residual on repeated passes.
 
 Between neighbouring places it is a Gaussian process, as smooth as the likelihood has it; the precision of it on the graph of
 streets is sparse, so that thousands of places take a fraction of a second.

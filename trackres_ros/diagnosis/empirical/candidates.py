@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Forms that a mismatch without a name may have here: curves, gated curves, steps, hinges, latches, gains for one sign and
+"""Candidate forms of a mismatch without a name: curves, gated curves, steps, hinges, latches, gains for one sign and
 build-ups, with knots where it was driven.
 """
 

@@ -1,8 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds terms that follow the clock or the place in what a fit leaves: spells, a change of level, a place, a mass by stretch, a
-wave, a route. What follows the clock does so only if it gains more than noise and the model's own error would.
+"""Finds terms that follow the clock or the place in the residual of a fit: spells, a change of level, a place, a mass by
+stretch, a
+wave, a route. A term of the clock must gain more than noise and the model's own error would.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ LIKELY = 0.5  # that it is there
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """A term that was found: the fit with it beside the one without, and what the fit does not say of it."""
+    """A found term: the fits with and without it, and its properties outside the fit."""
 
     candidate: Candidate
     chain: Chain | None = None
@@ -117,12 +118,12 @@ def _residuals(current: Fit) -> list[Array]:
 
 
 def residuals_without(current: Fit, name: str) -> list[Array]:
-    """What the torque of each session would leave without one effect, the others as they are [Nm]."""
+    """Torque residual of each session without one effect, the others unchanged [Nm]."""
     return [r + x for r, x in zip(_residuals(current), current.contribution(name), strict=True)]
 
 
 def _spells(current: Fit, residuals: Sequence[Array]) -> Term | None:
-    """Spells, if two levels are likelier than one that wanders."""
+    """Spells, if two levels are likelier than a drifting one."""
     b = torque_blocks(current, residuals)
     chain, there, _ = find_chain(b)
     if not is_spells(chain) or beyond_wander(b, chain, there) < SURE:
@@ -258,7 +259,7 @@ def terms_beside(
     left_out = {name for name, wanted in ((PLACE, roads is None), (WAVE, waves)) if not wanted}
     searches = {name: search for name, search in BY_CLOCK.items() if name not in left_out}
     searches[PAYLOAD] = partial(_payload, route=route)
-    found = side_by_side(lambda item: _watched(current, *item), list(searches.items()), "what follows the clock")
+    found = side_by_side(lambda item: _watched(current, *item), list(searches.items()), "terms that follow the clock")
     return [*filter(None, found), *filter(None, [_by_place(current, roads, kinds)])]
 
 
@@ -272,7 +273,7 @@ def _by_place(current: Fit, roads: Roads | None, kinds: Collection[str]) -> Term
 
 
 def slow_term(final: Fit) -> Described | None:
-    """What is left that lasts: another level in each recording, or a level that wanders."""
+    """Lasting residual: a level per recording, or a drifting level."""
     return recordings(final) or drift(final)
 
 
@@ -299,7 +300,7 @@ def by_recording(b: Blocks) -> tuple[Array, float, float]:
 
 
 def drift(final: Fit) -> Described | None:
-    """What wanders in what is left, if it does so slowly and more than by chance; of vehicles, as `terms_beside`."""
+    """Slow drift of the residual, if significant; only for vehicles, as `terms_beside`."""
     if any(s.pace < 1.0 for s in final.problem.sessions):
         return None
     b = torque_blocks(final, _residuals(final))

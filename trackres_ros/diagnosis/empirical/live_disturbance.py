@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Spells and a drift become what is watched for live, beside the torque that the written vehicle file expects."""
+"""Converts spells and a drift to the live disturbance, relative to the torque that the written vehicle file expects."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array]) -> Learne
 
 
 def drift_to_watch(final: Fit, expected: Sequence[Array]) -> LearnedDisturbance:
-    """What wanders over the torque that the written file expects [Nm], of each session."""
+    """Drift about the torque that the written file expects [Nm], for each session."""
     b = _over(final, expected)
     wander, _ = find_wander(b)
     found = Drift(wander.size, wander.seconds, _of_blocks(wander.noise, final))

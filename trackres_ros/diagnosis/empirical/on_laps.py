@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Says where the sessions of a fit are on their laps, and looks for a torque that comes again there."""
+"""Computes the position of sessions on their laps, and searches for a torque that repeats there."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FEWEST_TURNS = 2.0  # of a session, so that it surely drives laps
 
 
 def place_in(current: Fit, residuals: Sequence[Array]) -> Place | None:
-    """What comes again at the same place in the torque residuals of the sessions of a fit [Nm]."""
+    """Find repeating torque residuals at the same place of laps, for the sessions of a fit [Nm]."""
     sessions, masks = current.problem.sessions, current.problem.masks
     against = [r * np.sign(s.speed) for r, s in zip(residuals, sessions, strict=True)]
     return find_place(driven_along(sessions), against, masks, loads_of(sessions, masks))

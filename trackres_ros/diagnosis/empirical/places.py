@@ -157,7 +157,7 @@ class _Folding:
 def find_place(
     distances: Sequence[Array], residuals: Sequence[Array], masks: Sequence[Mask], loads: Sequence[Array] | None = None
 ) -> Place | None:
-    """What comes again at the same place; None where nothing surely does.
+    """Find a residual that repeats at the same place; None if none is significant.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What comes again at the same places of streets, known by positions: a slope where it changes its sign with the direction of
-travel or follows the load, a torque by place where it does neither.
+"""Residuals that repeat at the same places of streets, by position: a slope if the sign changes with the direction of travel
+or follows the load, else a torque by place.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ UNLEARNED = 0.9  # of its size: as unsure as that is what was learned nowhere ne
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """What was learned of a route.
+    """Learned values of a route.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Route:
 
     @property
     def effect(self) -> ByPlace:
-        """What it adds."""
+        """Torque that the route adds."""
         effect = self.candidate.effect
         assert isinstance(effect, ByPlace)
         return effect
@@ -307,5 +307,5 @@ def _torque_residuals(found: Fit) -> list[Array]:
 def _text(route: RouteMap) -> str:
     low, high = (float(q) for q in np.nanquantile(route.value, (0.025, 0.975)))
     if route.kind == SLOPE:
-        return f"the road rises and falls, by up to {max(-low, high):.1%}, the same on each pass of a place"
-    return f"it takes {figures(low, 2)} to {figures(high, 2)} Nm more by the place, the same on each pass"
+        return f"the road has slopes of up to {max(-low, high):.1%}, the same on each pass"
+    return f"the vehicle needs {figures(low, 2)} to {figures(high, 2)} Nm more depending on the place, the same on each pass"

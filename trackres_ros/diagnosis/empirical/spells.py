@@ -134,7 +134,7 @@ def beyond_wander(b: Blocks, chain: Chain, there: Array) -> float:
 
 
 def path_cost(b: Blocks, chain: Chain, there: Array) -> float:
-    """What the comings and goings of spells are unlikely by their chain, in log-likelihood: so much was chosen to fit."""
+    """Cost of the spells' transitions: their negative log-probability under the Markov chain."""
     on = there > 0.5
     stays = {
         (False, False): 1.0 - chain.comes,
@@ -223,7 +223,7 @@ def _improved(b: Blocks, there: Array, pairs: Array) -> Chain:
 
 @dataclass(frozen=True, slots=True)
 class Wander:
-    """A level that wanders: its standard deviation [Nm] and time constant [s], and the noise of one sample [Nm]."""
+    """A drifting level: its standard deviation [Nm] and time constant [s], and the noise of one sample [Nm]."""
 
     size: float
     seconds: float
@@ -231,7 +231,7 @@ class Wander:
 
 
 def find_wander(b: Blocks) -> tuple[Wander, float]:
-    """The most likely level that wanders, and the log-likelihood."""
+    """The most likely drifting level, and its log-likelihood."""
     scale = float(np.std(b.mean))
     typical = float(np.sqrt(np.median(b.count)))
 
@@ -249,7 +249,7 @@ def find_wander(b: Blocks) -> tuple[Wander, float]:
 
 
 def _wandering(b: Blocks, w: Wander) -> float:
-    """Log-likelihood of a level that wanders."""
+    """Log-likelihood of a drifting level."""
     level, spread = expected_level(b, w)
     return -0.5 * float(np.sum((b.mean - level) ** 2 / spread + np.log(2.0 * math.pi * spread)))
 

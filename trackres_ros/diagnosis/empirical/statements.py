@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a term that was found comes to with the values of the last fit: in words, and what it follows."""
+"""Describes a found term with the values of the last fit: its sentence and its variable."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def course(term: Term, final: Fit) -> list[Array]:
 
 
 def _begins_with(spells: Sequence[tuple[int, int, int]], final: Fit) -> str:
-    """What most spells begin with, in words; empty where nothing stands out."""
+    """The common event at the beginning of most spells, in words; empty without one."""
     after_stop = []
     for i, begin, _ in spells:
         session = final.problem.sessions[i]

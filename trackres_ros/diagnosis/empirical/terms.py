@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Terms without a name, as they are said: what a torque follows or how it comes and goes, and what to look at for it."""
+"""Sentences of terms without a name: the variable or the timing of the torque, and possible mechanisms."""
 
 from __future__ import annotations
 
@@ -62,60 +62,60 @@ from trackres_ros.text.numbers import figures, on_scale
 Array = NDArray[np.float64]
 
 MECHANISMS: Mapping[int, tuple[str, ...]] = {
-    SPEED: ("a resonance of belt, wheels or drive train", "a fan or pump that turns along"),
+    SPEED: ("a resonance of belt, wheels or drive train", "a fan or pump driven by the vehicle's motion"),
     ACCELERATION: ("play in the drive train", "an inertia that is not in the vehicle file"),
-    LOAD: ("something that touches when springs are compressed", "ground that yields"),
-    AMBIENT: ("grease or oil that stiffens in the cold",),
-    TURN: ("something that touches on one side when it turns", "a brake that steers"),
-    TURNING: ("something that touches when it turns", "ground that is sheared"),
-    CURVATURE: ("something that touches when it turns", "ground that is sheared"),
+    LOAD: ("a part that touches when the springs are compressed", "soft ground"),
+    AMBIENT: ("grease or oil that thickens in the cold",),
+    TURN: ("a part that touches on one side in turns", "a steering brake"),
+    TURNING: ("a part that touches in turns", "sheared ground"),
+    CURVATURE: ("a part that touches in turns", "sheared ground"),
     DRIVING_TORQUE: (
         "play in the drive train, taken up as the torque changes its sign",
         "a gear or coupling that binds under load",
     ),
     BELT: (
         "a fan or pump that is switched by temperature",
-        "rubber or grease that changes more with temperature than the file says",
+        "rubber or grease with a stronger temperature dependence than in the file",
     ),
 }
 OF_LATCHES: Mapping[int, tuple[str, ...]] = {
-    SPEED: ("a gear or range that changes up and down at different speeds", "a pump or fan that is switched by speed"),
-    LOAD: ("something that touches when springs are compressed, and sticks",),
+    SPEED: ("a gearbox that shifts up and down at different speeds", "a pump or fan that is switched by speed"),
+    LOAD: ("a part that touches and sticks when the springs are compressed",),
     BELT: ("a fan, pump or valve with a thermostat",),
 }
 OF_GAINS: Mapping[int, tuple[str, ...]] = {
-    DRIVES: ("a torque sensor with another gain for one sign", "gears that lose more while they drive"),
-    BRAKES: ("a torque sensor with another gain for one sign", "a brake that works along while the motor brakes"),
+    DRIVES: ("a torque sensor with another gain for one sign", "gears with a larger loss when driving"),
+    BRAKES: ("a torque sensor with another gain for one sign", "a friction brake that acts while the motor brakes"),
 }
 OF_GATES: Mapping[int, tuple[str, ...]] = {
-    LEFT: ("something that touches in left turns only: a guide, a mudguard, a hose", "the guides of the right belt"),
-    RIGHT: ("something that touches in right turns only: a guide, a mudguard, a hose", "the guides of the left belt"),
-    HEAVY: ("something that touches when springs are compressed", "a bearing that binds under load"),
-    LIGHT: ("a part that swings when it is not held down by the load", "belt tension without load"),
-    BRAKING: ("a brake that works along", "a machine that is driven by the wheels"),
-    ACCELERATING: ("a coupling that slips", "a machine that draws on the same drive"),
+    LEFT: ("a part that touches in left turns only: a guide, a mudguard, a hose", "the guides of the right belt"),
+    RIGHT: ("a part that touches in right turns only: a guide, a mudguard, a hose", "the guides of the left belt"),
+    HEAVY: ("a part that touches when the springs are compressed", "a bearing that binds under load"),
+    LIGHT: ("a part that swings when the load does not hold it down", "belt tension without load"),
+    BRAKING: ("a brake that acts at the same time", "a machine that is driven by the wheels"),
+    ACCELERATING: ("a coupling that slips", "a machine on the same drive"),
 }
 OF_BUILD_UPS: Mapping[int, tuple[str, ...]] = {
-    BY_DISTANCE: ("mud or snow that is carried along until it drops off", "a belt that walks out of line until it is let go"),
-    BY_TIME: ("a pressure or temperature that rises as long as it drives", "a brake that is released too little and heats up"),
-    BY_BRAKING: ("a brake that drags after it was used",),
+    BY_DISTANCE: ("mud or snow that builds up and drops off", "a belt that runs out of line until it is released"),
+    BY_TIME: ("a pressure or temperature that rises while driving", "a brake that releases incompletely and heats up"),
+    BY_BRAKING: ("a brake that drags after use",),
 }
 OF_SPELLS = (
-    "a pump, fan or compressor that cuts in and out",
-    "a brake that stays on for a while",
+    "a pump, fan or compressor that switches on and off",
+    "a brake that stays applied for a while",
     "another consumer on the same drive",
 )
-OF_WAVES = ("a stiff or damaged place in a belt", "a wheel that is out of round or a bearing that is worn")
+OF_WAVES = ("a stiff or damaged place in a belt", "an out-of-round wheel or a worn bearing")
 OF_LEVEL_CHANGES = (
     "a part that was changed",
-    "a brake that was not released",
+    "a brake left applied",
     "a bearing that failed",
-    "a zero of the torque sensor that was set anew",
+    "a torque sensor whose zero was reset",
 )
-OF_PLACES = ("a slope", "soft or rough ground", "a bend, where neither heading nor yaw rate is recorded")
-OF_PAYLOAD = ("people or goods that get on and off", "a tank or a hopper that fills and empties")
-OF_RECORDINGS = ("a load, a ground or a wind that is not as recorded", "a zero of the torque sensor that is set anew")
-OF_DRIFT = ("a zero of the torque sensor that drifts", "a slope, a wind or a ground that is not recorded")
+OF_PLACES = ("a slope", "soft or rough ground", "a bend, if neither heading nor yaw rate is recorded")
+OF_PAYLOAD = ("boarding passengers or loaded goods", "a tank or a hopper that fills and empties")
+OF_RECORDINGS = ("a load, ground or wind that differs from the recorded one", "a torque sensor whose zero is reset")
+OF_DRIFT = ("a torque sensor with a drifting zero", "an unrecorded slope, wind or ground")
 
 DIFFERING = {"load": "weight", "ambient temperature": "ambient"}
 LEAST_DIFFERENCE = 0.02  # of its size: recordings that differ by less are taken for alike
@@ -217,15 +217,19 @@ def _of_threshold(effect: Corner | Latch, values: Mapping[str, float]) -> Descri
 
     if isinstance(effect, Latch):
         form, mechanisms = "latch", OF_LATCHES[effect.variable]
-        text = f"It takes {_more(level)} from when the {follows.text} rises above {at('on')} until it falls below {at('off')}"
+        text = (
+            f"The vehicle needs {_more(level)} from when the {follows.text} rises above {at('on')} until it falls below "
+            f"{at('off')}"
+        )
     elif effect.kind == STEP:
         form, mechanisms = "step", MECHANISMS[effect.variable]
-        text = f"It takes {_more(level)} with the {follows.text} above {at('threshold')} than below"
+        text = f"The vehicle needs {_more(level)} with the {follows.text} above {at('threshold')} than below"
     else:
         form, mechanisms = "hinge", MECHANISMS[effect.variable]
         side, end = ("below", "x1") if effect.kind == BELOW else ("above", "x2")
         text = (
-            f"With the {follows.text} {side} {at('threshold')} it takes ever {_more_or_less(level)}, {_more(level)} at {at(end)}"
+            f"With the {follows.text} {side} {at('threshold')} the vehicle needs increasingly {_more_or_less(level)}, "
+            f"{_more(level)} at {at(end)}"
         )
     return Described(form, effect.name, follows.text, "", None, None, text, mechanisms, abs(level), True, follows.unit)
 
@@ -233,7 +237,7 @@ def _of_threshold(effect: Corner | Latch, values: Mapping[str, float]) -> Descri
 def _of_gain(effect: SidedGain, values: Mapping[str, float]) -> Described:
     """Another gain for one sign of the torque."""
     gain, side, follows = values["gain"], SIDES[effect.side], VARIABLES[effect.variable]
-    text = f"The torque {side.text} is {abs(gain):.1%} {'larger' if gain > 0.0 else 'smaller'} than the model has"
+    text = f"The torque {side.text} is {abs(gain):.1%} {'larger' if gain > 0.0 else 'smaller'} than in the model"
     size = abs(gain) * values["x1"]
     return Described(
         "sided_gain", effect.name, follows.text, side.text, None, None, text, OF_GAINS[effect.side], size, True, follows.unit
@@ -259,7 +263,7 @@ def of_wave(name: str, wave: Wave, level: float, part: str) -> Described:
 
 
 def of_place(name: str, level: float, place: Place) -> Described:
-    """A torque of a size [Nm] at the same place on each pass."""
+    """Describe a torque of this size [Nm] at the same place on each pass."""
     route = f"each lap of {figures(place.lap_m, 4)} m" if place.folded else "the route of each recording"
     text = (
         f"From {figures(place.begin_m)} to {figures(place.end_m)} m after the start of {route}, the vehicle needs "
@@ -286,20 +290,20 @@ def of_payload(name: str, level: float, payload: Payload) -> Described:
 
 
 def of_route(name: str, size: float, least: float, most: float, route: Route) -> Described:
-    """What goes by place, from a least to a most torque [Nm] and of a size, where it is not told for a slope."""
+    """Describe a torque by place with its minimum, maximum and size [Nm], if it is not a slope."""
     tied = abs(route.apart) <= TOLD
     text = (
         f"On {figures(0.001 * route.metres)} km of streets, the vehicle needs between {_more(least)} and {_more(most)} than the "
-        f"model, by the place. Most of the repeated streets have {route.passes} passes"
+        f"model, by the place. The repeated streets have {route.passes} passes (median)"
     )
     if tied:
-        text += ". Driving them the other way too, or with another load, would show whether that is a slope"
+        text += ". To identify a slope, drive them in the other direction too, or with another load"
     mechanisms = OF_PLACES if tied else OF_PLACES[1:]
     return Described("place", name, "place on the route", "", None, None, text, mechanisms, size, True, unit="m")
 
 
 def of_level_change(name: str, level: float, sessions: Sequence[DriveSession], change: LevelChange) -> Described:
-    """A level that changed for good by so much [Nm]."""
+    """Describe a lasting level change of this size [Nm]."""
     text = (
         f"Since {_when(sessions, change)} the vehicle needs {_more(level)} than before, until the end of the recordings. "
         "Diagnose the recordings since then alone to write that into a vehicle file"
@@ -323,15 +327,16 @@ def _when(sessions: Sequence[DriveSession], change: LevelChange) -> str:
 
 
 def of_recordings(levels: Array, sessions: Sequence[DriveSession]) -> Described:
-    """Another level [Nm] in each recording, nan of one of which nothing is compared."""
+    """Describe a different level [Nm] in each recording; nan if a recording is not compared."""
     low, high = float(np.nanmin(levels)), float(np.nanmax(levels))
     text = (
-        f"From recording to recording the vehicle needs between {_more(low)} and {_more(high)} than the model. Within each that "
-        "hardly changes"
+        f"From recording to recording the vehicle needs between {_more(low)} and {_more(high)} than the model. Within each "
+        "recording "
+        "it hardly changes"
     )
     differing = [name for name, at in DIFFERING.items() if _differs([float(np.mean(getattr(s, at))) for s in sessions])]
     if differing:
-        text += f". The recordings differ in {' and '.join(differing)} too: so few do not show whether it goes with that"
+        text += f". The recordings also differ in {' and '.join(differing)}; with so few, that may be the cause"
     return Described("recordings", "", "recording", "", None, None, text, OF_RECORDINGS, max(-low, high), False)
 
 
@@ -340,7 +345,7 @@ def _differs(means: Sequence[float]) -> bool:
 
 
 def of_drift(wander: Wander) -> Described:
-    """A torque that wanders."""
+    """Describe a drifting torque."""
     over = f"The residual drifts by {figures(wander.size)} Nm over about {figures(wander.seconds, 2)} s"
     text = f"{over}. It follows no recorded channel"
     return Described("drift", "", "", "", None, wander.seconds, text, OF_DRIFT, wander.size, False)

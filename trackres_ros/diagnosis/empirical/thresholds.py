@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds where a step, a hinge or a latch would lie, by linear algebra on the residual of a fit.
+"""Finds the thresholds of a step, a hinge or a latch, by linear algebra on the residual of a fit.
 
 Each threshold of a grid makes a column. What it would gain in log-likelihood follows from the whitened residual, beside the free
 parameters of the fit. Only the best column of each variable and form becomes a candidate, and only where it gains enough.

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A torque that comes again with every so many metres: something on a belt or a wheel goes round.
+"""Finds a torque that repeats with distance, caused by a rotating part of a belt or a wheel.
 
 Source: Lomb (1976) and Scargle (1982), over distance instead of time, on residuals whitened as in the fit; means over a step
 of a wave that is short beside it are smaller by the sinc of their ratio, which is taken into account exactly.
@@ -84,7 +84,7 @@ def part_of(length_m: float, parts: Mapping[str, float]) -> str:
             if abs(times * once / length_m - 1.0) < SAME_LENGTH:
                 return f"one turn of the {name}" if times == 1 else f"{times} turns of the {name}"
             if times > 1 and abs(once / times / length_m - 1.0) < SAME_LENGTH:
-                return f"one part in {times} of a turn of the {name}"
+                return f"1/{times} of a turn of the {name}"
     return ""
 
 

@@ -1,4 +1,4 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A chosen fit in, statements out: where, how much, how sure, and what to drive next."""
+"""A chosen fit comes in; statements go out: where, how much, how certain, and the next drives."""

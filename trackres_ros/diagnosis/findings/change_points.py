@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""When a residual changes its level for good: another ground, a load taken up, something that broke."""
+"""Finds lasting level changes of a residual: another ground, a new load, a failed part."""
 
 from __future__ import annotations
 

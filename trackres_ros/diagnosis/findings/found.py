@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a diagnosis finds: effects with a name, terms without one, and values of the vehicle file that were off."""
+"""What a diagnosis finds: effects with a name, terms without one, and wrong values of the vehicle file."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class Changed:
 
     @property
     def text(self) -> str:
-        """What was off, by how much and how surely."""
+        """A wrong value of the vehicle file, with its change and interval."""
         unit = "" if self.unit == "1" else f" {self.unit}"
         off = self.value - self.nominal
         share = f"{abs(off / self.nominal):.0%}" if self.nominal else f"{figures(abs(off))}{unit}"
@@ -154,5 +154,5 @@ def with_interval(value: float, interval: Interval | None) -> str:
     if interval is None:
         return figures(value)
     if interval.bound_only:
-        return f"{figures(value)}, only bounded by {figures(interval.low)} to {figures(interval.high)}"
+        return f"{figures(value)}, bounded only between {figures(interval.low)} and {figures(interval.high)}"
     return f"{figures(value)} [{figures(interval.low)}, {figures(interval.high)}]"

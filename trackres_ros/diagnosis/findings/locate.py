@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 3: where a mismatch is: when an effect acts, and whether torque or temperature is to blame."""
+"""Step 3: locates a mismatch: when an effect acts, and whether torque or temperature causes it."""
 
 from __future__ import annotations
 
@@ -147,8 +147,8 @@ class Acts:
             Root mean square of the residual over time, see `swings_of` [Nm].
         """
         if self.follows < FOLLOWS_LEAST:
-            size = f"{in_nm(swings)} Nm root mean square"
-            return f"the vehicle needs at times more and at times less than the re-fitted model, {size}"
+            size = f"with a root mean square of {in_nm(swings)} Nm"
+            return f"the vehicle needs sometimes more and sometimes less torque than the re-fitted model, {size}"
         means = [b.mean_residual for b in at_base.bins if b.variable == self.variable]
         if self.both_ways and means and min(means) < 0.0 < max(means):
             low, high = -min(means), max(means)
@@ -291,5 +291,8 @@ def thermal_check(found: Fit) -> ThermalCheck | None:
     mean, size = float(d.mean()), float(np.abs(d).mean())
     side = "above" if mean > 0 else "below"
     return ThermalCheck(
-        mean, size, f"the measured belt temperature is {abs(mean):.1f} K {side} the simulated one on average, {size:.1f} K off"
+        mean,
+        size,
+        f"the measured belt temperature is {abs(mean):.1f} K {side} the simulated one on average, with a mean error of "
+        f"{size:.1f} K",
     )

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 9: what to drive next, so that candidates that look alike here come apart, from one another and from nothing."""
+"""Step 9: proposes drives that separate similar candidates from each other and from no effect."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ NOTHING = "nothing"
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """A manoeuvre and what it tells apart.
+    """A manoeuvre and the explanations that it separates.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Advice:
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """What may be true: a fit, and how likely it is; its name is `NOTHING` for the fit without any of the tied."""
+    """A possible explanation: a fit and its probability; named `NOTHING` for the fit without the tied effects."""
 
     name: str
     fit: Fit
@@ -201,7 +201,7 @@ def menu(weight: float, max_speed: float) -> dict[str, Manoeuvre]:
     to_and_fro = [(0.0, 0.0), (10.0, slow), (120.0, slow), (135.0, -slow), (250.0, -slow), (260.0, 0.0)]
     stairs = [(0.0, 0.0), *((60.0 * i + t, v) for i, v in enumerate(np.linspace(slow, fast, 8)) for t in (15.0, 60.0))]
     circles = [(0.0, 0.0), *((300.0 * i + t, v) for i, v in enumerate((0.6 * slow, slow, 1.4 * slow)) for t in (10.0, 300.0))]
-    slope = f"up and down a surveyed slope of {KNOWN_SLOPE:.0%} in turns, a minute each, with the grade in the recording"
+    slope = f"alternate up and down a surveyed slope of {KNOWN_SLOPE:.0%}, a minute each, and record the grade"
     light_and_heavy = LOADS[0], LOADS[-1]
     return {
         "drive forwards and then in reverse, two minutes each": drive(to_and_fro),
@@ -217,10 +217,10 @@ def menu(weight: float, max_speed: float) -> dict[str, Manoeuvre]:
         "ten sharp launches forwards and ten in reverse with a light load, then again with a heavy one": drive(
             times(2, both_ways), load=light_and_heavy
         ),
-        "circles of 30 m radius and straights in turns, five minutes": drive(
+        "alternate circles of 30 m radius and straights, five minutes": drive(
             [(0, 0), (10, slow), (300, slow)], curvature=1.0 / 30.0
         ),
-        "circles of 30 m radius and straights in turns, five minutes at each of three speeds": drive(
+        "alternate circles of 30 m radius and straights, five minutes at each of three speeds": drive(
             circles, curvature=1.0 / 30.0
         ),
         slope: drive([(0, 0), (10, slow), (360, slow)], slope=KNOWN_SLOPE),

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where a residual is not zero: signed means by bin of what drives the physics, corrected for having looked in so many places."""
+"""Mean residuals by bins of the physical variables, with a correction for multiple tests."""
 
 from __future__ import annotations
 

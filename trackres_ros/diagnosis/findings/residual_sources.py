@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is left after a fit, by where it comes from: the torque's sensor, the speed's, and the model."""
+"""Splits the residual of a fit by source: torque sensor, speed sensor and model."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class ResidualSources:
         """In words."""
 
         def size(value: float | None) -> str:
-            return "what cannot be told here" if value is None else f"{figures(value)} Nm"
+            return "an unknown part" if value is None else f"{figures(value)} Nm"
 
         return (
-            f"Of the {figures(self.total)} Nm that are left of a step of {self.step:g} s, noise of the torque sensor makes "
-            f"{size(self.torque_sensor)}, the speed sensor {size(self.speed_sensor)} (inertia times what the smoothed speed is "
-            f"off), and the model at most {size(self.model)}: the rest, with what lasts longer of the sensors' errors"
+            f"The residual is {figures(self.total)} Nm in steps of {self.step:g} s. The torque sensor's noise contributes "
+            f"{size(self.torque_sensor)}, the speed sensor {size(self.speed_sensor)} (inertia times the error of the smoothed "
+            f"acceleration). The model contributes at most {size(self.model)}: the rest, including slow errors of the sensors"
         )
 
 

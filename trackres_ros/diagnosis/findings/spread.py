@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds regimes in which the torque shakes more than elsewhere: a judder has no mean, so no term of the fit shows it.
+"""Finds regimes in which the torque oscillates more than elsewhere: a judder has no mean, so no term of the fit shows it.
 
 The measured torque is compared with the expected one within the steps of the fit, by means over a fifth of a second. Second
 differences of that residual show what is faster than a step, and a median over three steps leaves out corners of the torque.
@@ -40,7 +40,7 @@ LEAST_RATIO = 2.0  # to that elsewhere: less may be rough ground
 SURELY_RATIO = 1.4  # what the laps must surely exceed
 MOST_P = 0.001  # over all regimes together
 LEAST_SHARE = 0.02  # of the torque's root mean square
-MECHANISMS = ("a clutch, belt or brake that slips and sticks", "a controller that swings", "play in the drive train")
+MECHANISMS = ("a clutch, belt or brake that slips and sticks", "an oscillating controller", "play in the drive train")
 BINS = 12  # of the torque, for how its noise grows with it
 
 
@@ -72,8 +72,9 @@ class Spread:
     def described(self) -> Described:
         """As a term without a name, which nothing predicts."""
         text = (
-            f"The torque shakes by {figures(self.size_nm)} Nm {self.regime}, {figures(self.ratio, 2)} times as much as elsewhere "
-            f"at the same torque. These are standard deviations of what is faster than a second, over {self.laps} laps"
+            f"The torque oscillates by {figures(self.size_nm)} Nm {self.regime}, {figures(self.ratio, 2)} times as much as "
+            "elsewhere "
+            f"at the same torque. These are standard deviations over {self.laps} laps, of oscillations faster than 1 s"
         )
         return Described(FORM, "", "", self.regime, None, None, text, MECHANISMS, self.size_nm, False)
 

@@ -171,9 +171,9 @@ class Findings:
 
     @property
     def rest(self) -> list[str]:
-        """What is left beside what is confirmed."""
+        """Sentences about the remaining residual besides the confirmed terms."""
         return [
-            f"Something small is left, {range_of(self.left[0])}" if self.left else "",
+            f"A small error remains {range_of(self.left[0])}" if self.left else "",
             *(slow(self.left_over) if self.strays else []),
         ]
 
@@ -205,12 +205,14 @@ def judge(f: Findings) -> Verdict:
 
 
 def _confirmed(f: Findings) -> Verdict:
-    """The verdict where terms are confirmed, unless what is left is large beside what they explain."""
+    """The verdict with confirmed terms, unless the remaining residual is large compared with them."""
     after = [*f.shakes, may_be(f.listed, also=True), *f.after]
     added = np.concatenate([sum(x) for x in zip(*(t.adds for t in f.sure), strict=True)])
     explained = float(np.percentile(np.abs(added), 95.0))  # where they act: some do for minutes of an hour
     if max((abs(b.mean_residual) for b in f.left), default=0.0) > LEFT_SHARE * explained:
-        partly = f"{' and '.join(map(short, f.sure))} would explain a part of it, but too much is left to believe that"
+        partly = (
+            f"{' and '.join(map(short, f.sure))} would explain a part of it, but the remaining error is too large to confirm that"
+        )
         seen = unexplained(f.left)
         return Verdict("unexplained", SUSPECTED, joined([seen, partly, *after]), (), f.listed, seen)
     named = [t for t in f.sure if isinstance(t, NamedEffect)]
@@ -246,7 +248,7 @@ def _unexplained(f: Findings) -> Verdict | None:
 
 
 def _lasts(drift: Told, left: Sequence[Bin], strays: bool) -> bool:
-    """Whether what is left is a level of each recording, or goes with the clock alone."""
+    """Whether the residual is a level of each recording, or follows only the clock."""
     return drift.described.form == "recordings" or (strays and all(BY_NAME[b.variable].as_clock for b in left))
 
 
@@ -255,8 +257,8 @@ def _of_drift(drift: Told) -> list[str]:
     return [
         drift.described.sentence,
         look_for(drift.described.mechanisms),
-        "It cannot be predicted",
-        f"{mean_error(i.before, i.after)} where the estimate follows it as it goes",
+        "The model cannot predict it",
+        f"{mean_error(i.before, i.after)} when the live estimate tracks it",
     ]
 
 
@@ -279,10 +281,10 @@ def _nothing_missing(f: Findings) -> Verdict:
         values = ", ".join(moved(q, value) for q, value in out_of_range)
         judged = "reject" if refit.grade == REFUTED else "do not confirm"
         lines = ["No physics is missing", f"A re-fit would move parameters of the vehicle file: {values}"]
-        return Verdict("none", refit.grade, joined([*lines, f"The unused laps {judged} that", worth, *after]), (), listed)
+        return Verdict("none", refit.grade, joined([*lines, f"The hold-out laps {judged} that", worth, *after]), (), listed)
     nominal, re_fitted = (figures(held_out.mae[stage]) for stage in ("nominal", "refitted"))
     lines = [
         "No mismatch beyond noise",
-        f"The mean error on laps not used for fitting is {nominal} Nm with the vehicle file and {re_fitted} Nm re-fitted",
+        f"The mean error on hold-out laps is {nominal} Nm with the vehicle file and {re_fitted} Nm re-fitted",
     ]
     return Verdict("none", CONFIRMED, joined([*lines, *after]), (), listed)

@@ -26,13 +26,13 @@ NONE_OF_THESE = "none of these"
 
 FORMS = {
     "gated_curve": "a curve",
-    "spells": "a torque that comes and goes",
-    "wave": "a torque that repeats with distance",
+    "spells": "an intermittent torque",
+    "wave": "a periodic torque over distance",
     "place": "a torque at a place",
     "payload": "a payload",
     "level_change": "a change of level",
-    "recordings": "another level in each recording",
-    "spread": "a torque that shakes",
+    "recordings": "a different level in each recording",
+    "spread": "an oscillating torque",
 }
 
 Possible = tuple[tuple[str, float | None], ...]
@@ -55,18 +55,18 @@ def is_small(t: NamedEffect | Told) -> bool:
 
 
 def confirmed_terms(terms: Sequence[NamedEffect | Told], held_out: HeldOut) -> list[str]:
-    """What is confirmed: the large terms, what they are worth together, then the small ones."""
+    """Sentences of the confirmed terms: the large ones, their common improvement, then the small ones."""
     large = [t for t in terms if not is_small(t)]
     small = [t for t in terms if is_small(t)]
     if not large:
-        return ["What is missing is small", _worth(held_out), *(line for t in small for line in _of(t))]
+        return ["The missing physics is small", _worth(held_out), *(line for t in small for line in _of(t))]
     return [*(line for t in large for line in _of(t)), _worth(held_out), *map(_small, small)]
 
 
 def _of(t: NamedEffect | Told) -> list[str]:
-    """A term: where and how much, what it is, its values."""
+    """Sentences of one term: place and size, cause, values."""
     if isinstance(t, Told):
-        return [t.described.sentence, "No effect of the catalogue does this", look_for(t.described.mechanisms)]
+        return [t.described.sentence, "No effect of the catalogue explains this", look_for(t.described.mechanisms)]
     members = t.step.members
     if len(members) > 1:
         listed = either([f"{name} ({_percent(t.step.weights[name])})" for name in members])
@@ -98,7 +98,7 @@ def differs(t: NamedEffect | Told) -> str:
 
 
 def look_for(mechanisms: Sequence[str]) -> str:
-    """What to look at in the vehicle, as much as a sentence holds; the page has all."""
+    """Mechanisms to check in the vehicle, within one sentence; the page lists all."""
     text = f"Look for {mechanisms[0]}"
     for one in mechanisms[1:]:
         if len(f"{text} or {one}".split()) <= MOST_WORDS:
@@ -127,7 +127,7 @@ def form_words(form: str) -> str:
 
 def _small(t: NamedEffect | Told) -> str:
     i = t.graded.improvement
-    return f"{short(t)} is confirmed but small: it takes {figures(max(i.before - i.after, 0.0), 2)} Nm off that error"
+    return f"{short(t)} is confirmed but small: it reduces that error by {figures(max(i.before - i.after, 0.0), 2)} Nm"
 
 
 def _worth(h: HeldOut) -> str:
@@ -138,13 +138,13 @@ def mean_error(before: float, after: float) -> str:
     """How the mean error on hold-out laps changes."""
     was, now = figures(before), figures(after)
     way = f"stays at {now}" if was == now else f"{'falls' if after < before else 'rises'} from {was} to {now}"
-    return f"The mean error on laps not used for fitting {way} Nm"
+    return f"The mean error on hold-out laps {way} Nm"
 
 
 def possible(
     unsure: Sequence[NamedEffect | Told], confirmed: Sequence[NamedEffect | Told], shares: Mapping[str, float]
 ) -> Possible:
-    """What it may be besides what is confirmed, with probabilities, the likeliest first and `NONE_OF_THESE` last.
+    """Possible causes besides the confirmed ones, with probabilities, the likeliest first and `NONE_OF_THESE` last.
 
     Without probabilities over whole explanations those within each suspected class are given, and none for a single name.
     """
@@ -165,7 +165,7 @@ def possible(
 
 
 def may_be(listed: Possible, also: bool = False) -> str:
-    """The list of what it may be, in a sentence."""
+    """The list of possible causes, in a sentence."""
     options = [name if share is None else f"{name} ({_percent(share)})" for name, share in listed]
     return f"It may {'also ' if also else ''}be: {', '.join(options)}" if options else ""
 
@@ -178,10 +178,10 @@ def doubts(unsure: Sequence[Graded]) -> list[str]:
 def _doubt(graded: Graded) -> str:
     i = graded.improvement
     if i.grade == CONFIRMED and graded.on_bounds:
-        return f"{graded.name} is at the bound of its plausible range ({', '.join(graded.on_bounds)})"
+        return f"{graded.name} is at the limit of its plausible range ({', '.join(graded.on_bounds)})"
     if i.grade == CONFIRMED and graded.cancels:
-        return f"{graded.name} improves the unused laps far less than its size says: {_from_to(i)}"
-    return f"The unused laps do not confirm {graded.name}: {_from_to(i)}"
+        return f"{graded.name} improves the hold-out laps far less than its size suggests: {_from_to(i)}"
+    return f"The hold-out laps do not confirm {graded.name}: {_from_to(i)}"
 
 
 def _from_to(i: Improvement) -> str:
@@ -190,26 +190,26 @@ def _from_to(i: Improvement) -> str:
 
 
 def rejected(refuted: Sequence[Graded]) -> list[str]:
-    """What the hold-out laps reject, what displaces a value of the file, and what they do not confirm."""
+    """Terms that the hold-out laps reject or do not confirm, and terms that displace a value of the file."""
     worse = [g for g in refuted if g.grade == REFUTED and not g.displaces]
     unsure = ", ".join(g.name for g in refuted if g.grade != REFUTED)
     return [
         *(
-            f"The unused laps reject {g.name}: it raises their mean error from {figures(g.improvement.before)} to "
+            f"The hold-out laps reject {g.name}: it raises their mean error from {figures(g.improvement.before)} to "
             f"{figures(g.improvement.after)} Nm"
             for g in worse
         ),
         *(
-            f"The diagnosis drops {g.name}: with it, {', '.join(g.displaces)} of the vehicle file goes to the end of its range"
+            f"The diagnosis drops {g.name}: it pushes {', '.join(g.displaces)} of the vehicle file to the end of its range"
             for g in refuted
             if g.displaces
         ),
-        f"Dropped, because the unused laps do not confirm it: {unsure}" if unsure else "",
+        f"Rejected, because the hold-out laps do not confirm it: {unsure}" if unsure else "",
     ]
 
 
 def moved(q: BaseParameter, value: float) -> str:
-    """A parameter of the base and where it went."""
+    """A parameter of the base with its old and new value."""
     unit = "" if q.unit == "1" else f" {q.unit}"
     return f"{q.name} {figures(q.nominal, 4)} -> {figures(value, 4)}{unit}"
 
@@ -218,13 +218,13 @@ def file_is_off(far: Sequence[tuple[BaseParameter, float]]) -> list[str]:
     """That the vehicle file is of another vehicle, and where to look; values that a re-fit moves far out of their ranges."""
 
     def value(q: BaseParameter, at: float) -> str:
-        return f"{q.name} is {figures(at)} then, and {q.by_file[0]:g} to {q.by_file[1]:g} in the file"
+        return f"{q.name} would be {figures(at)}, but the file allows {q.by_file[0]:g} to {q.by_file[1]:g}"
 
     return [
         "The vehicle file does not fit this vehicle",
-        "Only values far outside its ranges come near the recordings",
+        "Only values far outside its ranges reproduce the recordings",
         *(f"The {value(q, at)}" for q, at in far[:MOST_LISTED]),
-        "Check what no re-fit changes: the rubber file, dimensions of belt and wheels, and the unit of the load",
+        "Check the values that are not re-fitted: the rubber file, the dimensions of belt and wheels, and the unit of the load",
     ]
 
 
@@ -235,7 +235,7 @@ def _rival(f: NamedEffect) -> str:
         return ""
     next_best = max(others, key=lambda c: c.net_evidence)
     if f.step.chosen.net_evidence - next_best.net_evidence < LEAST_AHEAD:
-        return f"{upper(next_best.name)} fits as well, but predicts the unused laps surely worse"
+        return f"{upper(next_best.name)} fits as well, but predicts the hold-out laps significantly worse"
     return f"The next best explanation, {next_best.name}, is {likelier(f.step.chosen, next_best)} times less likely"
 
 
@@ -276,8 +276,8 @@ def slow(s: SlowResidual) -> list[str]:
 def only_later(fitted: float, unused: float) -> list[str]:
     """That the laps which were not fitted differ more from the model than those which were."""
     return [
-        f"The unused laps differ from the re-fitted model by {figures(unused)} Nm, the fitted laps by {figures(fitted)} Nm",
-        "Something changed between them, or they were driven where the fitted laps were not",
+        f"The hold-out laps differ from the re-fitted model by {figures(unused)} Nm, the fitted laps by {figures(fitted)} Nm",
+        "Something changed between them, or the hold-out laps cover other driving conditions",
     ]
 
 

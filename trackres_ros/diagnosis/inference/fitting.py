@@ -67,7 +67,7 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is fitted: sessions, which of their samples, and by which base."""
+    """A problem to fit: sessions, masks of their samples, and the base."""
 
     base: Base
     sessions: tuple[DriveSession, ...]
@@ -92,7 +92,7 @@ class Problem:
         return tuple(found)
 
     def expected(self, predicted: Sequence[Predicted]) -> list[Array]:
-        """What was simulated of each segment."""
+        """Simulated values of each segment."""
         return [
             predicted[g.session].torque if g.kind == "torque" else self._belt(g.session, predicted[g.session])
             for g in self.segments
@@ -188,7 +188,7 @@ class Fit:
 
     @property
     def acting(self) -> tuple[Active, ...]:
-        """All that is added to the base: what the instrument does, and the effects."""
+        """All additions to the base: errors of the instrument, and the effects."""
         return (*self.instrument, *self.effects)
 
     def model_at(self, point: Array) -> tuple[dict[str, float], tuple[Active, ...]]:
@@ -201,7 +201,7 @@ class Fit:
         return base, tuple(acting)
 
     def contribution(self, name: str) -> list[Array]:
-        """What one effect adds to the expected torque of each session [Nm]."""
+        """Contribution of one effect to the expected torque of each session [Nm]."""
         without = self.problem.predict(self.base_values, [a for a in self.acting if a.effect.name != name])
         return [p.torque - w.torque for p, w in zip(self.predicted, without, strict=True)]
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Independent parts of a computation side by side: most of each is compiled, and leaves the interpreter to the others."""
+"""Runs independent parts of a computation in threads; compiled code releases the interpreter lock."""
 
 from __future__ import annotations
 

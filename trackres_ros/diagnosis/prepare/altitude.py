@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes a slope of a recorded altitude, where the altitude is good enough for one, and says how sure it is."""
+"""Derives a slope from a recorded altitude of sufficient accuracy, with its standard deviation."""
 
 from __future__ import annotations
 
@@ -40,21 +40,23 @@ def with_slope(session: DriveSession) -> tuple[DriveSession, str]:
     found = slopes(session.time + 0.5 * session.step, session.speed, session.altitude, error)
     known = np.isfinite(found.value)
     used = session.used & known
-    of_error = f", which is {error:.1f} m off from one pass of a place to the next ({passes} places)," if passes else ""
+    of_error = f", which differs by {error:.1f} m between passes of one place ({passes} places)," if passes else ""
     where = f"{session.name}: the altitude{of_error}"
     if used.sum() < (1.0 - MOST_UNKNOWN) * session.used.sum():
-        return session, f"{where} gives a slope on less than half of the way; none is used"
+        return session, f"{where} gives a slope on less than half of the distance; it is not used"
     spread = float(np.std(found.value[used]))
     if spread**2 < found.std**2 / (1.0 - WORTH):
-        text = f"slopes with a standard deviation of {found.std:.2%} over {found.length_m:.0f} m, as large as what it shows"
-        return session, f"{where} is worth nothing as a slope: {text}; none is used"
+        text = (
+            f"slopes with a standard deviation of {found.std:.2%} over {found.length_m:.0f} m, as large as the slopes themselves"
+        )
+        return session, f"{where} gives no usable slope: {text}; it is not used"
     with_it = replace(session, grade=np.where(known, found.value, 0.0), grade_std=found.std, used=used)
     without, error_with, surely = torque_errors(with_it)
     if not surely:
-        text = f"with its slopes the torque is explained to {error_with:.4g} Nm, without them to {without:.4g} Nm"
-        return session, f"{where} is worth nothing as a slope over {found.length_m:.0f} m: {text}; none is used"
+        text = f"the torque error is {error_with:.4g} Nm with its slopes and {without:.4g} Nm without"
+        return session, f"{where} gives no usable slope over {found.length_m:.0f} m: {text}; it is not used"
     text = f"a slope over {found.length_m:.0f} m with a standard deviation of {found.std:.2%}"
-    explained = f"with it the torque is explained to {error_with:.4g} Nm, without it to {without:.4g} Nm"
+    explained = f"the torque error is {error_with:.4g} Nm with it and {without:.4g} Nm without"
     return replace(with_it, given=session.given | {"grade"}), f"{where} gives {text}; {explained}"
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a torque sensor shows at rest: where it reads none for long, it has no offset."""
+"""Checks the torque sensor at rest: a long reading of zero means no offset."""
 
 from __future__ import annotations
 

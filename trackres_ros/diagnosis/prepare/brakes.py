@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds down to which torque a motor brakes alone, where nothing is recorded of the friction brakes that help it."""
+"""Finds the lowest torque at which the motor brakes alone, if no friction brake is recorded."""
 
 from __future__ import annotations
 

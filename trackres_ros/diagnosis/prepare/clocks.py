@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Checks the clocks of one recording: one that is set back, and one that is off against the speed's by hours or minutes."""
+"""Checks the clocks of one recording: steps back in time, and offsets of minutes or hours to the speed's clock."""
 
 from __future__ import annotations
 
@@ -68,21 +68,21 @@ def on_one_clock(recording: Recording) -> tuple[Recording, list[str]]:
         sure = ""
         if off is not None and role in torques and _goes_better((at, speed), its, off.seconds, where, given):
             moved.add(off.seconds)
-            sure = "it then goes with the speed"
+            sure = "it then correlates with the speed"
         elif off is not None and role not in torques and off.logged:
-            sure = "as the time of logging says"
+            sure = "by the log time"
         elif off is not None and role not in torques and any(abs(off.seconds - other) <= LEAST_SHIFT_S for other in moved):
-            sure = "as the torque"
+            sure = "by the torque"
         if off is not None and sure:
             series[role] = replace(series[role], stamp_ns=series[role].stamp_ns - off.seconds * SECOND_NS)
-            notes.append(f"{where}: its clock is {off.seconds:+d} s off against the speed's; moved by that, {sure}")
+            notes.append(f"{where}: its clock differs from the speed's by {off.seconds:+d} s; corrected ({sure})")
         elif off is None or role in torques or abs(off.seconds - ZONE_S * (round(off.seconds / ZONE_S) or 1)) > BOTH_ENDS_S:
-            notes.append(f"{where} is {given}; only what is in both is compared")
+            notes.append(f"{where} is {given}; only the common part is compared")
         elif base_role(role) in SLOW_ROLES:
-            notes.append(f"{where} is {given}: its clock seems to be {off.seconds:+d} s off; it is used as it is")
+            notes.append(f"{where} is {given}: its clock seems to be {off.seconds:+d} s off; it is used uncorrected")
         else:
             del series[role]
-            used = "it is not used; correct its times to have it used"
+            used = "it is not used; correct its times to use it"
             notes.append(f"{where} is {given}: its clock seems to be {off.seconds:+d} s off; {used}")
     return replace(recording, series=series), notes
 
@@ -99,9 +99,9 @@ def _refuse_set_back(where: str, series: Series, several: bool) -> None:
     by, after = (stamps[back[0]] - stamps[back[0] + 1]) / SECOND_NS, (stamps[back[0]] - stamps[0]) / SECOND_NS
     raise InputError(
         where,
-        f"times that go back by {by:.0f} s, {after:.0f} s after its beginning",
-        "one clock from beginning to end",
-        "correct the times behind it, or make a recording of its own of each part; if the parts are in another order, sort them",
+        f"times that go back by {by:.0f} s, {after:.0f} s after the beginning",
+        "times that increase from beginning to end",
+        "correct the later times, or save each part as its own recording; sort parts that are out of order",
     )
 
 
@@ -116,11 +116,11 @@ def _pauses(name: str, at: Array) -> list[str]:
     gaps = np.diff(at)
     longest = int(np.argmax(gaps)) if len(gaps) else 0
     if len(gaps) and gaps[longest] > LONGEST_PAUSE_S:
-        given = f"a gap of {gaps[longest] / LONGEST_PAUSE_S:.1f} days, {at[longest] - at[0]:.0f} s after its beginning"
-        remedy = "if its clock was set there, correct the times before it; else make a recording of its own of each part"
+        given = f"a gap of {gaps[longest] / LONGEST_PAUSE_S:.1f} days, {at[longest] - at[0]:.0f} s after the beginning"
+        remedy = "if the clock was set there, correct the earlier times; else save each part as its own recording"
         raise InputError(f"{name}: speed", given, "gaps of a day at most", remedy)
     return [
-        f"{name}: no speed for {gaps[i]:.0f} s, {at[i] - at[0]:.0f} s after its beginning; taken for a pause"
+        f"{name}: no speed for {gaps[i]:.0f} s, {at[i] - at[0]:.0f} s after the beginning; treated as a pause"
         for i in np.flatnonzero(gaps > LONG_PAUSE_S)
     ]
 
@@ -154,9 +154,9 @@ def _goes_better(speed: tuple[Array, Array], torque: tuple[Array, Array], second
         return False
     raise InputError(
         where,
-        f"{given}: a clock that is {seconds:+d} s off?",
-        "torque and speed by one clock",
-        "correct the times of one of them; of a bag whose header stamps are off, give it stamp: log in the topics file",
+        f"{given}: its clock may be {seconds:+d} s off",
+        "torque and speed on one clock",
+        "correct the times of one of them; for a bag with wrong header stamps, set stamp: log in the topics file",
     )
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds where a series holds nothing that was measured: long gaps, and gaps that were filled with lines or repeated values."""
+"""Finds unmeasured parts of a series: long gaps, and gaps filled with lines or repeated values."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ FEWEST_FILLED, SHORTEST_FILLED_S = 5, 3.0
 EXACT = 1e-6  # of the largest values: as exact as six digits are written
 LEAST_RISE = 20.0  # times the resolution: a line that rises by less may be a level
 UNUSUAL = 20.0
-"""Times the usual length of a straight run, from which one series alone shows a filled gap. Real drives reach 10: a car, a bus
-and four robots, 16 h in all, with speeds as recorded and rounded to 0.1 and 1 km/h, and torques rounded to 1, 10 and 50 Nm.
+"""Multiple of the usual length of a straight run, from which one series alone shows a filled gap. Real drives reach 10: a car,
+a bus and four robots, 16 h in all. Their speeds were as recorded and rounded to 0.1 and 1 km/h, torques to 1, 10 and 50 Nm.
 """
 LONGEST_UNKNOWN_S, UNUSUAL_SPACING = 5.0, 10.0  # of a slope, and times its usual spacing
 FEWEST_FOR_SPACING = 100

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 0 of the diagnosis: recordings in, evenly spaced sessions with numbered laps out, and what was left out of them."""
+"""Step 0 of the diagnosis: recordings come in; evenly spaced sessions with numbered laps and the rejected samples go out."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ CLOCK_OFF_S = 60.0  # by which a standing time that is given may be shorter than
 
 @dataclass(frozen=True, slots=True)
 class Exclusion:
-    """What is not compared [s], and why."""
+    """Time that is not compared [s], and the reason."""
 
     reason: str
     seconds: int
@@ -54,7 +54,7 @@ class Exclusion:
 
 @dataclass(frozen=True, eq=False)
 class Gated:
-    """What passed the gate.
+    """Recordings that passed the checks.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Gated:
 def gate(
     recordings: Sequence[Recording], settings: GateSettings, hide: Sequence[str] = (), refused: Sequence[Refusal] = ()
 ) -> Gated:
-    """Check recordings and put them on an even grid; those that cannot be used are left out, and the notes say why.
+    """Check recordings and resample them to an even grid; unusable ones are skipped with a note.
 
     Parameters
     ----------
@@ -117,14 +117,14 @@ def gate(
     left_out = sum((one.left_out for one in checked), Counter[str]())
     unused = [r for r in given if r.name in {one.name for one in refused}]
     left_out[LEFT_OUT] = sum(int(duration_s(r.series)) for r in unused)
-    notes = [f"{one.name}: left out: {one.reason}" for one in refused] + overlaps
+    notes = [f"{one.name}: not used: {one.reason}" for one in refused] + overlaps
     if step < STEP_S:
         notes.append(
-            f"the speed changes so quickly that torques are compared as means over {step:g} s instead of {STEP_S:g} s; pieces, "
-            "gaps and other times are as much shorter"
+            f"the speed changes quickly, so torques are compared as means over {step:g} s instead of {STEP_S:g} s; pieces, "
+            "gaps and other times shrink by the same factor"
         )
     if step > STEP_S:
-        notes.append(f"samples come so slowly that torques are compared as means over {step:.0f} s")
+        notes.append(f"samples are sparse, so torques are compared as means over {step:.0f} s")
     sessions = _one_after_another(checked, [r for r in unused if _drove(r)], notes)
     return Gated(tuple(sessions), tuple(Exclusion(reason, n) for reason, n in left_out.items() if n), tuple(notes))
 
@@ -144,7 +144,7 @@ class _Admitted:
 
 @dataclass(frozen=True, eq=False)
 class _Resampled(_Admitted):
-    """The same on an even grid, and what of it is not compared."""
+    """The recording on an even grid, and its time without comparison."""
 
     session: DriveSession
     unknown: Mapping[str, Mask]
@@ -178,7 +178,7 @@ def _of_one_step(admitted: Sequence[_Admitted], refused: list[Refusal], settings
 
     def suits(one: _Admitted) -> _Admitted:
         step = own[one.name]
-        given = f"samples so slow that torques would be compared as means over {step:.0f} s"
+        given = f"samples so sparse that torques would be compared as means over {step:.0f} s"
         if step > LONGEST_STEP_S:
             raise InputError(one.name, given, f"at most {LONGEST_STEP_S:.0f} s", "record speed and torque more often")
         if step > longest:
@@ -197,7 +197,7 @@ def _resampled(one: _Admitted, step: float, settings: GateSettings) -> _Resample
 
 
 def _checked(one: _Resampled, settings: GateSettings, alone: float) -> _Resampled:
-    """The same with what may be compared, and a slope of its altitude."""
+    """The session with its mask of comparable samples, and a slope from its altitude."""
     session = replace(one.session, used=usable(one.session, one.unknown, settings, one.left_out, alone))
     if "brake" in session.given:
         one.notes.append(_of_brakes(session, one.unknown[BRAKES_ON], settings))
@@ -210,8 +210,8 @@ def _checked(one: _Resampled, settings: GateSettings, alone: float) -> _Resample
 def _enough(one: _Resampled) -> _Resampled:
     shortest = SHORTEST_MOVING_S * one.session.pace
     if one.compared_s < shortest:
-        given = f"{one.compared_s:.0f} s of driving with a torque; left out: {_listed(one.left_out) or 'nothing'}"
-        remedy = "give a longer recording, or look at units and topics"
+        given = f"{one.compared_s:.0f} s of driving with a torque; not used: {_listed(one.left_out) or 'nothing'}"
+        remedy = "give a longer recording, or check units and topics"
         raise InputError(one.name, given, f"at least {shortest:.3g} s", remedy)
     return one
 
@@ -231,16 +231,16 @@ def _one_after_another(checked: Sequence[_Resampled], unused: Sequence[Recording
         if stood < off - CLOCK_OFF_S:
             session = replace(session, gap=stood, after_unseen=True)
             notes.append(
-                f"{session.name}: it had stood for {stood:.0f} s, after a drive that is not among the recordings and is taken to "
+                f"{session.name}: it had stood for {stood:.0f} s, after an unrecorded drive that is assumed to "
                 "have been like this one"
             )
         elif follows:
             session = replace(session, gap=off)
             notes.append(
-                f"{session.name}: goes on {session.gap:.0f} s after the one before; the belt's temperature is carried over"
+                f"{session.name}: begins {session.gap:.0f} s after the previous one; the belt temperature is carried over"
             )
         else:
-            notes.append(f"{session.name}: starts soaked at the ambient temperature")
+            notes.append(f"{session.name}: the belts start at ambient temperature")
         end_ns = begin_ns + int(session.time[-1] * 1e9)
         session = replace(session, block=lap_numbers(session) + block, distance=session.distance + end_m)
         block, end_m = int(session.block[-1]) + 1, float(session.distance[-1])
@@ -264,13 +264,13 @@ def _of_brakes(session: DriveSession, on: Mask, settings: GateSettings) -> str:
         for steps in (drives & on, drives, session.used, session.used & (session.torque < 0.0))
     )
     return (
-        f"{session.name}: brakes on in {braked} s of {driven} s driven; {left} s are left to compare, {braking} of them with a "
-        "torque that brakes"
+        f"{session.name}: brakes on in {braked} s of {driven} s driven; {left} s remain for comparison, {braking} of them with a "
+        "braking torque"
     )
 
 
 def _of_wheels(recording: Recording) -> list[str]:
-    """What wheel speeds show."""
+    """Notes about the wheel speeds."""
     return wheel_notes(recording.aligned()) if any(base_role(role) == "wheel_speed" for role in recording.series) else []
 
 
@@ -288,7 +288,7 @@ def _stood(recording: Recording) -> float:
         return np.inf
     if given[0] < 0.0:
         raise InputError(
-            f"{recording.name}: stood", f"{given[0]:g} s", "0 s or more", "give the time since the drive before ended"
+            f"{recording.name}: stood", f"{given[0]:g} s", "0 s or more", "give the time since the previous drive ended"
         )
     return float(given[0]) if given[0] <= LONGEST_BREAK_S else np.inf
 
@@ -299,7 +299,7 @@ def _motor_brakes_alone(resampled: Sequence[_Resampled], settings: GateSettings,
     alone = motor_brakes_alone([one.session for one in resampled], compared)
     if alone < 0.0:
         notes.append(
-            f"down to {alone:.0f} Nm the motor brakes alone, as changes of speed show; below it friction brakes may help"
+            f"down to {alone:.0f} Nm the motor brakes alone, by the speed's changes; below that friction brakes may act too"
         )
     return alone
 

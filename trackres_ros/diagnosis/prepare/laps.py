@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Cuts a session into laps, at its stops, or into pieces of equal length where it has too few of them."""
+"""Cuts a session into laps, at its stops, or into pieces of equal length if there are too few stops."""
 
 from __future__ import annotations
 

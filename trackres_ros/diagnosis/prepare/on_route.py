@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Gives sessions what was learned before of the places of a route, by their positions."""
+"""Adds the learned values of a route's places to sessions, by position."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def on_route(gated: Gated, route: Sequence[RouteMap]) -> Gated:
                 continue
             found = _along(session, one)
             known = np.isfinite(found)
-            notes.append(f"{session.name}: {known.mean():.0%} of it lies on the route whose {one.kind}s are given")
+            notes.append(f"{session.name}: {known.mean():.0%} of it is on the route with known {one.kind}s")
             if known.mean() <= MOST_UNKNOWN:
                 notes[-1] += "; they are not used"
                 continue

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Puts recordings into one order, whatever order and names they were given with."""
+"""Sorts recordings independently of their given order and names."""
 
 from __future__ import annotations
 

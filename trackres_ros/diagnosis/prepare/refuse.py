@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Refuses recordings in which nothing can be compared: too short, of one time, without torque or speed, too fast or too slow."""
+"""Refuses recordings without comparable data: too short, overlapping in time, without torque or speed, too fast or too slow."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def nothing_left(refused: Sequence[Refusal]) -> InputError:
     if len(errors) == 1:
         return errors[0]
     reasons = "; ".join(f"{error.where}: {error.given}, {error.remedy or error.allowed}" for error in errors)
-    return InputError("recordings", f"{len(refused)}, none of which can be used", "at least one that can be used", reasons)
+    return InputError("recordings", f"{len(refused)}, all unusable", "at least one usable recording", reasons)
 
 
 def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
@@ -94,12 +94,12 @@ def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
             if both > MOST_OVERLAP * min(end - begin, other_end - other_begin) and both > STEP_S:
                 raise InputError(
                     f"{name}, {other}",
-                    f"{both:.0f} s of one time in both",
-                    "recordings of different times",
-                    "give one of them, or join what each has in one recording; of different drives one clock is off: correct it",
+                    f"{both:.0f} s that both recordings cover",
+                    "recordings that do not overlap in time",
+                    "give one of them, or join their channels; if the drives differ, correct the wrong clock",
                 )
             if both > STEP_S:
-                notes.append(f"{name}, {other}: their clocks overlap by {both:.0f} s; taken for one after the other")
+                notes.append(f"{name}, {other}: their clocks overlap by {both:.0f} s; treated as consecutive")
 
 
 def check_compared(

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Puts a recording on an even grid: samples of any rate become means over steps, and what is held between samples."""
+"""Resamples a recording to an even grid: means over steps, or held values between samples."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from trackres_ros.units import GRAVITY
 MOST_UNKNOWN = 0.5  # of a recording
 ODOMETER_OFF = 0.15  # of the speed: further off it was reset, or stood still
 QUICK, STEADY = 1.0 / 3.0, 0.01
-"""Share of the speed's mean square that is another one step later. Over 1 s it is up to 0.004 of a car on a road and of a bus,
-0.03 to 0.17 of robots that are driven to and fro, and 0.56 of a carriage on a screw."""
+"""Mean square change of the speed over one step, as a share of its mean square. Over 1 s a car or
+a bus reaches 0.004, robots driven to and fro 0.03 to 0.17, a carriage on a screw 0.56."""
 SHORTER_STEPS_S = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
 
@@ -330,7 +330,7 @@ def _turning(grid: _Grid, speed: _Speed, given: frozenset[str]) -> tuple[Array, 
     heading, yaw_rate = grid.held("heading", np.nan), grid.nan
     if "yaw_rate" in given and not np.ptp(series["yaw_rate"].value[np.isfinite(series["yaw_rate"].value)]):
         given -= {"yaw_rate"}  # a gyroscope that is there is never still
-        grid.notes.append(f"{grid.name}: yaw_rate never changes; taken for not recorded")
+        grid.notes.append(f"{grid.name}: yaw_rate never changes; treated as not recorded")
     if "yaw_rate" in given:
         yaw_rate = means(*grid.samples("yaw_rate"), edges)[0]
     elif made := turning(series, grid.start, edges, speed.mean, settings.slowest, settings.track_width):
@@ -338,7 +338,7 @@ def _turning(grid: _Grid, speed: _Speed, given: frozenset[str]) -> tuple[Array, 
         if known_turns.mean() > 1.0 - MOST_UNKNOWN:
             yaw_rate = np.interp(edges[:-1], edges[:-1][known_turns], made.yaw_rate[known_turns])
             given |= {"yaw_rate"}
-            grid.notes.append(f"{grid.name}: the yaw rate is made of {made.made_of}")
+            grid.notes.append(f"{grid.name}: the yaw rate is computed from {made.made_of}")
     if "yaw_rate" in given and "heading" not in given:
         heading = np.cumsum(np.nan_to_num(yaw_rate)) * grid.step
         given |= {"heading"}
@@ -350,7 +350,7 @@ def _slope(grid: _Grid, given: frozenset[str]) -> tuple[Mask, frozenset[str]]:
     """Steps without a slope; where they are most of all it counts as not recorded."""
     unknown = steps_without_value(grid.samples("grade")[0], grid.edges) if "grade" in given else grid.nowhere
     if unknown.mean() > MOST_UNKNOWN:
-        grid.notes.append(f"{grid.name}: the slope is not known for {unknown.mean():.0%} of it; taken for not recorded")
+        grid.notes.append(f"{grid.name}: the slope is unknown for {unknown.mean():.0%} of the time; treated as not recorded")
         return grid.nowhere, given - {"grade"}
     return unknown, given
 
@@ -361,7 +361,9 @@ def _braked(grid: _Grid, binding: TopicBinding) -> Mask | None:
         return None
     value = grid.series["brake"].value
     from_on = binding.brakes_from(value[np.isfinite(value)])
-    grid.notes.append(f"{grid.name}: brakes count as on from {from_on:g}; whatever else slows it down is in the measured torque")
+    grid.notes.append(
+        f"{grid.name}: brakes count as on from {from_on:g}; every other braking force is assumed to be in the measured torque"
+    )
     return any_from(grid.series["brake"], grid.start, grid.edges, from_on)
 
 
@@ -384,10 +386,10 @@ def _course(torques: Sequence[tuple[Array, Array]]) -> Cumulative:
 def _of_passengers(name: str, passengers: Array, step: float, kg_each: float, of_load: bool) -> str:
     """What becomes of the passengers."""
     if of_load:
-        return f"{name}: the weight is that of the load; passengers are taken to be in it"
+        return f"{name}: the weight comes from the load channel, which is assumed to include the passengers"
     first = int(np.argmax(np.isfinite(passengers)))
-    empty = f"; taken for empty until the first count, {first * step:.0f} s after its start" if first else ""
-    return f"{name}: passengers of {kg_each:g} kg each come on top of the empty vehicle{empty}"
+    empty = f"; treated as empty until the first count, {first * step:.0f} s after the start" if first else ""
+    return f"{name}: passengers of {kg_each:g} kg each are added to the empty vehicle{empty}"
 
 
 def _position(series: dict[str, Series], start: int, edges: Array) -> tuple[Array, Array]:

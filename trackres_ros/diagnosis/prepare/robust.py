@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Least squares that brakes, shocks and slopes do not pull along."""
+"""Robust least squares against brakes, shocks and slopes."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Samples in, what their noise leaves in a mean over a step out."""
+"""Estimates the noise of a mean over a step from its samples."""
 
 from __future__ import annotations
 

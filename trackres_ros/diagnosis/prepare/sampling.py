@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Puts one series of a recording on the steps of a session: as means, held, carried on, or read off at the middle of a step."""
+"""Resamples one series to the steps of a session: as means, held, extrapolated, or at the middle of a step."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the diagnosis works on: recordings as evenly spaced series in SI, and which part of them serves for what."""
+"""Defines sessions: recordings as evenly spaced series in SI, with masks for their use."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the preparation of recordings must know of a vehicle, and the step that all of it works with."""
+"""Facts of a vehicle for the preparation of recordings, and the common time step."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def pace(step: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class GateSettings:
-    """What the gate must know of a vehicle.
+    """Facts of a vehicle for the checks of its recordings.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Speed samples in, the speed at chosen times out and how sure its changes are: a Kalman smoother over what the sensor showed.
+"""Smooths speed samples with a Kalman smoother: speed at chosen times, and the variance of its changes.
 
 The state is speed and acceleration, driven by a white jerk; a sample is the speed with white noise, which is at least that of
 rounding to the sensor's steps. Jerk and noise are the most likely ones given all innovations. Forward pass: Bar-Shalom, Li and

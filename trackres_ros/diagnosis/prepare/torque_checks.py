@@ -33,7 +33,7 @@ CLEARLY_BETTER = 0.05  # in correlation
 
 
 def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession, str]:
-    """The session with its torque moved in time to where it goes with the speed best, and what was done.
+    """The session with its torque shifted to the best correlation with the speed, and a note.
 
     Only whole steps from `LEAST_SHIFT_S` on: less is a delay, which is physics, or a sensor's.
     """
@@ -50,7 +50,7 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
         used=_moved_mask(session.used, -shift) & session.used,
         torque_course=course,
     )
-    return moved, f"{session.name}: the torque's clock is {shift * session.step:+g} s off against the speed's; moved by that"
+    return moved, f"{session.name}: the torque's clock differs from the speed's by {shift * session.step:+g} s; corrected"
 
 
 def check_torque(
@@ -83,17 +83,17 @@ def check_torque(
         raise InputError(where, f"always {m[0]:g} Nm", "a torque that changes; is the sensor connected?")
     slope, alike = float(m @ e / (e @ e)), float(np.corrcoef(m, e)[0, 1])
     if alike < -SURE or (slope < 0.0 and abs(m.mean()) > 0.3 * abs(e.mean())):
-        given = f"falls where {slope:.2g} of the expected torque rises (correlation {alike:.2f})"
-        raise InputError(where, given, "a torque that is positive where it drives forward", Conversion(-1.0).line("torque"))
+        given = f"changes by {slope:.2g} times the expected torque (correlation {alike:.2f})"
+        raise InputError(where, given, "a torque that is positive when driving forward", Conversion(-1.0).line("torque"))
     low, high = HEALTHY[0] * known.torque_scale[0], HEALTHY[1] * known.torque_scale[1]
     least, most = _share_of_inertia(m, e - r, r)
     if not (least <= high and most >= low):
-        raise InputError(where, f"about {_between(least, most):.2g} of the expected, by what changes of speed take",
-                         "the torque at the sprockets or wheels, of the whole vehicle, in Nm",
+        raise InputError(where, f"about {_between(least, most):.2g} times the expected torque, by the speed's changes",
+                         "the torque of the whole vehicle at sprockets or wheels, in Nm",
                          _remedy(_between(least, most), sessions, known))  # fmt: skip
     if not FAR_OFF[0] * known.torque_scale[0] < slope < FAR_OFF[1] * known.torque_scale[1]:
-        allowed = "the torque at the sprockets or wheels, of the whole vehicle, in Nm"
-        raise InputError(where, f"about {slope:.2g} of the expected", allowed, _remedy(slope, sessions, known))
+        allowed = "the torque of the whole vehicle at sprockets or wheels, in Nm"
+        raise InputError(where, f"about {slope:.2g} times the expected torque", allowed, _remedy(slope, sessions, known))
 
 
 def faulty_torques(
@@ -139,7 +139,7 @@ def _between(least: float, most: float) -> float:
 
 
 def _remedy(share: float, sessions: Sequence[DriveSession], known: GateSettings) -> str:
-    """What may be wrong with a torque that is such a share of the expected one, and what to put into the topics file."""
+    """Possible causes of a torque that differs from the expected one by this factor, and the line for the topics file."""
     sides = {f"one of {n}": float(n) for n in (2, 3, 4)}
     whats = {
         "in kNm": 1e3,
@@ -157,17 +157,17 @@ def _remedy(share: float, sessions: Sequence[DriveSession], known: GateSettings)
     if nearest:
         said.append(f"if it is {nearest}, {Conversion(whats[nearest]).line('torque')}")
     else:
-        said.append("multiply a motor torque by its ratio, and that of one side by two, with scale in the topics file")
+        said.append("with scale in the topics file, multiply a motor torque by its gear ratio and the torque of one side by two")
     return "; ".join(said)
 
 
-LOOK_AT = "look at units, sign and whether it is that of the whole vehicle, for torque, speed and load, and at the vehicle file"
+LOOK_AT = "check units, signs and that torque, speed and load belong to the whole vehicle; check the vehicle file"
 
 
 def nothing_to_conclude(
     names: str, r2: Mapping[str, float], mae: Mapping[str, float], size: float, notes: Sequence[str] = ()
 ) -> InputError | None:
-    """What to say where no stage of the model explains the torque of laps held out any better than its mean does.
+    """The error if no stage of the model predicts the torque of hold-out laps better than its mean.
 
     Parameters
     ----------
@@ -186,19 +186,20 @@ def nothing_to_conclude(
         return None
     return InputError(
         f"{names}: torque",
-        f"R2 {r2[best]:.2f} on laps held out, {mae[best]:.3g} Nm off where it is {size:.3g} Nm",
-        "a torque that follows speed and load at all: nothing can be concluded",
+        f"R2 {r2[best]:.2f} on hold-out laps, with a mean error of {mae[best]:.3g} Nm at a mean torque of {size:.3g} Nm",
+        "a torque that depends on speed and load; without it no conclusion is possible",
         "; ".join((*notes, LOOK_AT)),
     )
 
 
 def inconsistent_scale_notes(sessions: Sequence[DriveSession], expected: Sequence[Array]) -> list[str]:
-    """What to say of recordings whose torque is in another proportion to the expected one than that of the others."""
+    """Notes on recordings whose ratio of measured to expected torque differs from the others."""
     used = [(s.torque[s.used], e[s.used]) for s, e in zip(sessions, expected, strict=True)]
     shares = [float(m @ e) / max(float(e @ e), 1e-12) for m, e in used]
     middle = float(np.median(shares)) if len(shares) > 2 else max(shares)
     return [
-        f"{s.name}: its torque is {share:.2g} of the expected one, of other recordings {middle:.2g}: is it of the same vehicle?"
+        f"{s.name}: its torque is {share:.2g} times the expected one, but {middle:.2g} times in other recordings: is it the "
+        "same vehicle?"
         for s, share in zip(sessions, shares, strict=True)
         if s.used.sum() > 60 and not 1.0 / UNLIKE < share / middle < UNLIKE
     ]

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A yaw rate out of what else was recorded, where it was not itself: heading, wheel speeds of the sides, or positions."""
+"""Derives a yaw rate from heading, wheel speeds of both sides or positions, if it was not recorded."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def turning(
         return Turning(_of_angle(*ordered(series["heading"], start), edges), "heading")
     sides = [_side(series, side, start, edges) for side in SIDES]
     if track_width is not None and sides[0] is not None and sides[1] is not None:
-        return Turning((sides[1] - sides[0]) / track_width, f"wheel speeds of the sides, {track_width:g} m apart")
+        return Turning((sides[1] - sides[0]) / track_width, f"wheel speeds of both sides, {track_width:g} m apart")
     if "latitude" in series and "longitude" in series:
         found = _of_positions(series, start, edges, speed, slowest)
         return None if found is None else Turning(found, "positions")

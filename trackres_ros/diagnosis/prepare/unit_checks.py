@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 0, first half: units of what is recorded beside the torque, judged by what vehicle and weather can be."""
+"""Step 0, first half: checks the units of all channels but the torque against plausible values of vehicle and weather."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ OF_SPEED = {"km/h": 1.0 / KMH_PER_MPS, "mph": 0.44704, "knots": 0.51444, "mm/s":
 
 
 class Conversion(NamedTuple):
-    """What makes the unit of a role out of another unit."""
+    """Conversion of another unit to the unit of a role."""
 
     scale: float = 1.0
     offset: float = 0.0
 
     def line(self, role: str) -> str:
-        """What to put into the topics file."""
+        """Line for the topics file."""
         parts = {name: f"{x:.5g}" for name, x in self._asdict().items() if x != Conversion._field_defaults[name]}
         asked = " and ".join(f"{'an' if name == 'offset' else 'a'} {name} of {x}" for name, x in parts.items())
         listed = ", ".join(f"{name}: {x}" for name, x in parts.items())
@@ -49,7 +49,7 @@ class Conversion(NamedTuple):
 
 
 def check_units(name: str, series: Mapping[str, Series], weight: float) -> list[str]:
-    """Refuse what is plainly in another unit, and say what is only unusual.
+    """Refuse values in a wrong unit, and note unusual ones.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def check_speed_unit(name: str, speed: Array, accel: Array, recorded_accel: Arra
                 given = f"changes {1.0 / ratio:.2g} times as fast as the recorded acceleration says"
                 _refuse(f"{name}: speed", given, "a speed in m/s", unit, Conversion(factor), "speed")
         if ratio and GRAVITY / AROUND**0.5 < 1.0 / ratio < GRAVITY * AROUND**0.5:
-            given = f"{ratio:.2g} of what the speed's changes say"
+            given = f"{ratio:.2g} times the acceleration from the speed"
             _refuse(f"{name}: accel", given, "an acceleration in m/s2", "g", Conversion(GRAVITY), "accel")
     ratio = _ratio(distance, speed) if distance is not None else 0.0
     if ratio:
@@ -109,11 +109,13 @@ def check_speed_unit(name: str, speed: Array, accel: Array, recorded_accel: Arra
                 given = f"{1.0 / ratio:.2f} times as fast as the recorded distance grows"
                 _refuse(f"{name}: speed", given, "a speed in m/s", unit, Conversion(factor), "speed")
         if 0.9 < 1e3 * ratio < 1.1:
-            _refuse(f"{name}: distance", f"{ratio:.2g} of the way by the speed", "metres", "km", Conversion(1e3), "distance")
+            _refuse(
+                f"{name}: distance", f"{ratio:.2g} times the distance from the speed", "metres", "km", Conversion(1e3), "distance"
+            )
         off = 1.0 / ratio - 1.0
         if abs(off) > SPEED_OFF:
             more = "more" if off > 0.0 else "less"
-            return [f"{name}: the speed reads {abs(off):.1%} {more} than the recorded distance says: one of the two is off"]
+            return [f"{name}: the speed is {abs(off):.1%} {more} than the recorded distance implies: one of them is wrong"]
     return []
 
 
@@ -126,9 +128,9 @@ def _temperature(where: str, role: str, middle: float, hottest: float) -> list[s
     for unit, (scale, offset) in (("kelvin", CELSIUS_OF_KELVIN), ("fahrenheit", CELSIUS_OF_FAHRENHEIT)):
         conversion = Conversion(scale, offset)
         if low <= scale * middle + offset <= hottest < middle:
-            _refuse(where, f"{middle:.4g} degC as its median", f"{low:g} to {hottest:g} degC", unit, conversion, role)
+            _refuse(where, f"{middle:.4g} degC (median)", f"{low:g} to {hottest:g} degC", unit, conversion, role)
     if not low <= middle <= hottest:
-        raise InputError(where, f"{middle:.4g} degC as its median", f"{low:g} to {hottest:g} degC", "is the sensor connected?")
+        raise InputError(where, f"{middle:.4g} degC (median)", f"{low:g} to {hottest:g} degC", "is the sensor connected?")
     if base_role(role) == "ambient" and middle > UNUSUAL_AIR_DEGC:
         line = Conversion(*CELSIUS_OF_FAHRENHEIT).line(role)
         return [f"{where}: air of {middle:.0f} degC is unusual; if it is in fahrenheit, {line}"]
@@ -148,10 +150,10 @@ def _weight(name: str, series: Mapping[str, Series], weight: float) -> list[str]
         for unit, factor in LOAD_UNITS.items():
             if 1.0 / AROUND < share * factor < AROUND:
                 _refuse(where, given, f"{low:g} to {high:g} of it", unit, Conversion(factor), role)
-        remedy = "give the weight of the whole vehicle; to the payload alone add the empty weight, as offset in the topics file"
+        remedy = "give the weight of the whole vehicle; for a payload, add the empty weight as offset in the topics file"
         raise InputError(where, given, f"{low:g} to {high:g} of it", remedy)
     if not USUAL_WEIGHTS[0] <= share <= USUAL_WEIGHTS[1]:
-        return [f"{where}: {given}: is all of it there, and once?"]
+        return [f"{where}: {given}: is each part of the load recorded exactly once?"]
     return []
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Says in which steps of a session torques may be compared, and counts the others by reason."""
+"""Selects the steps of a session with comparable torques, and counts the others by reason."""
 
 from __future__ import annotations
 

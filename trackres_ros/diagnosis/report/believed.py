@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The residual over all sessions, one after the other, and what each term that was found takes of it."""
+"""The residual over consecutive sessions, and the share of each found term."""
 
 from __future__ import annotations
 
@@ -67,14 +67,14 @@ class Panel:
 def panels(d: Diagnosis) -> list[Panel]:
     """The residual of the re-fitted base with the terms over it, and what is left; without a term the residual alone."""
     mae = {stage: figures(error) for stage, error in d.held_out.mae.items()}
-    re_fitted = _line(d, "measured less re-fitted model", BLUE, [p.torque for p in d.refitted.predicted])
-    title = f"Re-fitted: mean error {mae['refitted']} Nm on unused laps"  # short: a phone shows it whole
+    re_fitted = _line(d, "measured minus re-fitted model", BLUE, [p.torque for p in d.refitted.predicted])
+    title = f"Re-fitted: mean error {mae['refitted']} Nm on hold-out laps"  # short: a phone shows it whole
     found = terms(d)
     if not found:
-        as_it_is = _line(d, f"measured less vehicle file as it is ({mae['nominal']} Nm)", GREY, d.nominal)
+        as_it_is = _line(d, f"measured minus vehicle file as given ({mae['nominal']} Nm)", GREY, d.nominal)
         return [Panel(title, (as_it_is, re_fitted))]
-    left = _line(d, "what is left", VERMILION, [p.torque for p in d.final.predicted])
-    after = f"What is left: mean error {mae['with_effects']} Nm on unused laps"
+    left = _line(d, "residual", VERMILION, [p.torque for p in d.final.predicted])
+    after = f"Residual: mean error {mae['with_effects']} Nm on hold-out laps"
     return [Panel(title, (re_fitted, *found)), Panel(after, (left,))]
 
 

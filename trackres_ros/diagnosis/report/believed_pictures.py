@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The first picture of a page: the residual over time, each term over it, and what is left."""
+"""The first picture of a page: the residual over time, each term over it, and the remaining residual."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def draw_believed(d: Diagnosis, path: Path) -> Picture:
     drawn, ends = panels(d), begins(d)
     text, marked = marked_times(d)
     most = max(60, MOST_POINTS // len(d.sessions))
-    entries = ["not used for fitting", *(line.text for line in drawn[0].lines), text]
+    entries = ["hold-out laps", *(line.text for line in drawn[0].lines), text]
     columns = max(1, LEGEND_LETTERS // (6 + max(map(len, entries))))
     with picture_with_legend(path, WIDTH, 1.9 * len(drawn) + 0.5, -(-len(entries) // columns)) as body:
         axes = body.subplots(len(drawn), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
         for axis, panel in zip(axes, drawn, strict=True):
             for begin, end in held_out_times(d):
-                axis.axvspan(begin, end, color=GREY, alpha=0.18, linewidth=0, label="not used for fitting")
+                axis.axvspan(begin, end, color=GREY, alpha=0.18, linewidth=0, label="hold-out laps")
             axis.axhline(0.0, color=GREY, linewidth=0.8)
             for begin in ends[1:-1]:
                 axis.axvline(begin, color=GREY, linestyle=":", linewidth=1.0)
@@ -51,13 +51,13 @@ def draw_believed(d: Diagnosis, path: Path) -> Picture:
                 name, (begin, 1.0), (2, -2), xycoords=("data", "axes fraction"), textcoords="offset points", va="top",
                 fontsize=7, color="#555555",
             )  # fmt: skip
-        axes[-1].set_xlabel(f"time in the recordings, one after the other [{clock(d)[1]}]")
+        axes[-1].set_xlabel(f"time over consecutive recordings [{clock(d)[1]}]")
     terms = [line.text for line in drawn[0].lines if line.wide]
-    over = f" with {', '.join(terms)} over it; below it what is left" if terms else ""
+    over = f" with {', '.join(terms)} over it; below it the residual" if terms else ""
     errors = ". ".join(panel.title for panel in drawn)
     return Picture(
         path,
         "What the model lacks, over time",
-        f"Measured torque less the re-fitted model{over}. {errors}. Means over {lasting(d, AVERAGED_S)}, all recordings one "
-        "after the other.",
+        f"Measured torque minus the re-fitted model{over}. {errors}. Means over {lasting(d, AVERAGED_S)}, all recordings "
+        "in sequence.",
     )

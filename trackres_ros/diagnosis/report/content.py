@@ -120,7 +120,7 @@ def _base(d: Diagnosis) -> dict[str, Any]:
 
 
 def _verdict(d: Diagnosis) -> dict[str, Any]:
-    """What the diagnosis concludes, and the values of the vehicle file that the re-fit changes."""
+    """The conclusion of the diagnosis, and the values of the vehicle file that the re-fit changes."""
     return {
         "status": d.verdict.status,
         "grade": d.verdict.grade,
@@ -160,7 +160,7 @@ def _held_out(held_out: HeldOut) -> dict[str, Any]:
 
 
 def _advice(d: Diagnosis) -> list[dict[str, Any]]:
-    """Drives that would tell apart what cannot be told apart here."""
+    """Drives that would separate effects that these recordings do not distinguish."""
     return [
         {
             "separates": list(a.separates),
@@ -196,15 +196,16 @@ def _candidates(d: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
-    """What is to be done with what was kept, besides driving with the vehicle file."""
+    """Next steps for the kept results, besides using the vehicle file."""
     said = []
     around, sensors = (", ".join(d.kept.names_of(kind)) for kind in ("surroundings", "sensor"))
     if around:
         said.append(
-            f"Of the surroundings, not of the vehicle: {around}. It is in {SURROUNDINGS_FILE}, for --surroundings where it holds."
+            f"The surroundings, not the vehicle, cause {around}. That is written to {SURROUNDINGS_FILE}, for --surroundings "
+            "where it applies."
         )
     if lines:
-        said.append(f"Of a sensor: {sensors}. It is in no file: put into the topics file, instead of the line for the role:")
+        said.append(f"A sensor causes {sensors}. No file corrects that: in the topics file, replace the line of the role with:")
     return said
 
 
@@ -213,17 +214,17 @@ def _why(c: Candidate, step: Step) -> str:
     if step.chosen is c:
         return "chosen"
     if step.chosen is not None and c.name in step.members:
-        return f"cannot be told from {step.chosen.name} here"
+        return f"not distinguishable from {step.chosen.name} here"
     if c.gain <= step.threshold:
         return "noise alone may gain as much" if c.gain <= step.by_noise else "the model's own error may gain as much"
     if c.net_gain <= step.threshold:
         return f"another form of {' or '.join(step.before.effect_names)} may gain as much"
     if c.net_evidence <= 0.0:
-        return "explains less than its parameters cost"
+        return "explains less than its parameters cost (evidence)"
     if not c.matters:
-        return f"adds {c.share:.1%} of the torque, which hardly matters"
+        return f"adds only {c.share:.1%} of the torque"
     if step.chosen is None:
-        return "laps not used for fitting do not confirm it"
+        return "hold-out laps do not confirm it"
     return f"{likelier(step.chosen, c)} times less likely than {step.chosen.name}"
 
 

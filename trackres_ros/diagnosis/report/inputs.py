@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What was recorded, as plain data of report.json."""
+"""Summary of the recordings, as plain data of report.json."""
 
 from __future__ import annotations
 

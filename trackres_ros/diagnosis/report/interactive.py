@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The plots of the page that one can zoom into and press on, by Bokeh; without it the page has its pictures alone.
+"""The interactive plots of the page, by Bokeh; without it the page has only static pictures.
 
 The library and the data lie in the page packed, and the browser unpacks them: one file, no network.
 """
@@ -128,7 +128,7 @@ def interactive(d: Diagnosis) -> Interactive:
     plots = tuple(ZoomPlot(part, f"plot-{root}", figure.title.text) for root, (part, figure) in zip(roots, drawn, strict=True))
     legend = tuple((line.colour, line.text, line.solid) for panel in over_all for line in panel.lines)
     where = marked_times(d)[0]
-    legend += (("#D9D9D9", "not used for fitting", True), *([(MARK, where, True)] if where else []))
+    legend += (("#D9D9D9", "hold-out laps", True), *([(MARK, where, True)] if where else []))
     return Interactive(plots, _library(), bokeh.__version__, packed(json.dumps(data)), legend)
 
 
@@ -237,7 +237,7 @@ def _believed(d: Diagnosis, over_all: Sequence[Panel]) -> list[tuple[str, Any]]:
         figure.add_tools(HoverTool(renderers=lines[-1:], tooltips=texts, mode="vline"))
         figure.yaxis.axis_label = "torque [Nm]"
         if number == len(over_all) - 1:
-            figure.xaxis.axis_label = f"time, all drives one after the other [{clock(d)[1]}]; means over {lasting(d, AVERAGED_S)}"
+            figure.xaxis.axis_label = f"time over consecutive drives [{clock(d)[1]}]; means over {lasting(d, AVERAGED_S)}"
         found.append(("believed", figure))
     return found
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draws what is left after the last fit as noise: whether it is white."""
+"""Draws tests of whether the residual of the last fit is white noise."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def draw_noise(d: Diagnosis, path: Path) -> Picture:
             right.plot(frequency[::every], power[::every], color=colour, label=label)
         bound = INTERVAL / np.sqrt(np.maximum(pairs, 1.0))
         beyond = int((np.abs(found) > bound).sum())
-        left.plot(lags * step, bound, color=VERMILION, linestyle="--", linewidth=1.0, label="95 % of white noise within")
+        left.plot(lags * step, bound, color=VERMILION, linestyle="--", linewidth=1.0, label="95 % bounds of white noise")
         left.plot(lags * step, -bound, color=VERMILION, linestyle="--", linewidth=1.0)
         rim = BARTLETT / np.sqrt(max(len(power), 1))
         for side in (-rim, rim):
@@ -76,8 +76,8 @@ def draw_noise(d: Diagnosis, path: Path) -> Picture:
         right.set_ylabel("cumulative share of power")
     return Picture(
         path,
-        "Is what is left noise?",
-        f"Autocorrelation and cumulative periodogram of what is left after the last fit, as it is and whitened. Of "
-        f"{LAGS} lags of the whitened residual {beyond} lie beyond the bounds of white noise, "
+        "Is the residual white noise?",
+        f"Autocorrelation and cumulative periodogram of the residual after the last fit, raw and whitened. Of "
+        f"{LAGS} lags of the whitened residual, {beyond} exceed the bounds of white noise, "
         f"where {figures(0.05 * LAGS, 2)} would by chance.",
     )

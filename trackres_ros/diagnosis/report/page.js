@@ -55,7 +55,7 @@ async function start() {
       source.data = { x0, x1 };
     }
     for (const button of buttons) button.setAttribute("aria-pressed", String(button.dataset.light === key));
-    document.getElementById("lit").textContent = key === null ? "" : `${Math.round(seconds)} s are lit up.`;
+    document.getElementById("lit").textContent = key === null ? "" : `${Math.round(seconds)} s are highlighted.`;
   };
   for (const button of buttons) {
     button.addEventListener("click", () => window.trackresLight(button.getAttribute("aria-pressed") === "true" ? null : button.dataset.light));

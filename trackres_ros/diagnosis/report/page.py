@@ -25,9 +25,9 @@ VERDICTS = {
     "unexplained": "Unexplained",
 }
 GRADES = {
-    "confirmed": "confirmed on held-out laps",
-    "suspected": "suspected: it fits, held-out laps do not confirm it",
-    "refuted": "refuted: held-out laps get worse with it",
+    "confirmed": "confirmed on hold-out laps",
+    "suspected": "suspected: it fits, hold-out laps do not confirm it",
+    "refuted": "refuted: hold-out laps get worse with it",
 }
 
 

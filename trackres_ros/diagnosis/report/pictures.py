@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The pictures of a diagnosis. Each has a text that says what it shows, for who cannot see it."""
+"""The pictures of a diagnosis. Each has an alternative text."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def draw_before_after(d: Diagnosis, path: Path) -> Picture:
         mismatch = "mismatch before" if d.modelled else "mismatch"
         upper.fill_between(time, measured, before, color=ORANGE, alpha=0.35, linewidth=0, label=mismatch)
         upper.set_ylabel("torque [Nm]")
-        upper.set_title(f"{shortened(Path(session.name).name, TITLE_LETTERS - 40)}, a lap that was not used for fitting")
+        upper.set_title(f"{shortened(Path(session.name).name, TITLE_LETTERS - 40)}, a hold-out lap")
         lower.plot(time, session.speed[rows], color=GREY)
         lower.set_ylabel("speed [m/s]")
         lower.set_xlabel("time [s]")
@@ -123,13 +123,15 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
             axis.set_visible(False)
         for column in grid.T:
             [axis for axis in column if axis.get_visible()][-1].set_xlabel(f"time [{word}]")
-        body.supylabel("measured less simulated [Nm]", fontsize=9)
+        body.supylabel("measured minus simulated [Nm]", fontsize=9)
     left_out = len(d.sessions) - len(shown)
-    worst = f" Of {len(d.sessions)} recordings the {len(shown)} furthest off; {left_out} are not drawn." if left_out else ""
+    worst = (
+        f" Of {len(d.sessions)} recordings, the {len(shown)} with the largest error;{left_out} are not drawn." if left_out else ""
+    )
     return Picture(
         path,
         "Where: over time",
-        f"Measured less simulated torque over the time of each recording, means over {lasting(d, SMOOTHED_S)}; broken where "
+        f"Measured minus simulated torque over the time of each recording, means over {lasting(d, SMOOTHED_S)}; with gaps where "
         f"nothing could be compared. With the base re-fitted the root mean square is {decimals(swings)} Nm.{worst}",
     )
 
@@ -168,17 +170,17 @@ def draw_regimes(d: Diagnosis, path: Path) -> Picture:
             axis.set_visible(False)
         if not by_variable:
             axes[0].set_visible(True)
-            axes[0].text(0.5, 0.5, "nothing varies enough to tell where", ha="center", transform=axes[0].transAxes)
+            axes[0].text(0.5, 0.5, "nothing varies enough to locate the residual", ha="center", transform=axes[0].transAxes)
         body.supylabel("mean residual [Nm]", fontsize=9)
     text = (
         "; ".join(f"{decimals(b.mean_residual, signed=True)} Nm {_at(b)}" for b in d.at_base.significant[:5])
-        or "no bin stands out of noise"
+        or "no bin exceeds the noise"
     )
     return Picture(
         path,
         "Where: by regime",
         "Mean residual by bins of each variable, each with as many samples; the numbers are the edges of the bins, lines "
-        f"are 95 % intervals over laps, and a star is on what stands out of noise. With the base re-fitted: {text}.",
+        f"are 95 % intervals over laps, and a star marks bins beyond noise. With the base re-fitted: {text}.",
     )
 
 
@@ -203,10 +205,10 @@ def _laps(d: Diagnosis, path: Path) -> Picture:
         axis.set_xticks(np.arange(0, len(h.laps), every), [str(i + 1) for i in range(0, len(h.laps), every)])
         axis.set_xlabel("held-out lap")
         axis.set_ylabel("mean error [Nm]")
-        axis.set_title("Laps that were not used for fitting")
+        axis.set_title("Hold-out laps")
     return Picture(
         path,
-        "What it is worth",
+        "How much it improves the model",
         f"Mean absolute error by held-out lap, with 95 % intervals over pieces of {lasting(d, PIECE_S)}; over all: "
         + ", ".join(f"{label} {figures(h.mae[stage])} Nm" for stage, _, label in kinds)
         + ".",
@@ -238,11 +240,11 @@ def _matrix(d: Diagnosis, path: Path) -> Picture:
         axis.set_yticks(range(n), s.names, fontsize=7.5)
         axis.grid(False)
         figure.colorbar(image, label="cosine", shrink=0.5, aspect=12)
-        title = "How alike the effects look in these recordings, after the base was re-fitted"
+        title = "Similarity of the effects in these recordings, after the re-fit of the base"
         figure.suptitle(title, x=0.01, ha="left", fontsize=10)
     pairs = [(abs(s.cosines[i, j]), s.names[i], s.names[j]) for i in range(n) for j in range(i)]
     alike = ", ".join(f"{a} and {b}" for c, a, b in sorted(pairs, reverse=True)[:6] if c > 0.95) or "none"
-    return Picture(path, "What looks alike", f"Cosines between the visible effects; alike to more than 0.95: {alike}.")
+    return Picture(path, "Which effects look alike", f"Cosine similarity of the visible effects; pairs above 0.95: {alike}.")
 
 
 def _listed(d: Diagnosis) -> str:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where a page comes from: when, by which command and versions, out of which bytes."""
+"""Provenance of a page: time, command, versions and hashes of the inputs."""
 
 from __future__ import annotations
 

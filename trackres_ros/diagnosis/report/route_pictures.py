@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draws what goes by place: over the matched distance with its uncertainty, and on a map of the route."""
+"""Draws terms by place: over the matched distance with uncertainty, and on a map of the route."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ def draw_route(route: Route, final: Fit, path: Path) -> Picture:
     x, y = (0.001 * part for part in learned.frame.metres(learned.latitude, learned.longitude))
     with picture_with_legend(path, WIDTH, 5.4) as body:
         along, seen = body.subplots(2, 1, height_ratios=(2.0, 3.0))
-        ways = ((0, BLUE, "uphill positive"),) if slope else ((0, BLUE, "one way"), (1, VERMILION, "the other way"))
+        ways = ((0, BLUE, "uphill positive"),) if slope else ((0, BLUE, "one way"), (1, VERMILION, "opposite direction"))
         for column, color, label in ways:
             value, std = factor * learned.value[:, column], factor * learned.std[:, column]
             along.fill_between(way, value - INTERVAL * std, value + INTERVAL * std, color=color, alpha=0.25, linewidth=0.0)
             along.plot(way, value, color=color, linewidth=1.0, label=f"{label}, with its 95 % interval")
         along.axhline(0.0, color=GREY, linewidth=0.8)
-        along.set_xlabel("matched distance along the streets, in the order in which they were first driven [km]")
+        along.set_xlabel("matched distance along the streets, in the order of the first drive [km]")
         along.set_ylabel(unit)
         ways_known = np.isfinite(learned.value).sum(axis=1)
         mean = np.nansum(learned.value, axis=1) / np.where(ways_known > 0, ways_known, np.nan)
         shown = factor * (learned.value[:, 0] if slope else mean)
         most = float(np.nanmax(np.abs(shown)))
         dots = seen.scatter(x, y, c=shown, cmap="coolwarm", vmin=-most, vmax=most, s=8.0, rasterized=True)
-        body.colorbar(dots, ax=seen, label=f"{unit}, the way first driven" if slope else unit)
+        body.colorbar(dots, ax=seen, label=f"{unit}, in the direction of the first drive" if slope else unit)
         seen.set_aspect("equal")
         seen.set_xlabel("east [km]")
         seen.set_ylabel("north [km]")
@@ -53,6 +53,6 @@ def draw_route(route: Route, final: Fit, path: Path) -> Picture:
     return Picture(
         path,
         "By place",
-        f"{what} of each place over the matched distance, and the places as they lie; most of it is between {low} and {high} "
-        f"{unit}, and known to {sure} {unit} (one standard deviation, median).",
+        f"{what} of each place over the matched distance, and a map of the places; most values are between {low} and {high} "
+        f"{unit}, with a median standard deviation of {sure} {unit}.",
     )

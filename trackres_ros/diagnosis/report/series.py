@@ -24,7 +24,7 @@ INTERVAL = 1.96  # standard deviations, of 95 %
 def stages(d: Diagnosis) -> list[tuple[str, str, Sequence[Array]]]:
     """Key, words and expected torque of each session [Nm] of each stage that was reached."""
     found: list[tuple[str, str, Sequence[Array]]] = [
-        ("nominal", "vehicle file as it is", d.nominal),
+        ("nominal", "vehicle file as given", d.nominal),
         ("refitted", "base re-fitted", [p.torque for p in d.refitted.predicted]),
         ("with_effects", "with the effects", [p.torque for p in d.final.predicted]),
     ]

@@ -74,17 +74,17 @@ def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], na
             axis.plot(
                 *thinned(time, without, MOST_POINTS),
                 color=BLUE,
-                label=f"left without the term, means over {lasting(d, SMOOTHED_S)}",
+                label=f"residual without the term, means over {lasting(d, SMOOTHED_S)}",
             )
             axis.plot(time, np.where(session.used, term, np.nan), color=VERMILION, label=f"{name} as found")
             axis.axvline(begin, color=GREY, linestyle="--", linewidth=0.8, label="a recording begins")
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        _label(axis, f"time in the recordings, one after the other [{word}]", title)
+        _label(axis, f"time over consecutive recordings [{word}]", title)
     return Picture(
         path,
         f"The term: {name}",
-        "What is left without the term, and the term, over all recordings one after the other; on laps that were not used for "
-        "fitting it is there by their time alone.",
+        "Residual without the term, and the term, over all recordings in sequence. On hold-out laps the term follows from time "
+        "alone.",
     )
 
 
@@ -99,17 +99,16 @@ def _by_stretch(d: Diagnosis, of: Described, path: Path) -> Picture:
         axis = body.subplots()
         axis.errorbar(
             edges.mean(axis=1) / 60.0, mass, 1.96 * std, 0.5 * np.diff(edges, axis=1)[:, 0] / 60.0, fmt="none", color=VERMILION,
-            linewidth=1.2, label="a stretch between stops, and its 95 % interval",
+            linewidth=1.2, label="mass between two stops, with its 95 % interval",
         )  # fmt: skip
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        axis.set_xlabel("time in the recordings, one after the other [min]")
-        axis.set_ylabel("mass beside the model's [kg]")
+        axis.set_xlabel("time over consecutive recordings [min]")
+        axis.set_ylabel("mass minus the model's [kg]")
         axis.set_title(textwrap.fill(of.sentence, TITLE_LETTERS))
     return Picture(
         path,
         f"The term: {of.name}",
-        "Mass of each stretch between stops that was used for fitting, beside that of the model, told by what it takes to speed "
-        "up, to roll and to climb.",
+        "Mass of each fitted stretch between stops, minus the model's. Acceleration, rolling and climbing determine it.",
     )
 
 
@@ -121,15 +120,15 @@ def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], name: st
     left = smoothed(session, left_over[i] + adds[i])
     with picture_with_legend(path, WIDTH, 3.0) as body:
         axis = body.subplots()
-        axis.plot(session.time, left, color=BLUE, label=f"left without the term, means over {lasting(d, SMOOTHED_S)}")
+        axis.plot(session.time, left, color=BLUE, label=f"residual without the term, means over {lasting(d, SMOOTHED_S)}")
         axis.plot(session.time, np.where(session.used, adds[i], np.nan), color=VERMILION, label=f"{name} as found")
         axis.axhline(0.0, color=GREY, linewidth=0.8)
         _label(axis, f"time in {shortened(Path(session.name).name, TITLE_LETTERS - 40)} [s]", title)
     return Picture(
         path,
         f"The term: {name}",
-        "What is left without the term, and the term, over the recording in which it acts most; on laps that were not used for "
-        "fitting the term is what one expects who has seen the torque up to a few seconds before.",
+        "Residual without the term, and the term, over the recording in which it acts most; on hold-out laps the "
+        "term is predicted from the torque up to a few seconds before.",
     )
 
 
@@ -162,13 +161,13 @@ def _over(
             ecolor=GREY,
             markersize=4,
             linewidth=1.0,
-            label="left without it, mean and spread",
+            label="residual without it, mean and spread",
         )
         axis.plot(middle[shown], term[shown], color=VERMILION, label=f"{name} as fitted")
         _label(axis, label, title)
     return Picture(
         path,
         f"The term: {name}",
-        f"What is left without {name}, and the fitted term, over {label}; "
+        f"Residual without {name}, and the fitted term, over {label}; "
         f"from {decimals(term[shown].min())} to {decimals(term[shown].max())} Nm.",
     )

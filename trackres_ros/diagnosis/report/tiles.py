@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The four tiles of the page and the sentence over them: where, what, how much better, what to do next."""
+"""The four tiles of the page and the sentence over them: where, what, how much better, next step."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LEAST_SHARE = 0.01  # of the mean error, that is worth a new file
 SURE = "the hold-out laps confirm it"
 SURE_OF_SPREAD = "a test over laps confirms it"
 SURE_OF_NONE = {
-    "confirmed": "the hold-out laps agree",
+    "confirmed": "the hold-out laps confirm it",
     "suspected": "the hold-out laps neither confirm nor reject the re-fit",
     "refuted": "the hold-out laps reject the re-fit",
 }
@@ -32,7 +32,7 @@ SURE_OF_NONE = {
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """A question, its answer in a few words, and what stands behind it."""
+    """A question, its answer in a few words, and the details."""
 
     name: str
     answer: str
@@ -57,7 +57,7 @@ def headline(report: dict[str, Any]) -> str:
         parts = [seen, f"It may be: {possible}" if possible else "No effect of the catalogue explains it"]
     elif lead is not None and "form" in lead:
         first, *_ = str(lead.get("sentence") or f"{where.answer}: {where.detail}").split(". ")
-        others = f"Also confirmed: {_names(report)}" if _names(report) else "No effect of the catalogue does this"
+        others = f"Also confirmed: {_names(report)}" if _names(report) else "No effect of the catalogue explains this"
         parts = [first, errors, others]
     else:
         placed = where.detail if where.answer == "Everywhere" else f"{where.answer}, {_lower(where.detail)}"
@@ -70,7 +70,7 @@ def headline(report: dict[str, Any]) -> str:
 
 
 def _possible(r: dict[str, Any]) -> str:
-    """What it may be, with probabilities; empty where nothing is listed."""
+    """Possible causes, with probabilities; empty if none is listed."""
     listed = r["verdict"].get("may_be") or ()
     return ", ".join(_plain(x["name"]) + ("" if x["share"] is None else f" ({100.0 * x['share']:.0f} %)") for x in listed[:FEW])
 
@@ -117,7 +117,7 @@ def _where(r: dict[str, Any]) -> Tile:
     name, lead, verdict = "Where", leading(r), r["verdict"]
     if verdict["status"] == "none":
         ranges = f"{_count(r['residual_by_regime']['end'], 'range')} of speed, load, temperature and more were compared"
-        return Tile(name, "Nowhere after the re-fit" if verdict.get("changed") else "Nowhere beyond noise", ranges)
+        return Tile(name, "Nowhere after the re-fit" if verdict.get("changed") else "No difference beyond noise", ranges)
     seen = verdict.get("seen") or ""
     if verdict["status"] == "unexplained":
         left = [b for b in r["residual_by_regime"]["end"] if b["p"] is not None and b["p"] < LACK_OF_FIT_P]
@@ -125,20 +125,22 @@ def _where(r: dict[str, Any]) -> Tile:
             b = max(left, key=lambda b: abs(b["mean_residual"] or 0.0))
             return Tile(name, f"At {range_of(b)}", f"{decimals(b['mean_residual'], signed=True)} Nm on average")
         if lead is None or seen.startswith(AVERAGED):
-            return Tile(name, "At times that follow nothing recorded", seen or "The residual changes slowly, over half-minutes")
+            return Tile(
+                name, "At times unrelated to any recorded channel", seen or "The residual changes slowly, over about 30 s"
+            )
     if lead is not None and "form" in lead:
         answers = {
             "spells": "At times, on and off",
             "place": "By place on the route",
             "recordings": "From recording to recording",
             "drift": "Over time, slowly",
-            "level_change": "From a time on",
+            "level_change": "Since a point in time",
             "spread": _upper(lead["gate"] or ""),
         }
         answer = answers.get(lead["form"]) or f"By {lead['variable'] or lead['gate'] or 'time'}"
         size = lead.get("seen_nm") or lead["size_nm"]
         if lead["form"] == "spread":
-            return Tile(name, answer, f"It shakes by {figures(size)} Nm there (standard deviation)")
+            return Tile(name, answer, f"The torque oscillates by {figures(size)} Nm there (standard deviation)")
         return Tile(name, answer, f"About {figures(size, 2)} Nm remain there after the re-fit")
     if lead is not None:
         acts = lead.get("acts")
@@ -158,11 +160,11 @@ def _of_curves(text: str) -> str:
 def _what(r: dict[str, Any]) -> Tile:
     name, verdict, possible = "What", r["verdict"], _possible(r)
     if verdict["status"] == "none":
-        answer = "Only values of the file were off" if verdict.get("changed") else "No physics is missing"
+        answer = "Only values of the file were wrong" if verdict.get("changed") else "No physics is missing"
         return Tile(name, answer, SURE_OF_NONE.get(verdict.get("grade"), "not judged"))
     sure = _sure(r)
     if not sure:
-        return Tile(name, "Unexplained", f"it may be: {possible}" if possible else "no effect of the catalogue does it")
+        return Tile(name, "Unexplained", f"it may be: {possible}" if possible else "no effect of the catalogue explains it")
     answers, detail = [], [SURE if any(t.get("form") != "spread" for t in sure) else SURE_OF_SPREAD]
     for term in sure:
         if "form" in term:
@@ -171,7 +173,7 @@ def _what(r: dict[str, Any]) -> Tile:
         shares = [f"{_plain(n)} ({100 * (term['weights'].get(n) or 0.0):.0f} %)" for n in term["class"]]
         answers.append(_plain(term["name"]) if len(shares) <= 1 else f"{', '.join(shares[:-1])} or {shares[-1]}")
         if len(shares) > 1:
-            detail.append("cannot be told apart here")
+            detail.append("not distinguishable here")
     if possible:
         detail.append(f"it may also be: {possible}")
     return Tile(name, " and ".join(answers), "; ".join(dict.fromkeys(detail)))
@@ -208,22 +210,22 @@ def _next(r: dict[str, Any]) -> Tile:
         if lead is None or lead.get("name") in a["separates"]:
             return Tile(name, "Drive once more", f"{_upper(a['manoeuvre'])} ({figures(a['minutes'], 2)} min)")
     if r.get("topics_lines"):
-        return Tile(name, "Correct the sensor", f"put into the topics file: {', '.join(r['topics_lines'])}")
+        return Tile(name, "Correct the sensor", f"add to the topics file: {', '.join(r['topics_lines'])}")
     written = r.get("written") or {"base": False, "effects": []}
     if r["effects"] and written["effects"]:
         here, elsewhere = (" and ".join(map(_plain, names)) for names in by_file(r))
         if not elsewhere:
             return Tile(name, "Use vehicle.yaml", f"it has {here}")
-        of_place = f"surroundings.yaml has {elsewhere}, for where it holds"
+        of_place = f"surroundings.yaml has {elsewhere}, for the places where it applies"
         return Tile(name, "Use vehicle.yaml and surroundings.yaml", f"the first has {here}; {of_place}" if here else of_place)
     if lead is not None and "form" in lead and lead.get("grade") == "confirmed":
-        return Tile(name, "Look at the vehicle", " or ".join(lead["mechanisms"][:2]))
+        return Tile(name, "Inspect the vehicle", " or ".join(lead["mechanisms"][:2]))
     if lead is not None and _is_sure(lead, r) and r["verdict"]["status"] != "unexplained":
-        return Tile(name, "Keep your vehicle file", "what was found is not written; the verdict in full has the reason")
+        return Tile(name, "Keep your vehicle file", "the result is not written; the full verdict has the reason")
     if lead is not None:
-        return Tile(name, "Record more laps", "the hold-out laps do not confirm enough to write it")
+        return Tile(name, "Record more laps", "the hold-out laps do not confirm the result")
     if r["verdict"]["status"] == "unexplained":
-        return Tile(name, "Look where it is largest", "record what varies there: slope, wind, load, brakes")
+        return Tile(name, "Investigate where the error is largest", "record more channels there: slope, wind, load, brakes")
     if written["base"] and _share(r) >= LEAST_SHARE:
         return Tile(name, "Use vehicle.yaml", "it has the re-fitted parameters")
     return Tile(name, "Nothing to do", "keep the vehicle file as it is")
@@ -233,7 +235,7 @@ def _errors(r: dict[str, Any]) -> str:
     mae, followed = r["heldout"]["mae"], _followed(r)
     nominal, refitted, with_it = (figures(mae.get(stage)) for stage in ("nominal", "refitted", "with_effects"))
     if followed is not None:
-        return f"{nominal} Nm with the file, {refitted} re-fitted, {figures(followed)} where the estimate follows it"
+        return f"{nominal} Nm with the file, {refitted} re-fitted, {figures(followed)} when the live estimate tracks it"
     if stage_of(r) == "with_effects":
         return f"{nominal} Nm with the file, {refitted} re-fitted, {with_it} with it"
     return f"{nominal} Nm with the file, {refitted} re-fitted"

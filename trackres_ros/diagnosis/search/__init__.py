@@ -1,4 +1,4 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Searches for the explanations of what a base model leaves: sets of names, forms and terms that follow clock or place."""
+"""Searches explanations of a base model's residual: sets of names, forms and terms of clock or place."""

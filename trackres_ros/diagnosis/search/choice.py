@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Chooses among explanations by laps left out in turn: evidence proposes, prediction decides.
+"""Chooses among explanations by cross-validation over laps: evidence proposes, prediction decides.
 
 A term is confirmed if its own level score is surely above zero, the mean error does not grow, and what it improves fits its size.
 Of explanations whose terms all are, none that another one surely predicts better is taken; of the others the one with the most

@@ -113,7 +113,7 @@ class Search:
         """Add all that may explain what an explanation leaves, one at a time."""
         if explanation.key in self.rounds:
             return self.rounds[explanation.key]
-        self._on_stage(f"what is missing beside {', '.join(explanation.fit.effect_names) or 'the base alone'}")
+        self._on_stage(f"missing physics besides {', '.join(explanation.fit.effect_names) or 'the base alone'}")
         current = explanation.fit
         pool = self._pool
         if any(map(explanation.goes_by_place, explanation.key)):

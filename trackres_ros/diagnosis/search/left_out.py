@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Scores explanations on laps left out in turn.
+"""Scores explanations by cross-validation over laps.
 
 Every fourth lap that is fitted makes a fold. What a model expects of a fold comes from a fit without it, to first order about the
 fit of all of them: one Newton step, with the weights of heavy tails and the priors. Held-out laps were never fitted. The *level

@@ -1,10 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Decides what may be written: each file is judged on held-out laps the way it is used.
-
-A controller runs vehicle.yaml alone, without surroundings and without what a sensor adds. So vehicle.yaml is compared alone with
-the file it came from. The surroundings and the lines for a sensor are compared beside the vehicle.yaml that is written.
+"""Decides which results to write: each file is judged on the hold-out laps the way it is used. A controller runs vehicle.yaml
+alone, without surroundings and without sensor errors. So vehicle.yaml alone is compared with its original. The surroundings
+and the sensor lines are compared together with the written vehicle.yaml.
 """
 
 from __future__ import annotations
@@ -137,7 +136,7 @@ class _Option:
 
     @property
     def text(self) -> str:
-        of = "the file's own values" if self.fitted is None else "the base's values"
+        of = "the file's own values" if self.fitted is None else "the re-fitted values"
         return " and ".join([of, *([", ".join(a.effect.name for a in self.effects)] if self.effects else [])])
 
 
@@ -200,22 +199,22 @@ def _refused(option: _Option, confirmed: Collection[str], refitted: Fit, use: As
         for q in _outside(option.fitted):
             free = {p.name for p in option.fitted.problem.base.parameters} - {q.name}
             if not use.surely_better(option.fitted, with_levels(_within(option.fitted, free))):
-                return f"{q.name} would leave the range of the file unconfirmed"
+                return f"{q.name} would leave its range in the file without confirmation"
     try:
         alone, before = _alone(option, confirmed, use)
     except InputError as error:  # what fits what was driven may be no vehicle elsewhere: a belt that burns at its greatest speed
-        return f"no command would take that file: {error.given}; allowed: {error.allowed}"
+        return f"no command would accept that file: {error.given}; allowed: {error.allowed}"
     if alone > before:
-        return f"vehicle.yaml alone would be {figures(alone)} Nm off, {figures(before)} Nm with the old one"
+        return f"the mean error of vehicle.yaml alone would be {figures(alone)} Nm, {figures(before)} Nm with the old file"
     together = use.error(values, effects)
     for kind, what in ((SURROUNDINGS, "surroundings.yaml"), (SENSOR, "the topics file")):
         of = of_kind(effects, kind)
         without = use.error(values, [a for a in effects if a not in of]) if of else together
         if together > without:
-            return f"with {what} it would be {figures(together)} Nm off, {figures(without)} Nm without"
+            return f"with {what} the mean error would be {figures(together)} Nm, {figures(without)} Nm without"
     nominal = use.error(None)
     if together > nominal:
-        return f"it would be {figures(together)} Nm off, {figures(nominal)} Nm with the old one"
+        return f"the mean error would be {figures(together)} Nm, {figures(nominal)} Nm with the old file"
     return ""
 
 
@@ -240,9 +239,9 @@ def _kept(option: _Option, final: Fit, confirmed: Collection[str], use: AsUsed, 
         of_base = bounds if option.fitted is final else intervals(option.fitted)
         spans |= {key: one for key, one in of_base.items() if not key[0]}
     alone, before = _alone(option, confirmed, use)
-    error = f"the mean error on laps not used for fitting is {figures(alone)} Nm with vehicle.yaml alone"
-    error += f", {figures(before)} Nm with the old one" if option.fitted is not None or option.effects else ""
-    error += ", against the torque as the topics file corrects it" if _correcting(option, confirmed) else ""
+    error = f"the mean error on hold-out laps is {figures(alone)} Nm with vehicle.yaml alone"
+    error += f", {figures(before)} Nm with the old file" if option.fitted is not None or option.effects else ""
+    error += ", compared with the torque that the topics file corrects" if _correcting(option, confirmed) else ""
     if of_kind(option.effects, SURROUNDINGS):
         error += f", {figures(use.error(option.values, option.effects))} Nm with surroundings.yaml"
     doubted = [a.effect.name for a in final.effects if a.effect.acts_on != WATCHED and a.effect.name not in names]

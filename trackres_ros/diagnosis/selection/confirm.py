@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What laps that were never used say of each effect."""
+"""Grades each effect by the hold-out laps."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What an effect would add in another form: nature's functions are not the catalogue's."""
+"""Estimates the error of an effect's functional form, which may differ from the catalogue's."""
 
 from __future__ import annotations
 

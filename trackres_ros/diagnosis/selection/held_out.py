@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 8: what the better model is worth on laps that were never used, and whether they confirm it."""
+"""Step 8: the error of the improved model on the hold-out laps, and its grade."""
 
 from __future__ import annotations
 
@@ -86,8 +86,8 @@ class HeldOutLaps:
 
     def __init__(self, sessions: Sequence[DriveSession], masks: Sequence[Mask], rng: np.random.Generator) -> None:
         if not any(m.any() for m in masks):
-            given = "held-out laps without a sample to compare"
-            allowed = "laps in which it drives with a measured torque"
+            given = "hold-out laps without a comparable sample"
+            allowed = "laps of driving with a measured torque"
             raise InputError(", ".join(s.name for s in sessions), given, allowed, "choose them with --holdout")
         self._masks = masks
         self.measured = self.of([s.torque for s in sessions])

@@ -1,8 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 7: how well the parameters of a chosen effect are known: profile likelihood, widened by what laps say, and by how far
-nature's function may be from the catalogue's.
+"""Step 7: intervals of a chosen effect's parameters: profile likelihood, widened by the scatter over laps and by the error of
+the functional form.
 """
 
 from __future__ import annotations

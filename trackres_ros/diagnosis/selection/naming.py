@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Proposes what may be added to an explanation by name or form: the best to first order, fitted together with it."""
+"""Proposes additions to an explanation by name or form: the best to first order, fitted together with it."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ def _refitted(current: Fit, screened: Screened) -> list[Candidate]:
             return list(fitted.values())
         tasks = [(looked_at[name], screened.form_error_gain.get(name, 0.0)) for name in new]
         fitted.update(
-            zip(new, side_by_side(lambda task: _refit(current, *task), tasks, "fits of those that may explain it"), strict=True)
+            zip(new, side_by_side(lambda task: _refit(current, *task), tasks, "fits of candidate effects"), strict=True)
         )
         first_order = {name: max(gain.value for s, gain in screened.gains if s.effect.name == name) for name in fitted}
         misleading = {name for name, c in fitted.items() if c.gain < BORNE_OUT * first_order[name]}

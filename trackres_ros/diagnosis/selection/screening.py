@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 5, first half: what each effect would gain, to first order, and what the best of them would gain from noise alone."""
+"""Step 5, first half: the gain of each effect to first order, and the best gain from noise alone."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TURNS = 3  # of coefficients and noise
 FLIPPED_TOGETHER = 20  # samples whose sign the bootstrap flips as one: what whitening left of their likeness stays
 REPLICATES, QUICK_REPLICATES = 99, 39
 NEARLY_LARGEST = 4
-DRAWS = "what noise alone would reach"
+DRAWS = "thresholds of noise alone"
 FIRST_SHARE, PLAINLY = 0.4, 3.0  # of the draws; that many times the threshold, or less by as much, is plain
 GUMBEL_95 = (-np.log(-np.log(0.95)) - np.euler_gamma) * np.sqrt(6.0) / np.pi  # standard deviations from mean to 95th percentile
 MOST_DRAWN_ROWS = 7200  # two hours of driving
@@ -203,7 +203,7 @@ class _Linear:
             found = self.likelihood(residual, mover)
             return found._replace(value=found.value - null, moved=found.moved[len(self.own.prior) :])
 
-        return side_by_side(gain, movers, "what each may explain")
+        return side_by_side(gain, movers, "screening of the candidates")
 
     def ranking(self, movers: Sequence[_Mover]) -> Callable[[Lagged], Array]:
         """A function that tells what each mover gains of a residual under the fit's own noise and without bounds: cheap, and near

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 4: what could be seen in these recordings at all, and what could not be told apart, before anything is named."""
+"""Step 4: finds the visible and the indistinguishable effects of these recordings, before naming any."""
 
 from __future__ import annotations
 
@@ -130,10 +130,10 @@ def feasible(effects: Mapping[str, Effect], fit: Fit) -> tuple[list[Effect], lis
         if name in fit.effect_names:
             continue
         if name in fit.problem.base.includes:
-            not_visible.append(NotVisible(effect, "it is in the model already"))
+            not_visible.append(NotVisible(effect, "the model already has it"))
             continue
         if effect.belt_only and not fit.problem.base.has_belt:
-            not_visible.append(NotVisible(effect, "there is no belt"))
+            not_visible.append(NotVisible(effect, "the vehicle has no belt"))
         elif missing:
             not_visible.append(NotVisible(effect, f"needs {', '.join(missing)}, which is not recorded"))
         elif measured:
@@ -156,22 +156,22 @@ def separability(effects: Mapping[str, Effect], fit: Fit, columns_of: ColumnsOf 
     beside_short = None if short is None else replace(fit, noises={**fit.noises, "torque": short})
     project_short = None if beside_short is None else _projector(_white(own, beside_short), beside_short)
     visible = []
-    for effect in counted(possible, "what each effect would show", len(possible)):
+    for effect in counted(possible, "visibility of each effect", len(possible)):
         columns = [(start, columns_of(effect, start)) for start in starts(effect)]
         found, best = _strongest(effect, columns, fit, project)
         if best and LARGE * best.d_prime < LEAST_D_PRIME and beside_short and project_short:
             # What is slow hides in noise that is taken for a random walk, and may be what that is made of.
             found, best = _strongest(effect, columns, beside_short, project_short)
         if best is None:
-            not_visible.append(NotVisible(effect, "it does nothing here"))
+            not_visible.append(NotVisible(effect, "it has no effect here"))
         elif LARGE * best.d_prime < LEAST_D_PRIME:
             size = f"{LARGE:g} times as large as is typical"
-            why = f"one {size} would stand out by {LARGE * best.d_prime:.1f} standard deviations only"
+            why = f"even {size}, it would reach only {LARGE * best.d_prime:.1f} standard deviations"
             not_visible.append(NotVisible(effect, why))
         else:
             # What the base takes up is hardly seen, and may yet explain better than a base pushed out of its ranges.
             if best.kept < LEAST_KEPT and LARGE * best.by_priors < LEAST_D_PRIME:
-                why = f"the base's parameters take up {1 - best.kept:.0%} of it"
+                why = f"the base's parameters absorb {1 - best.kept:.0%} of it"
                 not_visible.append(NotVisible(effect, why))
             visible += found
     names = tuple(dict.fromkeys(s.effect.name for s in visible))

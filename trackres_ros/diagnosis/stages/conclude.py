@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The verdict comes in; what to drive next and what may be written go out."""
+"""The verdict comes in; next drives and the changes to write go out."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ class Concluded:
 def conclude(
     prepared: PreparedSessions, base: Refitted, chosen: Chosen, judged: Judgement, options: DiagnosisOptions
 ) -> Concluded:
-    """Decide what is kept, and what to drive next."""
-    options.on_stage("what to drive next")
+    """Decide what is kept, and next drives."""
+    options.on_stage("next drives")
     of_vehicle = all(s.pace == 1.0 for s in prepared.sessions)  # the menu of manoeuvres is one for drivers
     advice = [a for step in chosen.steps.values() if of_vehicle for a in advise(step, prepared.vehicle.known.max_speed)]
     keep_suspected, final = options.keep_suspected, chosen.final

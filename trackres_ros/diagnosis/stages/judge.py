@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The chosen explanation comes in; where each of its terms acts, how sure its values are, and the verdict go out."""
+"""The chosen explanation comes in; the range of each term, intervals and the verdict go out."""
 
 from __future__ import annotations
 
@@ -85,10 +85,10 @@ def judge(
     """Judge an explanation."""
     final = chosen.final
     worth = _worth(prepared, base, chosen)
-    options.on_stage("what is left")
+    options.on_stage("residual")
     tested_end = for_tests(final)
     at_end = regime_map(tested_end, rng)
-    options.on_stage("how sure: intervals")
+    options.on_stage("confidence intervals")
     bounds = intervals(final)
     found, terms = _found(base, chosen, bounds), _terms(base, chosen, bounds)
     left_over = slow_residual(final)

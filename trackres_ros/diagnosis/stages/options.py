@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a user chooses of a diagnosis."""
+"""Options of a diagnosis."""
 
 from __future__ import annotations
 

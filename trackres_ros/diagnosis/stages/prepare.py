@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings come in; sessions with numbered laps go out, split into laps to fit and laps held out, and what may be missing."""
+"""Recordings come in; sessions with numbered laps go out, split into fitted and hold-out laps, with the candidate effects."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class PreparedSessions:
 def prepare(recordings: Sequence[Recording], vehicle: LoadedBase, options: DiagnosisOptions) -> PreparedSessions:
     """Check, clean and split recordings."""
     base, facts = vehicle.base, vehicle.base.facts
-    options.on_stage("gate: units, clocks, gaps")
+    options.on_stage("checks: units, clocks, gaps")
     gated, nominal, recorded = prepared(recordings, vehicle, options.hide, options.unread)
     known = catalogue(options.effects_dir, facts.weight * facts.radius, on_tyres=not base.has_belt)
     effects = {
@@ -85,5 +85,5 @@ def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -
     seconds = seconds_without_torque(gated.sessions, none)
     if not seconds or TorqueOffset.name not in effects:
         return gated, dict(effects)
-    note = f"the torque reads 0 Nm at rest, within {figures(none)} Nm, over {seconds:.0f} s: its sensor has no offset"
+    note = f"the torque is 0 Nm at rest, within {figures(none)} Nm over {seconds:.0f} s: the sensor has no offset"
     return replace(gated, notes=(*gated.notes, note)), {n: e for n, e in effects.items() if n != TorqueOffset.name}

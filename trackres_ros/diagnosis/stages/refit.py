@@ -50,5 +50,5 @@ def refit(prepared: PreparedSessions, options: DiagnosisOptions, rng: np.random.
     laps = HeldOutLaps(sessions, held_out, rng)
     use = AsUsed(prepared.base, sessions, prepared.recorded, laps)
     refitted = inside_ranges(with_levels(tested), use)
-    options.on_stage("where: residual by regime")
+    options.on_stage("residual by regime")
     return Refitted(tested, refitted, laps, LeaveLapsOut(refitted, held_out, rng), use, regime_map(for_tests(refitted), rng))

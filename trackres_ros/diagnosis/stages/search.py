@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The re-fitted base comes in; the best explanation of what it leaves goes out, confirmed on laps left out, or none."""
+"""The re-fitted base comes in; the best cross-validated explanation of its residual goes out, or none."""
 
 from __future__ import annotations
 
@@ -24,5 +24,5 @@ def search(prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions
     replicates = QUICK_REPLICATES if options.quick else REPLICATES
     found = Search(base.tested, prepared.effects, roads, kinds, replicates, rng, options.on_stage)
     found.run()
-    options.on_stage("what it is worth: laps left out in turn")
+    options.on_stage("cross-validation over laps")
     return Choice(found, base.refitted, base.left_out, base.laps, base.use).best(options.keep_suspected)

@@ -14,9 +14,9 @@ class Delay(Effect):
     name = "delay"
     acts_on = "sensor"
     belongs_to = "sensor"
-    text = "the measured torque is late against the speed"
+    text = "the measured torque lags behind the speed"
     needs = ("speed", "accel")
-    parameters = (Parameter("time", "s", 0.0, 1.0, 0.2, "by which it is late", off=0.0),)
+    parameters = (Parameter("time", "s", 0.0, 1.0, 0.2, "delay of the torque", off=0.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:  # noqa: ARG002
         return Terms(sensor_delay=p.time)

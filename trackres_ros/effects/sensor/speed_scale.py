@@ -13,7 +13,7 @@ class SpeedScale(Effect):
     acts_on = "sensor"
     belongs_to = "sensor"
     text = "the measured speed is off by a factor"
-    parameters = (Parameter("error", "1", -0.15, 0.15, 0.03, "true over measured speed, less one", off=0.0),)
+    parameters = (Parameter("error", "1", -0.15, 0.15, 0.03, "true over measured speed, minus one", off=0.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:  # noqa: ARG002
         return Terms(speed_factor=1.0 + p.error)

@@ -12,8 +12,8 @@ class TorqueOffset(Effect):
     name = "torque_offset"
     acts_on = "sensor"
     belongs_to = "sensor"
-    text = "the torque sensor shows a torque where there is none"
-    parameters = (Parameter("offset", "Nm", -2000.0, 2000.0, 150.0, "shown at no torque", off=0.0, of_size=True),)
+    text = "the torque sensor has an offset"
+    parameters = (Parameter("offset", "Nm", -2000.0, 2000.0, 150.0, "reading at zero torque", off=0.0, of_size=True),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:  # noqa: ARG002
         return Terms(sensor_offset=p.offset)

@@ -14,7 +14,7 @@ class Rain(Effect):
     belongs_to = "surroundings"
     text = "rain or a wet road cools the belt"
     belt_only = True
-    parameters = (Parameter("factor", "1", 1.0, 11.0, 3.0, "on the whole film coefficient", off=1.0),)
+    parameters = (Parameter("factor", "1", 1.0, 11.0, 3.0, "factor on the film coefficient", off=1.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:  # noqa: ARG002
         return Terms(film_offset_factor=p.factor, film_slope_factor=p.factor)

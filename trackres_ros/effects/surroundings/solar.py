@@ -16,7 +16,7 @@ class Solar(Effect):
     belongs_to = "surroundings"
     text = "the sun heats the belt"
     belt_only = True
-    parameters = (Parameter("flux", "W/m^2", 0.0, 1000.0, 400.0, "absorbed by what the sun sees of the belt", off=0.0),)
+    parameters = (Parameter("flux", "W/m^2", 0.0, 1000.0, 400.0, "absorbed by the sunlit area of the belt", off=0.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         return Terms(heat=p.flux * SUNLIT_SHARE * at.facts.cooled_area)

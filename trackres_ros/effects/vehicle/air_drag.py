@@ -15,8 +15,8 @@ class AirDrag(Effect):
     name = "air_drag"
     acts_on = "torque"
     belongs_to = "vehicle"  # of its drag area above all; the air's density varies by a tenth
-    text = "air density or drag area are other than in the vehicle file"
-    parameters = (Parameter("share", "1", -0.7, 2.0, 0.3, "added, of the file's air drag", off=0.0),)
+    text = "air density or drag area differ from the vehicle file"
+    parameters = (Parameter("share", "1", -0.7, 2.0, 0.3, "added share of the file's air drag", off=0.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         drag = 0.5 * at.facts.air_density * at.facts.drag_area * at.speed * abs(at.speed)

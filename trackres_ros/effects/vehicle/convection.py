@@ -15,7 +15,7 @@ class Convection(Effect):
     name = "convection"
     acts_on = "cooling"
     belongs_to = "vehicle"  # of where its belts run
-    text = "the air cools the belt more or less than assumed, and otherwise with speed"
+    text = "the air cools the belt more or less than assumed, with another dependence on speed"
     belt_only = True
     parameters = (
         Parameter("offset", "1", 0.3, 3.0, 1.5, "factor on the film coefficient at rest", off=1.0, more_starts=(0.6,)),

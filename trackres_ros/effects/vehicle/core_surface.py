@@ -17,7 +17,7 @@ class CoreSurface(Effect):
     name = "core_surface"
     acts_on = "cooling"
     belongs_to = "vehicle"
-    text = "heat must first get from the inside of the belt to its surface, so the inside runs hotter"
+    text = "heat must flow from the inside of the belt to its surface, so the inside runs hotter"
     belt_only = True
     parameters = (Parameter("resistance", "K/W", 0.0, 0.01, 0.004, "from the mean of one belt to its surface", off=0.0),)
 

@@ -18,7 +18,7 @@ class Cornering(Effect):
     name = "cornering"
     acts_on = "torque"
     belongs_to = "vehicle"  # of its tracks or tyres
-    text = "the side force of a bend needs a slip angle, and that a pull"
+    text = "the side force of a bend needs a slip angle, which needs traction"
     only_of = "rolls"
     needs = ("speed", "yaw_rate")
     parameters = (

@@ -17,7 +17,7 @@ class FrictionByDirection(Effect):
     name = "friction_by_direction"
     acts_on = "torque"
     belongs_to = "vehicle"
-    text = "friction grows more with the speed one way than the other"
+    text = "friction grows more with speed in one direction than in the other"
     only_of = "slides"
     parameters = (
         Parameter(

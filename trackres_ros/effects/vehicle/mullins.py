@@ -17,7 +17,7 @@ class Mullins(Effect):
     name = "mullins"
     acts_on = "heat"
     belongs_to = "vehicle"
-    text = "a new belt loses more until it has run in, and never again"
+    text = "a new belt has a larger loss until it has run in"
     needs = ("speed", "distance")
     belt_only = True
     parameters = (

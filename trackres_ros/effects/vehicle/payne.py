@@ -23,7 +23,7 @@ class Payne(Effect):
     name = "payne"
     acts_on = "heat"
     belongs_to = "vehicle"
-    text = "the rubber's loss depends on how far it is strained, so on the load"
+    text = "the rubber's loss depends on its strain, and thereby on the load"
     needs = ("speed", "weight")
     belt_only = True
     parameters = (

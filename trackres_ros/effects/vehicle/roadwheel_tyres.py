@@ -21,7 +21,7 @@ class RoadwheelTyres(Effect):
     name = "roadwheel_tyres"
     acts_on = "torque"
     belongs_to = "vehicle"
-    text = "the rubber of wheels or tyres loses with the load, and less once it is warm"
+    text = "the rubber of wheels or tyres has a loss that grows with load and falls with warming"
     only_of = "rolls"
     needs = ("speed", "weight", "ambient")
     parameters = (

@@ -20,7 +20,7 @@ class RotatingInertia(Effect):
     acts_on = "torque"
     belongs_to = "vehicle"
     text = (
-        "rotating parts take torque to speed up and give it back; a wrong rotating_mass_factor in the vehicle file looks the same"
+        "rotating parts need torque to accelerate and return it; a wrong rotating_mass_factor in the vehicle file looks the same"
     )
     needs = ("speed", "accel")
     parameters: tuple[Parameter, ...] = (Parameter("factor", "1", -0.1, 0.8, 0.1, "added to the rotating-mass factor", off=0.0),)

@@ -16,9 +16,9 @@ class StillAir(Effect):
     name = "still_air"
     acts_on = "cooling"
     belongs_to = "vehicle"  # of where its belts run
-    text = "the belt cools far slower while it stands than the film coefficient says"
+    text = "the belt cools much more slowly at standstill than the film coefficient implies"
     belt_only = True
-    parameters = (Parameter("share", "1", 0.0, 0.9, 0.7, "of the film coefficient that is missing at rest", off=0.0),)
+    parameters = (Parameter("share", "1", 0.0, 0.9, 0.7, "share of the film coefficient that is missing at rest", off=0.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         walking = at.speed / WALKING_MPS

@@ -17,7 +17,7 @@ class Stribeck(Effect):
     name = "stribeck"
     acts_on = "torque"
     belongs_to = "vehicle"
-    text = "seals rub with a constant torque, and more at a crawl"
+    text = "seals rub with a constant torque, and with more at a crawl"
     parameters = (
         Parameter("constant", "Nm", 0.0, 300.0, 100.0, "friction at speed", off=0.0, of_size=True),
         Parameter("breakaway", "Nm", 0.0, 400.0, 100.0, "added at a crawl", off=0.0, of_size=True),

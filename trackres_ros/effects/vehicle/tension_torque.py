@@ -14,7 +14,7 @@ class TensionTorque(Effect):
     name = "tension_torque"
     acts_on = "heat"
     belongs_to = "vehicle"
-    text = "the torque stretches the belt, which then loses more"
+    text = "the torque stretches the belt, which increases its loss"
     needs = ("speed", "drive_torque")
     belt_only = True
     parameters = (Parameter("share", "1", 0.0, 0.3, 0.1, "growth of the loss over growth of the tension", off=0.0),)

@@ -23,7 +23,7 @@ class ViscousBearing(Effect):
     name = "viscous_bearing"
     acts_on = "torque"
     belongs_to = "vehicle"
-    text = "grease in the bearings resists with speed, and less once it is warm"
+    text = "grease in the bearings resists in proportion to speed, less when warm"
     only_of = "rolls"
     needs = ("speed", "ambient")
     parameters = (

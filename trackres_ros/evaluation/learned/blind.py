@@ -39,7 +39,7 @@ from trackres_ros.vehicle import load
 from trackres_ros.vehicle.writing.changes import FileChanges
 
 Array = NDArray[np.float64]
-KEY = re.compile(r"\(?[+-]?\d+ (%|Nm|s)|( of the|of)(?= *$)| since *$|, of the kind.*")  # what differs from time to time
+KEY = re.compile(r"\(?[+-]?\d+ (%|Nm|s)|( of the|of)(?= *$)| (since|for) *$|, of the kind.*")  # what differs from time to time
 BESIDE = "a torque beside the vehicle"
 SHOWN = [at.Results.speed_mps, at.Results.feedforward_torque_nm, at.Results.resistance_torque_nm, at.Results.resistance_std_nm]
 

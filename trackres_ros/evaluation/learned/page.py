@@ -28,7 +28,7 @@ WAYS = (
 MOST_WORSE = 0.02
 SHORT = {
     "a disturbance of": "a disturbance",
-    "is looked at": "a step is looked at",
+    "is being checked": "a step is being checked",
     "disagree with the others": "torques disagree with the others",
     "beside the vehicle": "a torque beside the vehicle",
 }

@@ -141,7 +141,7 @@ class DdsNode:
     def spin(self, requests: SignalRequests, watched: ParameterFile | None = None) -> None:
         """Run until a signal asks to stop, and do what others ask for; a parameter file may be watched."""
         application = self.application
-        why = "without rclpy" if importlib.util.find_spec("rclpy") else "rclpy is not there"
+        why = "without rclpy" if importlib.util.find_spec("rclpy") else "rclpy is not installed"
         reach = self._participant.reach
         instead = f"; {watched.path} is watched for changes" if watched else ""
         self.log(Level.OK, f"{why}: on Cyclone DDS {reach}: topics and presence, no parameter or lifecycle services{instead}")

@@ -115,8 +115,8 @@ class Participant:
             self.entity = DomainParticipant(number, qos=Qos(Policy.Userdata(b"enclave=/;")))
         except DDSException as error:
             given = os.environ.get("CYCLONEDDS_URI", "")
-            allowed = "a configuration and a network that Cyclone DDS can start with"
-            raise InputError("environment CYCLONEDDS_URI", given, allowed, "its own lines above say what is wrong") from error
+            allowed = "a configuration and a network with which Cyclone DDS starts"
+            raise InputError("environment CYCLONEDDS_URI", given, allowed, "its own messages above give the cause") from error
         self.publisher, self.subscriber = Publisher(self.entity), Subscriber(self.entity)
         graph = Topic(self.entity, GRAPH_TOPIC, idl_struct(GRAPH_TYPE))
         self._graph = DataWriter(self.publisher, graph, qos=qos(GRAPH_QUALITY, type_hash(GRAPH_TYPE), transient=True))

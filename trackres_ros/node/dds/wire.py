@@ -93,8 +93,8 @@ def known_type(name: str, where: str) -> str:
         raise InputError(
             f"{where}: type",
             name,
-            "a type of common_interfaces, as no other is known without ROS",
-            "run the node on ROS 2, where every installed type will do",
+            "a type of common_interfaces, the only ones known without ROS",
+            "run the node on ROS 2, which accepts every installed type",
         )
     return name
 
@@ -189,7 +189,7 @@ def open_domain(number: int) -> str:
     CYCLONEDDS_URI counts where it is set, then ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE as in ROS 2.
     """
     if os.environ.get("CYCLONEDDS_URI"):
-        reach, configuration = "as CYCLONEDDS_URI says", None
+        reach, configuration = "as set by CYCLONEDDS_URI", None
     elif os.environ.get("ROS_LOCALHOST_ONLY") == "1" or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST":
         reach, configuration = "on this machine only", LOOPBACK.format(most=most_index(number))
     else:

@@ -350,7 +350,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             except InputError as error:
                 response.message, response.success = str(error), False
             except Exception as error:  # who asked is to have an answer
-                response.message, response.success = f"a fault of this program: {type(error).__name__}: {error}", False
+                response.message, response.success = f"a bug: {type(error).__name__}: {error}", False
             return response
 
         return serve
@@ -358,7 +358,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     def _reporter(self, who: str) -> Callable[[Any], None]:
         def report(event: Any) -> None:
             policy = str(event.last_policy_kind).rpartition(".")[2].lower()
-            self.get_logger().warning(f"{who} does not connect: its quality of service does not fit in {policy}")
+            self.get_logger().warning(f"{who} does not connect: its quality of service is incompatible in {policy}")
 
         return report
 

@@ -45,7 +45,7 @@ def unknown(node: Node, of_topics: bool) -> str:
         for name in node._parameter_overrides
         if not node.has_parameter(name) and name.startswith(OVERRIDES) is of_topics
     ]
-    return f"given, but not parameters of this node, so without effect: {', '.join(found)}" if found else ""
+    return f"unknown parameters without effect: {', '.join(found)}" if found else ""
 
 
 def descriptor(parameter: NodeParameter) -> ParameterDescriptor:

@@ -77,7 +77,7 @@ class _Lines:
     def __iter__(self) -> Iterator[str]:
         while line := self._file.readline(MOST_OF_A_LINE):
             if len(line) >= MOST_OF_A_LINE:
-                raise InputError(self._name, f"a line of more than {MOST_OF_A_LINE} bytes", "a log with one line a frame")
+                raise InputError(self._name, f"a line of more than {MOST_OF_A_LINE} bytes", "a log with one line per frame")
             text, self.ended = line.decode("latin-1"), line.endswith(b"\n")
             self.entries += not NO_FRAME.match(text.strip())
             yield text

@@ -240,10 +240,10 @@ class CsvTable(TableFile):
             with io.TextIOWrapper(_binary(self._path), "latin-1") as file:  # whatever ends the lines
                 swallowed = sum(line != "\n" for line in file) - 1 - met.rows
             if swallowed > 0:
-                text = f"{swallowed} lines are no rows: they stand inside quotes that an earlier line opens"
+                text = f"{swallowed} lines are not rows: they are inside a quotation that an earlier line opens"
                 yield Finding("", "quoted", swallowed, float("nan"), text)
         if met.last not in (b"\n", b"\r"):
-            text = "the last line does not end: the file may have been cut off, and its last number with it"
+            text = "the last line is incomplete: the file and its last number may be truncated"
             yield Finding("", "cut", 1, float("nan"), text)
 
 
@@ -295,7 +295,7 @@ class _Lines:
         while line := self._file.readline(MAX_ROW_BYTES):
             self._of_row += len(line)
             if self._of_row >= MAX_ROW_BYTES:
-                raise InputError(self._name, f"a row of more than {MAX_ROW_BYTES} bytes", "CSV with one line a row")
+                raise InputError(self._name, f"a row of more than {MAX_ROW_BYTES} bytes", "CSV with one line per row")
             yield line
 
     def rows(self, reader: Iterable[list[str]]) -> Iterator[list[str]]:

@@ -199,7 +199,7 @@ def _check_size(path: Path) -> None:
         if part.file_size > RATIO_FROM_BYTES:
             most = min(most, MOST_RATIO * part.compress_size)
         if part.file_size > most:
-            given = f"{part.file_size} bytes, packed into {part.compress_size}"
+            given = f"{part.file_size} bytes, compressed to {part.compress_size}"
             raise InputError(f"{path}: {one_line(part.filename)}", given, f"at most {most}", "save the sheet as CSV")
 
 

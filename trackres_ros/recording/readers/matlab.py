@@ -58,8 +58,8 @@ class MatlabFile(ChannelFile):
             *([f"vectors without times: {listed_names(alone)}"] if alone else []),
         )
         if not self.channels:
-            allowed = f"vectors of numbers with one of their length that is called {', '.join(TIMES)}"
-            remedy = "name the times in a topics file: time: {channel: NAME}"
+            allowed = f"numeric vectors and one of the same length named {', '.join(TIMES)}"
+            remedy = "give the times in a topics file: time: {channel: NAME}"
             raise InputError(name, f"the vectors {listed_names(list(vectors)) or 'none'}", allowed, remedy)
 
     def streams(self) -> Sequence[Iterator[ChannelRows]]:
@@ -141,7 +141,7 @@ def _check_size(path: Path) -> None:
                 size += length
                 file.seek(length, 1)
     if size > MOST_BYTES:
-        remedy = "save it with -v7.3, which is read in parts"
+        remedy = "save it with -v7.3, which can be read in parts"
         raise InputError(
             str(path), f"more than {MOST_BYTES} bytes unpacked", f"a file of version 5 of at most {MOST_BYTES}", remedy
         )

@@ -135,7 +135,7 @@ class MdfChannels(ChannelFile):
         mine = [(column, index) for column, (group, index) in columns if group == number]
         records, read, absent = self._groups.records(number), 0, 0
         if not records and self._groups.mdf.groups[number].data_group.data_block_addr:
-            text = f"{self._name_of(number)} says that it holds no records, and there are data of it"
+            text = f"{self._name_of(number)} has no records by its header, but has data"
             self.findings = (*self.findings, Finding("", "structure", 1, float("nan"), text))
         for start in range(0, records, BLOCK_ROWS):
             signals = [self._groups.part(number, index, start) for _, index in mine]
@@ -149,10 +149,10 @@ class MdfChannels(ChannelFile):
             if len(seconds) < min(BLOCK_ROWS, records - start):  # a damaged file may say that there are any number of records
                 break
         if absent:
-            text = f"{absent} values are marked as invalid or are no numbers; they give no sample"
+            text = f"{absent} values are invalid or not numbers; they give no sample"
             self.findings = (*self.findings, Finding("", "absent", absent, float("nan"), text))
         if read < records:
-            text = f"{records - read} records fewer than the file says it holds"
+            text = f"{records - read} records fewer than the file declares"
             self.findings = (*self.findings, Finding("", "missing", records - read, float("nan"), text))
 
 

@@ -102,14 +102,14 @@ def _look_at_counts(metadata: Any, names: Sequence[str], rows: int, empty: NDArr
     groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
     stated = max(metadata.num_rows, sum(group.num_rows for group in groups))
     if stated > rows:
-        yield Finding("", "missing", stated - rows, float("nan"), f"{stated - rows} rows fewer than the file says it holds")
+        yield Finding("", "missing", stated - rows, float("nan"), f"{stated - rows} rows fewer than the file declares")
     for name, found in zip(names, empty.tolist(), strict=True):
         chunks = [group.column(place) for group in groups for place in range(group.num_columns)]
         counts = [chunk.statistics for chunk in chunks if chunk.path_in_schema == name]
         if all(count is not None and count.has_null_count for count in counts):
             more = found - sum(count.null_count for count in counts)
             if more > 0:
-                text = f"{more} cells of {name} are empty and should not be, as the file counts them"
+                text = f"{more} cells of {name} are empty although the file declares values"
                 yield Finding("", "missing", more, float("nan"), text)
 
 

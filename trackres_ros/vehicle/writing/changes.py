@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What of a diagnosis may be written out."""
+"""The results of a diagnosis that may be written to files."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class LearnedDisturbance:
 
 @dataclass(frozen=True, eq=False)
 class FileChanges:
-    """What may be written: nothing that held-out laps do not bear out, see `confirm.keep`.
+    """Changes to write: only those that the hold-out laps confirm, see `confirm.keep`.
 
     Attributes
     ----------
@@ -63,10 +63,10 @@ class FileChanges:
     by: str = "trackres diagnose"
 
     def with_disturbance(self, learned: LearnedDisturbance | None) -> FileChanges:
-        """The same, with what is to be watched for."""
+        """The same changes, with a disturbance to watch for."""
         if learned is None:
             return self
-        text = f"{self.text}; to be watched for where a torque is measured: {learned.disturbance.form}"
+        text = f"{self.text}; and a disturbance to watch with a torque sensor: {learned.disturbance.form}"
         return replace(self, text=text, disturbance=learned)
 
     def of(self, kind: str) -> list[Active]:

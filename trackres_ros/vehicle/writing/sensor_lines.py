@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What of a diagnosis is a sensor's: corrected where the sensor is read, by its line of the topics file, and nowhere else."""
+"""Sensor errors of a diagnosis: corrected only in the topics file, by the line of the role."""
 
 from __future__ import annotations
 

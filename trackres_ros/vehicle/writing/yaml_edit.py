@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Change single values in the text of a YAML file: all the rest stays as it was written, comments, order, layout and figures."""
+"""Changes single values in the text of a YAML file; comments, order, layout and figures stay unchanged."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Document:
         self._edits: dict[tuple[int, int], str] = {}
 
     def set(self, path: Path, value: Any) -> None:
-        """Put a value where another stands, or a new key at the top."""
+        """Replace a value, or add a new key at the top."""
         _inside(self._wanted, path[:-1])[path[-1]] = value
         node = self._find(path)
         if node is None:
