@@ -92,7 +92,7 @@ OF_GATES: Mapping[int, tuple[str, ...]] = {
     RIGHT: ("a part that touches in right turns only: a guide, a mudguard, a hose", "the guides of the left belt"),
     HEAVY: ("a part that touches when the springs are compressed", "a bearing that binds under load"),
     LIGHT: ("a part that swings when the load does not hold it down", "belt tension without load"),
-    BRAKING: ("a brake that acts at the same time", "a machine that is driven by the wheels"),
+    BRAKING: ("a brake that also acts", "a machine driven by the wheels"),
     ACCELERATING: ("a coupling that slips", "a machine on the same drive"),
 }
 OF_BUILD_UPS: Mapping[int, tuple[str, ...]] = {
