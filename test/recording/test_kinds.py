@@ -6,8 +6,6 @@
 from __future__ import annotations
 
 import os
-import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -20,7 +18,6 @@ from hypothesis import strategies as st
 
 import trackres_ros as tr
 from trackres_ros.errors import InputError, MissingExtraError
-from trackres_ros.recording import file_kind
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import Channel
 from trackres_ros.recording.channel_source import _in_order
@@ -254,79 +251,3 @@ def test_suffixes_are_of_one_kind_each():
     found = [suffix for kind in shipped_kinds() for suffix in kind.suffixes]
     assert sorted(found) == sorted(set(found))
     assert set(found) <= set(suffixes())
-
-
-# --- the steps of CONTRIBUTING.md
-
-
-@pytest.fixture(scope="module")
-def steps(repository):
-    """Code of the page by the section it is in."""
-    text = (repository / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    return {
-        title: re.findall(r"```\w+\n(.*?)```", part, re.DOTALL)
-        for title, part in re.findall(r"^### (.*?)\n(.*?)(?=^#|\Z)", text, re.DOTALL | re.MULTILINE)
-    }
-
-
-READ = """
-import sys
-import trackres_ros as tr
-from trackres_ros.recording import roles
-read = tr.read(sys.argv[1])
-print({role: read.series[role].value.tolist() for role in sorted(read.roles)})
-"""
-
-
-def read_in_a_process(path, *folders):
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))}
-    done = subprocess.run(
-        [sys.executable, "-c", READ, path], env=env, cwd=path.parent, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
-
-
-@pytest.fixture
-def logged(tmp_path):
-    path = tmp_path / "drive.logger"
-    path.write_bytes(np.array([[0.0, 36.0, 5.0], [1.0, 72.0, 6.0]], "<f4").tobytes())
-    return path
-
-
-@pytest.fixture
-def package(tmp_path, repository):
-    """A copy of the package to change."""
-    shutil.copytree(repository / "trackres_ros", tmp_path / "copy" / "trackres_ros", ignore=shutil.ignore_patterns("__pycache__"))
-    return tmp_path / "copy"
-
-
-LOGGED = "{'speed': [10.0, 20.0], 'torque': [5.0, 6.0]}"
-
-
-def test_a_reader_is_one_file(steps, logged, package):
-    (package / "trackres_ros" / "recording" / "readers" / "logger.py").write_text(steps["A kind of recording"][0])
-    assert read_in_a_process(logged, package) == LOGGED
-
-
-def test_a_reader_of_another_package_is_found_by_its_entry_point(steps, logged, tmp_path):
-    code, table = steps["A kind of recording"]
-    (tmp_path / "our_logger.py").write_text(code)
-    info = tmp_path / "our_logger-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: our-logger\nVersion: 1.0\n")
-    group, line = re.search(r'entry-points\."(.*)"\]\n(.*)', table).groups()
-    assert group == file_kind.GROUP
-    (info / "entry_points.txt").write_text(f"[{group}]\n{line.replace(chr(34), '')}\n")
-    assert read_in_a_process(logged, tmp_path) == LOGGED
-
-
-def test_a_role_is_one_line(steps, package, tmp_path):
-    table = package / "trackres_ros" / "recording" / "roles.py"
-    before = "ROLES: Mapping[str, Role] = MappingProxyType(\n    {\n"
-    text = table.read_text()
-    assert before in text
-    table.write_text(text.replace(before, f"{before}        {steps['A role'][0]}"))
-    path = tmp_path / "drive.csv"
-    path.write_text("time_s,speed_mps,tension_n/left\n0,1,900\n1,2,950\n")
-    assert read_in_a_process(path, package) == "{'speed': [1.0, 2.0], 'tension/left': [900.0, 950.0]}"
