@@ -6,11 +6,14 @@
 from __future__ import annotations
 
 import statistics
+import sys
 import tempfile
 import time
 import tracemalloc
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import yaml
@@ -98,6 +101,13 @@ def reading(path: Path) -> int:
     return sum(map(len, BagSource([path], TOPICS).blocks()))
 
 
+def reading_with_ros(path: Path) -> int:
+    """Read in the same blocks with rosbag2_py, as where rosbags is not installed."""
+    hidden = [name for name in sys.modules if name.partition(".")[0] == "rosbags"]
+    with mock.patch.dict(sys.modules, dict.fromkeys(hidden)):
+        return reading(path)
+
+
 def seconds(run: Callable[[Path], int], path: Path) -> tuple[float, float]:
     """Wall and CPU time of one run [s]."""
     wall, cpu = time.perf_counter(), time.process_time()
@@ -127,15 +137,17 @@ def _timed(path: Path, estimator: Estimator, name: str, repeats: int) -> dict[st
     def estimated(bag: Path) -> int:
         return replay(BagSource([bag], TOPICS), estimator).messages
 
-    ways = (read_raw, read_recording, reading, estimated)
+    ways = [read_raw, read_recording, reading, estimated]
+    if find_spec("rosbag2_py"):
+        ways.append(reading_with_ros)
     counts = {way(path) for way in ways}
     if len(counts) != 1:
         raise RuntimeError(f"not every message became a sample: {counts}")
     count = counts.pop()
     rounds = np.array([[seconds(way, path) for way in ways] for _ in range(repeats)])  # (repeats, ways, wall and CPU)
-    raw, recording, blocks, replayed = (1e6 * statistics.median(rounds[:, i, 0]) / count for i in range(len(ways)))
+    raw, recording, blocks, replayed, *ros = (1e6 * statistics.median(rounds[:, i, 0]) / count for i in range(len(ways)))
     on_top = 100.0 * np.median(rounds[:, 3] / rounds[:, 2] - 1.0, axis=0)
-    return {
+    result = {
         f"{name}: raw messages [us a message]": raw,
         f"{name}: Recording [us a message]": recording,
         f"{name}: Recording over raw": statistics.median(rounds[:, 1, 0] / rounds[:, 0, 0]),
@@ -144,6 +156,10 @@ def _timed(path: Path, estimator: Estimator, name: str, repeats: int) -> dict[st
         f"{name}: estimate on top of reading, wall time [%]": float(on_top[0]),
         f"{name}: estimate on top of reading, CPU time [%]": float(on_top[1]),
     }
+    if ros:
+        result[f"{name}: blocks of a replay with rosbag2_py [us a message]"] = ros[0]
+        result[f"{name}: rosbag2_py over rosbags"] = statistics.median(rounds[:, 4, 0] / rounds[:, 2, 0])
+    return result
 
 
 def run(messages: int = SPEED_MESSAGES, repeats: int = REPEATS) -> dict[str, float]:

@@ -301,7 +301,7 @@ BAD = [
     (("replay", "good.csv", "--vehicle", "xgd24d", "--save-state", "no/such.json", "-o", "x.csv"), "--save-state"),
     (("replay", "good.csv", "--vehicle", "xgd24d", "--save-state", "/dev/null", "-o", "x.csv"), "--save-state"),
     (("replay", "kmh.csv", "--vehicle", "xgd24d", "-o", "x.csv"), "unit"),
-    (("replay", "good.csv", "--vehicle", "xgd24d", "-o", "good.csv"), "another file"),
+    (("replay", "good.csv", "--vehicle", "xgd24d", "-o", "good.csv"), "overwrite"),
     (("explain", "--vehicle", "xgd24d", "--speed-kmh", "5"), "--belt-degc"),
     (("explain", "--vehicle", "xgd24d", "--speed-kmh", "5", "--belt-degc", "20", "--weight-kn", "1"), "--weight-kn"),
     (("vehicle", "check", "broken.yaml"), "thickness"),

@@ -82,8 +82,8 @@ def test_what_is_watched_for_is_shown_and_said():
     belief = Belief("spells", 0.97, 291.0, 60.0, 1_700_000_000 * 10**9, True, False)
     watching = replace(overview(), disturbance=belief)
     words, bare = (re.sub(r"[\s│]+", "", drawn(seen, 80)) for seen in (watching, overview()))
-    assert re.sub(r"\s+", "", f"watched for: {belief.text}") in words
-    assert "watchedfor" not in bare
+    assert re.sub(r"\s+", "", f"disturbance: {belief.text}") in words
+    assert "disturbance:" not in bare
     assert as_dict(overview(), False)["disturbance"] is None
     said = as_dict(watching, False)["disturbance"]
     assert (said["there"], said["present"], said["torque_nm"]) == (0.97, True, 291.0)

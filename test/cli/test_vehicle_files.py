@@ -41,7 +41,7 @@ def test_one_that_is_there_is_not_written_over(good, trackres, tmp_path):
     (tmp_path / "truck7.yaml").write_text("mine")
     refused = trackres("vehicle", "new", "truck7", "-o", tmp_path)
     assert refused.returncode == 2
-    assert "there already" in refused.stderr
+    assert "already exists" in refused.stderr
     assert (tmp_path / "truck7.yaml").read_text() == "mine"
 
 
