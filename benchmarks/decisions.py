@@ -14,6 +14,7 @@ import sys
 import tempfile
 from collections import namedtuple
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise
 from trackres_ros.errors import InputError
+from trackres_ros.estimator.columns import Motion
+from trackres_ros.jit.compiled import compiled_anew
 from trackres_ros.output.mcap import BagWriter
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.cdr import FieldReader, Template
@@ -353,7 +356,41 @@ def _symbol(kind: Any) -> Any:
     return array.reshape(shape)
 
 
-DECISIONS = {"cdr": cdr, "mcap": mcap, "noise": noise, "checks": checks, "estimate": estimate, "page": page, "export": export}
+def rows(steps: int = 200_000, repeats: int = 15) -> dict[str, float]:
+    """A low-pass filter on two numbers of an array: called by name and by index, compiled and in plain Python."""
+    speed, last = Motion.filtered_speed, Motion.last_speed
+
+    def by_name(numbers: np.ndarray, count: int) -> None:
+        motion = Motion(numbers)
+        for _ in range(count):
+            motion.filtered_speed += 0.1 * (motion.last_speed - motion.filtered_speed)
+            motion.last_speed += 1e-3
+
+    def by_index(numbers: np.ndarray, count: int) -> None:
+        for _ in range(count):
+            numbers[speed] += 0.1 * (numbers[last] - numbers[speed])
+            numbers[last] += 1e-3
+
+    found, ways = {}, {"compiled": compiled_anew, "plain Python": lambda function: function}
+    for way, made in ways.items():
+        count, functions = (
+            steps if way == "compiled" else max(1, steps // 100),
+            {f.__name__: made(f) for f in (by_name, by_index)},
+        )
+        results = [np.zeros(Motion.columns) for _ in functions]
+        for function, numbers in zip(functions.values(), results, strict=True):
+            function(numbers, count)
+        assert np.array_equal(*results)
+        runs = {name: partial(function, np.zeros(Motion.columns), count) for name, function in functions.items()}
+        times = alternated(runs, repeats)
+        found[f"{way}: names over indices"] = median_ratio(times["by_name"], times["by_index"])
+    return found
+
+
+DECISIONS: dict[str, Callable[..., dict[str, float]]] = {
+    "cdr": cdr, "mcap": mcap, "noise": noise, "checks": checks, "estimate": estimate, "page": page, "export": export,
+    "rows": rows,
+}  # fmt: skip
 
 if __name__ == "__main__":
     for chosen in sys.argv[1:] or DECISIONS:

@@ -63,6 +63,10 @@ def test_the_translation_has_all_functions_and_casadi_runs_fewer(decisions):
     assert found.get("CasADi: functions that run on its symbols as they are", 0.0) < found["translated: functions"]
 
 
+def test_names_and_indices_of_a_state_give_the_same(decisions):
+    assert all(value > 0.0 for value in decisions.rows(steps=500, repeats=1).values())
+
+
 def test_each_decision_is_listed_and_names_its_measurement(repository, decisions):
     folder = repository / "docs" / "decisions"
     pages = {path.name for path in folder.glob("*.md")} - {"README.md"}

@@ -145,7 +145,7 @@ def files(tmp_path_factory):
 
 NEW = {("vehicle", "new"), ("reproduce",), ("prove",), ("fleet", "sample")}
 """What makes its files itself, and wants no others in its folder."""
-AS_FAR = {"diagnose": "a measured torque", "coastdown": "rolls out", "fleet": "--vehicles"}
+AS_FAR = {"diagnose": "a measured torque", "coastdown": "coast-down", "fleet": "--vehicles"}
 """How far a command comes with these recordings, which have no torque, or in which nothing rolls out."""
 
 

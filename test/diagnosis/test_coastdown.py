@@ -208,7 +208,7 @@ def test_the_command_writes_what_is_better_and_says_what_is_not(tmp_path, rolled
     monkeypatch.chdir(tmp_path)
     written(tmp_path / "roll.csv", rolled, "time_s,speed_mps")
     shown = good("coastdown", "roll.csv", "--vehicle", "xgd24d", "--save-vehicle", "new.yaml", "--picture", "roll.png")
-    assert "It rolls out 4 times" in shown
+    assert "4 coast-downs" in shown
     assert "Written: new.yaml, roll.png" in shown
     assert (tmp_path / "roll.png").stat().st_size > 10000
     again = json.loads(good("coastdown", "roll.csv", "--vehicle", "new.yaml", "--save-vehicle", "newer.yaml", "--json"))

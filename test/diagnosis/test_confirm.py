@@ -69,7 +69,7 @@ def drives_like(seconds):
 
 def test_laps_without_a_sample_are_refused(loaded):
     (session,) = drives(loaded.base, 10.0, 1, 3.0, np.random.default_rng(1))
-    with pytest.raises(InputError, match="held-out"):
+    with pytest.raises(InputError, match="hold-out"):
         HeldOutLaps([session], [np.zeros(len(session), dtype=bool)], np.random.default_rng(1))
 
 

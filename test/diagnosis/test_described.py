@@ -172,7 +172,7 @@ def test_a_lasting_level_change_is_described_and_never_written(recorded, loaded,
     check_form(report(found, []) | {"recordings": ["drive_1.csv"]})
     pytest.importorskip("matplotlib")
     (drawn,) = [p for p in draw_all(found, tmp_path) if "level_change" in p.path.name]
-    assert "one after the other" in drawn.alternative
+    assert "in sequence" in drawn.alternative
 
 
 @pytest.mark.long

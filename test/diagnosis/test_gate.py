@@ -3,6 +3,7 @@
 
 """The gate: what an engineer gets wrong is said with the line that mends it, and what is healthy passes."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -423,7 +424,7 @@ def test_a_clock_that_was_set_is_left_out_with_the_place(recorded, loaded, tmp_p
     found = judged([path, other], loaded)
     (said,) = noted(found, path)
     assert "not used: speed" in said
-    assert "correct the times" in said
+    assert re.search("correct the (later|earlier) times", said)
     assert f"{19.8 if change is set_from_1970 else 299.8:.0f} s after the beginning" in said
 
 

@@ -328,6 +328,6 @@ def test_what_cannot_be_told_is_not_said(recorded, loaded):
     sources = residual_sources(found)
     assert sources.speed_sensor is None  # the acceleration was recorded
     assert sources.torque_sensor > 0.0
-    assert "cannot be told" in sources.text
+    assert "the speed sensor an unknown part" in sources.text
     loud = replace(found.problem, sessions=tuple(replace(s, torque_noise=1e5) for s in sessions))
     assert residual_sources(replace(found, problem=loud)).model == 0.0

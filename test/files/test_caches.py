@@ -270,7 +270,7 @@ def test_a_simulation_without_a_cache_gives_the_same_and_says_so(warm, tmp_path,
     out, said = simulate(folder, tmp_path / "out.csv", repository, TRACKRES_INTERPRETED="1")
     assert out == warm[1]
     assert said.count("\n") == 1
-    assert "not kept" in said
+    assert "not cached" in said
 
 
 @needs_numba

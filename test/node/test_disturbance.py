@@ -61,7 +61,7 @@ def test_the_status_shows_a_spell_and_the_log_its_start_and_end(desk, given):
     assert float(there["there"]) > 0.9
     assert float(there["torque_nm"]) == pytest.approx(LEVEL_NM, rel=0.1)
     assert float(there["since"]) == pytest.approx(START_NS * 1e-9 + began_s, abs=6.0)
-    assert "there" in message
+    assert "is present" in message
     assert "DISTURBANCE" in d.names()
     assert next(r for r in d.app.notices() if r.name == "DISTURBANCE").level is Level.OK
     drive(d, 40.0, 0.0)

@@ -63,7 +63,7 @@ def test_it_survives_a_restart_and_a_reset_forgets_it(desk, topics, tmp_path):
     d.app.save_state()
     again = desk(**given)
     assert again.app.learning.learner.learned.seconds == seconds
-    assert "learned from" in again.app.began_with
+    assert "used for learning" in again.app.began_with
     assert "forgotten" in again.app.reset_learning()
     assert again.app.learning.learner.learned.seconds == 0.0
 

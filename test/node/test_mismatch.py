@@ -86,7 +86,7 @@ def test_it_says_so_while_it_cannot_know():
     early, turned = watch(noise(known_s / 3600.0 - 0.01) + 5000.0)
     assert not turned
     assert not early.verdict.settled
-    assert "too little" in early.verdict.text
+    assert "not enough driving" in early.verdict.text
     assert watch(noise(known_s / 3600.0 + 0.01) + 5000.0)[0].verdict.parted
 
 
@@ -162,7 +162,7 @@ def test_standing_and_hard_acceleration_are_not_compared(speed, accel):
     detector, turned = watch(noise(1.0) + 5000.0, speed=speed, accel=accel)
     assert not turned
     assert not detector.verdict.settled
-    assert "too little" in detector.verdict.text
+    assert "not enough driving" in detector.verdict.text
 
 
 def test_spikes_do_not_raise_it():

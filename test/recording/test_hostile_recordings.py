@@ -101,7 +101,7 @@ def test_only_regular_files_are_opened(tmp_path, refused, suffix):
         "a named pipe": lambda path: os.mkfifo(path),
         "a device": lambda path: path.symlink_to("/dev/zero"),
         "a link to itself": lambda path: path.symlink_to(path),
-        "where nothing is": lambda path: path.symlink_to(tmp_path / "gone"),
+        "which does not exist": lambda path: path.symlink_to(tmp_path / "gone"),
         "no such file or folder": lambda path: None,
     }
     for number, (says, make) in enumerate(made.items()):
@@ -365,7 +365,7 @@ ARRAY = f"{{}}\nfloat64 speed\n{'=' * 80}\nMSG: my_msgs/E\n{{}}\n"
         ("my_msgs/E[999999999] many", "string a", "my_msgs/msg/E[999999999] many"),
         ("my_msgs/E[9999] many", "uint8[99999] a", "my_msgs/msg/E[9999] many"),
         ("float64[999999999] many", "uint8 a", "float64[999999999] many"),
-        ("my_msgs/E one", "my_msgs/E again", "my_msgs/msg/E within itself"),
+        ("my_msgs/E one", "my_msgs/E again", "my_msgs/msg/E nested in itself"),
     ],
 )
 def test_definitions_of_arrays_without_end(tmp_path, first, element, says):
