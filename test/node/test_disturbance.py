@@ -66,9 +66,9 @@ def test_the_status_shows_a_spell_and_the_log_its_start_and_end(desk, given):
     assert next(r for r in d.app.notices() if r.name == "DISTURBANCE").level is Level.OK
     drive(d, 40.0, 0.0)
     assert "DISTURBANCE" not in d.names()
-    logged = [(level, text) for level, text in d.logged if "spell" in text]
+    logged = [(level, text) for level, text in d.logged if "disturbance" in text]
     assert [level for level, _ in logged] == [Level.OK, Level.OK]
-    assert [re.match(r"a spell (begins|is over)", text)[1] for _, text in logged] == ["begins", "is over"]
+    assert [re.match(r"the disturbance (begins|is over)", text)[1] for _, text in logged] == ["begins", "is over"]
 
 
 def test_what_is_published_as_torque_is_the_same_to_the_last_bit(desk, given):

@@ -64,7 +64,7 @@ def test_it_survives_a_restart_and_a_reset_forgets_it(desk, topics, tmp_path):
     again = desk(**given)
     assert again.app.learning.learner.learned.seconds == seconds
     assert "used for learning" in again.app.began_with
-    assert "forgotten" in again.app.reset_learning()
+    assert "are reset" in again.app.reset_learning()
     assert again.app.learning.learner.learned.seconds == 0.0
 
 
