@@ -67,7 +67,7 @@ class Diagnosis:
         Measured against simulated belt temperature, from the re-fitted base; None without a measured one.
     alone, steps, found, refuted
         The search round from the base alone; one round per term from the other terms, and a last one from all of them; the
-        confirmed terms; and the best-fitting terms that the hold-out laps do not confirm.
+        confirmed terms; and the best-fitting terms that cross-validation does not confirm.
     shares
         Probability of each name, and of no name.
     described, wanders, tracked
