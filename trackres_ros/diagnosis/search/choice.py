@@ -57,7 +57,7 @@ class Chosen:
     Attributes
     ----------
     explanation, final, graded
-        The best explanation confirmed by cross-validation, its fit with predictive values, and the grade of each term; empty if none.
+        The best explanation confirmed by cross-validation, its predictive fit, and the grade of each term; empty if none.
     alone, steps, last
         The round from the base alone; for each term the round without it, with its class; and the round from all of it.
     refuted

@@ -160,7 +160,7 @@ class LeaveLapsOut:
         return self._least(before, after.density - before.density)
 
     def improvement(self, before: Score, after: Score, for_good: bool = False) -> Improvement:
-        """Change of the mean error, with the lower bound of the level score; a lasting change (`for_good`) has one occasion only."""
+        """Change of the mean error, with the lower bound of the level score; a lasting change (`for_good`) is one occasion."""
         if for_good:
             before = replace(before, occasion=np.arange(len(self._count)))
         count, fallen = self._count.sum(), before.error - after.error
