@@ -78,14 +78,14 @@ def displaced(improvement: Improvement, final: Fit, without: Fit) -> tuple[str, 
 
 
 def at_implausible_bounds(found: Fit) -> tuple[str, ...]:
-    """Base parameters on a bound outside their range in the vehicle file."""
+    """Base parameters on a bound, more than `MOVED` standard deviations from the vehicle file's value."""
     return tuple(
         q.name for q, value in moved_parameters(found) if min(value - q.low, q.high - value) <= ON_BOUND * (q.high - q.low)
     )
 
 
 def moved_parameters(found: Fit, by: float = MOVED) -> list[tuple[BaseParameter, float]]:
-    """Base parameters that moved by more than `stds` standard deviations of their range, furthest first."""
+    """Base parameters that moved by more than `by` standard deviations of their range, furthest first."""
     moved = [(q, found.base_values[q.name]) for q in found.problem.base.parameters if np.isfinite(q.std)]
     far = [(q, value) for q, value in moved if abs(value - q.nominal) > by * q.std]
     return sorted(far, key=lambda pair: -abs(pair[1] - pair[0].nominal) / pair[0].std)
