@@ -3,9 +3,9 @@
 
 """A torque that repeats at the same place of a route on each pass: a slope, soft ground, a bend.
 
-The driven distance is folded with many lap lengths. Each place of the lap has its own mean with a zero-mean prior, so the
-evidence of a length includes the cost of its places (random effects; Laird and Ware 1982). A result must hold on passes not
-used for learning.
+The driven distance is folded with many lap lengths. Each place of the lap has its own mean with a zero-mean prior (random
+effects; Laird and Ware 1982). So the evidence of a length includes the cost of its places. A result must hold on passes
+not used for learning.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 
 """Spells, a torque that comes and goes without a known cause; and a drifting torque.
 
-Means of the residual over a few seconds follow one of two random levels (a hidden Markov chain), or a
-drifting level (Ornstein and Uhlenbeck), each with white noise; the likelihoods decide.
+Means of the residual over a few seconds follow two random levels (a hidden Markov chain) or a drifting level (Ornstein
+and Uhlenbeck), with white noise. The likelihoods decide.
 
 Source: Rabiner (1989) for the chain, by expectation-maximisation; Kalman for the drifting level.
 """

@@ -171,7 +171,7 @@ class Findings:
 
     @property
     def rest(self) -> list[str]:
-        """Sentences about the remaining residual besides the confirmed terms."""
+        """Sentences about the residual that the confirmed terms leave."""
         return [
             f"A small error remains {range_of(self.left[0])}" if self.left else "",
             *(slow(self.left_over) if self.strays else []),

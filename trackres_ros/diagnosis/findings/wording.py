@@ -144,7 +144,7 @@ def mean_error(before: float, after: float) -> str:
 def possible(
     unsure: Sequence[NamedEffect | Told], confirmed: Sequence[NamedEffect | Told], shares: Mapping[str, float]
 ) -> Possible:
-    """Possible causes besides the confirmed ones, with probabilities, the likeliest first and `NONE_OF_THESE` last.
+    """Possible unconfirmed causes, with probabilities, the most likely first and `NONE_OF_THESE` last.
 
     Without probabilities over whole explanations, those within each suspected class are given, and none for a single name.
     """

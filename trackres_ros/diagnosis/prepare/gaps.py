@@ -32,8 +32,8 @@ FEWEST_FOR_SPACING = 100
 def filled_steps(speed: Samples, torques: Sequence[Samples], edges: Array, slowest: float) -> dict[str, Mask]:
     """Steps with a filled-in speed or torque, by reason.
 
-    A gap was filled with a line where speed and torque are both straight within their resolution, or where one is
-    straight far longer than usual. A last value was repeated where both stay constant far longer than usual.
+    A line filled a gap where speed and torque are both straight within their resolution, or one is straight far
+    longer than usual. A last value was repeated where both stay constant far longer than usual.
 
     Parameters
     ----------

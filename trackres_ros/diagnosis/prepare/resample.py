@@ -47,8 +47,8 @@ def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES, slow
 
     Notes
     -----
-    For a bus of 19 t recorded once per second, steps of 1 s gave a mass of 12.5 t, and steps from 3 to 8 s one of
-    18.1 to 18.9 t: changes between two samples hide a part of the inertia.
+    Changes between two samples hide a part of the inertia. For a bus of 19 t recorded once per second, steps of 1 s gave
+    a mass of 12.5 t, and steps from 3 to 8 s one of 18.1 to 18.9 t.
 
     Resistance depends on the current speed, so the mean speed must represent the whole step. It does not where a third of
     the speed's mean square changes within one step. The step is then chosen so that the speed changes as little as that of
@@ -270,7 +270,7 @@ def _speed(grid: _Grid) -> _Speed:
     """Speed, and acceleration as measured or derived from it."""
     at, raw = grid.samples("speed")
     scale = pace(grid.step)
-    unit = grid.settings.slowest / SLOWEST_MPS if scale < 1.0 else 1.0  # of speed and of its noise, both scaled
+    unit = grid.settings.slowest / SLOWEST_MPS if scale < 1.0 else 1.0  # scales speed and noise to a vehicle's
     smoothed = smooth_speed(at / scale, raw / unit, grid.edges / scale, LONGEST_HOLD_S)
     at_edges = unit * smoothed.speed if smoothed else np.interp(grid.edges, at, raw)
     mean, known = means(at, raw, grid.edges)

@@ -196,7 +196,7 @@ def _candidates(d: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
-    """Next steps for the kept results, besides using the vehicle file."""
+    """Next steps for the kept results, in addition to using the vehicle file."""
     said = []
     around, sensors = (", ".join(d.kept.names_of(kind)) for kind in ("surroundings", "sensor"))
     if around:

@@ -207,7 +207,7 @@ class Choice:
         return [e for i, e in enumerate(found) if i < MOST_SCORED or any(map(e.goes_by_place, e.key))]
 
     def _pick(self, confirmed: Sequence[ScoredExplanation]) -> ScoredExplanation:
-        """Choose among those that no other surely beats: fewest unnamed terms first, then most evidence.
+        """Choose among those that no other significantly beats: fewest unnamed terms first, then most evidence.
 
         A named function is accurate to about 10 %: a flexible form added to a true name has more evidence, but predicts
         no better.

@@ -85,8 +85,8 @@ class AsUsed:
 def inside_ranges(found: Fit, use: AsUsed) -> Fit:
     """A fit with base values inside the ranges of the vehicle file, except values confirmed outside on hold-out laps.
 
-    A value outside is confirmed if vehicle.yaml alone is significantly better with it than with that value at the end of its
-    range and a re-fit of the others. Further fits of the same problem keep to these ranges.
+    The alternative to a value outside is the end of its range with a re-fit of the others. It is confirmed if vehicle.yaml
+    alone is significantly better with it. Further fits of the same problem keep to these ranges.
     """
     names = {q.name for q in found.problem.base.parameters}
     held, confirmed = set[str](), set[str]()

@@ -55,8 +55,7 @@ class Improvement:
         """Grade by the hold-out laps.
 
         `refuted` if the error grows, significantly or by over 1 %. `confirmed` if it does not grow and the likelihood gain
-        is significant, or if it falls significantly, with likelihoods by at least `SMALL_SHARE`. Else
-        `suspected`.
+        is significant, or if it falls significantly, with likelihoods by at least `SMALL_SHARE`. Else `suspected`.
         """
         if self.after > NO_WORSE * self.before or self.high < 0.0:
             return REFUTED
