@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The whole diagnosis: prepare, refit, search, judge, conclude. The result of each stage is frozen and can be looked at."""
+"""The whole diagnosis: prepare, refit, search, judge, conclude. Each stage returns a frozen result."""
 
 from __future__ import annotations
 
@@ -47,42 +47,42 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """All that was found.
+    """Result of a diagnosis.
 
     Attributes
     ----------
     base, gated, split
-        The base model, what passed the gate, and what was held out.
+        The base model, the sessions that passed the gate, and the split into fitted and hold-out laps.
     nominal
         Torque of each session with the values of the vehicle file [Nm].
     refitted, final
-        The base re-fitted, and with the effects found; values as by `levels.with_levels`.
+        The re-fitted base, without and with the effects found; values from `levels.with_levels`.
     at_base, at_end
-        Residual by regime of both.
+        Their residual by regime.
     changes
-        When the residual of the re-fitted base changes its level; None where that could not be looked for.
+        Level changes in the residual of the re-fitted base; None where the search could not run.
     periodogram_p
-        Probability that the last whitened residual is white.
+        Probability that the final whitened residual is white.
     thermal
-        Measured against simulated belt temperature, with the base re-fitted; None where none was measured.
+        Measured against simulated belt temperature, from the re-fitted base; None without a measured one.
     alone, steps, found, refuted
-        The round beside the base alone; of each term the round beside the others, last the one beside all of them; the effects
-        found; and those that fit best and that laps left out do not confirm.
+        The search round from the base alone; one round per term from the other terms, and a last one from all of them; the
+        confirmed terms; and the best-fitting terms that cross-validation does not confirm.
     shares
-        Probability of each name, and of none of them.
+        Probability of each name, and of no name.
     described, wanders, tracked
-        Terms without a name that were found; how what is left wanders, where it does so by more than it should; and what held-out
-        laps say of following that live.
+        Unnamed terms; the slow residual, where it is larger than expected; and the hold-out result of following
+        it live.
     spread
-        Where the torque shakes more than elsewhere; None where it does not.
+        Conditions with a larger scatter of the torque; None if there are none.
     routes
-        What goes by place, named or without a name: a slope, a torque, or a torque beside a slope.
+        Terms by place, named or unnamed: a slope, a torque, or a torque in addition to a slope.
     base_intervals
-        Of the base's parameters in `final`.
+        Intervals of the base's parameters in `final`.
     held_out, advice, verdict
-        What it is worth, what to drive next, and what it comes to.
+        Hold-out errors, next drives, and the verdict.
     kept
-        What of it may be written.
+        Changes that may be written.
     """
 
     base: Base
@@ -114,12 +114,12 @@ class Diagnosis:
 
     @property
     def noise(self) -> Noise:
-        """What whitens the residual of the last fit as far as it goes."""
+        """Noise model that best whitens the residual of the last fit."""
         return for_tests(self.final).noise
 
     @property
     def modelled(self) -> tuple[str, ...]:
-        """Names of all that the last fit has and the re-fitted base has not."""
+        """Names of the terms that the last fit adds to the re-fitted base."""
         return self.final.effect_names
 
     @property
@@ -129,7 +129,7 @@ class Diagnosis:
 
 
 def read_recordings(paths: Sequence[Path], topics: Topics | None) -> list[Recording]:
-    """Read recordings, each one session, in their order."""
+    """Read recordings in the given order, one session each."""
     return in_order([Recording.from_source(open_source([path], topics)) for path in paths])
 
 
@@ -144,7 +144,7 @@ def diagnose(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diag
     Raises
     ------
     InputError
-        If the recordings cannot be used; says why.
+        If the recordings cannot be used, with the reason.
     """
     rng = np.random.default_rng(options.seed)
     prepared = prepare(recordings, vehicle, options)

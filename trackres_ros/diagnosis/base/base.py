@@ -27,7 +27,7 @@ Values = Mapping[str, float]
 
 USABLE = "finite, plausible terms, with all values of its parameters within their bounds"
 ROUNDING = 1e-6  # of the span between the bounds of a fit
-MOST_CHECKED = 20  # steps looked at to find why an effect was left out
+MOST_CHECKED = 20  # steps checked to find why an effect was omitted
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,13 +37,13 @@ class BaseParameter:
     Attributes
     ----------
     name, unit
-        What it is.
+        Name, and unit of the value.
     nominal, std
-        The value of the vehicle file, and how well it is known: a Gaussian prior. Infinite where nothing is known.
+        Value of the vehicle file, and its standard deviation: a Gaussian prior. Infinite for an unknown value.
     low, high
         Bounds of a fit.
     by_file
-        The range that the vehicle file gives; bounds of a fit are wider.
+        Range in the vehicle file; bounds of a fit are wider.
     """
 
     name: str
@@ -68,8 +68,8 @@ class BaseParameter:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """What a model expects of a session, series of shape (n,): the torque as the sensor shows it [Nm], the torque itself,
-    and the belt's temperature [degC], which sets its loss, and that of its surface; nan where the model has none.
+    """Series predicted for a session, shape (n,): sensed torque [Nm], true torque [Nm], mean belt temperature [degC],
+    which sets the loss, and surface temperature [degC]; nan where the model has none.
     """
 
     torque: Array
@@ -79,11 +79,11 @@ class Predicted:
 
 
 class Model(Protocol):
-    """What a diagnosis needs of a model. `Defaults` has the rest of a `Base`; `own.OwnModel` makes one of a function."""
+    """The least interface of a model. `Defaults` adds the rest of a `Base`; `own.OwnModel` wraps a function."""
 
     @property
     def name(self) -> str:
-        """Of the model, as ``track`` or ``road_load``."""
+        """Name of the model, such as ``track`` or ``road_load``."""
 
     @property
     def parameters(self) -> tuple[BaseParameter, ...]:
@@ -91,48 +91,48 @@ class Model(Protocol):
 
     @property
     def facts(self) -> VehicleConstants:
-        """What effects may know: weight times radius is the size that their bounds and typical values grow with."""
+        """Constants that effects may read: their bounds and typical values scale with weight times radius."""
 
     def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
-        """Simulate sessions one after the other.
+        """Simulate sessions in sequence.
 
         Parameters
         ----------
         sessions
-            Series of one step each: speed [m/s], acceleration [m/s^2] and what else is known, shape (n,).
+            Series of one step each: speed [m/s], acceleration [m/s^2] and other known channels, shape (n,).
         values
-            Of `parameters`, by name.
+            Values of `parameters`, by name.
         effects
-            What is added; `Acting` sorts it.
+            Effects to add, sorted by `Acting`.
         """
 
 
 class Base(Model, Protocol):
-    """A base model of one vehicle with all that a diagnosis may ask of it."""
+    """A base model of one vehicle with the full interface for a diagnosis."""
 
     @property
     def has_belt(self) -> bool:
-        """Whether belts with a temperature are in it."""
+        """Whether the model has belts with a temperature."""
 
     @property
     def rolls(self) -> bool:
-        """Whether rolling resistance is in it; what slides has friction instead, see `Effect.only_of`."""
+        """Whether the model has rolling resistance; a sliding machine has friction instead, see `Effect.only_of`."""
 
     @property
     def includes(self) -> tuple[str, ...]:
-        """Names of effects that are in it already."""
+        """Names of effects that the model already has."""
 
     @property
     def parts(self) -> Mapping[str, float]:
-        """What goes round, and in how many metres."""
+        """Rotating parts, with their distance per turn [m]."""
 
     @property
     def torque_scale(self) -> float:
-        """Shown over true torque where the torque's topic says nothing of it."""
+        """Shown over true torque, unless the torque's topic gives it."""
 
     @property
     def rotating_mass_factor(self) -> float:
-        """Effective over true mass in acceleration, by the vehicle file."""
+        """Effective over true mass in acceleration, from the vehicle file."""
 
     @property
     def held(self) -> Values:
@@ -140,20 +140,20 @@ class Base(Model, Protocol):
 
     @property
     def alone(self) -> Base:
-        """The same vehicle without the surroundings that were given: what a controller runs."""
+        """The same vehicle without the given surroundings, as a controller runs it."""
 
     def inside_ranges(self, free: Collection[str]) -> Base:
         """The same base, its parameters bound to the ranges of the vehicle file, except those in `free`."""
 
     def as_written(self, values: Values) -> Base:
-        """The base of the file that `write` makes of these values, in the same surroundings: what runs is what is read again."""
+        """The base that a reader gets from the file `write` makes of these values, in the same surroundings."""
 
     def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
-        """Write a vehicle file with what was kept, surroundings beside it; returns the files that are for use."""
+        """Write a vehicle file with the kept changes, and surroundings next to it; returns the files to use."""
 
 
 class Defaults:
-    """What a `Base` is where its class does not say otherwise: nothing rolls, no belt, no surroundings, nothing held."""
+    """Defaults of a `Base`: no rolling, no belt, no surroundings, no further effects."""
 
     has_belt = rolls = False
     includes: tuple[str, ...] = ()
@@ -183,7 +183,7 @@ class Defaults:
 
 
 class Remembered(threading.local):
-    """The last simulation of each thread: what differs only in what sensors make of it is not simulated anew."""
+    """Cache of the last simulation per thread, reused where only sensor effects differ."""
 
     def __init__(self) -> None:
         self._hangs_on: tuple[object, ...] = ()
@@ -197,14 +197,14 @@ class Remembered(threading.local):
         hangs_on = (*map(id, sessions), *values.values(), acting.sensors.speed_factor, *stepped)
         if hangs_on != self._hangs_on:
             self._hangs_on, self._rows = hangs_on, simulate()
-            self._sessions = tuple(sessions)  # as long as they are here, no other has their identity
+            self._sessions = tuple(sessions)  # keeps them alive, so their identities stay unique
         return self._rows
 
 
 @dataclass(frozen=True)
 class Acting:
-    """Effects sorted: those that act in every step, ready for it, those that follow a series of their own, slopes and torques by
-    place among them by themselves, and what those of sensors make of speed and torque.
+    """Effects sorted for the step: those acting in every step, those with their own series, slopes and torques by place
+    separately, and sensor effects on speed and torque.
     """
 
     stepped: tuple[Active, ...]
@@ -216,7 +216,7 @@ class Acting:
 
     @classmethod
     def of(cls, effects: Sequence[Active], facts: VehicleConstants) -> Acting:
-        """Sort effects; what a sensor makes of it hangs on nothing but its parameters."""
+        """Sort effects; sensor effects depend only on their parameters."""
         series = tuple(active for active in effects if isinstance(active.effect, ResidualPattern))
         slopes = tuple(active for active in series if isinstance(active.effect, SlopeByPlace))
         torques = tuple(active for active in series if isinstance(active.effect, TorqueByPlace))
@@ -230,21 +230,21 @@ class Acting:
         return np.ascontiguousarray(session.speed * self.sensors.speed_factor)
 
     def accel(self, session: DriveSession) -> Array:
-        """True acceleration [m/s^2]; one that was not measured by itself comes from the speed, and is off by the same factor."""
+        """True acceleration [m/s^2]; one derived from the speed has the same scale error as the speed."""
         factor = 1.0 if "accel" in session.given else self.sensors.speed_factor
         return np.ascontiguousarray(session.accel * factor)
 
     def grade(self, session: DriveSession, number: int) -> Array:
-        """Slope of the session of a number, as recorded and as learned by place; level where nothing is known."""
+        """Slope of session `number`, recorded plus learned by place; level where unknown."""
         grade = session.grade if "grade" in session.given else np.zeros(len(session))
         return np.ascontiguousarray(_with_series(grade, self.slopes, number))
 
     def torque_by_place(self, session: DriveSession, number: int) -> Array:
-        """Torque against travel by the place of the session of a number, as given and as learned [Nm]."""
+        """Torque against travel by place for session `number`, given plus learned [Nm]."""
         return np.ascontiguousarray(_with_series(session.torque_by_place, self.torques, number))
 
     def with_watched(self, torque: Array, session: int) -> Array:
-        """A torque of the session of a number with what follows a series of its own [Nm]."""
+        """Torque of session `number` plus the effects with their own series [Nm]."""
         return _with_series(torque, self.watched, session)
 
     def sensed(self, torque: Array, session: DriveSession) -> Array:
@@ -253,19 +253,19 @@ class Acting:
         shown = terms.sensor_gain * torque + terms.sensor_offset
         if terms.sensor_delay == 0.0:
             return np.asarray(shown)
-        if session.torque_course is None:  # nothing was measured: the middle of a step is where its mean is
+        if session.torque_course is None:  # not measured: a step's mean is at its middle
             return np.interp(session.time - terms.sensor_delay, session.time, shown)
-        # Within a step the torque may jump, which its mean does not show. So the measured one is taken later instead, exactly.
+        # Torque may jump within a step, which its mean does not show. So the measured torque is shifted instead, exactly.
         later = session.torque_course.later_means(session.time, session.step, terms.sensor_delay)
         return np.asarray(shown - (later - session.torque))
 
     def check(self, left_out: Array, session: DriveSession, facts: VehicleConstants) -> None:
-        """Refuse what a user's effect says where it was left out of a step though all that it needs is known.
+        """Raise a user effect's error in a step that omitted it, although all its inputs are known.
 
         Raises
         ------
         InputError
-            If it fails there, or says what is no number or beyond all reason.
+            If the effect fails there, or returns no number or an absurd one.
         """
         own = [active for active in self.stepped if active.effect.source is not None]
         if not own or not left_out.any():
@@ -281,7 +281,7 @@ class Acting:
 
 
 def _with_series(values: Array, effects: Sequence[Active], session: int) -> Array:
-    """Values with what effects add to them that have a series for the session of a number."""
+    """Values plus the effects that have a series for the given session."""
     for active in effects:
         assert isinstance(active.effect, ResidualPattern)
         values = values + active.numbers[0] * active.effect.shape[session]

@@ -18,14 +18,14 @@ from trackres_ros.effects.sensor.delay import Delay
 from trackres_ros.effects.sensor.torque_gain import TorqueGain
 from trackres_ros.effects.sensor.torque_offset import TorqueOffset
 
-PRIOR_STDS = 3.0  # from the value without effect to the start of a parameter, see `fitting.free_parameters`
-DELAY_S, MOST_DELAY_S = 0.06, 0.12  # standard deviation and bound; the speed may be the later one
+PRIOR_STDS = 3.0  # from the no-effect value to the start of a parameter, see `fitting.free_parameters`
+DELAY_S, MOST_DELAY_S = 0.06, 0.12  # standard deviation and bound; the delay may be negative
 GAIN, MOST_GAIN = 0.005, 0.015
 OFFSET_NM, MOST_OFFSET_NM = 15.0, 45.0  # of a vehicle of `REFERENCE_NM`
 
 
 def instrument(base: Base) -> tuple[Effect, ...]:
-    """The effects of an instrument's size that the base does not have among its own parameters."""
+    """Small sensor effects that the base does not have as parameters."""
     offset = usual_offset(base)
     within = (
         (Delay(), DELAY_S, MOST_DELAY_S),
@@ -36,12 +36,12 @@ def instrument(base: Base) -> tuple[Effect, ...]:
 
 
 def usual_offset(base: Base) -> float:
-    """Standard deviation of the offset that any torque sensor of a vehicle has [Nm]."""
+    """Prior standard deviation of a torque sensor's offset on this vehicle [Nm]."""
     return OFFSET_NM * base.facts.weight * base.facts.radius / REFERENCE_NM
 
 
 def narrowed(effect: Effect, std: float, most: float) -> Effect:
-    """An effect whose parameters have a standard deviation beforehand and a bound, both of its unit, about none."""
+    """An effect whose parameters get this prior standard deviation and bound, in its unit, around no effect."""
     found = copy.copy(effect)
     found.parameters = tuple(replace(q, low=-most, high=most, start=std / PRIOR_STDS) for q in effect.parameters)
     return found

@@ -26,8 +26,8 @@ from trackres_ros.vehicle import RoadVehicle, Vehicle, load, load_any, with_surr
 
 @dataclass(frozen=True, eq=False)
 class LoadedBase:
-    """A base model, the vehicle's title, what the gate needs to know of it, and the surroundings that it is in: effects, and
-    what is known of its ground by place, and its file.
+    """A base model, the vehicle's title, settings for the gate, and the surroundings: effects, ground by place,
+    and the file.
     """
 
     base: Base
@@ -45,14 +45,14 @@ def load_base(
     topics: Topics | None = None,
     surroundings: str | PathLike[str] | None = None,
 ) -> LoadedBase:
-    """The base model of a vehicle: `road_load` where its file has that section, else `track`; or a model of the user's own.
+    """Base model of a vehicle: `road_load` where its file has that section, else `track`; or a user model.
 
-    A topics file says what a measured belt temperature shows; `surroundings` is the file of what holds where it was driven.
+    A topics file states whether a measured belt temperature is of the surface; `surroundings` is the file of the site.
 
     Raises
     ------
     InputError
-        If the file cannot be used, or a vehicle is given with other values than its file has.
+        If the file cannot be used, or the vehicle has other values than its file.
     """
     if isinstance(vehicle, OwnModel):
         if surroundings:
@@ -84,7 +84,7 @@ def _road(road: RoadVehicle, settings: Settings) -> LoadedBase:
         base.facts.weight,
         road.values["max_speed"],
         road.values["ambient"],
-        road.friction_brakes or (False if base.rolls else None),  # what slides has none
+        road.friction_brakes or (False if base.rolls else None),  # a sliding machine has none
         torque_scale=road.torque_shown,
         passenger_kg=settings.passenger_kg,
         track_width=road.values.get("track_width"),

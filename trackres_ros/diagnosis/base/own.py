@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Torque = Callable[[DriveSession, Values], Array]
 
-SIZE = 0.15  # greatest torque over weight times radius: of a vehicle that it speeds up by 1.5 m/s^2
+SIZE = 0.15  # largest torque over weight times radius: of a vehicle that it accelerates by 1.5 m/s^2
 AMBIENT_DEGC = 20.0
 
 
@@ -138,12 +138,12 @@ class OwnBase(Defaults):
         return found
 
     def _own(self, session: DriveSession, values: Values) -> Array:
-        """What the function says.
+        """Result of the user's function.
 
         Raises
         ------
         InputError
-            If it fails, or gives something else than a finite number for each step.
+            If it fails, or does not return a finite number for each step.
         """
         try:
             own = np.array(self.model.torque(session, values), dtype=float)
@@ -155,7 +155,7 @@ class OwnBase(Defaults):
         return own
 
     def with_kept(self, kept: FileChanges) -> OwnModel:
-        """The model with values and effects that are to be used."""
+        """The model with the kept values and effects."""
         values = kept.values or {}
         parameters = {name: (values.get(name, of[0]), *of[1:]) for name, of in self.model.parameters.items()}
         parameters = {n: (v, min(low, v), max(high, v), unit) for n, (v, low, high, unit) in parameters.items()}
@@ -192,7 +192,7 @@ def own_along(
     torque: Array,
     outcome: IntArray,
 ) -> None:
-    """Fill `torque`, of a model with what effects add, and the `outcome` of these for each time; see `effects.stepping`."""
+    """Fill `torque`, the model's with effects added, and their `outcome` at each time; see `effects.stepping`."""
     last_torque = last_own = 0.0
     for i in range(times.shape[0]):
         drive = last_torque + own[i] - last_own

@@ -26,11 +26,11 @@ class ResidualPattern(Effect):
     Parameters
     ----------
     shape
-        Of each session, in the order of the problem: shape (n,), about 1 where it acts; zero on laps that are not fitted.
+        Series of each session, in the order of the problem: shape (n,), about 1 where it acts; zero on hold-out laps.
     size
-        Of the vehicle, weight times wheel radius [Nm].
+        Weight times wheel radius of the vehicle [Nm].
     ahead
-        The same by what was measured before each sample only: what it is worth to someone who drives. By default the shape.
+        The same from earlier measurements only, for the value to a live user. By default the shape.
     """
 
     acts_on = WATCHED
@@ -44,12 +44,12 @@ class ResidualPattern(Effect):
 
 
 class ByPlace(ResidualPattern):
-    """What was learned for each place of a route. It is known ahead where positions come in, and so it may be written.
+    """A learned value for each place of a route. Positions make it predictable, so it may be written.
 
     Parameters
     ----------
     route
-        What was learned, for a value of its parameter of `typical`.
+        Map learned at the typical value of its parameter.
     """
 
     acts_on = "torque"
@@ -60,16 +60,16 @@ class ByPlace(ResidualPattern):
         self.route, self.typical = route, typical
 
     def learned(self, value: float) -> RouteMap:
-        """What was learned, by the fitted value of its parameter."""
+        """The map, scaled to the fitted parameter."""
         return self.route.times(value / self.typical)
 
 
 class TorqueByPlace(ByPlace):
-    """A torque that was learned for each place: the series are against travel."""
+    """A torque learned for each place: the series are against travel."""
 
 
 class SlopeByPlace(ByPlace):
-    """A slope that was learned for each place: the series are the rise over run the way the vehicle points."""
+    """A slope learned for each place: the series are the rise over run in the vehicle's heading."""
 
     def __init__(self, name: str, text: str, shape: Sequence[Array], size: float, route: RouteMap, typical: float) -> None:
         super().__init__(name, text, shape, size, route, typical)

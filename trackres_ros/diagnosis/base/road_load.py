@@ -42,8 +42,8 @@ FITTED = (
 """Re-fitted parameters, if their range has a width; also sliding friction and an offset, if the file has them."""
 TORQUE_OFFSET = TorqueOffset.name
 ONLY_ONE_OF = ("mass", "torque_scale")
-"""Both scale nearly all, and only their product is identifiable: one is re-fitted if the file fixes the other with a range of
-zero width. With both free, a robot's scale fell to half to a tenth of its value: errors of the speed hide inertia.
+"""Both scale nearly all terms, and only their product is identifiable. One is re-fitted if the file fixes the other with a
+range of zero width. With both free, a robot's scale fell to half to a tenth of its value: speed errors hide inertia.
 Its turning friction went to its bound. A car's mean error on hold-out laps fell by 0.2 of 60 Nm.
 """
 

@@ -32,16 +32,16 @@ def simulated(
     weight: Callable[[DriveSession], Array],
     acting: Acting,
 ) -> list[Array]:
-    """Rows as of `kernel.predict`, shape (n, `PREDICTED`), of each session.
+    """Rows from `kernel.predict`, shape (n, `PREDICTED`), of each session.
 
     Parameters
     ----------
     k
-        What the step reads, but for its effects, which are those that act.
+        Constants of the step without effects; these come from `acting`.
     count, belts
-        How many assemblies there are of each kind, shape (kinds,), and how many kinds have a belt.
+        Number of assemblies of each kind, shape (kinds,), and number of kinds with a belt.
     weight
-        Of the whole vehicle along a session [N].
+        Weight of the whole vehicle along a session [N].
     """
     table = acting.table
     k = k._replace(effects=table.rows, effect_values=table.values, work=work_space(facts, 0))

@@ -42,8 +42,8 @@ Array = NDArray[np.float64]
 LOSS, BEARING, DRAG, FILM, CAPACITY = "loss_modulus_scale", "bearing_friction", "drag_coefficient", "film_scale", "capacity_scale"
 CONDUCTIVITY, SURFACE_SHARE = "conductivity", "surface_share"
 MOST_AT_SURFACE = 0.8
-# What a fit may come to whatever range the file gives, which after a diagnosis is that of what was learned: a fifth of the lower
-# and three times the upper end of what data sheets of the shipped vehicles say.
+# Bounds of a fit, independent of the file's range, which after a diagnosis is a learned one: a fifth of the lower
+# and three times the upper end of the data sheet ranges of the shipped vehicles.
 PLAUSIBLE = {
     LOSS: (0.16, 3.6),
     BEARING: (0.0008, 0.036),
@@ -52,9 +52,9 @@ PLAUSIBLE = {
     SURFACE_SHARE: (0.02, MOST_AT_SURFACE),
 }
 PLAUSIBLE_FILM, PLAUSIBLE_CAPACITY = (0.2, 5.0), (0.3, 3.0)  # factors on the file's
-LOSS_TABLES = 4  # that are kept
-LESS_LOSS = 0.8  # times the scale of the loss modulus of the file: from there its powers are taken
-CAPACITY_STD = 0.15  # relative: thickness, section of lugs and specific heat of the file's ranges together
+LOSS_TABLES = 4  # in the cache
+LESS_LOSS = 0.8  # times the file's loss modulus scale, for the derivative of the loss table
+CAPACITY_STD = 0.15  # relative: thickness, lug section and specific heat of the file's ranges together
 
 
 class TrackBase(Defaults):
@@ -112,7 +112,7 @@ class TrackBase(Defaults):
             ),
         )
         if vehicle.thermal == "core_surface":
-            # Two nodes stand for a belt in which the temperature changes throughout: where they are to be is not known well.
+            # Two nodes approximate a continuous temperature profile, so their positions are uncertain.
             of_surface = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share")
             of_surface = replace(of_surface, high=min(of_surface.high, MOST_AT_SURFACE))
             self.parameters += (known(CONDUCTIVITY, "rubber.conductivity"), of_surface)
@@ -135,12 +135,12 @@ class TrackBase(Defaults):
         return found
 
     def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
-        """Step through sessions; rows as of `kernel.predict`, shape (n, `PREDICTED`), of each."""
+        """Step through sessions; rows from `kernel.predict`, shape (n, `PREDICTED`), of each."""
         k, belts = self._with(values, acting), len(self._firsts)
         return simulated(k, self._count, belts, self.facts, sessions, lambda session: session.weight, acting)
 
     def _scaled(self, loss: float) -> Array:
-        """The loss table for so many times the loss modulus of the file; a step of a fit asks for few of them in turn."""
+        """Loss table for a multiple of the file's loss modulus, cached, because a fit step reuses a few of them."""
         found = next((table for scale, table in self._loss_tables if scale == loss), None)
         if found is None:
             found = self._constants.loss * np.exp(math.log(loss) * self._loss_power)  # faster than a power
@@ -157,8 +157,8 @@ class TrackBase(Defaults):
 
     @cached_property
     def _loss_power(self) -> Array:
-        """By which power of the scale of the loss modulus each value of the loss table grows: what loses more is stiffer too,
-        and the wheels sink in less.
+        """Power with which each value of the loss table grows with the loss modulus scale: a lossier belt is
+        also stiffer, so the wheels sink in less.
         """
         now = self.vehicle.rubber
         less = replace(self.vehicle, rubber=replace(now, loss_modulus_scale=LESS_LOSS * now.loss_modulus_scale))
@@ -170,7 +170,7 @@ class TrackBase(Defaults):
         return write_track_vehicle(self.vehicle, path, kept, text)
 
     def _with(self, values: Values, acting: Acting) -> Constants:
-        """What the step reads, with other values of the parameters."""
+        """Constants of the step with other parameter values."""
         k, vehicle = self._constants, self.vehicle
         resistance = parting_resistance(acting.stepped, self.facts)
         number = k.number._replace(
@@ -201,7 +201,7 @@ class TrackBase(Defaults):
 
 
 def _kinds(k: Constants) -> tuple[list[int], Array]:
-    """Assemblies of one kind that carry one share of the weight have belts that are alike: one of each, and how many."""
+    """Groups of assemblies with the same kind and weight share, whose belts are alike: one of each, and their count."""
     found: dict[tuple[float, float], list[int]] = {}
     for i, row in enumerate(k.assembly):
         found.setdefault((row[at.Assembly.kind], round(float(row[at.Assembly.share_of_all]), 6)), []).append(i)
@@ -209,7 +209,7 @@ def _kinds(k: Constants) -> tuple[list[int], Array]:
 
 
 def _film_factors(vehicle: Vehicle) -> tuple[float, float]:
-    """Bounds of the factor on the film coefficient, with which no belt leaves what a vehicle file may say."""
+    """Bounds of the factor on the film coefficient that keep every belt within the limits of a vehicle file."""
     low, high = PLAUSIBLE_FILM
     for name in vehicle.tracks:
         for key in ("film_offset", "film_slope"):
@@ -221,7 +221,7 @@ def _film_factors(vehicle: Vehicle) -> tuple[float, float]:
 
 
 def _film_by_file(vehicle: Vehicle) -> tuple[float, float]:
-    """The factors with which every film value stays inside its range of the vehicle file."""
+    """Factors that keep every film value inside its range of the vehicle file."""
     low, high = 0.0, np.inf
     for name in vehicle.tracks:
         for key in ("film_offset", "film_slope"):
@@ -233,13 +233,13 @@ def _film_by_file(vehicle: Vehicle) -> tuple[float, float]:
 
 
 def _capacity_factors(heat_capacity: float, share: float) -> tuple[float, float]:
-    """The same for the heat that a belt holds, of which the rubber has a share."""
+    """The same for the belt's heat capacity, with the rubber's share of it."""
     (low, high), limit = PLAUSIBLE_CAPACITY, RUBBER["heat_capacity"]
     least, most = _capacity_scales((limit.low, limit.high), heat_capacity, share)
     return max(low, least), min(high, most)
 
 
 def _capacity_scales(ends: tuple[float, float], heat_capacity: float, share: float) -> tuple[float, float]:
-    """Factors on the heat that a belt holds, of which the rubber has a share, for two heat capacities of the rubber."""
+    """Factors on the belt's heat capacity, from the rubber's share and two heat capacities of the rubber."""
     low, high = (1.0 + share * (end / heat_capacity - 1.0) for end in ends)
     return low, high

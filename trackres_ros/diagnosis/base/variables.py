@@ -16,14 +16,14 @@ from trackres_ros.diagnosis.prepare.session import DriveSession
 
 Array = NDArray[np.float64]
 
-SLOWEST_TURNING_MPS = 0.3  # a curvature of what turns on the spot is bounded by that of this speed
-CONSTANT_SHARE = 1e-9  # of its size: what differs by less does not vary
+SLOWEST_TURNING_MPS = 0.3  # bounds the curvature while turning on the spot
+CONSTANT_SHARE = 1e-9  # of its size: a smaller variation is constant
 
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable with its unit, and its series of shape (n,) out of a session and what is simulated of it; and whether it only
-    grows as a drive goes on, so that it shows what follows the clock alone.
+    """A variable with its unit, and its series of shape (n,) from a session and its prediction; and whether it only
+    grows during a drive, like the clock.
     """
 
     name: str
@@ -49,7 +49,7 @@ BY_NAME = {variable.name: variable for variable in VARIABLES}
 
 
 def varying(sessions: Sequence[DriveSession], predicted: Sequence[Predicted]) -> dict[str, Array]:
-    """The series along all sessions of each variable that is known throughout and varies."""
+    """Series along all sessions of each variable that is fully known and varies."""
     found = {v.name: np.concatenate([v.of(s, p) for s, p in zip(sessions, predicted, strict=True)]) for v in VARIABLES}
     return {
         name: series

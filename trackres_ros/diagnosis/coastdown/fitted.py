@@ -42,29 +42,29 @@ Array = NDArray[np.float64]
 SCALES = ("mass", "rotating_mass_factor", "torque_scale", "efficiency", "torque_delay")
 """A coast-down does not determine these, nor the parameters of a torque sensor."""
 FORCES = ("loss_modulus_scale", "bearing_friction", "drag_coefficient", "rolling_coefficient", "rolling_rise", "drag_area")
-"""Parameters in proportion to which a force grows, so that they scale with the mass."""
-SAMPLES_A_STEP = 1  # what slows it down hardly changes within a step, so that nothing hides between samples
-FEWEST_GROUPS = 3  # of rollings out, from which a scatter is told
-FEWEST_ROWS = 20  # with what came before them, from which noise and values can be told
+"""Parameters proportional to a force, which scale with the mass."""
+SAMPLES_A_STEP = 1  # the deceleration hardly changes within a step
+FEWEST_GROUPS = 3  # of coast-downs, for a scatter
+FEWEST_ROWS = 20  # including history, for the noise and the values
 MOST_FOLDS = 6
-UNTOLD = 0.7  # of the standard deviation beforehand: what is left so wide was not found
-TOGETHER = 0.9  # correlation of two errors from which only both together are told
+UNTOLD = 0.7  # of the prior standard deviation: a parameter with a larger posterior one is not determined
+TOGETHER = 0.9  # of two errors above which only a combination is determined
 
 
 @dataclass(frozen=True, slots=True)
 class FittedValue:
-    """A parameter.
+    """Parameter of a coast-down fit.
 
     Attributes
     ----------
     name, unit, before, before_std
-        As the vehicle file has it; the standard deviation is infinite where nothing is known.
+        Values of the vehicle file; the standard deviation is infinite for an unknown value.
     value, interval
-        After the fit, with what is not known of the mass.
+        Fitted value, and its interval including the uncertainty of the mass.
     told
-        Whether the rolling out tells it; else it is what the file said.
+        Whether the coast-downs determine it; else the value of the file stays.
     with_others
-        Parameters from which it cannot be told apart.
+        Parameters that are not identifiable separately from it.
     """
 
     name: str
@@ -84,16 +84,16 @@ class Coastdown:
     Attributes
     ----------
     loaded, rolled
-        Vehicle, and where it rolls out.
+        Vehicle and its coast-downs.
     nominal, fitted
-        Torque that the vehicle file, and the values found, need for what was measured, of each session [Nm]: where it rolls out
-        there was none.
+        Torque of each session [Nm] with the vehicle file, and with the fitted values; the true torque while coasting
+        is zero.
     parameters
-        What was found, and what was not told and stays.
+        Fitted parameters, and undetermined ones, which stay.
     mass_std
         Relative standard deviation of mass and rotating masses, in all intervals.
     improvement
-        Of the error on rollings out that were not fitted; None of a single one.
+        Change of the hold-out error over coast-downs; None for a single one.
     """
 
     loaded: LoadedBase
@@ -126,16 +126,16 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
     Parameters
     ----------
     recordings
-        With a speed, in the order of their times.
+        Have a speed, in the order of their times.
     loaded
-        Vehicle, and what it is known to be.
+        Vehicle with its base model.
     seed
-        Of the bootstrap over rollings out.
+        Of the bootstrap over coast-downs.
 
     Raises
     ------
     InputError
-        If it rolls out nowhere, and says why pieces in which it slows down were not used; or if nothing of the vehicle is open.
+        If there are no coast-downs, with the reasons for rejected stretches; or if the vehicle has no free parameters.
     """
     base = _told_by_rolling(loaded.base)
     if not base.parameters:
@@ -189,7 +189,7 @@ def _told_by_rolling(base: Base) -> Base:
 
 
 def _with_free(base: Base, names: Collection[str]) -> Base:
-    """The base with these parameters free, and no torque sensor that might be off."""
+    """The base with these parameters free, and without errors of a torque sensor."""
     found = copy.copy(base)
     assert isinstance(found, TrackBase | RoadBase)
     found.parameters = tuple(q for q in base.parameters if q.name in names)
@@ -199,7 +199,7 @@ def _with_free(base: Base, names: Collection[str]) -> Base:
 
 
 def _mass_std(base: Base, rolled: Rollouts) -> float:
-    """Relative standard deviation of all that has to be slowed down, as far as the file says it."""
+    """Relative standard deviation of the effective mass, as far as the file gives it."""
     assert isinstance(base, TrackBase | RoadBase)
     known = base.vehicle.parameters
     names = ["chassis.rotating_mass_factor" if isinstance(base, TrackBase) else "road_load.rotating_mass_factor"]
@@ -209,8 +209,8 @@ def _mass_std(base: Base, rolled: Rollouts) -> float:
 
 
 def _scatter(all_free: Fit, rolled: Rollouts) -> dict[tuple[str, str], float]:
-    """Standard deviations by leaving out rollings out, as much wider as Student's law is of so few: slopes and winds that nobody
-    measured are in it.
+    """Standard deviations from leaving out coast-downs, widened by Student's distribution for few of them. They include
+    unmeasured slopes and winds.
     """
     together = _together(rolled, FEWEST_GROUPS)
     groups = math.ceil(len(rolled.stretches) / together)
@@ -219,8 +219,8 @@ def _scatter(all_free: Fit, rolled: Rollouts) -> dict[tuple[str, str], float]:
 
 
 def _together(rolled: Rollouts, fewest: int) -> int:
-    """How many rollings out that follow one another are left out at once: without a known slope one there and one back, if there
-    are enough of such pairs.
+    """Number of consecutive coast-downs left out at once: without a known slope two, one in each direction, if there are
+    enough pairs.
     """
     known = all("grade" in s.given for s in rolled.sessions)
     return 1 if known or len(rolled.stretches) < 2 * fewest else 2

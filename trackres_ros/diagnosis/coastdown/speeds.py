@@ -18,18 +18,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """One of them; series of shape (n,).
+    """Speeds of one coast-down; series of shape (n,).
 
     Attributes
     ----------
     name
-        Of the recording.
+        Name of the recording.
     time, measured
         Since the start of the recording [s]; speed [m/s].
     by_file, by_found
-        Speed that the vehicle file, and the values found, have from the first measured one on [m/s].
+        Speed with the vehicle file, and with the fitted values, from the first measured one on [m/s].
     over_file, over_found
-        Torque by which they resist too much [Nm].
+        Excess resistance torque [Nm].
     """
 
     name: str
@@ -42,14 +42,14 @@ class Rollout:
 
 
 def rollouts_of(found: Coastdown) -> list[Rollout]:
-    """All of a coast-down, in their order."""
+    """All coast-downs of a result, in order."""
     base, listed = found.loaded.base, []
     for stretch in found.rolled.stretches:
         session, at = found.rolled.sessions[stretch.session], slice(stretch.begin, stretch.end)
         sense = np.sign(session.speed[at])
         per_acceleration = session.weight[at] / GRAVITY * base.rotating_mass_factor * base.facts.radius
         over = [sense * (torque[stretch.session][at] - session.torque[at]) for torque in (found.nominal, found.fitted)]
-        # A torque that a model has too much slows it down by as much more; that its speed then is another is left aside.
+        # Excess torque of a model adds deceleration; the effect of the changed speed is neglected.
         behind = [np.concatenate(([0.0], np.cumsum(x / per_acceleration)[:-1])) * session.step for x in over]
         measured = np.abs(session.speed[at])
         listed.append(Rollout(session.name, session.time[at], measured, *(measured - b for b in behind), *over))

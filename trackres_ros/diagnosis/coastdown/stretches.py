@@ -19,11 +19,11 @@ from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import Series
 
-NO_TORQUE_SHARE = 1e-3  # of weight times radius: a tenth of what rolling takes
+NO_TORQUE_SHARE = 1e-3  # of weight times radius: a tenth of rolling resistance
 SHORTEST_S, LEAST_FALL_MPS = 10.0, 0.5
 SHORTEST_RECORDING_S = SHORTEST_S + 5.0
-LEAST_FALL_SHARE = 0.2  # of the speed at the start, where nothing says that nothing drives
-HARDEST_MPS2 = 0.8  # slower than this no vehicle becomes without brakes, on the flat
+LEAST_FALL_SHARE = 0.2  # of the initial speed, if no torque is recorded
+HARDEST_MPS2 = 0.8  # largest deceleration without brakes, on the flat
 AROUND_S, END_S = 5.0, 2.0
 
 
@@ -43,13 +43,13 @@ class Rollouts:
     Attributes
     ----------
     sessions
-        On an even grid. Where no torque was recorded it is zero.
+        On an even grid. A missing torque is zero.
     stretches
-        In the order in which they were driven.
+        In driving order.
     left_out
-        Why other pieces in which it slows down are not used, and how many.
+        Reasons for rejecting other decelerations, with their counts.
     notes
-        What was assumed, one sentence each.
+        Assumptions, one sentence each.
     """
 
     sessions: tuple[DriveSession, ...]
@@ -59,18 +59,18 @@ class Rollouts:
 
 
 def rollouts(recordings: list[Recording], settings: GateSettings, radius: float, step: float) -> Rollouts:
-    """Find them.
+    """Find the coast-downs of recordings.
 
     Parameters
     ----------
     recordings
-        With a speed; with a torque those pieces are used in which there is none.
+        Have a speed; with a recorded torque, only stretches of zero torque are used.
     settings
         Of the vehicle.
     radius
-        Of the sprocket, or of the wheel [m].
+        Radius of the sprocket, or of the wheel [m].
     step
-        Of the grid [s].
+        Step of the grid [s].
 
     Raises
     ------
@@ -116,7 +116,7 @@ def _falls(
     radius: float,
     left_out: Counter[str],
 ) -> list[tuple[int, int]]:
-    """Pieces in which it slows down by itself: first sample, and the one after the last."""
+    """Stretches of free deceleration: first sample, and the one after the last."""
     slows = np.sign(session.speed) * _smooth(session.accel, session.step)
     falls = (slows < 0.0) & (np.abs(session.speed) >= max(settings.slowest, LEAST_FALL_MPS))
     for reason, bad in unknown.items():
@@ -128,7 +128,7 @@ def _falls(
     if measured:
         falls &= np.abs(session.torque) <= NO_TORQUE_SHARE * settings.weight * radius
     found = []
-    ends = math.ceil(END_S / session.step)  # steps in which it may have been driven, or stopped, for a part
+    ends = math.ceil(END_S / session.step)  # steps that may contain a part of driving or of a stop
     for begin, end in ((a + ends, b - ends) for a, b in _runs(falls)):
         if end <= begin:
             continue
@@ -146,7 +146,7 @@ def _falls(
 
 
 def _smooth(values: Array, step: float) -> Array:
-    """Means of a few seconds around each sample."""
+    """Moving averages over a few seconds."""
     count = max(1, round(AROUND_S / step))
     return np.asarray(np.convolve(values, np.ones(count), "same") / np.convolve(np.ones(len(values)), np.ones(count), "same"))
 

@@ -3,11 +3,11 @@
 
 """A slope or a torque by place: a smooth function along the streets of a route, learned from the residual on repeated passes.
 
-Between neighbouring places it is a Gaussian process, as smooth as the likelihood has it; the precision of it on the graph of
-streets is sparse, so that thousands of places take a fraction of a second.
+The prior is a Gaussian process over neighbouring places, with its smoothness from the likelihood. Its precision on the
+graph of streets is sparse, so thousands of places take a fraction of a second.
 
-Source: Lindgren, Rue, Lindstroem (2011) for the precision on a graph, of which Ornstein and Uhlenbeck's process is the member
-that never runs beyond what it saw on either side; Laird and Ware (1982) for the evidence of random effects.
+Source: Lindgren, Rue, Lindstroem (2011) for the precision on a graph, here of the Ornstein-Uhlenbeck process, which
+never extrapolates beyond its neighbours' values; Laird and Ware (1982) for the evidence of random effects.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from trackres_ros.route.matching import Matched
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LENGTHS_M = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0)  # over which places are alike, that are tried
-SIZES = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)  # of what is learned over the spread of the residual, that are tried
+LENGTHS_M = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0)  # candidate correlation lengths
+SIZES = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)  # candidate sizes of the values, relative to the residual's spread
 TURNS = 6  # of values and weights
-AT_ONCE = 256  # columns of a solution
+AT_ONCE = 256  # columns solved together
 PROBES = 16  # for a trace (Hutchinson, 1990)
-LEAST_LEFT = 0.1  # of the samples, that were not settled by values
-LONGEST_RESPONSE = 1000  # samples, after which a shock is forgotten
-NEAREST_M = 0.25 * SPACING_M  # two places are taken to lie at least so far apart
-FLOOR = 1e-9  # of the prior's precision, so that places without a neighbour have one
+LEAST_LEFT = 0.1  # least share of the samples left as degrees of freedom
+LONGEST_RESPONSE = 1000  # samples, after which the response to a shock is negligible
+NEAREST_M = 0.25 * SPACING_M  # least distance between two places
+FLOOR = 1e-9  # of the prior's precision, for places without a neighbour
 
 
 @dataclass(frozen=True, eq=False)
 class StreetGraph:
-    """The graph of places.
+    """Graph of places.
 
     Attributes
     ----------
@@ -64,13 +64,13 @@ class StreetGraph:
 
     @classmethod
     def of(cls, pairs: Mapping[tuple[int, int], float], table: Array) -> StreetGraph:
-        """Of neighbours and whether they point the same way, and of the places' table; see `route.matching`."""
+        """From neighbours and whether they point the same way, and the places' table; see `route.matching`."""
         ends = np.array(list(pairs), dtype=np.int64).reshape(-1, 2)
         away = np.hypot(*(table[ends[:, 0], :2] - table[ends[:, 1], :2]).T)
         return cls(ends[:, 0], ends[:, 1], np.array(list(pairs.values()), dtype=float), np.maximum(away, NEAREST_M), len(table))
 
     def both_ways(self) -> StreetGraph:
-        """With two places for each: one passed the way it points, one passed the other way."""
+        """Graph with two nodes per place, one for each direction of passing."""
         turned = (self.sign < 0.0).astype(np.int64)
         return StreetGraph(
             np.concatenate([2 * self.first, 2 * self.first + 1]),
@@ -81,7 +81,7 @@ class StreetGraph:
         )
 
     def precision(self, length_m: float, size: float) -> sparse.csc_matrix:
-        """Of values at the places, which are alike over a length and of a standard deviation."""
+        """Prior precision of the values, for a correlation length and a standard deviation."""
         stiff = 1.0 / self.away
         i, j, n = self.first, self.second, self.count
         rows, columns = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
@@ -94,8 +94,8 @@ class StreetGraph:
 
 @dataclass(frozen=True, eq=False)
 class PlaceColumns:
-    """What each place's value adds to the torque of each session: sparse, of shape (samples, values), the streets that the values
-    lie along, and what a base adds that may bend along with them.
+    """Torque of each session per value of each place: sparse, of shape (samples, values); the graph of the values; and the
+    columns of a base fitted along.
     """
 
     of: tuple[sparse.csr_matrix, ...]
@@ -103,21 +103,21 @@ class PlaceColumns:
     base: tuple[Array, ...] = ()
 
     def beside(self, base: Sequence[Array]) -> PlaceColumns:
-        """The same beside a base that may bend: what it adds to each session when a parameter is off by a standard deviation,
+        """The same with a base fitted along: its torque for a change of one standard deviation of each parameter,
         shape (samples, parameters).
         """
         return replace(self, base=tuple(base))
 
     @classmethod
     def of_slope(cls, tracks: Sequence[Matched], forces: Sequence[Array], streets: StreetGraph) -> PlaceColumns:
-        """Of the sine of a slope, rising the way a place points; forces are weight times radius, along travel [Nm]. A track has
-        as many points in each sample of a session.
+        """For the sine of a slope, rising in a place's direction; forces are weight times radius, along travel [Nm]. A track has
+        the same number of points in each sample of a session.
         """
         return cls(tuple(_column(t, t.place, t.sign, f, streets.count) for t, f in zip(tracks, forces, strict=True)), streets)
 
     @classmethod
     def of_torque(cls, tracks: Sequence[Matched], against: Sequence[Array], streets: StreetGraph) -> PlaceColumns:
-        """Of a torque against travel, one each way; `against` has the sign of that at each sample."""
+        """For a torque against travel, one per direction; `against` is the direction of travel at each sample."""
         both = streets.both_ways()
         place = [np.where(t.place >= 0, 2 * t.place + (t.sign < 0.0), -1) for t in tracks]
         every = zip(tracks, place, against, strict=True)
@@ -125,23 +125,23 @@ class PlaceColumns:
 
     @property
     def whole(self) -> list[sparse.csr_matrix]:
-        """Of each session, what the places' values add, and then what the base adds that bends."""
+        """Columns of each session: those of the places' values, then those of the base."""
         if not self.base:
             return list(self.of)
         return [sparse.hstack([z, sparse.csr_matrix(b)]).tocsr() for z, b in zip(self.of, self.base, strict=True)]
 
     @property
     def bends(self) -> int:
-        """How many values the base bends by."""
+        """Number of base columns."""
         return self.base[0].shape[1] if self.base else 0
 
     def expected(self, learned: PlaceValues) -> list[Array]:
-        """Torque of each session by the values of the places, without what the base bends."""
+        """Torque of each session from the values of the places, without the base columns."""
         return [np.asarray(z @ learned.value) for z in self.of]
 
 
 def _column(track: Matched, place: NDArray[np.int64], sign: Array, factor: Array, count: int) -> sparse.csr_matrix:
-    """Means over the points within each sample; nothing where not all of them are at a place."""
+    """Means over the points within each sample; zero if any of them is at no place."""
     each = len(track.number) // len(factor)
     whole = np.repeat(track.known.reshape(-1, each).all(axis=1), each)
     of = np.repeat(np.arange(len(factor)), each)
@@ -158,17 +158,17 @@ class PlaceValues:
     Attributes
     ----------
     value, bent
-        Of each place; and by how much the base's parameters moved along.
+        Value of each place; and the fitted change of the base columns.
     length_m, size
-        Over which places are alike, and how large values are.
+        Correlation length of the places, and standard deviation of the values.
     evidence
-        Gain in log-likelihood over no values, less what the values cost.
+        Gain in log-likelihood over no values, less the cost of the values.
     cost
-        What the values, and the length and size that were tried, cost.
+        Cost of the values, and of the tried lengths and sizes.
     noise
-        Under which it was learned.
+        Noise assumed for the fit.
     shrinks
-        By what factor it makes what is left smaller than the noise is, as so many values were fitted to it.
+        Factor by which fitting so many values makes the residual smaller than the noise.
     """
 
     value: Array
@@ -182,7 +182,7 @@ class PlaceValues:
     _solve: SuperLU = field(repr=False)
 
     def again(self, columns: PlaceColumns, residuals: Sequence[Array], masks: Sequence[Mask]) -> Array:
-        """Values from other samples, with this length, size and noise, beside a base that does not bend."""
+        """Values from other samples, with this length, size and noise, and a fixed base."""
         rows = WhitenedRows.of(columns.of, residuals, masks, self.noise)
         return _learned(rows, columns.streets, 0, self.length_m, self.size).value
 
@@ -197,16 +197,16 @@ class PlaceValues:
 
 
 def learn(columns: PlaceColumns, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise, typical: float) -> PlaceValues:
-    """The most likely values, and length and size with the most evidence.
+    """Most likely values, with the length and size of the most evidence.
 
     Parameters
     ----------
     residuals, masks
-        Of the torque of each session [Nm], and which of its samples count.
+        Torque residual of each session [Nm], and its used samples.
     noise
-        Of the residuals without what goes by place.
+        Of the residuals without terms by place.
     typical
-        A value that makes as much torque as the residual has.
+        A value with a torque as large as the residual.
     """
     rows = WhitenedRows.of(columns.whole, residuals, masks, noise)
     tried: dict[tuple[int, int], PlaceValues] = {}
@@ -230,7 +230,7 @@ def learn(columns: PlaceColumns, residuals: Sequence[Array], masks: Sequence[Mas
 
 
 def gains(columns: PlaceColumns, values: Array, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise) -> Array:
-    """Gain in log-likelihood of values that were learned elsewhere, each a column; shape (columns,)."""
+    """Gain in log-likelihood by values learned elsewhere, each a column; shape (columns,)."""
     rows = WhitenedRows.of(columns.of, residuals, masks, noise)
     left = rows.white[:, np.newaxis] - rows.columns @ values
     return np.asarray((noise.log_density(left) - noise.log_density(rows.white)[:, np.newaxis]).sum(axis=0))
@@ -238,8 +238,8 @@ def gains(columns: PlaceColumns, values: Array, residuals: Sequence[Array], mask
 
 @dataclass(frozen=True, eq=False)
 class WhitenedRows:
-    """Whitened residuals over their standard deviation, and what values add to them. The first of a stretch, of which nothing
-    is known before, counts by itself: on a street brakes leave stretches of some seconds.
+    """Whitened residuals over their standard deviation, and their columns. The first of a stretch, without a known
+    past, is used by itself: braking leaves short stretches of some seconds on a street.
     """
 
     white: Array
@@ -250,7 +250,7 @@ class WhitenedRows:
     def of(
         cls, columns: Sequence[sparse.csr_matrix], residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise
     ) -> WhitenedRows:
-        """Of the residual of each session, where it counts, and of what each value adds to it."""
+        """From the used residual of each session, and its columns."""
         white, parts, lags = [], [], len(noise.phi)
         stationary = noise.std * _growth(noise.phi)
         for residual, mask, column in zip(residuals, masks, columns, strict=True):
@@ -272,7 +272,7 @@ def _growth(phi: Array) -> float:
 
 
 def _of_bends(rows: WhitenedRows, bends: int) -> tuple[float, float]:
-    """What a base gains that bends without anything by place, in log-likelihood, and what that costs."""
+    """Gain in log-likelihood of the base columns without terms by place, and its cost."""
     columns, noise, weight = rows.columns[:, rows.columns.shape[1] - bends :].toarray(), rows.noise, np.ones(len(rows.white))
     for _ in range(TURNS):
         normal = (columns.T * weight) @ columns + np.eye(bends)
@@ -284,7 +284,7 @@ def _of_bends(rows: WhitenedRows, bends: int) -> tuple[float, float]:
 
 def _learned(rows: WhitenedRows, streets: StreetGraph, bends: int, length_m: float, size: float) -> PlaceValues:
     prior = sparse.block_diag([streets.precision(length_m, size), sparse.identity(bends)]).tocsc()
-    noise, weight = rows.noise, np.ones(len(rows.white))  # without values all that is steep would look far out
+    noise, weight = rows.noise, np.ones(len(rows.white))  # without values, steep places would look like outliers
     for _ in range(TURNS):
         weighted = rows.columns.multiply(weight[:, np.newaxis]).tocsr()
         solve = _factored((rows.columns.T @ weighted + prior).tocsc())
@@ -293,7 +293,7 @@ def _learned(rows: WhitenedRows, streets: StreetGraph, bends: int, length_m: flo
     cost = 0.5 * float(value @ (prior @ value)) + 0.5 * (_log_determinant(solve) - _log_determinant(_factored(prior)))
     gain = float((noise.log_density(rows.white - rows.columns @ value) - noise.log_density(rows.white)).sum())
     probes = np.random.default_rng(0).choice((-1.0, 1.0), (len(value), PROBES))
-    settled = float(np.mean((probes * solve.solve(rows.columns.T @ (weighted @ probes))).sum(axis=0)))  # of the values, by data
+    settled = float(np.mean((probes * solve.solve(rows.columns.T @ (weighted @ probes))).sum(axis=0)))  # values set by the data
     shrinks = math.sqrt(max(1.0 - settled / len(rows.white), LEAST_LEFT))
     return PlaceValues(value[: streets.count], value[streets.count :], length_m, size, gain - cost, cost, noise, shrinks, solve)
 

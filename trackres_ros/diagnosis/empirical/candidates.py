@@ -1,8 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Candidate forms of a mismatch without a name: curves, gated curves, steps, hinges, latches, gains for one sign and
-build-ups, with knots where it was driven.
+"""Unnamed candidate forms of a mismatch: curves, gated curves, steps, hinges, latches, gains for one sign and
+build-ups, with knots within the driven range.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ from trackres_ros.units import STANDSTILL_MPS
 
 Array = NDArray[np.float64]
 
-DRIVEN = (0.02, 0.98)  # quantiles between which knots lie
+DRIVEN = (0.02, 0.98)  # quantiles that bound the knots
 KNOTS = {SPEED: 5, LOAD: 3, AMBIENT: 2, TURNING: 3, CURVATURE: 3, ACCELERATION: 4, TURN: 4, DRIVING_TORQUE: 4, BELT: 3}
 SIGNED = (ACCELERATION, TURN, DRIVING_TORQUE)
-BOTH_SIDES = 0.05  # share of a signed variable on its rarer side: with less there is but one side
+BOTH_SIDES = 0.05  # least share of a signed variable on its rarer side to use both
 NEAR_ZERO = 0.1  # of the range on a side: between these knots a signed curve may step
-RESOLVED = 6.0  # times its noise: nearer zero a smoothed acceleration says more of the smoothing than of the drive
+RESOLVED = 6.0  # times its noise: nearer zero a smoothed acceleration reflects the smoothing more than the drive
 GATED_KNOTS = 3
 GATED = {
     LEFT: (ALWAYS, SPEED, CURVATURE, LOAD),
@@ -67,17 +67,17 @@ GATED = {
 }
 GATE_AT = {LEFT: TURN, RIGHT: TURN, BRAKING: ACCELERATION, ACCELERATING: ACCELERATION}
 OPENS_AT = 0.1  # of the 95th percentile of a gate's variable
-LEAST_RANGE = 0.02  # of its size: what varies less is taken for constant
-APART = 0.04  # of the range of the load: levels further apart than this are different ones
-FEWEST_SESSIONS = 6  # with fewer, what differs only from one recording to the next may be anything else that does
-LEAST_WITHIN = 0.3  # of its spread: what varies less within recordings differs from one to the next only
+LEAST_RANGE = 0.02  # of its size: a smaller variation is constant
+APART = 0.04  # of the range of the load: least difference of two levels
+FEWEST_SESSIONS = 6  # with fewer, differences between recordings may have any cause
+LEAST_WITHIN = 0.3  # of its spread: with a smaller variation within recordings, it differs only between them
 FEWEST_OPEN = 60  # samples on either side of a gate
 BUILD_UP_SCALE = {BY_DISTANCE: 600.0}
 BUILD_UP_SCALE_S = 120.0
 
 
 def series(code: int, fit: Fit) -> list[Array]:
-    """A variable of learned effects in each session of a fit, as the step sees it."""
+    """A variable of learned effects in each session of a fit, as in the live step."""
     facts = fit.problem.base.facts
     return [_of(code, facts, s, p.at_sprockets, p.belt) for s, p in zip(fit.problem.sessions, fit.predicted, strict=True)]
 
@@ -93,21 +93,21 @@ def _of(code: int, facts: VehicleConstants, session: DriveSession, driving: Arra
 
 
 def driven(code: int, fit: Fit) -> Array:
-    """The variable where the fit compares torques; empty where it is not known throughout, or not well enough."""
+    """Values of the variable at compared samples; empty if it is not always known, or too imprecise."""
     found = np.concatenate([x[m] for x, m in zip(series(code, fit), fit.problem.masks, strict=True)])
     known = np.isfinite(found).all() and (code not in (ACCELERATION, DRIVING_TORQUE) or _resolved(fit))
     return found if known else np.empty(0)
 
 
 def _resolved(fit: Fit) -> bool:
-    """Whether the acceleration is known where a curve of it may step: what a smoothed one is off looks like such a curve."""
+    """Whether the acceleration is precise where its curve may step: smoothing errors look like such a curve."""
     noise = max(s.accel_noise for s in fit.problem.sessions)
     largest = max(float(np.quantile(np.abs(s.accel), DRIVEN[1])) for s in fit.problem.sessions)
     return RESOLVED * noise <= NEAR_ZERO * largest
 
 
 def shows(code: int, fit: Fit) -> bool:
-    """Whether a variable varies within recordings, or over enough of them to be told from all else that differs there."""
+    """Whether a variable varies within recordings, or over enough of them to separate it from other differences."""
     within = [x[m] for x, m in zip(series(code, fit), fit.problem.masks, strict=True) if m.any()]
     every = driven(code, fit)
     if len(within) >= FEWEST_SESSIONS or not varies(every):
@@ -117,7 +117,7 @@ def shows(code: int, fit: Fit) -> bool:
 
 
 def varies(x: Array) -> bool:
-    """Whether a variable varies enough to be followed."""
+    """Whether a variable varies enough for a curve."""
     if len(x) == 0:
         return False
     low, high = np.quantile(x, DRIVEN)
@@ -125,7 +125,7 @@ def varies(x: Array) -> bool:
 
 
 def knots(code: int, x: Array, count: int) -> list[float]:
-    """Where the knots of a curve lie: evenly filled between, or close on either side of zero where it changes its sign."""
+    """Knots of a curve: equally filled between, or close on either side of zero for a signed variable."""
     low, high = (float(q) for q in np.quantile(x, DRIVEN))
     if code in SIGNED and min(np.mean(x < 0.0), np.mean(x > 0.0)) > BOTH_SIDES:
         inner = NEAR_ZERO * min(-low, high)
@@ -134,13 +134,13 @@ def knots(code: int, x: Array, count: int) -> list[float]:
         above = np.linspace(inner, high, extra + 2)
         return [*below.tolist(), *above.tolist()]
     even = np.quantile(x, np.linspace(*DRIVEN, count))
-    if code == SPEED:  # as good where little was driven: half by how often, half by how far apart
+    if code == SPEED:  # for rarely driven speeds: half by frequency, half by distance
         even = 0.5 * (even + np.linspace(low, high, count))
     return _rising(even, low, high)
 
 
 def _rising(at: Array, low: float, high: float) -> list[float]:
-    """Knots that are at least a little apart."""
+    """Knots with a least spacing."""
     found = [float(at[0])]
     for x in at[1:]:
         if x - found[-1] > LEAST_RANGE * (high - low):
@@ -149,7 +149,7 @@ def _rising(at: Array, low: float, high: float) -> list[float]:
 
 
 def thresholds(gate: int, fit: Fit) -> list[float]:
-    """Where a gate may open here; none where it would be always or never open."""
+    """Possible thresholds of a gate; none if it would be always or never open."""
     if gate in (HEAVY, LIGHT):
         x = driven(LOAD, fit)
         if not varies(x):
@@ -168,18 +168,18 @@ def thresholds(gate: int, fit: Fit) -> list[float]:
 
 
 def candidates(fit: Fit, own: Array | None = None) -> dict[str, EmpiricalEffect]:
-    """All forms that can be looked for here, by a key of their own; of one name there may be several.
+    """All possible forms here, by a unique key; one name may have several.
 
     Parameters
     ----------
     own
-        Columns of the fit's own parameters, where they are known already, see `visibility.base_columns`.
+        Columns of the fit's own parameters, if already known, see `visibility.base_columns`.
 
     Notes
     -----
-    A curve of an acceleration that was made of speeds shows the error of these: at a steady speed what looks like acceleration
-    is error, and the inertia expected of it is not in the torque. So it is looked for only where the acceleration was measured,
-    and one of the driving torque, which has that inertia in it, only where the error is small.
+    A curve over an acceleration derived from speeds shows their error: at a steady speed, the apparent acceleration
+    is error, and its inertia is not in the torque. So such a curve needs a measured acceleration. A curve over the driving
+    torque, which includes that inertia, needs a small error.
     """
     facts = fit.problem.base.facts
     found: list[EmpiricalEffect] = []
@@ -201,7 +201,7 @@ def candidates(fit: Fit, own: Array | None = None) -> dict[str, EmpiricalEffect]
                     found.append(Curve(ALWAYS, gate, [0.0], threshold))
                 elif varies(x[code]):
                     count = KNOTS[SPEED] if code == SPEED else GATED_KNOTS
-                    # Where loads differ by recording alone, a constant when heavy is whatever else differs there.
+                    # If loads differ only between recordings, a constant at high load may be any other difference between them.
                     found.append(Curve(code, gate, knots(code, x[code], count), threshold, constant=not by_level))
     found += [BuildUp(by, BUILD_UP_SCALE.get(by, BUILD_UP_SCALE_S)) for by in BUILD_UPS]
     size = facts.weight * facts.radius

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """Finds terms that follow the clock or the place in the residual of a fit: spells, a change of level, a place, a mass by
-stretch, a
-wave, a route. A term of the clock must gain more than noise and the model's own error would.
+stretch, a wave, a route. A term of the clock must gain more than noise and the model's own error would.
 """
 
 from __future__ import annotations
@@ -43,16 +42,16 @@ from trackres_ros.vehicle.writing.changes import BY_PLACE
 
 Array = NDArray[np.float64]
 Search = Callable[[Fit, Sequence[Array]], "Term | None"]
-"""Looks for a term that follows the clock alone in the residual of the torque of each session [Nm], beside a fit."""
+"""Searches the torque residual of each session [Nm] for a term of the clock alone, in addition to a fit."""
 
-SURE = 10.0  # in log-likelihood: spells over what only wanders, what wanders over what does not, a term over none
-FEWEST_SPELLS = 2  # with one, it is a change of level
-SLOWEST_WANDER_S = 60.0  # what wanders faster is noise that the autoregression knows
+SURE = 10.0  # in log-likelihood: spells over a drift, a drift over none, a term over none
+FEWEST_SPELLS = 2  # with one, it is a level change
+SLOWEST_WANDER_S = 60.0  # a faster drift is noise that the autoregression includes
 LEAST_WANDER = 0.01  # of the torque
-BETWEEN = 0.7  # of the slow part: so much differs from one recording to the next
-PHASE_COST = 1.0  # in log-likelihood: what a phase, which is fitted to each stretch, and its size gain by noise
+BETWEEN = 0.7  # of the slow variance: share between recordings
+PHASE_COST = 1.0  # in log-likelihood: gain by noise of the phase and size fitted to each stretch
 SPELLS, WAVE, LEVEL_CHANGE, PLACE, PAYLOAD = "spells", "wave", "level_change", "place", "payload"
-LIKELY = 0.5  # that it is there
+LIKELY = 0.5  # probability of an active spell
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +68,7 @@ class Term:
 
 
 def _watched(current: Fit, name: str, search: Search) -> Term | None:
-    """A term that follows the clock alone; it is looked for twice, the second time beside a base that it no longer bends."""
+    """Find a term of the clock alone; a second search uses the base fitted together with the first result."""
     if name in current.effect_names:
         return None
     residuals, found = _residuals(current), None
@@ -90,8 +89,8 @@ def _fitted(
     cost: float = 0.0,
     ahead: Sequence[Array] | None = None,
 ) -> Candidate:
-    """What follows the clock alone, fitted beside what is there; it begins at its level and with the noise beside that, as
-    without it the noise is taken for a random walk, under which no level counts.
+    """Fit a term of the clock in addition to the current ones. It starts at its level and with its own noise, because
+    otherwise the noise is a random walk, under which no level matters.
     """
     facts = current.problem.base.facts
     effect = ResidualPattern(name, text, shape, facts.weight * facts.radius, ahead)
@@ -107,7 +106,7 @@ def _counts(candidate: Candidate, current: Fit) -> bool:
 def torque_blocks(
     current: Fit, residuals: Sequence[Array], masks: Sequence[NDArray[np.bool_]] | None = None, seconds: float = BLOCK_S
 ) -> Blocks:
-    """Blocks of the torque's residual against travel, of the given samples or of those that are fitted."""
+    """Blocks of the torque residual against travel, of the given samples or of the fitted ones."""
     problem = current.problem
     against = [r * np.sign(s.speed) for r, s in zip(residuals, problem.sessions, strict=True)]
     return blocks(against, problem.masks if masks is None else masks, problem.sessions[0].step, seconds)
@@ -123,7 +122,7 @@ def residuals_without(current: Fit, name: str) -> list[Array]:
 
 
 def _spells(current: Fit, residuals: Sequence[Array]) -> Term | None:
-    """Spells, if two levels are likelier than a drifting one."""
+    """Spells, if two levels are more likely than a drift."""
     b = torque_blocks(current, residuals)
     chain, there, _ = find_chain(b)
     if not is_spells(chain) or beyond_wander(b, chain, there) < SURE:
@@ -140,10 +139,10 @@ def _spells(current: Fit, residuals: Sequence[Array]) -> Term | None:
 
 
 def _shape(current: Fit, chain: Chain, residuals: Sequence[Array]) -> tuple[list[Array], list[Array], float]:
-    """How likely it is there, the same by what was measured up to the block before, and what its comings and goings cost.
+    """Probability of the spell, its forecast from earlier blocks, and the cost of its transitions.
 
-    On the laps fitted it is by all of them, step by step, as it comes and goes within a block; elsewhere as one who watches live
-    knows it.
+    On fitted laps the probability uses all samples, step by step, because a spell may change within a block. Elsewhere it
+    is the live forecast.
     """
     sessions, masks = current.problem.sessions, current.problem.masks
     shape, ahead = ([np.zeros(len(s)) for s in sessions] for _ in range(2))
@@ -162,7 +161,7 @@ def _shape(current: Fit, chain: Chain, residuals: Sequence[Array]) -> tuple[list
 
 
 def expected_there(b: Blocks, chain: Chain) -> Array:
-    """How likely it is there in each block by the blocks before it."""
+    """Forecast of the spell's probability in each block from the blocks before it."""
     levels, now = (chain.rest, chain.level), chain.share
     found = np.empty(len(b.mean))
     for i, (mean, variance) in enumerate(zip(b.mean.tolist(), (chain.noise**2 / b.count).tolist(), strict=True)):
@@ -179,14 +178,14 @@ def fill(shape: Sequence[Array], b: Blocks, value: Array) -> None:
 
 
 def beginnings(b: Blocks, there: Array, backwards: bool = False) -> NDArray[np.bool_]:
-    """Blocks in which a spell begins, or ends if looked at backwards."""
+    """Blocks in which a spell begins, or ends if `backwards`."""
     on = there > LIKELY
     goes_on = on[:-1] & on[1:] & ~b.first[1:]
     return np.asarray(on & ~np.concatenate((goes_on, [False]) if backwards else ([False], goes_on)))
 
 
 def _wave(current: Fit, residuals: Sequence[Array]) -> Term | None:
-    """A wave in driven distance; elsewhere than on the laps fitted by what was measured before."""
+    """A wave in driven distance; on hold-out laps from earlier measurements."""
     wave = find_wave(current)
     if wave is None:
         return None
@@ -198,7 +197,7 @@ def _wave(current: Fit, residuals: Sequence[Array]) -> Term | None:
 
 
 def _level_change(current: Fit, residuals: Sequence[Array]) -> Term | None:
-    """A level that changed for good. It is known of the laps that are not fitted by their time alone."""
+    """A lasting level change; on hold-out laps known from their time alone."""
     sessions, masks = current.problem.sessions, current.problem.masks
     step = sessions[0].step
     seconds = piece_s(step * sum(int(m.sum()) for m in masks))
@@ -213,7 +212,7 @@ def _level_change(current: Fit, residuals: Sequence[Array]) -> Term | None:
 
 
 def _place(current: Fit, residuals: Sequence[Array]) -> Term | None:
-    """A torque at the same place on each pass. It is known of the laps that are not fitted by the distance driven alone."""
+    """A torque at the same place on each pass; on hold-out laps known from the driven distance alone."""
     place = place_in(current, residuals)
     if place is None:
         return None
@@ -223,8 +222,8 @@ def _place(current: Fit, residuals: Sequence[Array]) -> Term | None:
 
 
 def _payload(current: Fit, residuals: Sequence[Array], route: Route | None) -> Term | None:
-    """A mass that differs from one stretch between stops to the next, beside what goes by place; on laps that are not fitted by
-    what was measured before.
+    """A mass for each stretch between stops, in addition to terms by place; on hold-out laps from
+    earlier measurements.
     """
     beside = None if route is None else route.beside(current)
     payload = find_payload(current, residuals, beside)
@@ -241,17 +240,17 @@ BY_CLOCK: Mapping[str, Search] = {SPELLS: _spells, LEVEL_CHANGE: _level_change, 
 def terms_beside(
     current: Fit, roads: Roads | None, kinds: Collection[str], routes: Mapping[str, Route], waves: bool
 ) -> list[Term]:
-    """All terms that follow clock or place beside a fit, one of each name; none of a machine that is quicker than a vehicle, as
-    spells, a payload and a road are a vehicle's.
+    """All terms of clock or place in addition to a fit, one of each name. Quick machines have none, because spells, a payload
+    and a road belong to vehicles.
 
     Parameters
     ----------
     roads, kinds
-        Where positions say that the sessions are, and what of them may be learned.
+        Matched roads of the sessions, and the kinds of terms by place to learn.
     routes
-        What was learned by place of the fit's own effects.
+        Learned values of the fit's own terms by place.
     waves
-        Whether to look for waves, which take long.
+        Whether to search for waves, which takes long.
     """
     if any(s.pace < 1.0 for s in current.problem.sessions):
         return []
@@ -264,7 +263,7 @@ def terms_beside(
 
 
 def _by_place(current: Fit, roads: Roads | None, kinds: Collection[str]) -> Term | None:
-    """A slope or a torque by place, of a kind that is not in the fit. It showed on passes that it was not learned from."""
+    """A slope or a torque by place, of a kind that the fit lacks, confirmed on passes not used for learning."""
     left = [kind for kind in kinds if BY_PLACE[kind] not in current.effect_names]
     if roads is None or not left or any(slope in current.effect_names for slope in SLOPES):
         return None
@@ -278,7 +277,7 @@ def slow_term(final: Fit) -> Described | None:
 
 
 def recordings(final: Fit) -> Described | None:
-    """Another level in each recording, where what is left hardly changes within them; of all laps, fitted or not."""
+    """A different level in each recording, if the residual hardly varies within them; of all laps, fitted or not."""
     sessions = final.problem.sessions
     levels, size, share = by_recording(torque_blocks(final, _residuals(final), [s.used for s in sessions]))
     large = size > LEAST_WANDER * rms([s.torque for s in sessions], final)
@@ -286,14 +285,14 @@ def recordings(final: Fit) -> Described | None:
 
 
 def by_recording(b: Blocks) -> tuple[Array, float, float]:
-    """Mean of each recording [Nm], nan of one without blocks; the standard deviation of these means [Nm], and its square's share
-    of what is slow.
+    """Mean of each recording [Nm], nan without blocks; the standard deviation of these means [Nm], and their share of the
+    slow variance.
     """
     count = np.bincount(b.session, weights=b.count)
     levels = np.bincount(b.session, weights=b.count * b.mean) / np.where(count > 0.0, count, np.nan)
     middle = np.average(b.mean, weights=b.count)
     between = float(np.average((levels[b.session] - middle) ** 2, weights=b.count))
-    # Half of the square by which a mean differs from the one before it is noise.
+    # Half of the squared difference of consecutive means is noise.
     quick = 0.5 * float(np.mean(np.diff(b.mean)[~b.first[1:]] ** 2))
     slow = float(np.average((b.mean - middle) ** 2, weights=b.count)) - quick
     return levels, math.sqrt(between), between / max(slow, between, 1e-300)

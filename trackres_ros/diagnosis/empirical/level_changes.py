@@ -1,11 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A level that changes once and stays: a part that was changed, a brake that was not released, a zero that was set anew.
+"""A level that changes once and stays: a replaced part, an unreleased brake, a new sensor zero.
 
-Means of the residual over some seconds, all recordings in the order of their clocks, are taken for a level that wanders (Ornstein
-and Uhlenbeck) about another one in each recording, with white noise. A change is there where such a level with one step in it is
-surely likelier than without, and no second step is as large.
+The model of the residual's means over some seconds, in the order of the clocks: an Ornstein-Uhlenbeck drift about a level
+of each recording, with white noise. A change is found if one step makes this model significantly more likely, and no second
+step is as large.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 PIECE_S, MOST_PIECES = 10.0, 400  # the search takes the cube of their number; longer recordings have longer pieces
-SURE = 10.0  # in log-likelihood, beyond the many places a change could be at
-LEAST_SIDE, LEAST_SIDE_S = 0.1, 180.0  # share and time of what is compared, before a change and after it
-WITHIN_S = 120.0  # of its recording on either side of a change: nearer its ends it is one between recordings
-AS_LARGE = 0.5  # of a change: another one that is larger than this, and it was not for good
-AROUND = 6  # pieces on either side by which the levels next to a change are told
-FURTHEST = 2.0  # times the change: a sample further out says no more of when it was
+SURE = 10.0  # in log-likelihood, beyond the cost of the possible positions
+LEAST_SIDE, LEAST_SIDE_S = 0.1, 180.0  # least share and time of compared samples, before a change and after it
+WITHIN_S = 120.0  # of its recording on either side of a change: a nearer one is between recordings
+AS_LARGE = 0.5  # of a change: a larger second one means that the first did not last
+AROUND = 6  # pieces on either side for the levels next to a change
+FURTHEST = 2.0  # times the change: limit of a sample's influence on its time
 WANDERS_S = (20.0, 60.0, 180.0, 600.0, 3600.0)
-WANDERS = (0.3, 1.0, 3.0, 10.0)  # standard deviations of a mean's white noise: what wanders
-APART = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # the same: by how much recordings differ
+WANDERS = (0.3, 1.0, 3.0, 10.0)  # drift, in standard deviations of a mean's white noise
+APART = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # the same: difference between recordings
 
 
 @dataclass(frozen=True, slots=True)
 class LevelChange:
-    """A change of level for good.
+    """A lasting level change.
 
     Attributes
     ----------
     session, row
-        Index of the session, and of its first sample after the change; 0 where it came between two recordings.
+        Index of the session, and of its first sample after the change; 0 for a change between two recordings.
     size
-        By how much more it takes from then on [Nm].
+        Additional torque after it [Nm].
     cost
-        Log of the number of places it could have been at.
+        Log of the number of possible positions.
     """
 
     session: int
@@ -57,18 +57,18 @@ class LevelChange:
     cost: float
 
     def shape(self, lengths: Sequence[int]) -> list[Array]:
-        """0 before the change and 1 after it, for sessions of so many samples."""
+        """Series of 0 before the change and 1 after it, for sessions with these numbers of samples."""
         where = [self.row if i == self.session else 0 if i > self.session else n for i, n in enumerate(lengths)]
         return [(np.arange(n) >= row).astype(float) for n, row in zip(lengths, where, strict=True)]
 
 
 def piece_s(seconds: float) -> float:
-    """Length of the pieces [s] for recordings of so many seconds."""
+    """Length of the pieces [s] for recordings of this total duration."""
     return PIECE_S * max(1, math.ceil(seconds / (PIECE_S * MOST_PIECES)))
 
 
 def find_change(b: Blocks, step: float) -> LevelChange | None:
-    """The one change of level that stays; None where there is none, or more than one.
+    """The one lasting level change; None without one, or with several.
 
     Parameters
     ----------
@@ -96,14 +96,14 @@ def find_change(b: Blocks, step: float) -> LevelChange | None:
 
 
 def sharpened(change: LevelChange, residual: Array, mask: Mask, length: int) -> LevelChange:
-    """The change at the sample, of those within a piece to either side, that parts the residual best.
+    """Sample of the change that best splits the residual, within a piece to either side.
 
     Parameters
     ----------
     residual, mask
-        Against travel, of the session in which the change is, and where it may be compared.
+        Against travel, of the session with the change, and its compared samples.
     length
-        Of a piece, in samples.
+        Length of a piece, in samples.
     """
     if change.row == 0:
         return change
@@ -118,7 +118,7 @@ def sharpened(change: LevelChange, residual: Array, mask: Mask, length: int) -> 
 
 
 def _allowed(b: Blocks, step: float) -> Mask:
-    """Pieces with which another level may begin: with enough on either side, of its own recording or of many others."""
+    """Pieces that may start another level: with enough on either side, of its own recording or of many others."""
     time, before, total = b.begin * step, np.cumsum(b.count) - b.count, b.count.sum()
     least = max(LEAST_SIDE * total, LEAST_SIDE_S / step)
     begins, ends = (np.array([limit(time[b.session == s]) for s in b.session]) for limit in (np.min, np.max))
@@ -128,9 +128,9 @@ def _allowed(b: Blocks, step: float) -> Mask:
 
 
 def _gains(b: Blocks, time: Array) -> tuple[Array, Array]:
-    """Gain in log-likelihood of a step at each piece over none, each beside the noise that suits it best; and the steps [Nm].
+    """Gain in log-likelihood of a step at each piece over none, each with its best noise; and the steps [Nm].
 
-    Sessions are independent; a level of its own adds a rank of one to the covariance of each.
+    Sessions are independent; a separate level adds a rank of one to the covariance of each.
     """
     n = len(time)
     sessions = [np.flatnonzero(b.session == s) for s in np.unique(b.session)]
@@ -168,7 +168,7 @@ class _Sums(NamedTuple):
 
 
 def _sums(y: Array, time: Array, white: Array, size: float, seconds: float) -> _Sums:
-    """By way of the inverse covariance of what wanders, which has three diagonals."""
+    """From the tridiagonal inverse covariance of the drift."""
     after = np.tril(np.ones((len(y), len(y)))) / white[:, np.newaxis]
     weighted, of_steps, logdet = y / white, after, float(np.log(white).sum())
     if size > 0.0:
@@ -185,7 +185,7 @@ def _sums(y: Array, time: Array, white: Array, size: float, seconds: float) -> _
 
 
 def _with_own_level(s: _Sums, variance: float) -> _Sums:
-    """The same where the session has a level of its own with so much variance."""
+    """The same for a session level of the given variance."""
     grown = 1.0 + variance * s.ones
     share = variance / grown
     return _Sums(

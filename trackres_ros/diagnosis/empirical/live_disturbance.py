@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Converts spells and a drift to the live disturbance, relative to the torque that the written vehicle file expects."""
+"""Converts spells and a drift to the live disturbance, relative to the written vehicle file's torque."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ Range = tuple[float, float]
 
 
 def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array]) -> LearnedDisturbance:
-    """Spells of the final fit, their two levels over the torque that the written file expects [Nm], of each session.
+    """Spells of the final fit, with both levels relative to the written file's torque [Nm], of each session.
 
-    That file may have taken up the mean of the spells: then the rest is below what it expects.
+    The file may include the mean of the spells: then the rest level is negative.
     """
     assert term.chain is not None
     chain = term.chain
@@ -51,11 +51,11 @@ def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array]) -> Learne
 
 
 def drift_to_watch(final: Fit, expected: Sequence[Array]) -> LearnedDisturbance:
-    """Drift about the torque that the written file expects [Nm], for each session."""
+    """Drift relative to the written file's torque [Nm], for each session."""
     b = _over(final, expected)
     wander, _ = find_wander(b)
     found = Drift(wander.size, wander.seconds, _of_blocks(wander.noise, final))
-    apart = max(1.0, BLOCK_S * len(b.mean) / (2.0 * wander.seconds))  # stretches that say something each
+    apart = max(1.0, BLOCK_S * len(b.mean) / (2.0 * wander.seconds))  # number of independent stretches
     return _learned(
         found,
         {
@@ -67,7 +67,7 @@ def drift_to_watch(final: Fit, expected: Sequence[Array]) -> LearnedDisturbance:
 
 
 def drift_on_held_out(final: Fit, laps: HeldOutLaps) -> Improvement:
-    """What held-out laps say of a drift that is watched for: the error with what the blocks before let one expect of it, over
+    """Hold-out improvement by following a drift live: the error with the forecast from earlier blocks, against
     the error without.
     """
     sessions, without = final.problem.sessions, [p.torque for p in final.predicted]
@@ -84,7 +84,7 @@ def _over(final: Fit, expected: Sequence[Array]) -> Blocks:
 
 
 def _of_blocks(noise: float, final: Fit) -> float:
-    """The noise of a block's mean, of that of one sample [Nm]."""
+    """Noise of a block's mean, from that of one sample [Nm]."""
     return noise / math.sqrt(BLOCK_S / final.problem.sessions[0].step)
 
 
@@ -93,15 +93,15 @@ def _about(value: float, std: float) -> Range:
 
 
 def _times(value: float, count: float) -> Range:
-    """A range of +-2 standard deviations of the logarithm, each 1 / sqrt(count): of the mean of so many exponential times, and
-    with twice their number of a standard deviation.
+    """Range of +-2 standard deviations of the logarithm, each 1 / sqrt(count): for the mean of `count` exponential times,
+    or for a standard deviation with twice that count.
     """
     factor = math.exp(2.0 / math.sqrt(count))
     return value / factor, value * factor
 
 
 def _learned(found: Spells | Drift, ranges: Mapping[str, Range]) -> LearnedDisturbance:
-    """With values and ranges within what a vehicle file may say."""
+    """Disturbance with values and ranges within the limits of a vehicle file."""
     limits = DISTURBANCES[found.form]
 
     def within(name: str, value: float) -> float:

@@ -18,7 +18,7 @@ from trackres_ros.diagnosis.prepare.session import DriveSession
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FEWEST_TURNS = 2.0  # of a session, so that it surely drives laps
+FEWEST_TURNS = 2.0  # of a session, least for a circuit
 
 
 def place_in(current: Fit, residuals: Sequence[Array]) -> Place | None:
@@ -29,17 +29,17 @@ def place_in(current: Fit, residuals: Sequence[Array]) -> Place | None:
 
 
 def loads_of(sessions: Sequence[DriveSession], masks: Sequence[Mask]) -> list[Array]:
-    """Weight over its mean where torques are compared: slopes, bends and soft ground take more of a heavier vehicle."""
+    """Weight over its mean where torques are compared: slopes, bends and soft ground take more torque at a higher weight."""
     mean = float(np.mean(np.concatenate([s.weight[m] for s, m in zip(sessions, masks, strict=True)])))
     return [s.weight / mean for s in sessions]
 
 
 def driven_along(sessions: Sequence[DriveSession]) -> list[Array]:
-    """Where each session is on its route, as the distance from its start [m]: it falls while the vehicle reverses, and is
-    negative where laps go the other way round.
+    """Position of each session on its route, as the distance from its start [m]: it falls while the vehicle reverses, and is
+    negative for laps in the other direction.
 
-    A lap turns once by all round. Where each session turns twice or more in all, those that turn to the right as they drive
-    forward pass the same places in the reverse order.
+    A lap is one full turn. If each session turns at least twice in total, those that turn right in forward travel
+    pass the same places in the reverse order.
     """
     turns = [float(np.nansum(s.yaw_rate)) * s.step / (2.0 * math.pi) for s in sessions]
     on_laps = all("yaw_rate" in s.given for s in sessions) and min(map(abs, turns)) >= FEWEST_TURNS

@@ -1,12 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A mass that differs from one stretch between stops to the next: people get on and off, bulk is loaded and tipped.
+"""A payload that differs between stretches from stop to stop: passengers get on and off, bulk is loaded and tipped.
 
-Each stretch has a mass of its own beside the model's, and stretches that follow one another are alike: an autoregression of the
-first order about a mean that all of them have (random effects, Laird and Ware 1982). Its
-torque is told from others by what a mass does: it takes more to speed up and gives it back, rolls harder and climbs harder. What
-was learned by place beside it is not taken as known: a vehicle speeds up at the same places, loaded or not.
+Each stretch has an additional mass, correlated with the previous one: a first-order autoregression about a common mean
+(random effects, Laird and Ware 1982). Its torque has the signature of a mass: inertia, rolling resistance and grade. Terms
+by place are estimated jointly, because a vehicle accelerates at the same places, loaded or not.
 """
 
 from __future__ import annotations
@@ -34,22 +33,22 @@ Mask = NDArray[np.bool_]
 
 STOP_S = 5.0  # a shorter stop changes no load
 FEWEST_STRETCHES = 6
-SIZES = tuple(np.geomspace(0.003, 0.3, 9))  # standard deviation of what is loaded, over the vehicle's mass
-MEAN = 0.1  # a standard deviation of the mean of what is loaded, over the vehicle's mass
-ALIKE = (0.0, 0.5, 0.8, 0.95)  # correlation of the mass of a stretch with that of the one before
-LOADED = 0.05  # of the vehicle's mass: a standard deviation of what is loaded, while other things are learned
+SIZES = tuple(np.geomspace(0.003, 0.3, 9))  # standard deviation of the payload, over the vehicle's mass
+MEAN = 0.1  # prior standard deviation of the mean payload, over the vehicle's mass
+ALIKE = (0.0, 0.5, 0.8, 0.95)  # correlation of the mass of a stretch with the previous one
+LOADED = 0.05  # of the vehicle's mass: standard deviation of the payload while learning other terms
 TURNS = 10  # of masses, weights and noise
 PROBES = 16  # for a trace (Hutchinson, 1990)
-MODEL_ERROR = 0.01  # of the vehicle's mass: what the model's own error looks like as a mass, the same on all stretches
-LEAST_KNOWN = 1e-6  # of a value's scale: what nothing is known of
-LEAST_LEFT = 0.1  # of the samples, that were not settled by values
+MODEL_ERROR = 0.01  # of the vehicle's mass: the model's own error expressed as a mass, common to all stretches
+LEAST_KNOWN = 1e-6  # of a value's scale: a precision for unknown values
+LEAST_LEFT = 0.1  # least share of the samples left as degrees of freedom
 SURE = 10.0  # in log-likelihood: of a mass by stretch over a torque by stretch
 MORE = 0.01  # of the weight, for the derivative
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Driving between two stops, and the mass beside the model's [kg] with its standard deviation."""
+    """Driving between two stops, and the additional mass [kg] with its standard deviation."""
 
     recording: str
     begin_s: float
@@ -60,21 +59,21 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class Payload:
-    """A mass by stretch.
+    """A payload by stretch.
 
     Attributes
     ----------
     stretches
-        Those with something that is fitted.
+        Those with fitted samples.
     level
-        Root mean square of its torque on the laps fitted [Nm].
+        Root mean square of its torque on the fitted laps [Nm].
     shape
-        Its torque over `level` at each sample of each session: on laps fitted by all of them, elsewhere by what was measured
-        before.
+        Its torque over `level` at each sample of each session: on fitted laps from all samples, elsewhere from earlier
+        ones.
     ahead
-        The same by what was measured before everywhere.
+        The same from earlier samples everywhere.
     cost
-        Of the masses, in log-likelihood.
+        Cost of the masses, in log-likelihood.
     """
 
     stretches: tuple[Stretch, ...]
@@ -86,14 +85,14 @@ class Payload:
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """What was learned by place beside masses, and is as unsure as its prior and the samples leave it.
+    """Other values estimated jointly with the masses, with their prior.
 
     Attributes
     ----------
     adds
-        To the torque of each session [Nm].
+        Torque of each session [Nm].
     columns, precision
-        What each of its values adds to the torque of each session, and how close to none they are beforehand.
+        Torque of each session per value, and the prior precision of the values.
     """
 
     adds: tuple[Array, ...]
@@ -102,7 +101,7 @@ class Beside:
 
     @classmethod
     def values_of(cls, current: Fit) -> Beside:
-        """The values of a fit, as unsure as their ranges and what was measured besides the torque leave them."""
+        """The values of a fit, with their priors and the information of other measurements than the torque."""
         problem, scale = current.problem, np.array([f.scale for f in current.free])
         parts = problem.split(base_columns(current) * scale)
         of_torque = [g.kind == "torque" for g in problem.segments]
@@ -113,7 +112,7 @@ class Beside:
         return cls(tuple(np.zeros(x.shape[0]) for x in columns), columns, sparse.csc_matrix(known))
 
     def and_by_place(self, other: Beside | None) -> Beside:
-        """Both."""
+        """Both sets of values."""
         if other is None:
             return self
         columns = tuple(sparse.hstack(both).tocsr() for both in zip(self.columns, other.columns, strict=True))
@@ -123,14 +122,14 @@ class Beside:
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """Normal equations of the masses of all stretches, whatever the values beside them are; and in which session each is."""
+    """Normal equations of the masses of all stretches, with the other values eliminated; and the session of each."""
 
     matrix: Array  # (stretches, stretches)
     right: Array  # (stretches,)
     session: Indices  # (stretches,)
 
     def solved(self, std: float, alike: float, mean: float) -> _Solution:
-        """The most likely masses, given how much is loaded [kg], how alike stretches are, and how large their mean is [kg]."""
+        """Most likely masses, given the standard deviations of payload and mean [kg], and the correlation."""
         count = np.arange(len(self.right))
         together = np.equal.outer(self.session, self.session)
         prior = mean**2 + std**2 * together * alike ** np.abs(np.subtract.outer(count, count))
@@ -151,9 +150,9 @@ class _Normal:
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """Masses of the stretches of each session with their standard deviations [kg], and the mean that they vary about, given how
-    much is loaded [kg] and how alike stretches are; as likely as `evidence` says, they `cost` so much of what they gain, and so
-    many of them the samples settle.
+    """Masses of the stretches of each session with their standard deviations [kg], and their mean, for a standard deviation
+    of the payload [kg] and a correlation; with the log-evidence, the cost, and the number of masses that the
+    samples determine.
     """
 
     std: float
@@ -167,7 +166,7 @@ class _Solution:
 
 
 def may_differ(current: Fit) -> bool:
-    """Whether masses may differ by stretch: no load is recorded, and it stops often enough."""
+    """Whether masses may differ by stretch: no load is recorded, and there are enough stops."""
     sessions = current.problem.sessions
     if any({"load", "passengers"} & s.given for s in sessions):
         return False
@@ -175,12 +174,12 @@ def may_differ(current: Fit) -> bool:
 
 
 def find_payload(current: Fit, residuals: Sequence[Array], beside: Beside | None = None) -> Payload | None:
-    """The mass of each stretch; None where loads or passengers are recorded, or where there are too few stretches.
+    """The mass of each stretch; None with recorded loads or passengers, or too few stretches.
 
     Parameters
     ----------
     residuals
-        Of the torque of each session [Nm], without what is `beside`.
+        Torque residual of each session [Nm], without the terms in `beside`.
     """
     if not may_differ(current):
         return None
@@ -192,7 +191,7 @@ def find_payload(current: Fit, residuals: Sequence[Array], beside: Beside | None
     against, known_beside = [typical * np.sign(s.speed) for s in sessions], Beside.values_of(current).and_by_place(beside)
     (best, noise), (of_level, _) = (_most_likely(by, numbers, residuals, known_beside, current, mass) for by in (per_kg, against))
     if best.evidence < of_level.evidence + SURE:
-        return None  # whatever it is that differs, it is not told by what a mass does
+        return None  # the difference does not have the signature of a mass
     torques, known, stretches = [], [], list[Stretch]()
     for i, (session, number, by_mass, residual, masses, stds) in enumerate(
         zip(sessions, numbers, per_kg, residuals, best.masses, best.stds, strict=True)
@@ -222,13 +221,13 @@ def find_payload(current: Fit, residuals: Sequence[Array], beside: Beside | None
 def _most_likely(
     by: Sequence[Array], numbers: Sequence[Indices], residuals: Sequence[Array], beside: Beside, current: Fit, mass: float
 ) -> tuple[_Solution, Noise]:
-    """Sizes of a series by stretch that explain residuals best, and the noise beside them."""
+    """Most likely sizes of a series by stretch, and the remaining noise."""
     masks, columns = current.problem.masks, by_stretch(by, numbers)
     session = np.repeat(np.arange(len(numbers)), [int(n.max()) + 1 for n in numbers])
     both = [sparse.hstack([x, z]).tocsr() for x, z in zip(columns, beside.columns, strict=True)]
     whole = [r + x for r, x in zip(residuals, beside.adds, strict=True)]
     left, noise = list(residuals), current.noise
-    for _ in range(TURNS):  # unless it is left out, noise is as large as the payload and counts the more it is loaded the less
+    for _ in range(TURNS):  # with the payload in it, the noise would be as large and hide the payload
         rows = WhitenedRows.of(both, whole, masks, noise)
         weights = noise.weights(WhitenedRows.of(both, left, masks, noise).white)
         normal, others, settled = _normal(rows, weights, session, beside.precision)
@@ -238,7 +237,7 @@ def _most_likely(
         values = np.concatenate([values, others(values)])
         left = [r - x @ values for r, x in zip(whole, both, strict=True)]
         noise = estimate_noise(left, masks)
-        # So many values fitted to it make what is left smaller than the noise is.
+        # Fitting so many values makes the residual smaller than the noise.
         shrinks = math.sqrt(max(1.0 - (best.settled + settled) / len(rows.white), LEAST_LEFT))
         noise = replace(noise, scale=noise.scale / shrinks)
     return best, noise
@@ -247,7 +246,7 @@ def _most_likely(
 def _normal(
     rows: WhitenedRows, weights: Array, session: Indices, precision: sparse.csc_matrix
 ) -> tuple[_Normal, Callable[[Array], Array], float]:
-    """Normal equations of the masses, the values beside some masses, and how many of those the samples settle."""
+    """Normal equations of the masses, a function for the other values, and the number of those that the samples determine."""
     count = len(session)
     weighted = rows.columns.multiply(weights[:, np.newaxis]).tocsr()
     matrix, right = (rows.columns.T @ weighted).tocsc(), np.asarray(weighted.T @ rows.white)
@@ -261,7 +260,7 @@ def _normal(
 
 
 def by_stretch(by: Sequence[Array], numbers: Sequence[Indices]) -> list[sparse.csr_matrix]:
-    """A series of each session, a column for each stretch of all of them: shape (samples, stretches)."""
+    """Columns of a series of each session, one for each stretch of all sessions: shape (samples, stretches)."""
     counts = [int(n.max()) + 1 for n in numbers]
     first = np.cumsum([0, *counts[:-1]])
     return [
@@ -271,8 +270,8 @@ def by_stretch(by: Sequence[Array], numbers: Sequence[Indices]) -> list[sparse.c
 
 
 def loads(current: Fit) -> list[Array]:
-    """What another mass on each stretch adds to the torque of each session when it is off by a standard deviation, shape
-    (samples, stretches): for what is learned where masses may differ.
+    """Torque of each session for a mass change of one standard deviation on each stretch, shape
+    (samples, stretches): for learning other terms under variable masses.
     """
     mass = mass_of(current)
     columns = by_stretch(torque_of_a_kilogram(current, mass), [stretch_numbers(s) for s in current.problem.sessions])
@@ -280,7 +279,7 @@ def loads(current: Fit) -> list[Array]:
 
 
 def mass_of(current: Fit) -> float:
-    """Of the vehicle as a fit has it [kg]."""
+    """Mass of the vehicle in a fit [kg]."""
     return current.base_values.get("mass", current.problem.base.facts.weight / GRAVITY)
 
 
@@ -295,7 +294,7 @@ def stretch_numbers(session: DriveSession) -> Indices:
 
 
 def torque_of_a_kilogram(current: Fit, mass: float) -> list[Array]:
-    """What a kilogram more takes, of each session [Nm]; it does not rotate, as the model's mass does in part."""
+    """Torque of an additional kilogram, of each session [Nm]; unlike the model's mass it has no rotating part."""
     problem, facts = current.problem, current.problem.base.facts
     expected = []
     for more in (0.0, MORE):
@@ -310,16 +309,16 @@ def torque_of_a_kilogram(current: Fit, mass: float) -> list[Array]:
 
 
 def followed(by_mass: Array, residual: Array, number: Indices, used: Mask, noise: Noise, like: _Solution) -> Array:
-    """The mass at each sample by what was measured before it, as one who watches live knows it: a Kalman filter [kg].
+    """Live estimate of the mass at each sample from earlier ones: a Kalman filter [kg].
 
     Parameters
     ----------
     by_mass, residual, number, used
-        Torque of a kilogram, residual of the torque [Nm], stretch of each sample of a session, and where it may be compared.
+        Torque of a kilogram, torque residual [Nm], stretch of each sample of a session, and its compared samples.
     noise
         Of the residual without the payload.
     like
-        How much is loaded, and how alike stretches are.
+        Standard deviation and correlation of the payload.
     """
     white = whitened(np.column_stack([by_mass, residual]), used, noise.phi) / noise.std
     begins = np.diff(number, prepend=-1) > 0

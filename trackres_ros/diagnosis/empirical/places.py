@@ -1,11 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A torque that comes again at the same place of a route on each pass: a slope, soft ground, a bend.
+"""A torque that repeats at the same place of a route on each pass: a slope, soft ground, a bend.
 
-The distance driven is folded with many lap lengths. Each place of the lap has a mean of its own with a prior about none, so the
-evidence of a length pays for all its places (random effects; Laird and Ware 1982). What is found must show on passes that it was
-not learned from.
+The driven distance is folded with many lap lengths. Each place of the lap has its own mean with a zero-mean prior (random
+effects; Laird and Ware 1982). So the evidence of a length includes the cost of its places. A result must hold on passes
+not used for learning.
 """
 
 from __future__ import annotations
@@ -25,45 +25,45 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-SHORTEST_LAP_M = LONGEST_M  # what comes again within less is a wave
+SHORTEST_LAP_M = LONGEST_M  # a shorter period is a wave
 BIN_M = 25.0
-WIDTHS = (1, 2, 4)  # bins that a place may have
+WIDTHS = (1, 2, 4)  # bins of a place
 FEWEST_PASSES = 3
-FEWEST_BINS = 60  # to look for anything
+FEWEST_BINS = 60  # least number for a search
 PRIORS = (1.0, 4.0, 16.0)  # variance of a place's torque over that of its mean
-MOST_WORSE = 0.25  # of the passes: those that what the others show does not help
-WHOLE = 0.5  # of a lap: a pass of less says nothing
+MOST_WORSE = 0.25  # of the passes: allowed share that the others' mean does not improve
+WHOLE = 0.5  # of a lap: a shorter pass is ignored
 SIZES = tuple(np.geomspace(0.03, 10.0, 12))  # of a place's torque over the residual's standard deviation
 FEWEST_PLACES = 4
-SURE = 10.0  # in log-likelihood, beyond the lengths that were tried
+SURE = 10.0  # in log-likelihood, beyond the cost of the tried lengths
 FURTHEST = 3.0  # standard deviations
-EDGES_M, MOST_MOVED = (12.5, 2.5), 6  # steps in which the edges of where it acts are looked for, and how many
-HALF = 0.5  # of the largest: where it acts
+EDGES_M, MOST_MOVED = (12.5, 2.5), 6  # search steps for the edges of the range, and their number
+HALF = 0.5  # of the largest torque: limit of the range
 AT_ONCE = 200
-SOME = 8  # one length in so many shows what is gained by chance
-FINER, MOST_OFF = 0.0005, 8  # steps in which the length is looked for again, and how many
+SOME = 8  # one length in so many shows the gain by chance
+FINER, MOST_OFF = 0.0005, 8  # search steps for the length, and their number
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A torque over the place in a lap.
+    """A torque by the place in a lap.
 
     Attributes
     ----------
     lap_m
-        Length of the lap [m], as the odometer has it; of the longest recording where `folded` is false.
+        Length of the lap [m] from the odometer; of the longest recording where `folded` is false.
     size
-        Mean torque where it acts [Nm], more or less than elsewhere in the lap.
+        Mean additional torque in its range [Nm], relative to the rest of the lap.
     begin_m, end_m
-        Where it acts, from the start of a lap; beyond the end of the lap where it lies across that.
+        Its range, from the start of a lap; beyond the end of the lap if it crosses that.
     passes
-        How often that was passed on the laps fitted.
+        Number of passes on the fitted laps.
     folded
-        Whether laps follow one another within a recording; else each recording is one pass from the same start.
+        Whether a recording has consecutive laps; else each recording is one pass from the same start.
     cost
-        Of length and places, in log-likelihood.
+        Cost of length and places, in log-likelihood.
     course, shape
-        Place in the lap [m], and the torque there, 1 on average where it acts, at each sample of each session.
+        Place in the lap [m], and the torque there, with mean 1 in its range, at each sample of each session.
     """
 
     lap_m: float
@@ -79,14 +79,14 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class _Bins:
-    """Stretches of `BIN_M` of all sessions, where something was compared; arrays of shape (n,).
+    """Stretches of `BIN_M` of all sessions, with compared samples; arrays of shape (n,).
 
     Attributes
     ----------
     at, session
         Middle of each from the start of its session [m], negative as in `on_laps.driven_along`, and the session.
     white
-        Mean residual, whitened over distance; what is far out counts as far as `FURTHEST`.
+        Mean residual, whitened over distance, limited to `FURTHEST`.
     """
 
     at: Array
@@ -96,8 +96,8 @@ class _Bins:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Samples of all sessions: distances and loads as `find_place` has them, and what was measured, whitened; the noise is that
-    of what is left without the place.
+    """Samples of all sessions: distances and loads as in `find_place`, and the whitened measurements; the noise is that
+    of the residual without the place.
     """
 
     distances: Sequence[Array]
@@ -113,7 +113,7 @@ class _Rows:
         cls, distances: Sequence[Array], residuals: Sequence[Array], left: Sequence[Array], masks: Sequence[Mask],
         loads: Sequence[Array],
     ) -> _Rows:  # fmt: skip
-        """Whiten the residuals; what is `left` of them says how."""
+        """Whiten the residuals, with the noise of the remainder `left`."""
         noise = estimate_noise(left, masks, LARGEST_ROOT)
         white, without = (
             np.concatenate([whitened(x, m, noise.phi) / noise.std for x, m in zip(of, masks, strict=True)])
@@ -123,14 +123,14 @@ class _Rows:
         return cls(distances, loads, masks, noise, white, noise.weights(without), spread)
 
     def columns(self, shapes: Sequence[Array]) -> Array:
-        """Shapes of each session as they grow with the load, whitened; shape (n, shapes)."""
+        """Shapes of each session, scaled with the load, whitened; shape (n, shapes)."""
         grown = (x * load[:, np.newaxis] for x, load in zip(shapes, self.loads, strict=True))
         return np.concatenate(
             [whitened(x, m, self.noise.phi) / self.noise.std for x, m in zip(grown, self.masks, strict=True)]
         )  # fmt: skip
 
     def gains(self, shapes: Sequence[Array]) -> tuple[Array, Array]:
-        """What each shape gains in log-likelihood beside a mean, and its torque [Nm]."""
+        """Gain in log-likelihood of each shape in addition to a mean, and its torque [Nm]."""
         valid = np.isfinite(self.white)
         weight = self.weight[valid]
         y, x = self.white[valid] - np.average(self.white[valid], weights=weight), self.columns(shapes)[valid]
@@ -141,7 +141,7 @@ class _Rows:
 
 @dataclass(frozen=True, slots=True)
 class _Folding:
-    """A length of a lap, the bins that a place has, and the variance of a whitened place: as likely as `evidence` says."""
+    """A lap length, the bins of a place, and the variance of a whitened place, with their log-`evidence`."""
 
     evidence: float
     lap_m: float
@@ -149,7 +149,7 @@ class _Folding:
     prior: float
 
     def places(self, at: Array) -> tuple[Indices, int]:
-        """The place in the lap of each stretch, and how many places there are."""
+        """The place in the lap of each stretch, and the number of places."""
         count = max(1, round(self.lap_m / (BIN_M * self.width)))
         return np.minimum((at % self.lap_m / self.lap_m * count).astype(np.int64), count - 1), count
 
@@ -164,15 +164,15 @@ def find_place(
     distances
         From the start of each session along its route [m], see `on_laps.driven_along`.
     residuals, masks
-        Against travel [Nm], and where it may be compared.
+        Against travel [Nm], and its compared samples.
     loads
-        Weight over its mean, or any other series: the torque at a place grows with it. The same everywhere without one.
+        Weight over its mean, or any other series: the torque at a place scales with it. Constant without one.
 
     Notes
     -----
-    Beside a place that is not known its own torque looks like a random walk, under which no place counts; beside a noise that is
-    held away from one, all that wanders looks like places. So it is looked for twice: what the first search takes for a place is
-    left out as the noise for the second is estimated.
+    An unknown place looks like a random walk, under which no place matters; under a noise
+    bounded away from one, any drift looks like places. So there are two searches: the noise for the second excludes the
+    place of the first.
     """
     means, known = _means(distances, residuals, masks)
     if sum(int(k.sum()) for k in known) < FEWEST_BINS:
@@ -197,18 +197,18 @@ def find_place(
 
 
 def _length(place: Place, rows: _Rows) -> float:
-    """The length near that of a place with which a torque between two edges explains most."""
+    """Lap length near a place's with the largest gain for a torque between two edges."""
     laps = place.lap_m * (1.0 + FINER * np.arange(-MOST_OFF, MOST_OFF + 1))
     return float(max(laps, key=lambda lap: _box(place.begin_m, place.end_m, EDGES_M[0], lap, rows)[3]))
 
 
 def _bins_of(distance: Array) -> Indices:
-    """Number of the stretch that each sample is in, from the start of its session."""
+    """Number of the stretch of each sample, from the start of its session."""
     return np.asarray(np.maximum(_way(distance) * distance, 0.0) // BIN_M, dtype=np.int64)
 
 
 def _way(distance: Array) -> float:
-    """1, or -1 where laps go the other way round."""
+    """1, or -1 for laps in the other direction."""
     return -1.0 if distance[-1] < 0.0 else 1.0
 
 
@@ -217,13 +217,13 @@ def _middles(means: Array) -> Array:
 
 
 def _best(bins: _Bins, laps: Array, left: _Bins) -> _Folding:
-    """The likeliest folding; what is `left` says how much lengths gain by chance, where noise is not quite white."""
+    """The most likely folding; the remainder `left` shows the gain by chance for a noise that is not quite white."""
     found = []
     for width in WIDTHS:
         square, passes = _squares(bins, laps, width)
         by_chance, there = _squares(left, laps[::SOME], width)
         scale = max(1.0, float(np.median(by_chance.sum(axis=1) / (there > 0.0).sum(axis=1))))
-        taken = (passes > 0.0).sum(axis=1, keepdims=True) / len(bins.at)  # of what is left, by what was taken for places
+        taken = (passes > 0.0).sum(axis=1, keepdims=True) / len(bins.at)  # share of the degrees of freedom used by places
         scales = scale / np.maximum(1.0 - taken, 1.0 / FEWEST_PASSES)
         typical = passes.sum(axis=1) / (passes > 0.0).sum(axis=1)
         for prior in PRIORS:
@@ -247,7 +247,7 @@ def _expected(means: Sequence[Array], known: Sequence[Mask], ways: Sequence[floa
 
 
 def _laps(longest: float, sessions: int) -> Array:
-    """Lengths so close that half a bin is the most that their places part by. Beyond the longest recording each is one pass."""
+    """Lap lengths so close that places shift by half a bin at most. Beyond the longest recording each is one pass."""
     least = math.log(SHORTEST_LAP_M)
     most = math.log(max(longest / FEWEST_PASSES, SHORTEST_LAP_M))
     folded = np.exp(np.arange(least, most, 0.5 * BIN_M / longest))
@@ -255,7 +255,7 @@ def _laps(longest: float, sessions: int) -> Array:
 
 
 def _means(distances: Sequence[Array], residuals: Sequence[Array], masks: Sequence[Mask]) -> tuple[list[Array], list[Mask]]:
-    """Mean residual of each stretch of each session, less the mean of all, and where there is one."""
+    """Mean residual of each stretch of each session, less the overall mean, and whether it is known."""
     means, known = [], []
     for distance, residual, mask in zip(distances, residuals, masks, strict=True):
         place, used = _bins_of(distance), mask & np.isfinite(residual)
@@ -275,14 +275,14 @@ def _whitened(means: Sequence[Array], known: Sequence[Mask], ways: Sequence[floa
 
 
 def _squares(bins: _Bins, laps: Array, width: int) -> tuple[Array, Array]:
-    """Square of the sum over passes at each place over their number, and that number; shape (lengths, places)."""
+    """Squared sum over passes at each place, divided by their number, and that number; shape (lengths, places)."""
     squares, numbers = [], []
     most = round(float(laps.max()) / (BIN_M * width)) + 1
     for some in np.array_split(laps, max(1, len(laps) // AT_ONCE)):
         lap = some[:, np.newaxis]
         count = np.maximum(1.0, np.round(lap / (BIN_M * width)))
         turns = bins.at / lap
-        turns -= np.floor(turns)  # a tenth of the time of a remainder
+        turns -= np.floor(turns)  # ten times faster than a remainder
         place = np.minimum(turns * count, count - 0.5).astype(np.int64)
         place = (place + most * np.arange(len(some))[:, np.newaxis]).ravel()
         total = np.bincount(place, weights=np.tile(bins.white, len(some)), minlength=most * len(some))
@@ -293,7 +293,7 @@ def _squares(bins: _Bins, laps: Array, width: int) -> tuple[Array, Array]:
 
 
 def _shows_on_others(bins: _Bins, folding: _Folding) -> bool:
-    """Whether nearly each pass goes as the others do."""
+    """Whether nearly each pass follows the mean of the others."""
     place, count = folding.places(bins.at)
     number, prior = (bins.at // folding.lap_m).astype(np.int64), folding.prior
     _, of_pass = np.unique(np.stack([bins.session, number]), axis=1, return_inverse=True)
@@ -311,7 +311,7 @@ def _shows_on_others(bins: _Bins, folding: _Folding) -> bool:
 
 
 def _place(lap_m: float, folded: bool, tried: float, rows: _Rows) -> Place:
-    """The torque over the place in a lap of a length."""
+    """The torque by the place in a lap of a given length."""
     distances, masks = rows.distances, rows.masks
     course = tuple(d % lap_m for d in distances)
     profiles = []
@@ -331,7 +331,7 @@ def _place(lap_m: float, folded: bool, tried: float, rows: _Rows) -> Place:
         len(np.unique((d[m & t] - middle + 0.5 * lap_m) // lap_m)) for d, m, t in zip(distances, masks, there, strict=True)
     )
     edges = 2.0 * len(EDGES_M) * math.log(2.0 * MOST_MOVED + 1.0)
-    if gain - edges > evidence:  # the same all over it, and nothing elsewhere
+    if gain - edges > evidence:  # constant within, and zero elsewhere
         cost, shape = edges, tuple(load * ((c - begin) % lap_m < end - begin) for c, load in zip(course, rows.loads, strict=True))
     else:
         scale = profile @ np.concatenate([x[m & t] for x, m, t in zip(design, masks, there, strict=True)]).mean(axis=0)
@@ -340,8 +340,8 @@ def _place(lap_m: float, folded: bool, tried: float, rows: _Rows) -> Place:
 
 
 def _box(begin: float, end: float, edge_m: float, lap_m: float, rows: _Rows) -> tuple[float, float, float, float]:
-    """Edges near these, at which a torque that is there between them and nowhere else explains most; that torque [Nm], and what
-    it gains in log-likelihood.
+    """Nearby edges with the largest gain for a constant torque between them; that torque [Nm], and its gain
+    in log-likelihood.
     """
     best = (-math.inf, begin, end, 0.0)
     moves = np.arange(-MOST_MOVED, MOST_MOVED + 1) * edge_m
@@ -360,7 +360,7 @@ def _box(begin: float, end: float, edge_m: float, lap_m: float, rows: _Rows) -> 
 
 
 def _learned(columns: Array, rows: _Rows) -> tuple[float, float, Array]:
-    """Log-evidence, what of it the places cost, and the torque at each, with the size of places that is likeliest."""
+    """Log-evidence, its cost for the places, and the torque at each, for the most likely size of places."""
     valid, spread = np.isfinite(rows.white), rows.spread
     mean = np.full(valid.sum(), rows.noise.dc_gain / rows.noise.std)  # the base's
     x, y, weight = np.column_stack([columns[valid], mean]), rows.white[valid], rows.weight[valid]
@@ -375,7 +375,7 @@ def _learned(columns: Array, rows: _Rows) -> tuple[float, float, Array]:
 
 
 def _hats(at: Array, count: int) -> Array:
-    """Weights of places with their middles at 0.5, 1.5, ... up to a count, after which they begin again; shape (n, count)."""
+    """Weights of places with their middles at 0.5, 1.5, ..., cyclic after `count`; shape (n, count)."""
     low = np.floor(at - 0.5)
     share = at - 0.5 - low
     design, rows = np.zeros((len(at), count)), np.arange(len(at))

@@ -33,15 +33,15 @@ from trackres_ros.vehicle.writing.changes import BY_PLACE
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SLOPES = ("grade", "grade_profile")  # effects of the catalogue that a slope by place has in it
-SURE = 10.0  # in log-likelihood: that it is by place, and beyond other places on passes that it was not learned from
+SLOPES = ("grade", "grade_profile")  # effects of the catalogue that a slope by place includes
+SURE = 10.0  # in log-likelihood: of a term by place, and beyond shifted places on passes not used for learning
 TOLD = 5.0  # in log-likelihood: of a slope over a torque
-LEAST_AGAIN_M = 500.0  # passed again on the laps fitted
-TURNS = 5  # of the base and what is by place
-SETTLED = 0.05  # of its size: less, and it is the same as a turn before
-MOVED, NEAREST_MOVED = 39, 0.125  # other places that what is learned is tried at, and how near in shares of all places
-OWN = 2.0  # times what is gained at other places: what only wanders slowly fits many by chance
-UNLEARNED = 0.9  # of its size: as unsure as that is what was learned nowhere near, as of a street never driven that way
+LEAST_AGAIN_M = 500.0  # on repeated streets of the fitted laps
+TURNS = 5  # of fitting the base and the term by place
+SETTLED = 0.05  # of its size: a smaller change means convergence
+MOVED, NEAREST_MOVED = 39, 0.125  # shifted places for comparison, and the least shift in shares of all places
+OWN = 2.0  # times the gain at shifted places: a slow drift fits many by chance
+UNLEARNED = 0.9  # of its size: a place with such a standard deviation is not learned, such as an undriven direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,19 +51,19 @@ class Route:
     Attributes
     ----------
     candidate
-        The fit with it beside the one without.
+        The fits with and without it.
     apart
-        How much likelier a slope is than a torque by place, in log-likelihood. Where they are not surely told apart it is a
-        torque, which says nothing of the other direction of travel.
+        Log-likelihood ratio of a slope over a torque by place. If it is not significant, the term is a
+        torque, which has no value for the other direction of travel.
     metres, again_m
-        Length of the streets that were fitted, and of those that were passed twice and more [m].
+        Length of the fitted streets, and of those passed at least twice [m].
     passes
-        How often a place was passed, median of those passed twice and more.
+        Number of passes of a place, median of those passed at least twice.
     course
-        Matched distance at each sample of each session [m], along the places in the order in which they were first driven; nan
-        where it is at none.
+        Matched distance at each sample of each session [m], along the places in the order of the first drive; nan
+        off all places.
     places, values
-        What each place adds, and what was learned of them.
+        Columns of the places, and their learned values.
     """
 
     candidate: Candidate
@@ -77,31 +77,31 @@ class Route:
 
     @property
     def effect(self) -> ByPlace:
-        """Torque that the route adds."""
+        """Torque of the route."""
         effect = self.candidate.effect
         assert isinstance(effect, ByPlace)
         return effect
 
     def learned(self, final: Fit) -> RouteMap:
-        """What was learned, by the values of a final fit."""
+        """Learned map, scaled by the values of a final fit."""
         active = next(a for a in final.effects if a.effect.name == self.candidate.name)
         return self.effect.learned(active.numbers[0])
 
     @property
     def told(self) -> bool:
-        """Whether it is surely a slope."""
+        """Whether it is significantly a slope."""
         return self.effect.route.kind == SLOPE
 
     def beside(self, current: Fit) -> Beside:
-        """What it adds in a fit, and how unsure that is."""
+        """Its torque in a fit, and its prior."""
         prior = self.places.streets.precision(self.values.length_m, self.values.size)
         return Beside(tuple(current.contribution(self.candidate.name)), self.places.of, prior)
 
 
 @dataclass(frozen=True, eq=False)
 class _Better:
-    """A slope, if it surely is one, or a torque: what each place adds and what was learned of it, the sine of the slope or the
-    torque against travel of each session, and `Route.apart`.
+    """A slope, if significant, else a torque: the columns of the places and their learned values, the sine of the slope or
+    the torque against travel of each session, and `Route.apart`.
     """
 
     kind: str
@@ -111,7 +111,7 @@ class _Better:
     apart: float
 
     def moved(self, before: _Better, masks: Sequence[Mask]) -> float:
-        """Root mean square of how far it went from another one of its kind, over its own; infinite from one of the other kind."""
+        """Relative root-mean-square change from a previous one; infinite for another kind."""
         if self.kind != before.kind:
             return math.inf
         now, then = (np.concatenate([x[m] for x, m in zip(of.expected, masks, strict=True)]) for of in (self, before))
@@ -125,7 +125,7 @@ class Roads:
     Attributes
     ----------
     at, within
-        Where each step of each session is between places at its middle, and at each of its positions.
+        Place of each step of each session, at its middle and at each of its positions.
     """
 
     frame: Frame
@@ -135,7 +135,7 @@ class Roads:
     within: tuple[Matched, ...]
 
     def passes(self, masks: Sequence[Mask]) -> NDArray[np.int64]:
-        """How often each place was passed on samples that count, shape (places,)."""
+        """Number of passes of each place on used samples, shape (places,)."""
         found = set()
         for track, mask in zip(self.within, masks, strict=True):
             used = np.repeat(mask, len(track.number) // len(mask)) & track.known
@@ -145,7 +145,7 @@ class Roads:
 
 
 def roads_of(sessions: Sequence[DriveSession]) -> Roads | None:
-    """Match sessions to themselves; None where no position is recorded."""
+    """Match sessions to themselves; None without a recorded position."""
     ways = [way_of(s) for s in sessions]
     latitude, longitude = (np.concatenate([getattr(w, name) for w in ways]) for name in ("latitude", "longitude"))
     there = np.isfinite(latitude) & np.isfinite(longitude)
@@ -161,13 +161,13 @@ def roads_of(sessions: Sequence[DriveSession]) -> Roads | None:
 
 
 def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQUE)) -> Route | None:
-    """A slope or a torque by place in what a fit leaves; None where nothing surely is by place, or it is of a kind that is known
-    already, and not among the `kinds` that are looked for.
+    """A slope or a torque by place in the residual of a fit; None if not significant, already known, or not among the
+    `kinds`.
 
     Notes
     -----
-    Beside a slope that is not known noise looks like a random walk, and the base bends to what is steep: so base, noise and what
-    is by place take turns.
+    With an unknown slope the noise looks like a random walk, and the base absorbs slopes. So base, noise and the term by
+    place are fitted in turn.
     """
     masks = current.problem.masks
     passes = roads.passes(masks)
@@ -203,8 +203,8 @@ def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQ
 def _better(
     current: Fit, fitted: Fit, roads: Roads, residuals: Sequence[Array], noise: Noise, kinds: Collection[str]
 ) -> _Better | None:
-    """A slope, if it surely is one, or a torque, beside a base that bends as it may; None where it does not show on passes that
-    it was not learned from, or is not surely of the one kind that is looked for.
+    """A slope, if significant, or a torque, with the base fitted too; None if it fails on passes
+    not used for learning, or is not significantly of the one requested kind.
     """
     problem, masks = current.problem, current.problem.masks
     scale = fitted.base_values.get("torque_scale", problem.base.torque_scale)
@@ -233,8 +233,8 @@ def _better(
 
 
 def _bends(current: Fit) -> list[Array]:
-    """What the torque of each session does when a parameter of the base is off by a standard deviation, and the mass of a
-    stretch where masses may differ: else what a load takes would be learned as a slope where a vehicle speeds up.
+    """Torque changes of each session for one standard deviation of each base parameter, and of the mass of each
+    stretch if masses may differ. Otherwise a load would be learned as a slope where a vehicle accelerates.
     """
     own = [i for i, f in enumerate(current.free) if f.key[0] not in current.effect_names]
     columns = base_columns(current) * np.array([f.std if np.isfinite(f.std) else f.scale for f in current.free])
@@ -248,7 +248,7 @@ def _bends(current: Fit) -> list[Array]:
 def _shows_on_others(
     columns: PlaceColumns, found: PlaceValues, roads: Roads, residuals: Sequence[Array], masks: Sequence[Mask]
 ) -> bool:
-    """Whether what is learned from every other pass explains the passes between, and far better than were it of other places."""
+    """Whether values from every other pass explain the passes between, and far better than those of shifted places."""
     total = np.zeros(1 + MOVED)
     ways = len(found.value) // len(roads.places)
     numbers = [t.number if ways == 1 else t.number_this_way for t in roads.at]
@@ -264,7 +264,7 @@ def _shows_on_others(
 
 
 def _effect(current: Fit, roads: Roads, best: _Better, passes: NDArray[np.int64]) -> ByPlace:
-    """What was learned, as an effect."""
+    """The learned values as an effect."""
     facts, masks = current.problem.base.facts, current.problem.masks
     route, shape = _map(roads, best.kind, best.learned, passes), best.expected
     if best.kind == SLOPE:
@@ -277,14 +277,14 @@ def _effect(current: Fit, roads: Roads, best: _Better, passes: NDArray[np.int64]
 
 
 def _beside(current: Fit, effect: ByPlace, begin: Fit, largest_root: float = LARGEST_ROOT) -> Fit:
-    """A fit with it beside what is there, under a noise whose roots are bounded: for values that predict, or for tests."""
+    """Fit with the effect added, under a noise with bounded roots: for predictive values, or for tests."""
     effects = [*(a.effect for a in current.effects), effect]
     start = {**begin.at, (effect.name, effect.parameters[0].name): effect.typical}
     return fit(current.problem, effects, start, largest_root=largest_root)
 
 
 def _map(roads: Roads, kind: str, learned: PlaceValues, passes: NDArray[np.int64]) -> RouteMap:
-    """What was learned, of the places that were passed on the laps fitted."""
+    """Learned map of the places passed on the fitted laps."""
     seen = np.flatnonzero(passes > 0)
     x, y, east, north = roads.places.table[seen].T
     if kind == SLOPE:

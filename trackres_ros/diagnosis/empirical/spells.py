@@ -1,12 +1,12 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Spells: a torque that is there for a while, gone for a while, and follows nothing; and a torque that wanders.
+"""Spells, a torque that comes and goes without a known cause; and a drifting torque.
 
-Means of the residual over a few seconds are taken for one of two levels that change by chance (a hidden Markov chain), or for a
-level that wanders (Ornstein and Uhlenbeck), each with white noise; the likelihoods say which it is.
+Means of the residual over a few seconds follow two random levels (a hidden Markov chain) or a drifting level (Ornstein
+and Uhlenbeck), with white noise. The likelihoods decide.
 
-Source: Rabiner (1989) for the chain, by expectation and maximisation; Kalman for the level that wanders.
+Source: Rabiner (1989) for the chain, by expectation-maximisation; Kalman for the drifting level.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FEWEST_SAMPLES = 2  # of a block
-INNER = (0.03, 0.97)  # quantiles: a mean further out than once more their distance says no more
-TURNS, ENOUGH = 60, 1e-3  # of expectation and maximisation, and a gain that is none
-STARTS = (-2.5, -1.2, 1.2, 2.5)  # standard deviations: where the second level may begin to be looked for
+INNER = (0.03, 0.97)  # quantiles: a mean is limited to once their distance beyond them
+TURNS, ENOUGH = 60, 1e-3  # of expectation-maximisation, and a negligible gain
+STARTS = (-2.5, -1.2, 1.2, 2.5)  # standard deviations: initial values of the second level
 SHORTEST_S, LONGEST_S = 10.0, 1200.0  # of a spell, on average
 LEAST_SHARE, MOST_SHARE = 0.03, 0.97  # of the time
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Means of a residual over blocks, all sessions one after the other; shape (n,).
+    """Means of a residual over blocks, all sessions concatenated; shape (n,).
 
     Attributes
     ----------
     mean, count
-        Of the samples of each, and how many they are.
+        Mean of each block's samples, and their number.
     first
-        Whether a block has none before it: a chain begins anew there.
+        Whether a block has no predecessor: a chain starts there.
     session, begin, end
-        Where it is from: index of the session and of its samples.
+        Its origin: index of the session and of its samples.
     """
 
     mean: Array
@@ -57,10 +57,10 @@ class Blocks:
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """Two levels: none and `level` [Nm], with chances to come and to go at the next block, and the noise of one sample [Nm]."""
+    """Two levels: none and `level` [Nm], with transition probabilities per block, and the noise of one sample [Nm]."""
 
     level: float
-    rest: float  # the level of the rest: the fit's own mean is that of both
+    rest: float  # level without a spell: the fit's mean includes both
     comes: float
     goes: float
     noise: float
@@ -71,17 +71,17 @@ class Chain:
 
     @property
     def mean_s(self) -> float:
-        """How long it is there on average [s]."""
+        """Mean duration of a spell [s]."""
         return BLOCK_S / self.goes
 
     @property
     def share(self) -> float:
-        """Of the time that it is there."""
+        """Share of time in a spell."""
         return self.comes / (self.comes + self.goes)
 
 
 def blocks(residuals: Sequence[Array], masks: Sequence[Mask], step: float, seconds: float = BLOCK_S) -> Blocks:
-    """Cut residuals into blocks of so many seconds; what is beyond all others counts as far as they go."""
+    """Cut residuals into blocks of `seconds`; outliers among the means are limited."""
     length = max(1, round(seconds / step))
     fewest = min(FEWEST_SAMPLES, length)
     rows: list[tuple[float, float, bool, int, int, int]] = []
@@ -100,7 +100,7 @@ def blocks(residuals: Sequence[Array], masks: Sequence[Mask], step: float, secon
 
 
 def find_chain(b: Blocks) -> tuple[Chain, Array, float]:
-    """The most likely chain, how likely it is there in each block, and the log-likelihood."""
+    """The most likely chain, its probability of a spell in each block, and the log-likelihood."""
     spread = float(np.std(b.mean * np.sqrt(b.count)))
     scale = float(np.std(b.mean))
     best: tuple[Chain, Array, float] | None = None
@@ -120,14 +120,14 @@ def find_chain(b: Blocks) -> tuple[Chain, Array, float]:
 
 
 def is_spells(chain: Chain) -> bool:
-    """Whether a chain is one of spells: neither moments nor hours, neither hardly ever nor nearly always."""
+    """Whether a chain has spells: neither moments nor hours, neither hardly ever nor nearly always."""
     return SHORTEST_S <= chain.mean_s <= LONGEST_S and LEAST_SHARE <= chain.share <= MOST_SHARE
 
 
 def beyond_wander(b: Blocks, chain: Chain, there: Array) -> float:
-    """How much likelier spells are beside what wanders than something that only wanders, in log-likelihood.
+    """Log-likelihood gain of spells plus drift over drift alone.
 
-    Each of its comings and goings costs what it is unlikely by the chain; what is left without the spells may wander too.
+    Each transition costs its negative log-probability under the chain; the residual without the spells may drift too.
     """
     without = replace(b, mean=b.mean - np.where(there > 0.5, chain.level, chain.rest))
     return find_wander(without)[1] - find_wander(b)[1] - path_cost(b, chain, there)
@@ -151,13 +151,13 @@ def path_cost(b: Blocks, chain: Chain, there: Array) -> float:
 
 
 def there_given(b: Blocks, chain: Chain) -> tuple[Array, float]:
-    """How likely it is there in each block by a given chain, and the log-likelihood."""
+    """Probability of a spell in each block for a given chain, and the log-likelihood."""
     there, _, likelihood = _look(b, chain)
     return there, likelihood
 
 
 def _look(b: Blocks, chain: Chain) -> tuple[Array, Array, float]:
-    """Forward and backward: chance of being there, expected numbers of the four steps, log-likelihood."""
+    """Forward-backward pass: probability of a spell, expected transition counts, log-likelihood."""
     variance = chain.noise**2 / b.count
     logs = [-0.5 * ((b.mean - level) ** 2 / variance + np.log(2.0 * math.pi * variance)) for level in (chain.rest, chain.level)]
     top = np.maximum(*logs)
@@ -186,7 +186,7 @@ def _pass(
     backward: Array,
     scales: Array,
 ) -> None:
-    """Forward, with the scale of each block, and backward, each over the likelihoods of not being there and of being there."""
+    """Forward pass, with the scale of each block, and backward pass, over the likelihoods without and with a spell."""
     stay0, stay1, n = 1.0 - come, 1.0 - go, len(absent)
     f0 = f1 = 0.0
     for i in range(n):
@@ -209,7 +209,7 @@ def _pass(
 
 
 def levels_given(b: Blocks, there: Array) -> tuple[float, float, float]:
-    """The level, that of the rest and the noise of one sample [Nm], by how likely it is there in each block."""
+    """The spell's level, the other level and the noise of one sample [Nm], from the probability of a spell in each block."""
     level, rest = (float(np.average(b.mean, weights=b.count * w + 1e-12)) for w in (there, 1.0 - there))
     left = there * (b.mean - level) ** 2 + (1.0 - there) * (b.mean - rest) ** 2
     return level, rest, float(np.sqrt(np.mean(b.count * left)))
@@ -255,7 +255,7 @@ def _wandering(b: Blocks, w: Wander) -> float:
 
 
 def expected_level(b: Blocks, w: Wander) -> tuple[Array, Array]:
-    """What is expected of each block's mean by the blocks before it [Nm], and the variance about that."""
+    """Forecast of each block's mean from the blocks before it [Nm], and its variance."""
     expected, spread = np.empty(len(b.mean)), np.empty(len(b.mean))
     _follow(b.mean, w.noise**2 / b.count, b.first, math.exp(-BLOCK_S / w.seconds), w.size, expected, spread)
     return expected, spread

@@ -30,13 +30,13 @@ from trackres_ros.estimator.disturbance import BLOCK_S
 
 Array = NDArray[np.float64]
 
-BEGINNINGS_S = 15.0  # within so much of a stop a spell begins with it
+BEGINNINGS_S = 15.0  # largest time from a stop to a spell that begins with it
 MOST_BEGIN = 0.7  # of the spells
 MOST_OF_IT = (0.025, 0.975)  # quantiles
 
 
 def said(term: Term, final: Fit) -> Described:
-    """A term in words, with the values of the final fit."""
+    """Description of a term, with the values of the final fit."""
     name = term.candidate.name
     active = next(a for a in final.effects if a.effect.name == name)
     if isinstance(active.effect, EmpiricalEffect):
@@ -62,7 +62,7 @@ def said(term: Term, final: Fit) -> Described:
 
 
 def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]]:
-    """Spells on all laps: session, and its samples from and up to. A spell goes on over a stop, where no torque shows it."""
+    """Spells on all laps: session, first sample and end. A spell continues over a stop, where no torque shows it."""
     b = torque_blocks(final, residuals_without(final, name), [s.used for s in final.problem.sessions])
     there, _ = there_given(b, chain)
     begins = np.flatnonzero(beginnings(b, there))
@@ -71,7 +71,7 @@ def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]
 
 
 def course(term: Term, final: Fit) -> list[Array]:
-    """What a term follows in each session: its variable, or how far it is built up; empty where that is the clock alone."""
+    """Variable or build-up state of a term in each session; empty for the clock alone."""
     effect = term.candidate.effect
     if isinstance(effect, EmpiricalEffect) and effect.variable != ALWAYS:
         return series(effect.variable, final)

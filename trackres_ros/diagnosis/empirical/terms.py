@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Sentences of terms without a name: the variable or the timing of the torque, and possible mechanisms."""
+"""Sentences of unnamed terms: the variable or the timing of the torque, and possible mechanisms."""
 
 from __future__ import annotations
 
@@ -118,12 +118,12 @@ OF_RECORDINGS = ("a load, ground or wind that differs from the recorded one", "a
 OF_DRIFT = ("a torque sensor with a drifting zero", "an unrecorded slope, wind or ground")
 
 DIFFERING = {"load": "weight", "ambient temperature": "ambient"}
-LEAST_DIFFERENCE = 0.02  # of its size: recordings that differ by less are taken for alike
+LEAST_DIFFERENCE = 0.02  # of its size: recordings with a smaller difference are alike
 
 
 @dataclass(frozen=True, eq=False)
 class Described:
-    """A term without a name.
+    """An unnamed term.
 
     Attributes
     ----------
@@ -131,19 +131,19 @@ class Described:
         `curve`, `gated_curve`, `step`, `hinge`, `latch`, `sided_gain`, `build_up`, `spells`, `wave`,
         `place`, `payload`, `level_change`, `recordings`, `drift` or `spread`.
     name
-        Of the effect in the fit; empty for what is only watched for.
+        Name of the effect in the fit; empty for a live disturbance.
     variable, gate
-        What it follows and where it acts, in words; empty without.
+        Its variable and its gate, in words; empty without.
     period_m
-        Of a wave, or length of the lap in which a place comes again [m]; None for what is none.
+        Length of a wave, or of the lap of a place [m]; None for other forms.
     memory
-        Scale of a build-up in its own unit, or the average length of a spell [s]; None without.
+        Scale of a build-up in its own unit, or the mean duration of a spell [s]; None without.
     sentence, mechanisms
-        In plain words, and what to look at.
+        Description, and parts to check.
     size_nm
-        How large it is where it acts [Nm].
+        Torque where it acts [Nm].
     predictable
-        Whether it can be fed forward: it follows what is known at the time.
+        Whether it can be fed forward, because its inputs are known at the time.
     unit
         Of the variable.
     stretches
@@ -165,7 +165,7 @@ class Described:
 
 
 def of_learned(effect: EmpiricalEffect, values: Mapping[str, float]) -> Described:
-    """An effect without a name with the values of a fit."""
+    """Describe an unnamed effect with the values of a fit."""
     if isinstance(effect, BuildUp):
         return _of_build_up(effect, values)
     if isinstance(effect, SidedGain):
@@ -209,7 +209,7 @@ def _of_build_up(effect: BuildUp, values: Mapping[str, float]) -> Described:
 
 
 def _of_threshold(effect: Corner | Latch, values: Mapping[str, float]) -> Described:
-    """A step, a hinge or a latch."""
+    """Describe a step, a hinge or a latch."""
     follows, level, scale = VARIABLES[effect.variable], values["y1"], values["x2"] - values["x1"]
 
     def at(name: str) -> str:
@@ -235,7 +235,7 @@ def _of_threshold(effect: Corner | Latch, values: Mapping[str, float]) -> Descri
 
 
 def _of_gain(effect: SidedGain, values: Mapping[str, float]) -> Described:
-    """Another gain for one sign of the torque."""
+    """Describe another gain for one sign of the torque."""
     gain, side, follows = values["gain"], SIDES[effect.side], VARIABLES[effect.variable]
     text = f"The torque {side.text} is {abs(gain):.1%} {'larger' if gain > 0.0 else 'smaller'} than in the model"
     size = abs(gain) * values["x1"]
@@ -245,7 +245,7 @@ def _of_gain(effect: SidedGain, values: Mapping[str, float]) -> Described:
 
 
 def of_spells(name: str, chain: Chain, level: float, count: int, lengths_s: Array, begins: str) -> Described:
-    """Spells of a size [Nm]: how many there were, how long each was [s], and what their beginnings have in common."""
+    """Describe spells of this size [Nm]: their number, the duration of each [s], and the common event at their start."""
     low, high = (figures(float(q), 2) for q in np.quantile(lengths_s if len(lengths_s) else [BLOCK_S / chain.goes], (0.1, 0.9)))
     text = f"For {low} to {high} s at a time, the vehicle needs {_more(level)} than the model"
     text += f". That happens {count} times in these recordings{begins}"
@@ -256,7 +256,7 @@ def of_spells(name: str, chain: Chain, level: float, count: int, lengths_s: Arra
 
 
 def of_wave(name: str, wave: Wave, level: float, part: str) -> Described:
-    """A wave of a size [Nm], named after the part that goes round in its length, if one does."""
+    """Describe a wave of this size [Nm], named after the part with its length per turn, if there is one."""
     of = f", which is {part}" if part else ""
     text = f"A torque of ±{figures(abs(level))} Nm repeats every {figures(wave.length_m, 4)} m{of}"
     return Described("wave", name, "driven distance", "", wave.length_m, None, text, OF_WAVES, abs(level), False)
@@ -276,7 +276,7 @@ def of_place(name: str, level: float, place: Place) -> Described:
 
 
 def of_payload(name: str, level: float, payload: Payload) -> Described:
-    """A mass by stretch, whose torque is of a size [Nm]."""
+    """Describe a mass by stretch, with a torque of this size [Nm]."""
     scale = level / payload.level
     stretches = tuple(replace(s, mass=scale * s.mass, std=scale * s.std) for s in payload.stretches)
     masses, seconds = np.array([s.mass for s in stretches]), np.array([s.end_s - s.begin_s for s in stretches])
@@ -314,7 +314,7 @@ def of_level_change(name: str, level: float, sessions: Sequence[DriveSession], c
 
 
 def _when(sessions: Sequence[DriveSession], change: LevelChange) -> str:
-    """When a level changed: the time of day and the day where clocks say it, and the place in its recording."""
+    """Time of a level change: the time of day and date if known, and the time in its recording."""
     session, first = sessions[change.session], sessions[0]
     seconds = float(session.time[change.row])
     recording = Path(session.name).name

@@ -3,8 +3,8 @@
 
 """Finds the thresholds of a step, a hinge or a latch, by linear algebra on the residual of a fit.
 
-Each threshold of a grid makes a column. What it would gain in log-likelihood follows from the whitened residual, beside the free
-parameters of the fit. Only the best column of each variable and form becomes a candidate, and only where it gains enough.
+Each threshold of a grid makes a column. Its gain in log-likelihood follows from the whitened residual, given the free
+parameters of the fit. Only the best column of each variable and form becomes a candidate, if it gains enough.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ Array = NDArray[np.float64]
 Columns = Callable[[Array], list[Array]]
 """Columns of each session for thresholds, shape (n, thresholds)."""
 
-RANGE = (0.02, 0.98)  # quantiles: both ends of what was driven
+RANGE = (0.02, 0.98)  # quantiles: both ends of the driven range
 GRID = 15  # thresholds at first
-FINER, PASSES = 5, 3  # and then so many between the neighbours of the best
+FINER, PASSES = 5, 3  # then so many between the neighbours of the best
 FEWEST_BEYOND = 0.03  # share of the samples on either side of a threshold
-LEAST_GAIN = 8.0  # in log-likelihood: what gains less than that and its search does not pay for a fit
-LATCH_GAIN = 3.0  # in log-likelihood: what a latch gains over a step for its second threshold
-WORTH = 0.25  # of the largest gain: what gains less is nobody's rival
-LEAST_KEPT = 0.01  # share of the squares of a column that the fit's own parameters leave
+LEAST_GAIN = 8.0  # in log-likelihood: a smaller gain is not worth a fit
+LATCH_GAIN = 3.0  # in log-likelihood: gain of a latch over a step for its second threshold
+WORTH = 0.25  # of the largest gain: smaller ones are no rivals
+LEAST_KEPT = 0.01  # share of the squares of a column that the fit's own parameters do not explain
 
 
 @dataclass(frozen=True, eq=False)
 class _Scores:
-    """The residual of a fit under one noise, and what the free parameters of the fit take of a column."""
+    """The residual of a fit under one noise, and the projection of a column on the fit's free parameters."""
 
     fit: Fit
     white: Array  # (n,), of the torque
@@ -63,7 +63,7 @@ class _Scores:
         return cls(fit, y[:count], w[:count], x[:count], np.asarray(np.linalg.inv(information), dtype=np.float64), pull)
 
     def gains(self, columns: Sequence[Array]) -> Array:
-        """What each column would gain in log-likelihood, shape (columns,)."""
+        """Gain of each column in log-likelihood, shape (columns,)."""
         noise, sessions, facts = self.fit.noise, self.fit.problem.sessions, self.fit.problem.base.facts
         direction = [np.tanh(s.speed / facts.standstill)[:, np.newaxis] for s in sessions]
         parts = [whitened(x * d, m, noise.phi) for x, d, m in zip(columns, direction, self.fit.problem.masks, strict=True)]
@@ -77,14 +77,14 @@ class _Scores:
 
 
 def found_by_scan(fit: Fit, series: dict[int, list[Array]], own: Array | None = None) -> list[EmpiricalEffect]:
-    """The best step, hinge and latch of each variable, where it gains enough.
+    """The best step, hinge and latch of each variable, if it gains enough.
 
     Parameters
     ----------
     series
-        By the code of a variable its values in each session.
+        Values of each variable in each session, by its code.
     own
-        Change of what is expected with each free parameter of the fit, where that is known already: see `base_columns`.
+        Change of the prediction with each free parameter of the fit, if already known: see `base_columns`.
     """
     own = base_columns(fit) if own is None else own
     short = shortened(fit.noise)
@@ -92,7 +92,7 @@ def found_by_scan(fit: Fit, series: dict[int, list[Array]], own: Array | None = 
     scores = [_Scores.of(one, own) for one in fits]
 
     def gains(columns: Sequence[Array]) -> Array:
-        """What is slow hides in noise that is taken for a random walk: the larger of both."""
+        """Random-walk noise hides slow effects: the larger gain of both noises."""
         return np.asarray(np.max([one.gains(columns) for one in scores], axis=0))
 
     found: list[tuple[float, EmpiricalEffect]] = []
@@ -119,7 +119,7 @@ def found_by_scan(fit: Fit, series: dict[int, list[Array]], own: Array | None = 
 
 
 def _grid(known: Array, low: float, high: float) -> Array:
-    """Thresholds between values that were driven, with enough samples on either side."""
+    """Thresholds within the driven range, with enough samples on either side."""
     levels = np.unique(known)
     if len(levels) > GRID:
         at = np.unique(np.quantile(known, np.linspace(FEWEST_BEYOND, 1.0 - FEWEST_BEYOND, GRID)))
@@ -130,7 +130,7 @@ def _grid(known: Array, low: float, high: float) -> Array:
 
 
 def _finer(grid: Array, at: float) -> Array:
-    """Thresholds around one of a grid, up to its neighbours, but not those."""
+    """Thresholds around one of a grid, up to but excluding its neighbours."""
     i = int(np.searchsorted(grid, at))
     begin, end = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
     return np.unique(np.append(np.linspace(begin, end, FINER + 2)[1:-1], at))
@@ -148,7 +148,7 @@ def _best(columns: Columns, grid: Array, gains: Callable[[Sequence[Array]], Arra
 
 
 def _best_latch(x: Sequence[Array], grid: Array, gains: Callable[[Sequence[Array]], Array]) -> tuple[float, float, float]:
-    """The largest gain, and the values below which it goes and above which it comes."""
+    """The largest gain, the lower threshold (off) and the upper one (on)."""
     best, offs, ons = (0.0, math.nan, math.nan), grid, grid
     for _ in range(PASSES):
         off, on = np.meshgrid(offs, ons)
@@ -171,7 +171,7 @@ def _hinges(series: Sequence[Array], end: float, thresholds: Array) -> list[Arra
 
 
 def latched_states(x: Array, off: Array, on: Array) -> Array:
-    """State of latches along a series, off in the beginning, shape (n, latches); see `effects.learned.latched`."""
+    """State of latches along a series, initially off, shape (n, latches); see `effects.learned.latched`."""
     set_, reset = x[:, np.newaxis] > on, ~(x[:, np.newaxis] >= off)
     row = np.arange(1, len(x) + 1)[:, np.newaxis]
     last_set, last_reset = (np.maximum.accumulate(np.where(at, row, 0), axis=0) for at in (set_, reset))
@@ -179,6 +179,6 @@ def latched_states(x: Array, off: Array, on: Array) -> Array:
 
 
 def most_on_side(x: Array, side: int) -> float:
-    """The largest value of a sign, as a quantile of those of that sign; 0 where there is hardly any."""
+    """The largest value of a sign, as a quantile of those of that sign; 0 with hardly any."""
     there = side * x[side * x > 0.0]
     return float(np.quantile(there, RANGE[1])) if len(there) > FEWEST_BEYOND * len(x) else 0.0

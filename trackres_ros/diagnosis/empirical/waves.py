@@ -3,8 +3,8 @@
 
 """Finds a torque that repeats with distance, caused by a rotating part of a belt or a wheel.
 
-Source: Lomb (1976) and Scargle (1982), over distance instead of time, on residuals whitened as in the fit; means over a step
-of a wave that is short beside it are smaller by the sinc of their ratio, which is taken into account exactly.
+Source: Lomb (1976) and Scargle (1982), over distance instead of time, on residuals whitened as in the fit. The step means
+of a short wave are smaller by the sinc of step over wavelength, which is exact here.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from trackres_ros.diagnosis.prepare.session import DriveSession
 Array = NDArray[np.float64]
 
 SHORTEST_M, LONGEST_M = 3.0, 400.0
-PIECE_M = 4000.0  # over which a phase holds: the distance is integrated, and slips
+PIECE_M = 4000.0  # with a constant phase: the integrated distance slips
 FEWEST_SAMPLES = 60  # of a piece
 FINER = 3.0  # steps of the grid within the resolution of a piece
-CHANCE = 0.002  # that noise alone reaches as far anywhere in the grid
-REMEMBERED_M = 1000.0  # over which a phase is averaged where it is followed
-SAME_LENGTH = 0.03  # relative: slip and wear of what goes round
-NEARLY_LARGEST = 12  # of the grid, which are fitted exactly
+CHANCE = 0.002  # probability that noise alone reaches it anywhere in the grid
+REMEMBERED_M = 1000.0  # averaging length of a followed phase
+SAME_LENGTH = 0.03  # relative: slip and wear of a rotating part
+NEARLY_LARGEST = 12  # of the grid, fitted exactly
 AT_ONCE = 64
-MOST_PARTS = 4  # times round of a short part in a wave
+MOST_PARTS = 4  # turns of a short part in one wave
 
 
 @dataclass(frozen=True, eq=False)
 class Wave:
-    """A wave in driven distance: its length [m], size [Nm], number of phases fitted, and its course, about 1 at its crests."""
+    """A wave in driven distance: its length [m], size [Nm], number of fitted phases, and its course, about 1 at its crests."""
 
     length_m: float
     size: float
@@ -58,12 +58,12 @@ class _Piece:
 
 
 def find_wave(found: Fit) -> Wave | None:
-    """The wave that explains most of what a fit leaves; None where none does beyond chance."""
+    """The wave with the largest gain in the residual of a fit; None if not significant."""
     pieces = _pieces(found)
     if not pieces:
         return None
     longest = max(float(p.edges[-1] - p.edges[0]) for p in pieces)
-    waves = np.arange(1.0 / LONGEST_M, 1.0 / SHORTEST_M, 1.0 / (FINER * longest))  # a metre
+    waves = np.arange(1.0 / LONGEST_M, 1.0 / SHORTEST_M, 1.0 / (FINER * longest))  # per metre
     gains = np.sum([_gains(found, p, waves) for p in pieces], axis=0)
     expected = gamma(len(pieces))
     scale = max(1.0, float(np.median(gains)) / float(expected.median()))
@@ -78,7 +78,7 @@ def find_wave(found: Fit) -> Wave | None:
 
 
 def part_of(length_m: float, parts: Mapping[str, float]) -> str:
-    """Which part goes round once, or some times, in so many metres; empty where none does."""
+    """Part with this length per turn, or per a few turns [m]; empty without one."""
     for name, once in parts.items():
         for times in range(1, MOST_PARTS + 1):
             if abs(times * once / length_m - 1.0) < SAME_LENGTH:
@@ -113,7 +113,7 @@ def _mean_wave(edges: Array, per_metre: float) -> NDArray[np.complex128]:
 
 
 def _column(found: Fit, piece: _Piece, per_metre: float) -> NDArray[np.complex128]:
-    """The wave as the whitened residual would show it."""
+    """The wave in the whitened residual."""
     noise = found.noise
     wave = _mean_wave(piece.edges, per_metre)
     everywhere = np.ones(len(wave), dtype=bool)
@@ -134,7 +134,7 @@ def _fitted(found: Fit, piece: _Piece, per_metre: float) -> tuple[complex, float
 
 
 def _gains(found: Fit, piece: _Piece, waves: Array) -> Array:
-    """Gains of many waves, as if the speed were steady over the lags of the whitening; `_fitted` is exact."""
+    """Gains of many waves, for a steady speed over the lags of the whitening; `_fitted` is exact."""
     noise = found.noise
     weighted = np.where(piece.valid, noise.weights(np.nan_to_num(piece.white)) * np.nan_to_num(piece.white), 0.0) / noise.std
     adjoint = weighted.copy()  # of the whitening
@@ -157,7 +157,7 @@ def _gains(found: Fit, piece: _Piece, waves: Array) -> Array:
 
 
 def _passed(phi: Array, cosine: Array) -> Array:
-    """Share of the power of a wave that whitening leaves, |1 - phi_1 z - ...|^2, from the cosine of half the angle of z."""
+    """Share of a wave's power after whitening, |1 - phi_1 z - ...|^2, from the cosine of half the angle of z."""
     filtered = np.concatenate(([1.0], -phi))
     series = np.correlate(filtered, filtered, "full")[len(phi) :]
     return np.asarray(chebval(2.0 * cosine**2 - 1.0, np.append(series[0], 2.0 * series[1:])))
@@ -175,7 +175,7 @@ def _wave(found: Fit, pieces: list[_Piece], per_metre: float) -> Wave:
 
 
 def followed(wave: Wave, residuals: Sequence[Array], sessions: Sequence[DriveSession]) -> list[Array]:
-    """The wave at each sample over its size, its phase and size by what was measured before: a mean that forgets."""
+    """The wave at each sample over its size, with phase and size from earlier samples: an exponential mean."""
     found = []
     for residual, session in zip(residuals, sessions, strict=True):
         metres = np.abs(np.nan_to_num(session.speed)) * session.step

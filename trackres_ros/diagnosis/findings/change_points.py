@@ -16,14 +16,14 @@ from trackres_ros.diagnosis.inference.fitting import Fit
 
 Array = NDArray[np.float64]
 
-PIECE_S, MOST_PIECES = 30.0, 400  # the search takes the square of their number; longer recordings have longer pieces
+PIECE_S, MOST_PIECES = 30.0, 400  # the search time grows with their number squared; longer recordings have longer pieces
 SHORTEST_PIECES = 4
-COST_OF_A_CHANGE = 3.0  # times the logarithm of the number of pieces: its place, its size, and the many places it could be
+COST_OF_A_CHANGE = 3.0  # times the logarithm of the number of pieces: for position, size, and the possible positions
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A time in a recording [s], and the mean residual up to the change before and to the one after [Nm]."""
+    """A time in a recording [s], and the mean residuals of the segments before and after it [Nm]."""
 
     recording: str
     time: float
@@ -32,7 +32,7 @@ class Change:
 
 
 def changes(found: Fit) -> list[Change] | None:
-    """Change points of the torque's residual in each recording; None where `ruptures` is not installed.
+    """Change points of the torque residual in each recording; None where `ruptures` is not installed.
 
     Notes
     -----

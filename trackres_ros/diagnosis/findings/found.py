@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a diagnosis finds: effects with a name, terms without one, and wrong values of the vehicle file."""
+"""Results of a diagnosis: named effects, unnamed terms, and wrong values of the vehicle file."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NamedEffect:
-    """An effect that was named, alone or as one of a class.
+    """A named effect, alone or as one of a class.
 
     Attributes
     ----------
     name, text, acts_on, parameters
         As in the catalogue.
     step
-        The round of the choice in which it was chosen: its rivals, and what it cannot be told from (`step.members`).
+        The search round that chose it: its rivals, and the effects not distinguishable from it (`step.members`).
     values, intervals
-        Of its parameters, and the 95 % interval of each.
+        Values of its parameters, and the 95 % interval of each.
     adds, resists
-        What it adds to the expected torque of each session [Nm]; the same, positive against travel whichever way, as shown
-        if a sensor adds it.
+        Its predicted torque of each session [Nm]; the same, positive against travel in both directions, or as shown
+        for a sensor effect.
     where, acts, regime
-        Spans of time, the variable that it follows best, and the residual of the base where it acts.
+        Spans of time, its main variable, and the residual of the base where it acts.
     seen
         The residual of the re-fitted base where it acts, in words, see `locate.Acts.residual`.
     graded
-        What laps not used for fitting say of it (`graded.grade`).
+        Its hold-out grade (`graded.grade`).
     """
 
     name: str
@@ -71,22 +71,22 @@ class NamedEffect:
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """A term without a name that was found.
+    """A confirmed or suspected unnamed term.
 
     Attributes
     ----------
     described
-        How it is said.
+        Its description.
     adds
-        What it adds to the expected torque of each session [Nm].
+        Its predicted torque of each session [Nm].
     course
-        What it follows in each session; empty where that is the clock alone.
+        Its variable in each session; empty for the clock alone.
     intervals
-        Of its parameters.
+        Intervals of its parameters.
     seen_nm
         Mean residual of the re-fitted base, in the direction of the term, where the term acts [Nm].
     graded
-        What laps not used for fitting say of it.
+        Its hold-out grade.
     """
 
     described: Described
@@ -104,9 +104,9 @@ class Changed:
     Attributes
     ----------
     nominal, value, low, high
-        In the file, re-fitted, and the 95 % interval of the latter.
+        In the file, re-fitted, and the 95 % interval of the re-fitted one.
     torque_nm
-        Root mean square of the torque that the change makes [Nm].
+        Root mean square of the torque change [Nm].
     """
 
     name: str
@@ -128,7 +128,7 @@ class Changed:
 
 
 def changed_values(refitted: Fit, bounds: Mapping[tuple[str, str], Interval]) -> tuple[Changed, ...]:
-    """Values whose 95 % interval excludes the file's, those that change the torque most first."""
+    """Values whose 95 % interval excludes the file's, the largest torque change first."""
     found = []
     for q in refitted.problem.base.parameters:
         value, interval = refitted.base_values[q.name], bounds.get(("", q.name))
@@ -145,7 +145,7 @@ def changed_values(refitted: Fit, bounds: Mapping[tuple[str, str], Interval]) ->
 
 
 def by_weight(terms: Sequence[NamedEffect | Told]) -> list[NamedEffect | Told]:
-    """The confirmed ones first, and of these those that take most off the error of the hold-out laps."""
+    """Sort terms: confirmed ones first, then by their reduction of the hold-out error."""
     return sorted(terms, key=lambda t: (t.graded.grade != CONFIRMED, t.graded.improvement.after - t.graded.improvement.before))
 
 

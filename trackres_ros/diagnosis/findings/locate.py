@@ -20,17 +20,17 @@ from trackres_ros.text.numbers import figures, on_scale
 Array = NDArray[np.float64]
 
 ACTING_SHARE = 0.5  # of its 95th percentile
-BOTH_WAYS_SHARE = 0.25  # of the larger side: what adds as much as this on the other changes its sign
-FOLLOWS_LEAST = 0.3  # of the mean square: less goes with no variable that is looked at
+BOTH_WAYS_SHARE = 0.25  # of the larger side: an effect with more than this on the other side changes its sign
+FOLLOWS_LEAST = 0.3  # of the mean square: a smaller share means that the effect follows no variable
 JOINED_S, SHORTEST_S = 10.0, 5.0
 STRAY_S = 30.0
-SMOOTHED_S = 20.0  # of the residual over time, as pictures show it
+SMOOTHED_S = 20.0  # for the residual over time in plots
 BROKEN_S = 2.0  # a longer time without a compared sample breaks the line
 MOST_SPANS = 60
-CLOCK_BY = 1.25  # times as much as anything else: only then an effect is said to follow time or distance
+CLOCK_BY = 1.25  # times any other variable's share: needed to attribute an effect to time or distance
 BINS = 12
-LATER = 2.0  # times the error on the fitted laps: hold-out laps that are further off show something that those do not
-LATER_SHARE = 0.015  # of the torque: by so much more at least
+LATER = 2.0  # times the error on the fitted laps: a larger one on the hold-out laps needs a separate cause
+LATER_SHARE = 0.015  # of the torque: least additional error
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class ThermalCheck:
 
 
 def seen_where_it_acts(sessions: Sequence[DriveSession], adds: Sequence[Array], residuals: Sequence[Array]) -> float:
-    """Mean residual in the direction of a term, where the term is at least `ACTING_SHARE` of what it hardly ever exceeds [Nm]."""
+    """Mean residual in the direction of a term [Nm], where the term exceeds `ACTING_SHARE` of its 95th percentile."""
     used = np.concatenate([s.used for s in sessions])
     term, residual = np.concatenate(adds)[used], np.concatenate(residuals)[used]
     acting = np.abs(term) >= ACTING_SHARE * np.percentile(np.abs(term), 95.0)
@@ -60,7 +60,7 @@ def seen_where_it_acts(sessions: Sequence[DriveSession], adds: Sequence[Array], 
 
 
 def spans(sessions: tuple[DriveSession, ...], series: list[Array]) -> list[Span]:
-    """When a series is large: at least `ACTING_SHARE` of what it hardly ever exceeds."""
+    """Times when a series is large: at least `ACTING_SHARE` of its 95th percentile."""
     used = np.concatenate([np.abs(x[s.used]) for x, s in zip(series, sessions, strict=True)])
     if not len(used) or not used.max() > 0.0:
         return []
@@ -82,27 +82,27 @@ def spans(sessions: tuple[DriveSession, ...], series: list[Array]) -> list[Span]
 
 
 def evenly_filled(x: Array, bins: int) -> tuple[Array, NDArray[np.int64]]:
-    """Edges of at most so many bins with as many samples in each, and the bin of each sample."""
+    """Edges of at most `bins` equally filled bins, and the bin of each sample."""
     edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, bins + 1)))
     return edges, np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
 
 
 @dataclass(frozen=True, slots=True)
 class Acts:
-    """Where an effect acts and how much it adds there.
+    """Location and size of an effect.
 
     Attributes
     ----------
     variable, unit
-        What the effect follows best.
+        The variable that explains the effect best.
     low, high
-        The range of it where the effect is large.
+        Its range where the effect is large.
     least, most
-        The range of it anywhere.
+        Its range anywhere.
     smallest, largest
-        Least and greatest mean of what the effect adds, over bins of the variable [Nm].
+        Least and greatest mean of the effect's torque, over bins of the variable [Nm].
     follows
-        Share of the size of what it adds that goes with the variable.
+        Share of the effect's mean square that the variable explains.
     """
 
     variable: str
@@ -117,7 +117,7 @@ class Acts:
 
     @property
     def text(self) -> str:
-        """The range in words; empty where it is everywhere, or of another sign in another part of the range."""
+        """The range in words; empty if it is everywhere, or if the sign changes over the range."""
         whole = self.most - self.least
         from_start, to_end = self.low - self.least < 0.1 * whole, self.most - self.high < 0.1 * whole
         if (from_start and to_end) or self.both_ways:
@@ -131,11 +131,11 @@ class Acts:
 
     @property
     def both_ways(self) -> bool:
-        """Whether it takes more in one part of the range and less in another."""
+        """Whether the effect increases the torque in one part of the range and reduces it in another."""
         return min(self.largest, -self.smallest) >= BOTH_WAYS_SHARE * max(self.largest, -self.smallest)
 
     def residual(self, here: Bin, at_base: RegimeMap, swings: float) -> str:
-        """The residual of the re-fitted base where the effect acts, in words and with the numbers that the pictures show.
+        """Residual of the re-fitted base where the effect acts, in words and with the numbers of the plots.
 
         Parameters
         ----------
@@ -159,23 +159,23 @@ class Acts:
 
 
 def in_nm(torque: float) -> str:
-    """A torque in whole Nm; in figures where that would be none, as of a small machine."""
+    """A torque in whole Nm, or with significant figures below 1 Nm, as for a small machine."""
     return f"{torque:.0f}" if torque >= 0.5 else figures(torque, 2)
 
 
 def against_travel(sessions: Sequence[DriveSession], adds: Sequence[Array]) -> list[Array]:
-    """A torque as a resistance: positive where it brakes, whichever way the vehicle moves."""
+    """A torque as a resistance: positive against travel in both directions."""
     return [x * np.sign(s.speed) for s, x in zip(sessions, adds, strict=True)]
 
 
 def acts(found: Fit, adds: Sequence[Array]) -> Acts:
-    """The variable whose bins explain most of a series, and the range of its bins where the series is large."""
+    """The variable whose bins explain most of a series, and their range where the series is large."""
     sessions = found.problem.sessions
     used = np.concatenate([s.used for s in sessions])
     series = np.concatenate(adds)[used]
     square = float(np.mean(series**2))
     best, result = -1.0, Acts("speed", "m/s", -np.inf, np.inf, -np.inf, np.inf, 0.0, 0.0, 0.0)
-    # What grows with the clock goes along with all that changes once in a drive: it has to explain plainly more.
+    # Time-like variables follow every single change in a drive, so they must explain clearly more.
     for name, everywhere in sorted(varying(sessions, found.predicted).items(), key=lambda item: BY_NAME[item[0]].as_clock):
         x = everywhere[used]
         if np.ptp(x) == 0.0:
@@ -198,7 +198,7 @@ def acts(found: Fit, adds: Sequence[Array]) -> Acts:
 
 
 def smoothed(session: DriveSession, residual: Array, seconds: float = SMOOTHED_S) -> Array:
-    """Means of a residual over some seconds of a drive, see `settings.pace`; nan in gaps."""
+    """Moving averages of a residual over some seconds of a drive, see `settings.pace`; nan in gaps."""
 
     def summed(values: Array, over_s: float) -> Array:
         window = np.ones(min(max(1, int(over_s * session.pace / session.step)), len(values)))
@@ -217,8 +217,8 @@ def swings_of(means: Sequence[Array]) -> tuple[list[float], float]:
 
 @dataclass(frozen=True, slots=True)
 class SlowResidual:
-    """What is left of the torque residual in means over `STRAY_S` of a drive, root mean square [Nm]; its share of the torque, the
-    slope that would do as much, nan where it was measured or nothing rolls, and how long that is here [s].
+    """Root mean square of the torque residual in means over `STRAY_S` of a drive [Nm]; its share of the torque, the
+    equivalent slope, nan where it was measured or nothing rolls, and the averaging time here [s].
     """
 
     size: float
@@ -228,7 +228,7 @@ class SlowResidual:
 
 
 def slow_residual(found: Fit) -> SlowResidual:
-    """How far the measured torque strays from a model for longer than noise does."""
+    """Residual torque that lasts longer than noise."""
     means, torques = [], []
     for segment, residual in zip(found.problem.segments, found.residuals, strict=True):
         if segment.kind != "torque":
@@ -250,7 +250,7 @@ def slow_residual(found: Fit) -> SlowResidual:
 
 
 def only_later(refitted: Fit, unused: float) -> tuple[float, float] | None:
-    """Mean absolute errors on the fitted and the hold-out laps [Nm], where the latter show something that the former do not.
+    """Mean absolute errors on the fitted and the hold-out laps [Nm], if the latter is much larger; else None.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ def only_later(refitted: Fit, unused: float) -> tuple[float, float] | None:
 
 
 def regime_of(refitted: Fit, at_base: RegimeMap, where: Acts, resists: bool = False) -> tuple[Bin, ...]:
-    """The residual of the base where an effect acts, against travel if it `resists`, and other regimes in which it stands out."""
+    """Residual of the base where an effect acts, against travel if it `resists`, and its other significant bins."""
     of = BY_NAME[where.variable].of
     inside, residuals = [], []
     for segment, residual in zip(refitted.problem.segments, refitted.residuals, strict=True):
@@ -281,7 +281,7 @@ def regime_of(refitted: Fit, at_base: RegimeMap, where: Acts, resists: bool = Fa
 
 
 def thermal_check(found: Fit) -> ThermalCheck | None:
-    """Compare measured and simulated belt temperature; None where none was measured."""
+    """Compare measured and simulated belt temperature; None without a measured one."""
     differences = [
         r[g.mask] for r, g in zip(found.residuals, found.problem.segments, strict=True) if g.kind == "belt" and g.mask.any()
     ]

@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 STEP_S = 1.0
-SEEN_D_PRIME = 4.0  # from there on nine times in ten the evidence is further apart than within a class, `naming.ALIKE_WITHIN`
-NEARLY = 0.9  # of the most information: of manoeuvres that tell so much the shortest
+SEEN_D_PRIME = 4.0  # at this distance, the evidence exceeds that within a class, `naming.ALIKE_WITHIN`, with 90 % probability
+NEARLY = 0.9  # of the most information: the shortest such manoeuvre comes first
 MOST_ADVICE = 3
 KNOWN_SLOPE = 0.05
 LOADS = 0.75, 1.0, 1.3  # of the weight in the vehicle file
@@ -39,15 +39,15 @@ class Advice:
     Attributes
     ----------
     separates
-        The effects concerned.
+        The tied effects.
     groups
-        The same: what is in one group stays tied.
+        The same in groups; effects of one group stay tied.
     manoeuvre, minutes
-        What to drive, and for how long.
+        The drive, and its duration.
     expected_d_prime
         Standard deviations between the closest two of different groups.
     information
-        Expected at least, on which group it is in, or whether it is none but the model's own error [bit].
+        Expected lower bound for the group, or for none but the model's own error [bit].
     """
 
     separates: tuple[str, ...]
@@ -68,7 +68,7 @@ class Hypothesis:
 
 
 def advise(step: Step, max_speed: float) -> list[Advice]:
-    """Manoeuvres from a menu, the best first; empty where nothing is tied, or nothing on it tells any two apart."""
+    """Manoeuvres from a menu, the best first; empty without ties, or if no manoeuvre separates any two."""
     if step.chosen is None or len(step.members) < 2:
         return []
     tied = hypotheses(step)
@@ -83,7 +83,7 @@ def advise(step: Step, max_speed: float) -> list[Advice]:
         between = {frozenset((names[i], names[j])): float(closest[i, j]) for i, j in combinations(range(len(names)), 2)}
         groups = _groups(names, {pair for pair, d in between.items() if d < SEEN_D_PRIME})
         together = np.array([[any({a, b} <= set(group) for group in groups) for b in names] for a in names])
-        more[:-1, :-1][together] = 0.0  # what stays tied decides nothing
+        more[:-1, :-1][together] = 0.0  # tied effects add no information
         bits = information(weights, np.maximum(here + more, 0.0)) - before
         if len(groups) > 1 and bits > 0.0:
             told = [d for pair, d in between.items() if not any(pair <= set(group) for group in groups)]
@@ -92,7 +92,7 @@ def advise(step: Step, max_speed: float) -> list[Advice]:
 
 
 def _best_first(found: Sequence[Advice]) -> list[Advice]:
-    """The shortest of those that tell nearly the most, then the others by what they tell."""
+    """The shortest of the nearly most informative ones, then the others by information."""
     most = max((a.information for a in found), default=0.0)
     rest = sorted(found, key=lambda a: -a.information)
     first = min((a for a in rest if a.information >= NEARLY * most), key=lambda a: a.minutes, default=None)
@@ -100,7 +100,7 @@ def _best_first(found: Sequence[Advice]) -> list[Advice]:
 
 
 def hypotheses(step: Step) -> list[Hypothesis]:
-    """The tied effects of a round, and last that there is none of them, beforehand as likely as the likeliest."""
+    """The tied effects of a round, and last none of them, with the prior probability of the most likely one."""
     tied = [(c, step.weights[c.name]) for c in step.candidates if c.name in step.members]
     none = max(weight for _, weight in tied)
     total = sum(weight for _, weight in tied) + none
@@ -108,8 +108,8 @@ def hypotheses(step: Step) -> list[Hypothesis]:
 
 
 def known(step: Step, names: Sequence[str]) -> Array:
-    """Squared distances that the recordings themselves have shown, of the tied and last of nothing: from one another none, from
-    nothing twice the gain beyond what has to be gained, shape (n + 1, n + 1).
+    """Squared distances from the recordings so far, of the tied effects and last of none: zero between effects, and
+    twice the gain beyond the threshold from none, shape (n + 1, n + 1).
     """
     gains = {c.name: c.net_gain - step.threshold for c in step.candidates}
     squares = np.zeros((len(names) + 1, len(names) + 1))
@@ -118,14 +118,14 @@ def known(step: Step, names: Sequence[str]) -> Array:
 
 
 def information(weights: Array, squares: Array) -> float:
-    """Bits that are learned at least about which hypothesis is true.
+    """Lower bound of the information about the true hypothesis [bit].
 
     Parameters
     ----------
     weights
-        How likely each is, shape (n,), sum 1.
+        Probabilities, shape (n,), sum 1.
     squares
-        Of the distances, in standard deviations, by which what the first shows stands out of the second, shape (n, n).
+        Squared distances of the first's prediction from the second, in standard deviations, shape (n, n).
 
     Notes
     -----
@@ -146,18 +146,18 @@ def _groups(names: Sequence[str], tied: set[frozenset[str]]) -> tuple[tuple[str,
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """Makes a session like one that was recorded.
+    """Builds a session like a recorded one.
 
     Attributes
     ----------
     weight
-        Of the vehicle file [N].
+        In the vehicle file [N].
     points
         Times [s] with speeds [m/s], straight lines between them.
     load
-        Shares of the weight, one after the other.
+        Shares of the weight, in sequence.
     curvature, slope
-        In every second minute [1/m]; to one side in one minute, to the other in the next.
+        Curvature in every second minute [1/m]; slope with a sign that alternates each minute.
     """
 
     weight: float
@@ -187,12 +187,12 @@ class Manoeuvre:
 
 
 def menu(weight: float, max_speed: float) -> dict[str, Manoeuvre]:
-    """Manoeuvres by name; each makes a session like one that was recorded."""
+    """Manoeuvres by name; each builds a session like a recorded one."""
     fast, slow = 0.7 * max_speed, 0.25 * max_speed
     drive = partial(Manoeuvre, weight)
 
     def times(count: int, points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-        """The same again and again, from standstill to standstill."""
+        """The same repeatedly, from standstill to standstill."""
         return [(i * (points[-1][0] + 1.0) + t, v) for i in range(count) for t, v in points]
 
     launch = [(0.0, 0.0), (6.0, fast / 2), (20.0, fast / 2), (26.0, 0.0), (29.0, 0.0)]
@@ -232,13 +232,13 @@ def menu(weight: float, max_speed: float) -> dict[str, Manoeuvre]:
 
 
 def apart(fits: Sequence[Fit], session: DriveSession) -> Array:
-    """Squares of the standard deviations by which what each fit shows stands out of each other, after the parameters of that
-    have moved as they may, shape (n, n).
+    """Squared distances of each fit's prediction from each other fit, in standard deviations, after re-fitting the latter's
+    parameters within their uncertainty, shape (n, n).
 
-    The last has none of the effects. By so much as the model's own error is let gain over it, the others stand out less: see
-    `naming.spurious_gain`; a manoeuvre that shows none of them takes away from what was known.
+    The last fit has none of the effects. Distances from it are smaller by the gain allowed for the model's own error, see
+    `naming.spurious_gain`. A manoeuvre that shows none of them therefore reduces the known distance.
     """
-    moving = np.abs(session.speed) > SLOWEST_MPS  # the gate leaves out the rest
+    moving = np.abs(session.speed) > SLOWEST_MPS  # the gate excludes standstill
     shown = [_torque(found, found.point, session) for found in fits]
     squares = np.stack([_out_of(f, shown, of, session, moving) for f, of in zip(fits, shown, strict=True)], axis=1)
     noise, torque = fits[-1].noise, float(np.sqrt(np.mean(shown[-1][moving] ** 2)))
@@ -249,13 +249,13 @@ def apart(fits: Sequence[Fit], session: DriveSession) -> Array:
 
 
 def _out_of(rival: Fit, shown: Sequence[Array], expected: Array, session: DriveSession, moving: Mask) -> Array:
-    """Squared distances of what is shown from what one fit can follow, shape (shown,)."""
+    """Squared distances of predictions from one fit with free parameters, shape (shown,)."""
 
     def white(x: Array) -> Array:
         out = whitened(x, moving, rival.noise.phi) / rival.noise.std
         return np.asarray(out[np.isfinite(out).all(axis=1)])
 
-    scale = np.array([f.scale for f in rival.free])  # they differ by many orders of magnitude
+    scale = np.array([f.scale for f in rival.free])  # parameters differ by many orders of magnitude
     columns = white(jacobian(lambda point: _torque(rival, point, session), rival.point, rival.free) * scale)
     precision = np.linalg.pinv(rival.covariance / np.outer(scale, scale), rcond=1e-12, hermitian=True)
     differences = white(np.stack([one - expected for one in shown], axis=1))
@@ -265,7 +265,7 @@ def _out_of(rival: Fit, shown: Sequence[Array], expected: Array, session: DriveS
 
 
 def _torque(found: Fit, point: Array, session: DriveSession) -> Array:
-    """What a drive would show; what follows a series of the recordings is not known of it."""
+    """Predicted torque of a drive, without terms that depend on a series of the recordings."""
     values, acting = found.model_at(point)
     ahead = [a for a in acting if not isinstance(a.effect, ResidualPattern)]
     return np.asarray(found.problem.base.predict([session], values, ahead)[0].torque)

@@ -20,12 +20,12 @@ Array = NDArray[np.float64]
 BINS = 6
 FEWEST_IN_BIN = 30
 FLIPPED_TOGETHER = 20
-REPLICATES = 4000  # a probability of a hundredth is then known to a sixth of it
+REPLICATES = 4000  # determines a probability of 0.01 to a sixth of its value
 
 
 @dataclass(frozen=True, slots=True)
 class Bin:
-    """A range of a variable, the mean residual there [Nm], and the probability that noise alone reaches it anywhere."""
+    """A range of a variable, the mean residual there [Nm], and the probability that noise alone reaches it in any bin."""
 
     variable: str
     low: float
@@ -46,21 +46,21 @@ class RegimeMap:
 
     @property
     def significant(self) -> tuple[Bin, ...]:
-        """Bins that stand out, the clearest first."""
+        """Significant bins, the clearest first."""
         return tuple(sorted((b for b in self.bins if b.p < 0.05), key=lambda b: (b.p, -abs(b.mean_residual))))
 
     def likeliest(self, variable: str, low: float, high: float) -> float:
-        """Least probability of the bins of a variable that reach into a range; 1 where none does."""
+        """Least probability of the bins of a variable that overlap a range; 1 without any."""
         return min((b.p for b in self.bins if b.variable == variable and b.low < high and b.high > low), default=1.0)
 
 
 def regime_map(fit: Fit, rng: np.random.Generator, replicates: int = REPLICATES) -> RegimeMap:
-    """Look at the residual of a fit by bins of every variable that varies.
+    """Bin the residual of a fit over every variable that varies.
 
     Notes
     -----
-    The mean residual [Nm] is that of the plain residual; whether it counts is decided on the whitened one, against the
-    largest over all bins when the signs of whole pieces are flipped at random (max-T).
+    The mean is of the plain residual [Nm]. Its significance is tested on the whitened one, against the
+    largest over all bins with random sign flips of whole pieces (max-T).
     """
     rows = [w for w, g in zip(fit.white, fit.problem.segments, strict=True) if g.kind == "torque"]
     residuals = [r for r, g in zip(fit.residuals, fit.problem.segments, strict=True) if g.kind == "torque"]
@@ -93,7 +93,7 @@ def regime_map(fit: Fit, rng: np.random.Generator, replicates: int = REPLICATES)
 
 
 def cumulative_periodogram(fit: Fit) -> float:
-    """Probability that white noise strays as far from a flat spectrum as the whitened residual (Bartlett's test)."""
+    """Probability that white noise deviates as far from a flat spectrum as the whitened residual (Bartlett's test)."""
     from scipy.stats import kstest
 
     power = []
@@ -114,7 +114,7 @@ def _edges(series: Array) -> list[tuple[float, float]]:
 
 
 def _pieces(rows: Sequence[Array]) -> NDArray[np.int64]:
-    """Number of the piece whose sign is flipped as one, of each row."""
+    """Number of the piece of each row, whose sign is flipped together."""
     first, found = 0, []
     for row in rows:
         found.append(first + np.arange(len(row)) // FLIPPED_TOGETHER)

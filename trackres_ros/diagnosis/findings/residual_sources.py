@@ -21,13 +21,13 @@ class ResidualSources:
     Attributes
     ----------
     total
-        What is left.
+        The whole residual.
     torque_sensor
-        The noise of the torque from sample to sample; None where it cannot be told.
+        Sample-to-sample noise of the torque; None where unknown.
     speed_sensor
-        The inertia times what the smoothed speed is off; None where it cannot be told.
+        The inertia times the error of the smoothed acceleration; None where unknown.
     model
-        At most the model's: the rest, in which are all errors of sensors that last longer, too.
+        Upper bound for the model: the rest, which includes slow errors of sensors.
     """
 
     total: float
@@ -38,7 +38,7 @@ class ResidualSources:
 
     @property
     def text(self) -> str:
-        """In words."""
+        """Summary in words."""
 
         def size(value: float | None) -> str:
             return "an unknown part" if value is None else f"{figures(value)} Nm"
@@ -51,7 +51,7 @@ class ResidualSources:
 
 
 def residual_sources(fit: Fit) -> ResidualSources:
-    """Split the residual of the torque; shares add up as squares."""
+    """Split the torque residual by source; squares add up."""
     base, squares, torque, speed, told = fit.problem.base, 0.0, 0.0, 0.0, [True, True]
     count = sum(int(mask.sum()) for mask in fit.problem.masks)
     for session, mask, predicted in zip(fit.problem.sessions, fit.problem.masks, fit.predicted, strict=True):

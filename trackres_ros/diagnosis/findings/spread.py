@@ -1,11 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds regimes in which the torque oscillates more than elsewhere: a judder has no mean, so no term of the fit shows it.
+"""Finds regimes with larger torque oscillations: a judder has no mean, so no term of the fit shows it.
 
-The measured torque is compared with the expected one within the steps of the fit, by means over a fifth of a second. Second
-differences of that residual show what is faster than a step, and a median over three steps leaves out corners of the torque.
-A sensor's noise grows with the torque, so the shaking in a regime is compared with that elsewhere at the same torque. Each lap
+The measured torque is compared with the fit within its steps, by means over a fifth of a second. Second
+differences of that residual show oscillations faster than a step, and a median over three steps removes corners of the torque.
+Sensor noise grows with the torque, so the oscillation in a regime is compared with that elsewhere at the same torque. Each lap
 gives one ratio; a t test over laps decides.
 """
 
@@ -32,34 +32,34 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FORM = "spread"
-WITHIN = 5  # parts of a step: what is slower than twice a step is not seen, what is faster than two parts neither
+WITHIN = 5  # parts of a step: shows periods between two parts and two steps
 OVER = 3  # steps of the median
 PULLS_MPS, PULLS_MPS2, SPEEDS_UP_MPS2 = 2.5, 0.1, 0.3  # assumed
 FEWEST_STEPS, FEWEST_LAPS = 3, 5
-LEAST_RATIO = 2.0  # to that elsewhere: less may be rough ground
-SURELY_RATIO = 1.4  # what the laps must surely exceed
+LEAST_RATIO = 2.0  # to that elsewhere: a smaller one may be rough ground
+SURELY_RATIO = 1.4  # ratio for the test over laps
 MOST_P = 0.001  # over all regimes together
 LEAST_SHARE = 0.02  # of the torque's root mean square
 MECHANISMS = ("a clutch, belt or brake that slips and sticks", "an oscillating controller", "play in the drive train")
-BINS = 12  # of the torque, for how its noise grows with it
+BINS = 12  # of the torque, for the noise as a function of it
 
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """A regime in which the torque shakes more than elsewhere.
+    """A regime with larger torque oscillations than elsewhere.
 
     Attributes
     ----------
     regime
-        In words, as in "while it pulls away".
+        In words, such as "while it pulls away".
     size_nm
-        Standard deviation of what is faster than a step there [Nm].
+        Standard deviation of oscillations faster than a step there [Nm].
     ratio
-        Of it to that elsewhere at the same torque, as a geometric mean over laps.
+        Ratio to that elsewhere at the same torque, as a geometric mean over laps.
     p
-        Probability that it surely exceeds `SURELY_RATIO` by chance, times the number of regimes that were tried.
+        Probability of exceeding `SURELY_RATIO` by chance, times the number of tested regimes.
     laps
-        How many laps tell.
+        Number of laps in the test.
     """
 
     regime: str
@@ -70,7 +70,7 @@ class Spread:
 
     @property
     def described(self) -> Described:
-        """As a term without a name, which nothing predicts."""
+        """As an unnamed term without a prediction."""
         text = (
             f"The torque oscillates by {figures(self.size_nm)} Nm {self.regime}, {figures(self.ratio, 2)} times as much as "
             "elsewhere "
@@ -80,8 +80,8 @@ class Spread:
 
 
 def find_spread(fit: Fit) -> Spread | None:
-    """The regime in which the torque surely shakes most; None where there is none, the torque was recorded too slowly, or what
-    moves is quicker than a vehicle, of which the regimes are.
+    """The regime with the largest significant oscillation; None without one, for a torque recorded too slowly, or for
+    machines quicker than a vehicle, because the regimes are a vehicle's.
     """
     if any(s.pace < 1.0 for s in fit.problem.sessions):
         return None
@@ -102,12 +102,12 @@ def find_spread(fit: Fit) -> Spread | None:
 
 
 def shaking_of(session: DriveSession, expected: Array) -> Array | None:
-    """Standard deviation of what is faster than a step, at each step [Nm], shape (n,); None where samples are too far apart.
+    """Standard deviation of oscillations faster than a step, at each step [Nm], shape (n,); None for too sparse samples.
 
     Parameters
     ----------
     expected
-        Torque by the fit, means over steps [Nm].
+        Torque of the fit, means over steps [Nm].
     """
     course, step = session.torque_course, session.step
     if (
@@ -130,7 +130,7 @@ def shaking_of(session: DriveSession, expected: Array) -> Array | None:
 
 
 def _regimes(fit: Fit) -> Iterator[tuple[str, Mask]]:
-    """Regimes in words, and where each is."""
+    """Regimes in words, and the mask of each."""
     sessions = fit.problem.sessions
     speed, accel, weight = (np.concatenate([getattr(s, name) for s in sessions]) for name in ("speed", "accel", "weight"))
     drive = np.concatenate([p.at_sprockets for p in fit.predicted]) * np.sign(speed)
@@ -151,7 +151,7 @@ def _regimes(fit: Fit) -> Iterator[tuple[str, Mask]]:
 
 
 def _typical(size: Array, drive: Array, elsewhere: Mask) -> Array:
-    """How the shaking elsewhere grows with the torque: the root of a constant and a share of the torque, both squared [Nm]."""
+    """Oscillation elsewhere as a function of the torque: the root of a constant and a share of the torque, both squared [Nm]."""
     square = drive**2
     number = np.searchsorted(np.quantile(square[elsewhere], np.linspace(0.0, 1.0, BINS + 1)[1:-1]), square[elsewhere])
     bins = np.unique(number)
@@ -163,7 +163,7 @@ def _typical(size: Array, drive: Array, elsewhere: Mask) -> Array:
 
 
 def _compared(text: str, size: Array, drive: Array, inside: Mask, block: NDArray[np.int64], tried: int) -> Spread | None:
-    """The shaking in a regime against that elsewhere in the same laps; or in other laps, where no lap has both."""
+    """Oscillation in a regime against that elsewhere in the same laps; or in other laps, if no lap has both."""
     if min(inside.sum(), (~inside).sum()) < BINS * FEWEST_STEPS:
         return None
     typical = _typical(size, drive, ~inside)
@@ -185,6 +185,6 @@ def _compared(text: str, size: Array, drive: Array, inside: Mask, block: NDArray
 
 
 def _medians(size: Array, inside: Mask, block: NDArray[np.int64]) -> dict[int, float]:
-    """Median of the shaking by lap, of laps with enough steps."""
+    """Median of the oscillation by lap, of laps with enough steps."""
     found = {int(lap): size[inside & (block == lap)] for lap in np.unique(block[inside])}
     return {lap: max(float(np.median(x)), 1e-9) for lap, x in found.items() if len(x) >= FEWEST_STEPS}

@@ -57,29 +57,29 @@ __all__ = [
 
 LACK_OF_FIT_P = 0.01
 MOST_STRAY = 0.015  # of the torque, in means over half a minute
-LEFT_SHARE = 0.5  # of what the effects explain: more left over, and the names explain little
-LEAST_GAIN = 0.01  # of the mean error on hold-out laps: a re-fit that gains more says which values were off
+LEFT_SHARE = 0.5  # of the effects' torque: with a larger residual, the names explain little
+LEAST_GAIN = 0.01  # of the mean error on hold-out laps: least gain of a re-fit for naming the wrong values
 MOST_CHANGED = 3  # values that a sentence lists
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The result.
+    """The verdict of a diagnosis.
 
     Attributes
     ----------
     status
         ``none``, ``named``, ``one_of``, ``described`` or ``unexplained``.
     grade
-        Whether laps not used for fitting confirm what the sentence begins with: ``confirmed``, ``suspected`` or ``refuted``.
+        Hold-out grade of the sentence's first claim: ``confirmed``, ``suspected`` or ``refuted``.
     sentence
-        In words.
+        The verdict in words.
     changed
-        Values of the vehicle file that were off, where that is the verdict, the weightiest first.
+        Wrong values of the vehicle file, if that is the verdict, the largest effect first.
     may_be
-        What is possible and not confirmed, each with its probability where that is known, the likeliest first.
+        Unconfirmed possibilities, each with its probability if known, the most likely first.
     seen
-        Where and by how much the measured torque differs, where nothing explains that.
+        Location and size of an unexplained difference.
     """
 
     status: str
@@ -91,33 +91,33 @@ class Verdict:
 
     @property
     def names(self) -> bool:
-        """Whether something that is missing is confirmed, with a name or without."""
+        """Whether a missing effect, named or not, is confirmed."""
         return self.status in ("named", "one_of", "described")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Findings:
-    """What a verdict is made of.
+    """Inputs of a verdict.
 
     Attributes
     ----------
     found, terms, refuted
-        Effects and terms without a name that fit, and those that fit and that the hold-out laps reject.
+        Named effects and unnamed terms that fit, and those that the hold-out laps reject.
     refitted, at_end, left_over
         The re-fitted base; the residual by regime of the last fit, and the slow part of it.
     hint, held_out
-        What would nearly be found, if anything; and the errors on hold-out laps.
+        The best effect below the threshold, if any; and the errors on hold-out laps.
     drift
-        The slow residual as a level of each recording, or one that drifts, if it is either.
+        The slow residual as a level of each recording, or as a drift, if it is either.
     changed
-        Values of the vehicle file that the re-fit surely changes, see `changed_values`.
+        Values of the vehicle file that the re-fit changes significantly, see `changed_values`.
     shares
         Probability of each name over all explanations, with `wording.NONE_OF_THESE`. Without it the weights within each
         suspected class are listed.
     spread
-        Where the torque shakes more than elsewhere, if it does. It is the verdict where all else is small or not confirmed.
+        The regime with larger oscillations, if any. It is the verdict if all else is small or unconfirmed.
     later
-        Errors on the fitted and on the hold-out laps [Nm], where the latter differ plainly more, see `locate.only_later`.
+        Errors on the fitted and on the hold-out laps [Nm], if the latter is much larger, see `locate.only_later`.
     """
 
     found: Sequence[NamedEffect]
@@ -136,7 +136,7 @@ class Findings:
 
     @cached_property
     def left(self) -> list[Bin]:
-        """Regimes in which the last fit and the measured torque differ."""
+        """Regimes with a difference between the last fit and the measured torque."""
         return [b for b in self.at_end.bins if b.p < LACK_OF_FIT_P]
 
     @property
@@ -146,22 +146,22 @@ class Findings:
 
     @cached_property
     def sure(self) -> list[NamedEffect | Told]:
-        """What the hold-out laps confirm, the weightiest first."""
+        """Terms confirmed on hold-out laps, the largest first."""
         return [t for t in by_weight([*self.found, *self.terms]) if t.graded.grade == CONFIRMED]
 
     @cached_property
     def unsure(self) -> list[NamedEffect | Told]:
-        """What they do not."""
+        """Terms not confirmed."""
         return [t for t in by_weight([*self.found, *self.terms]) if t.graded.grade != CONFIRMED]
 
     @cached_property
     def listed(self) -> Possible:
-        """What is possible and not confirmed."""
+        """Unconfirmed possibilities."""
         return possible(self.unsure, self.sure, self.shares)
 
     @property
     def shakes(self) -> list[str]:
-        """Sentences about where the torque shakes."""
+        """Sentences about larger oscillations."""
         return [] if self.spread is None else [self.spread.sentence, look_for(self.spread.mechanisms)]
 
     @property
@@ -171,7 +171,7 @@ class Findings:
 
     @property
     def rest(self) -> list[str]:
-        """Sentences about the remaining residual besides the confirmed terms."""
+        """Sentences about the residual that the confirmed terms leave."""
         return [
             f"A small error remains {range_of(self.left[0])}" if self.left else "",
             *(slow(self.left_over) if self.strays else []),
@@ -179,7 +179,7 @@ class Findings:
 
     @property
     def worth_of_refit(self) -> str:
-        """What a re-fit gains, where that is confirmed."""
+        """Gain of a re-fit, if confirmed."""
         refit = self.held_out.of_refit
         return mean_error(refit.before, refit.after) + " with a re-fit of the vehicle file" if refit.grade == CONFIRMED else ""
 
@@ -187,8 +187,8 @@ class Findings:
 def judge(f: Findings) -> Verdict:
     """The verdict.
 
-    It begins with the confirmed term that takes most off the error of the hold-out laps. Where none is confirmed it begins with
-    where and by how much the measured torque differs; suspected terms are only listed.
+    It begins with the confirmed term that reduces the hold-out error most. Without a confirmed one it begins with
+    the location and size of the difference; suspected terms are only listed.
     """
     if f.sure:
         return _confirmed(f)
@@ -208,7 +208,7 @@ def _confirmed(f: Findings) -> Verdict:
     """The verdict with confirmed terms, unless the remaining residual is large compared with them."""
     after = [*f.shakes, may_be(f.listed, also=True), *f.after]
     added = np.concatenate([sum(x) for x in zip(*(t.adds for t in f.sure), strict=True)])
-    explained = float(np.percentile(np.abs(added), 95.0))  # where they act: some do for minutes of an hour
+    explained = float(np.percentile(np.abs(added), 95.0))  # where they act, which may be minutes of an hour
     if max((abs(b.mean_residual) for b in f.left), default=0.0) > LEFT_SHARE * explained:
         partly = (
             f"{' and '.join(map(short, f.sure))} would explain a part of it, but the remaining error is too large to confirm that"
@@ -221,7 +221,7 @@ def _confirmed(f: Findings) -> Verdict:
 
 
 def _far_from_file(f: Findings) -> Verdict:
-    """The verdict where the re-fit is too far from the vehicle file to be believed."""
+    """The verdict for a re-fit implausibly far from the vehicle file."""
     seen, *more = file_is_off(far_from_file(f.refitted))
     worth = mean_error(f.held_out.mae["nominal"], f.held_out.mae["refitted"]) + " with that re-fit"
     lines = [seen, *more, worth, *f.shakes, may_be(f.listed), *f.after]
@@ -229,7 +229,7 @@ def _far_from_file(f: Findings) -> Verdict:
 
 
 def _unexplained(f: Findings) -> Verdict | None:
-    """The verdict where the measured torque differs and nothing explains it; None where it does not differ."""
+    """The verdict for an unexplained difference of the measured torque; None without a difference."""
     large = [t for t in f.unsure if not is_small(t)]
     if f.left:
         seen, *more = [unexplained(f.left)]
@@ -263,7 +263,7 @@ def _of_drift(drift: Told) -> list[str]:
 
 
 def _nothing_missing(f: Findings) -> Verdict:
-    """The verdict where no physics is missing: values of the file were off, or nothing was."""
+    """The verdict without missing physics: values of the file were wrong, or none."""
     held_out, changed, listed = f.held_out, f.changed, f.listed
     after = [may_be(listed, also=True), *f.after]
     if f.hint:

@@ -17,10 +17,10 @@ from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_
 from trackres_ros.diagnosis.selection.naming import Candidate
 from trackres_ros.text.numbers import figures, on_scale
 
-MOST_CERTAIN = 20.0  # in log-likelihood: more is no more certain
-LEAST_SHARE = 0.05  # of the probability: what is less likely is not listed
+MOST_CERTAIN = 20.0  # in log-likelihood: upper limit of a stated certainty
+LEAST_SHARE = 0.05  # of the probability: less likely options are not listed
 MOST_LISTED = 5
-LEAST_AHEAD = 1.0  # in log-evidence: what is behind by less fits as well
+LEAST_AHEAD = 1.0  # in log-evidence: a rival with a smaller disadvantage fits as well
 MOST_WORDS = 25  # of a sentence
 NONE_OF_THESE = "none of these"
 
@@ -49,7 +49,7 @@ def upper(text: str) -> str:
 
 
 def is_small(t: NamedEffect | Told) -> bool:
-    """Whether a term takes less than `SMALL_SHARE` off the mean error of the hold-out laps."""
+    """Whether a term reduces the mean hold-out error by less than `SMALL_SHARE`."""
     i = t.graded.improvement
     return i.before - i.after < SMALL_SHARE * i.before
 
@@ -83,13 +83,13 @@ def _of(t: NamedEffect | Told) -> list[str]:
 
 
 def seen(f: NamedEffect) -> str:
-    """Where the measured torque differs, and by how much."""
+    """Location and size of the difference in the measured torque."""
     where = f.acts.text
     return upper(f"{where}, {f.seen}" if where else f.seen)
 
 
 def differs(t: NamedEffect | Told) -> str:
-    """The difference that a term would explain, without the term."""
+    """The difference that a term explains, without naming it."""
     if isinstance(t, NamedEffect):
         return seen(t)
     of = t.described
@@ -107,7 +107,7 @@ def look_for(mechanisms: Sequence[str]) -> str:
 
 
 def either(options: Sequence[str]) -> str:
-    """Options as a sentence has them: ``a``, ``a or b``, ``a, b or c``."""
+    """Options in a sentence: ``a``, ``a or b``, ``a, b or c``."""
     return f"{', '.join(options[:-1])} or {options[-1]}" if len(options) > 1 else options[0]
 
 
@@ -121,7 +121,7 @@ def short(t: NamedEffect | Told) -> str:
 
 
 def form_words(form: str) -> str:
-    """The form of a term without a name, as a noun with its article."""
+    """The form of an unnamed term, as a noun with its article."""
     return FORMS.get(form, f"a {form.replace('_', ' ')}")
 
 
@@ -135,7 +135,7 @@ def _worth(h: HeldOut) -> str:
 
 
 def mean_error(before: float, after: float) -> str:
-    """How the mean error on hold-out laps changes."""
+    """The change of the mean error on hold-out laps."""
     was, now = figures(before), figures(after)
     way = f"stays at {now}" if was == now else f"{'falls' if after < before else 'rises'} from {was} to {now}"
     return f"The mean error on hold-out laps {way} Nm"
@@ -144,9 +144,9 @@ def mean_error(before: float, after: float) -> str:
 def possible(
     unsure: Sequence[NamedEffect | Told], confirmed: Sequence[NamedEffect | Told], shares: Mapping[str, float]
 ) -> Possible:
-    """Possible causes besides the confirmed ones, with probabilities, the likeliest first and `NONE_OF_THESE` last.
+    """Possible unconfirmed causes, with probabilities, the most likely first and `NONE_OF_THESE` last.
 
-    Without probabilities over whole explanations those within each suspected class are given, and none for a single name.
+    Without probabilities over whole explanations, those within each suspected class are given, and none for a single name.
     """
     if shares:
         taken = {m for t in confirmed for m in (t.step.members if isinstance(t, NamedEffect) else (t.described.name,))}
@@ -171,7 +171,7 @@ def may_be(listed: Possible, also: bool = False) -> str:
 
 
 def doubts(unsure: Sequence[Graded]) -> list[str]:
-    """Why terms are only suspected."""
+    """Reasons why terms are only suspected."""
     return list(dict.fromkeys(map(_doubt, unsure)))
 
 
@@ -190,7 +190,7 @@ def _from_to(i: Improvement) -> str:
 
 
 def rejected(refuted: Sequence[Graded]) -> list[str]:
-    """Terms that the hold-out laps reject or do not confirm, and terms that displace a value of the file."""
+    """Terms rejected or not confirmed on hold-out laps, and terms that displace a value of the file."""
     worse = [g for g in refuted if g.grade == REFUTED and not g.displaces]
     unsure = ", ".join(g.name for g in refuted if g.grade != REFUTED)
     return [
@@ -215,7 +215,7 @@ def moved(q: BaseParameter, value: float) -> str:
 
 
 def file_is_off(far: Sequence[tuple[BaseParameter, float]]) -> list[str]:
-    """That the vehicle file is of another vehicle, and where to look; values that a re-fit moves far out of their ranges."""
+    """Sentences for a vehicle file of another vehicle: the values that a re-fit moves far out of their ranges."""
 
     def value(q: BaseParameter, at: float) -> str:
         return f"{q.name} would be {figures(at)}, but the file allows {q.by_file[0]:g} to {q.by_file[1]:g}"
@@ -229,7 +229,7 @@ def file_is_off(far: Sequence[tuple[BaseParameter, float]]) -> list[str]:
 
 
 def _rival(f: NamedEffect) -> str:
-    """The next best candidate, and how much less likely it is."""
+    """The next best candidate, and its relative probability."""
     others = [c for c in f.step.candidates if c.name not in f.step.members]
     if not others or f.step.chosen is None:
         return ""
@@ -240,7 +240,7 @@ def _rival(f: NamedEffect) -> str:
 
 
 def likelier(one: Candidate, other: Candidate) -> str:
-    """How many times likelier one is than another."""
+    """Evidence ratio of two candidates, as text."""
     times = math.exp(min(one.net_evidence - other.net_evidence, MOST_CERTAIN))
     return f"{times:.0f}" if times < 1000.0 else "over a thousand"
 
@@ -257,14 +257,14 @@ def largest_of(left: Sequence[Bin]) -> Bin:
 
 
 def unexplained(left: Sequence[Bin]) -> str:
-    """Where the measured torque differs most from the model, and by how much."""
+    """Location and size of the largest difference between measured torque and model."""
     first = largest_of(left)
     side = "above" if first.mean_residual > 0 else "below"
     return f"{upper(range_of(first))} the measured torque is {in_nm(abs(first.mean_residual))} Nm {side} the model"
 
 
 def slow(s: SlowResidual) -> list[str]:
-    """By how much the measured torque differs for longer than noise does."""
+    """Size of the slow residual."""
     return [
         f"Averaged over {s.seconds:g} s, the measured torque differs from the model by {figures(s.size, 2)} Nm, "
         f"{_percent(s.share)} of the torque",
@@ -274,7 +274,7 @@ def slow(s: SlowResidual) -> list[str]:
 
 
 def only_later(fitted: float, unused: float) -> list[str]:
-    """That the laps which were not fitted differ more from the model than those which were."""
+    """Sentence for hold-out laps that differ more from the model than the fitted laps."""
     return [
         f"The hold-out laps differ from the re-fitted model by {figures(unused)} Nm, the fitted laps by {figures(fitted)} Nm",
         "Something changed between them, or the hold-out laps cover other driving conditions",

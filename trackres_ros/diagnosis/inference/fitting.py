@@ -23,12 +23,12 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 ROUNDS, MOST_ROUNDS = 3, 10  # of fit and noise
-SETTLED = 0.3  # in log-likelihood: a round that gains less is the last
-LARGE = 3.0  # times its typical size: one standard deviation of what an effect may be
+SETTLED = 0.3  # in log-likelihood: a round with a smaller gain is the last
+LARGE = 3.0  # times the typical size: prior standard deviation of an effect's amplitude
 DIFFERENCE = 1e-4  # of the span between bounds, for derivatives
 MOST_STEPS = 60
-NEARBY = 0.1  # standard deviations of noise, all rows together: within that what is simulated is linear
-BELT_EVERY = 10  # steps: a belt's temperature tells nothing new from one second to the next
+NEARBY = 0.1  # standard deviations of noise, over all rows: the simulation is linear within this distance
+BELT_EVERY = 10  # steps: a belt's temperature is nearly constant from one second to the next
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +40,13 @@ class Free:
     low: float
     high: float
     nominal: float
-    std: float  # of the prior; infinite without
+    std: float  # of the prior; infinite without one
     scale: float
 
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """What was measured of one kind in one session; arrays of shape (n,).
+    """Measurements of one kind in one session; arrays of shape (n,).
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Segment:
     session
         Index of the session.
     measured, mask, block
-        Values, which of them count, and the lap of each.
+        Values, the mask of used ones, and the lap of each.
     """
 
     kind: str
@@ -102,7 +102,7 @@ class Problem:
         return (predicted.skin if self.sessions[session].belt_shows_surface else predicted.belt)[::BELT_EVERY]
 
     def split(self, rows: Array) -> list[Array]:
-        """Rows of all segments, one after the other, by segment."""
+        """Split concatenated rows into segments."""
         return list(np.split(rows, np.cumsum([len(g.measured) for g in self.segments])[:-1]))
 
     def residuals(self, predicted: Sequence[Predicted]) -> list[Array]:
@@ -110,11 +110,11 @@ class Problem:
         return [g.measured - e for g, e in zip(self.segments, self.expected(predicted), strict=True)]
 
     def white(self, rows: Sequence[Array], noises: Mapping[str, Noise]) -> list[Array]:
-        """Whitened rows of each segment over their standard deviation, nan where they do not count."""
+        """Whitened rows of each segment over their standard deviation, nan where unused."""
         return [whitened(r, g.mask, noises[g.kind].phi) / noises[g.kind].std for r, g in zip(rows, self.segments, strict=True)]
 
     def noises(self, residuals: Sequence[Array], largest_root: float = LARGEST_ROOT) -> dict[str, Noise]:
-        """Noise of each kind of segment, its autoregression's roots bounded."""
+        """Noise of each kind of segment, with bounded roots of the autoregression."""
         found = {}
         for kind in dict.fromkeys(g.kind for g in self.segments):
             of = [(r, g.mask) for r, g in zip(residuals, self.segments, strict=True) if g.kind == kind]
@@ -123,19 +123,19 @@ class Problem:
 
 
 def valid_rows(parts: Sequence[Array]) -> Array:
-    """Rows of all segments that count, one after the other."""
+    """Used rows of all segments, concatenated."""
     return np.concatenate([p[np.isfinite(p) if p.ndim == 1 else np.isfinite(p).all(axis=1)] for p in parts])
 
 
 def of_rows(
     problem: Problem, white: Sequence[Array], function: Callable[[Noise, Array], Array], noises: Mapping[str, Noise]
 ) -> Array:
-    """A function of the noise and of whitened residuals, of the rows that count."""
+    """A function of the noise and of whitened residuals, for the used rows."""
     return valid_rows([function(noises[g.kind], w) for w, g in zip(white, problem.segments, strict=True)])
 
 
 def log_likelihood(problem: Problem, residuals: Sequence[Array], noises: Mapping[str, Noise]) -> float:
-    """Of residuals under noise."""
+    """Log-likelihood of residuals under noise."""
     return float(of_rows(problem, problem.white(residuals, noises), Noise.log_density, noises).sum())
 
 
@@ -146,17 +146,17 @@ class Fit:
     Attributes
     ----------
     base_values, effects
-        What was found.
+        Fitted values and effects.
     instrument
-        What the torque sensor does within an instrument's bounds, see `base.instrument`.
+        Errors of the torque sensor within an instrument's bounds, see `base.instrument`.
     free, point, covariance
-        The parameters fitted, in their order, where they came to lie, and how sure that is.
+        The fitted parameters, in their order, their estimates, and the covariance of these.
     noises, log_likelihood
-        Of each kind of residual; the likelihood with the priors' share.
+        Noise of each kind of residual; the likelihood including the priors.
     samples
-        How many residuals count.
+        Number of used residuals.
     predicted
-        Of each session.
+        Prediction of each session.
     """
 
     problem: Problem
@@ -178,12 +178,12 @@ class Fit:
 
     @property
     def noise(self) -> Noise:
-        """Of the torque."""
+        """Noise of the torque."""
         return self.noises["torque"]
 
     @property
     def at(self) -> dict[tuple[str, str], float]:
-        """Where the free parameters came to lie."""
+        """Estimates of the free parameters."""
         return {f.key: float(x) for f, x in zip(self.free, self.point, strict=True)}
 
     @property
@@ -192,7 +192,7 @@ class Fit:
         return (*self.instrument, *self.effects)
 
     def model_at(self, point: Array) -> tuple[dict[str, float], tuple[Active, ...]]:
-        """Values of the base and all that acts, with the free parameters at another point."""
+        """Values of the base and all additions, with the free parameters at another point."""
         moved = {f.key: float(x) for f, x in zip(self.free, point, strict=True)}
         base = {name: moved.get(("", name), value) for name, value in self.base_values.items()}
         acting = (
@@ -212,31 +212,31 @@ class Fit:
 
     @property
     def effect_names(self) -> tuple[str, ...]:
-        """Names of the effects in it."""
+        """Names of the fitted effects."""
         return tuple(active.effect.name for active in self.effects)
 
     @cached_property
     def log_evidence(self) -> float:
-        """Log-likelihood less what it costs that parameters had to be found within their priors (Laplace); only differences
-        between fits of the same base count.
+        """Log-likelihood less the cost of estimating parameters within their priors (Laplace). Only differences
+        between fits of the same base are meaningful.
         """
         prior = np.array([f.std if np.isfinite(f.std) else f.scale for f in self.free])
         settled = np.linalg.eigvalsh(self.covariance / np.outer(prior, prior))
         return self.log_likelihood + 0.5 * float(np.log(np.maximum(settled, 1e-12)).sum())
 
     def std_of(self, effect: str, parameter: str) -> float:
-        """Standard deviation of a parameter by the curvature of the likelihood."""
+        """Standard deviation of a parameter from the curvature of the likelihood."""
         index = [f.key for f in self.free].index((effect, parameter))
         return float(np.sqrt(self.covariance[index, index]))
 
 
 def free_parameters(base: Base, effects: Sequence[Effect]) -> tuple[Free, ...]:
-    """All parameters of effects and of a base. Those of sensors come first: nothing has to be simulated anew for them."""
+    """All parameters of effects and of a base. Those of sensors come first, because they need no new simulation."""
     found = []
     for effect in sorted(effects, key=lambda e: e.acts_on != "sensor"):
         for q in (q for q in effect.parameters if q.fitted):
             wide = q.high - q.low
-            # How large an effect is hangs together with what is typical; what only shapes it is as unknown as its bounds say.
+            # The prior of an amplitude scales with its typical size; that of a shape parameter with the width of its bounds.
             std = 0.5 * wide if q.off is None else LARGE * abs(q.start - q.off)
             found.append(Free((effect.name, q.name), q.unit, q.low, q.high, q.start if q.off is None else q.off, std, wide))
     of_sensors = sum(q.fitted for e in effects if e.acts_on == "sensor" for q in e.parameters)
@@ -245,7 +245,7 @@ def free_parameters(base: Base, effects: Sequence[Effect]) -> tuple[Free, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Parameters:
-    """The free parameters of a fit as one point, and what the model is there; `given` are those that are held."""
+    """The free parameters of a fit as one point, and the model there; `given` parameters are fixed."""
 
     problem: Problem
     instrument: tuple[Effect, ...]
@@ -277,7 +277,7 @@ class _Parameters:
         return np.array([f.std for f in self.free])
 
     def start(self, given: Mapping[tuple[str, str], float]) -> Array:
-        """Where to begin: given, typical or nominal values within bounds."""
+        """Initial point: given, typical or nominal values within bounds."""
         typical = {(e.name, q.name): q.start for e in self.acting for q in e.parameters}
         begun = {**typical, **given}
         return np.clip(
@@ -303,18 +303,18 @@ class _Parameters:
 
 
 class _Objective:
-    """What is minimised, under noise that changes from round to round."""
+    """Least-squares objective, under noise that changes from round to round."""
 
     def __init__(self, parameters: _Parameters, noises: Mapping[str, Noise]) -> None:
         self._parameters, self.noises = parameters, dict(noises)
-        self._linear: tuple[Array, Array] | None = None  # a point, and the derivatives of what is simulated there
+        self._linear: tuple[Array, Array] | None = None  # a point, and the derivatives of the simulation there
 
     def value(self, at: Array) -> Array:
-        """Roots of what each whitened residual and each prior takes off the likelihood."""
+        """Signed deviance roots of the whitened residuals and of the priors."""
         return np.concatenate((self._of_residuals(at, Noise.deviance_root), self._parameters.off_nominal(at)))
 
     def derivatives(self, at: Array) -> Array:
-        """Of the value; of what is simulated as they were nearby, where that is as good."""
+        """Derivatives of the value; the simulation's are reused from a nearby point."""
         p = self._parameters
         if self._linear is None or np.linalg.norm(self._white(self._linear[1]) @ (at - self._linear[0])) > NEARBY:
             self._linear = at.copy(), jacobian(p.expected, at, p.free)
@@ -344,13 +344,13 @@ def fit(
     Parameters
     ----------
     start
-        Where to begin, by (effect or "", parameter); nominal and typical values elsewhere.
+        Initial values, by (effect or "", parameter); nominal and typical values elsewhere.
     noises
-        To begin with; estimated from the first residuals without.
+        Initial noises; by default from the first residuals.
     rounds
-        How often fit and noise take turns; without it until the likelihood settles.
+        Number of alternations of fit and noise; by default until the likelihood settles.
     fixed
-        Parameters that are held at a value.
+        Parameters that are fixed at a value.
     largest_root
         Bound on the roots of the noise's autoregression.
     """
@@ -393,7 +393,7 @@ def _of_base(q: BaseParameter) -> Free:
 
 
 def jacobian(function: Callable[[Array], Array], at: Array, free: Sequence[Free]) -> Array:
-    """Change of a function's values with each free parameter at a point, shape (values, parameters), by differences within the
+    """Derivatives of a function by each free parameter, shape (values, parameters), by differences within the
     bounds.
     """
     here = function(at)

@@ -1,9 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Residuals are no white noise: each resembles the one before, and some are far out.
+"""Coloured noise with heavy tails: residuals are autocorrelated and have outliers.
 
-An autoregression makes them white; what is left then is taken for Student's t, whose tails are as heavy as the data say.
+An autoregression whitens them; the innovations follow Student's t, with tails estimated from the data.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MOST_LAGS = 4
-LARGEST_ROOT = 0.995  # of the autoregression: more would take a constant for noise
-SHORT_ROOT = 0.7  # of a noise that is surely no random walk
+LARGEST_ROOT = 0.995  # of the autoregression: a larger one would treat a constant as noise
+SHORT_ROOT = 0.7  # of a noise that is certainly no random walk
 OUTLIER = 4.0  # standard deviations
-DEGREES = (2.5, 4.0, 7.0, 15.0, 60.0)  # of freedom that are tried; the last is as good as normal
+DEGREES = (2.5, 4.0, 7.0, 15.0, 60.0)  # candidate degrees of freedom; the last is nearly normal
 TURNS = 6  # of weights and coefficients
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """An autoregression with innovations e_t = x_t - sum phi_i x_(t-i) of Student's t: `scale` times t with so many degrees of
+    """An autoregression with innovations e_t = x_t - sum phi_i x_(t-i) of Student's t: `scale` times t with `degrees` degrees of
     freedom.
     """
 
@@ -42,26 +42,26 @@ class Noise:
 
     @property
     def std(self) -> float:
-        """Standard deviation of normal innovations that would tell as much [unit of the series]."""
+        """Standard deviation of normal innovations with the same information [unit of the series]."""
         return self.scale * float(np.sqrt((self.degrees + 3.0) / (self.degrees + 1.0)))
 
     @property
     def dc_gain(self) -> float:
-        """What whitening leaves of a constant."""
+        """Gain of the whitening for a constant."""
         return float(1.0 - self.phi.sum())
 
     @property
     def text(self) -> str:
-        """All of it in words."""
+        """Summary in words."""
         return f"AR({len(self.phi)}) {np.array2string(self.phi, precision=2)}, {figures(self.std)} Nm, t({self.degrees:g})"
 
     def weights(self, white: Array) -> Array:
-        """How much residuals over `std` count: about 1 on average, and ever less the further out."""
+        """Weights of residuals over `std`: about 1 on average, smaller for outliers."""
         return (self.degrees + 3.0) / (self.degrees + self._squared(white))
 
     def deviance_root(self, white: Array) -> Array:
-        """Signed root of twice the fall of the log-density from its peak, of residuals over `std`: least squares of it is the
-        most likely.
+        """Signed root of twice the fall of the log-density from its peak, of residuals over `std`: its least squares are the
+        maximum likelihood.
         """
         return np.sign(white) * np.sqrt((self.degrees + 1.0) * np.log1p(self._squared(white) / self.degrees))
 
@@ -72,7 +72,7 @@ class Noise:
         return np.where(near, np.sqrt(self.weights(0.0 * white)), self.weights(white) * white / np.where(near, 1.0, root))
 
     def log_density(self, white: Array) -> Array:
-        """Log-density of the innovations, of residuals over `std`."""
+        """Log-density of the innovations, from residuals over `std`."""
         return -0.5 * self.deviance_root(white) ** 2 + self._log_peak()
 
     def _log_peak(self) -> float:
@@ -84,26 +84,26 @@ class Noise:
 
 
 def shortened(noise: Noise) -> Noise | None:
-    """The same noise held away from a random walk; None where it is far from one.
+    """The same noise bounded away from a random walk; None where it already is.
 
-    Beside an effect that is slow, noise is short; without it, it looks like a random walk, and under that the effect counts for
-    next to nothing: two maxima of one likelihood, of which a search that begins with the random walk sees one.
+    With a slow effect in the model, the noise is short. Without it, the noise looks like a random walk, under which the effect
+    hardly matters. The likelihood has both maxima, and a search from the random walk finds only one.
     """
     phi = _stable(noise.phi, SHORT_ROOT)
     return None if np.allclose(phi, noise.phi) else Noise(phi, noise.scale, noise.degrees)
 
 
 def whitened(series: Array, mask: Mask, phi: Array) -> Array:
-    """What whitening makes of series along axis 0; rows whose past is not known over `MOST_LAGS` are nan.
+    """Whitened series along axis 0; rows without `MOST_LAGS` known past samples are nan.
 
-    So many whatever the order: likelihoods of two fits are to be of the same rows.
+    The number is independent of the order, so likelihoods of two fits use the same rows.
 
     Parameters
     ----------
     series
         Shape (n,) or (n, k).
     mask
-        Where the series can be used, shape (n,).
+        Usable samples, shape (n,).
     """
     valid = whole_past(mask, MOST_LAGS)
     out = np.array(series, dtype=float)
@@ -114,7 +114,7 @@ def whitened(series: Array, mask: Mask, phi: Array) -> Array:
 
 
 def whole_past(mask: Mask, lags: int) -> Mask:
-    """Where a sample and the `lags` before it can be used."""
+    """Whether a sample and the `lags` before it can be used."""
     valid = mask.copy()
     for lag in range(1, lags + 1):
         valid[lag:] &= mask[:-lag]
@@ -123,7 +123,7 @@ def whole_past(mask: Mask, lags: int) -> Mask:
 
 
 def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask], largest_root: float = LARGEST_ROOT) -> Noise:
-    """Fit the autoregression, its roots bounded, and the tails of residuals; the order by BIC."""
+    """Fit the autoregression with bounded roots, and the tails of residuals; the order by BIC."""
     rows, targets = [], []
     for series, mask in zip(residuals, masks, strict=True):
         at = np.flatnonzero(whole_past(mask, MOST_LAGS))
@@ -141,12 +141,12 @@ def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask], largest_ro
 
 
 def improved(x: Array, y: Array, noise: Noise, turns: int = 2, largest_root: float = LARGEST_ROOT) -> Noise:
-    """Coefficients and scale made more likely in turn, as in expectation and maximisation; order and tails stay.
+    """Improve coefficients and scale in turn, by expectation-maximisation; order and tails stay.
 
     Parameters
     ----------
     x, y
-        What came before, nearest first, shape (n, lags), and the series, shape (n,).
+        Past values, nearest first, shape (n, lags), and the series, shape (n,).
     """
     phi, scale, degrees = noise.phi, noise.scale, noise.degrees
     left = y - x @ phi
@@ -164,9 +164,9 @@ def _log_likelihood(x: Array, y: Array, noise: Noise) -> float:
 
 
 def _most_likely(x: Array, y: Array, degrees: float, largest_root: float) -> Noise:
-    """The noise with as many lags as x has columns."""
+    """Noise with one lag per column of x."""
     scale = MAD_TO_STD * float(np.median(np.abs(y))) or float(np.abs(y).max()) or 1.0
-    tame = OUTLIER * scale  # to begin with: what is far out would pull all coefficients to itself
+    tame = OUTLIER * scale  # limits the influence of outliers on the first coefficients
     phi = _coefficients(np.clip(x, -tame, tame), np.clip(y, -tame, tame), np.ones(len(y)), largest_root)
     scale = MAD_TO_STD * float(np.median(np.abs(y - x @ phi))) or scale
     return improved(x, y, Noise(phi, scale, degrees), TURNS, largest_root)
@@ -182,7 +182,7 @@ def _coefficients(x: Array, y: Array, weight: Array, largest_root: float) -> Arr
 
 
 def _stable(phi: Array, largest_root: float) -> Array:
-    """Shrink an autoregression until its largest root is no larger than allowed."""
+    """Shrink an autoregression until its largest root is within the limit."""
     if np.abs(phi) @ largest_root ** -np.arange(1.0, len(phi) + 1.0) < 1.0:
         return phi
     largest = float(np.abs(np.roots(np.concatenate(([1.0], -phi)))).max())

@@ -17,6 +17,6 @@ Result = TypeVar("Result")
 
 
 def side_by_side(function: Callable[[Item], Result], items: Sequence[Item], what: str) -> list[Result]:
-    """Results of a function of each item, in their order, the same as one after the other; who listens is told `what` it does."""
+    """Results of a function for each item, in order, the same as in a loop; progress messages name `what` runs."""
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         return list(counted(threads.map(function, items), what, len(items)))

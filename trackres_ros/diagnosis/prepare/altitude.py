@@ -16,23 +16,23 @@ from trackres_ros.recording.slopes import slopes
 from trackres_ros.route.track import Frame
 from trackres_ros.units import GRAVITY, MAD_TO_STD
 
-SAME_PLACE_M = 10.0  # lanes and the scatter of a receiver
-ANOTHER_PASS_S = 600.0  # after which the error of a receiver is another one
-APART_M = 20.0  # of the places of one pass that are looked at
+SAME_PLACE_M = 10.0  # covers lanes and receiver scatter
+ANOTHER_PASS_S = 600.0  # after which the receiver error is independent
+APART_M = 20.0  # spacing of the compared places within one pass
 FEWEST_REVISITS = 30
 MOST_UNKNOWN = 0.5  # of a recording
-WORTH = 0.5  # of a slope: share that is road and no error
-PIECE_S = 300.0  # over which errors hang together
+WORTH = 0.5  # least share of the slope's variance that is not error
+PIECE_S = 300.0  # correlation time of the errors
 SURE = 2.0  # standard deviations
 
 
 def with_slope(session: DriveSession) -> tuple[DriveSession, str]:
-    """A session whose slope is that of its altitude, and what to say of it; as it is without altitude, with a slope, or where
-    nothing may be compared.
+    """The session with a slope from its altitude, and a note; unchanged without altitude, with a recorded slope, or without
+    samples to compare.
 
-    The slope is taken over as much of the way as the altitude's error asks for: what it scatters by, and where places are
-    passed again, what it is off by from one pass to the next. It is used if at least half of its variance is no error, and if
-    the measured torque is surely nearer to what it takes on such slopes than to what it takes on a plane.
+    The distance for the slope follows from the altitude's error: its scatter, and the difference between passes of one
+    place. The slope is used if at least half of its variance is not error. The measured torque must also fit significantly
+    better with these slopes than without.
     """
     if "altitude" not in session.given or "grade" in session.given or not session.used.any():
         return session, ""
@@ -61,7 +61,7 @@ def with_slope(session: DriveSession) -> tuple[DriveSession, str]:
 
 
 def error_by_revisits(session: DriveSession) -> tuple[float, int]:
-    """Standard deviation of the altitude's error from one pass of a place to the next [m], and at how many pairs; 0 without."""
+    """Standard deviation of the altitude's error between passes of a place [m], and the number of pairs; 0 without pairs."""
     x, y = Frame.about(session.latitude, session.longitude).metres(session.latitude, session.longitude)
     known = np.isfinite(x) & np.isfinite(session.altitude)
     piece = np.floor(session.distance / APART_M)
@@ -78,10 +78,10 @@ def error_by_revisits(session: DriveSession) -> tuple[float, int]:
 
 
 def torque_errors(session: DriveSession) -> tuple[float, float, bool]:
-    """Mean error of a torque without and with the slopes of a session [Nm], and whether they surely make it smaller.
+    """Mean torque error without and with the slopes of a session [Nm], and whether the reduction is significant.
 
-    What changes of speed, rolling and air take is fitted, each by a factor; a slope takes as much as an acceleration by its
-    share of gravity does. So mass and radius need not be known. It is sure at two standard deviations over pieces of the drive.
+    The torque of inertia, rolling and air is fitted, with one factor each. A slope needs the torque of an acceleration of
+    g times the slope, so mass and radius need not be known. Significant: two standard deviations over pieces of the drive.
     """
     use = session.used
     mass, speed, torque = session.weight[use] / GRAVITY, session.speed[use], session.torque[use]

@@ -12,23 +12,23 @@ import numpy as np
 from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.units import STANDSTILL_MPS
 
-LEAST_S = 60.0  # of stops in which it reads none
+LEAST_S = 60.0  # of stops with a reading of zero
 
 
 def seconds_without_torque(sessions: Sequence[DriveSession], most: float) -> float:
-    """How long in all the vehicle rests with a measured torque of none [s]; 0 where that is too short to tell.
+    """Total time at rest with a measured torque of zero [s]; 0 where too short to decide.
 
-    A stop counts if the median of its readings is none: at others the vehicle may be held on a slope, or be about to start.
+    A stop is included if the median of its readings is zero: at others a slope may hold a torque, or a start is near.
 
     Parameters
     ----------
     most
-        Torque that is taken for none [Nm].
+        Largest torque treated as zero [Nm].
     """
     seconds = 0.0
     for session in sessions:
         slow = np.abs(session.speed) < STANDSTILL_MPS
-        rests = slow & np.roll(slow, 1) & np.roll(slow, -1) & _measured(session)  # nothing of a start is in a step between
+        rests = slow & np.roll(slow, 1) & np.roll(slow, -1) & _measured(session)  # no part of a start within the step
         rests[[0, -1]] = False
         ends = np.flatnonzero(np.diff(rests.astype(np.int8)))
         for begin, end in ends.reshape(-1, 2) + 1:
@@ -38,7 +38,7 @@ def seconds_without_torque(sessions: Sequence[DriveSession], most: float) -> flo
 
 
 def _measured(session: DriveSession) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Steps with a sample of the torque in them."""
+    """Steps that contain a torque sample."""
     if session.torque_course is None:
         return np.zeros(len(session), dtype=bool)
     edges = np.append(session.time, session.time[-1] + session.step)

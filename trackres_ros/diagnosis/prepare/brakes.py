@@ -15,26 +15,26 @@ from trackres_ros.units import GRAVITY, MAD_TO_STD
 
 FEWEST_DRIVING = 300  # steps
 FEWEST_OF_A_LEVEL, LEVELS = 40, 25
-FAR_STDS = 4.0  # of driving steps: so much more a brake takes than is explained
-MOST_FAR = 0.1  # of the steps of a level, beyond those of driving; a few strays the noise of a fit bears
-MOST_LOST = 0.2  # of a braking torque: gears that lose a tenth, there and back
+FAR_STDS = 4.0  # of driving steps: a larger residual means a friction brake
+MOST_FAR = 0.1  # of the steps of a level, beyond the share while driving; a fit tolerates a few outliers
+MOST_LOST = 0.2  # of a braking torque: a gear loss of a tenth in both directions
 
 
 def motor_brakes_alone(sessions: Sequence[DriveSession], compared: Sequence[Mask]) -> float:
-    """The torque [Nm], zero or negative, down to which nothing but the motor brakes; zero where that does not show.
+    """Torque [Nm], zero or negative, down to which the motor brakes alone; zero where unknown.
 
     Parameters
     ----------
     sessions
-        Of one vehicle.
+        Sessions of one vehicle.
     compared
-        Steps of each in which speed and torque are known and it moves.
+        Moving steps of each with known speed and torque.
 
     Notes
     -----
-    What driving steps take hangs on speed, acceleration and slope. Where friction brakes help, a vehicle slows down by more
-    than that says of its torque: by far more in some steps of a level of torque, or a little in all of them. Braking steps
-    are looked at level by level, from the least torque on, up to the first level where either shows.
+    The torque of driving steps depends on speed, acceleration and slope. With friction brakes, the vehicle decelerates more
+    than its torque explains: much more in some steps of a torque level, or a little in all of them. Braking steps
+    are checked level by level, from the smallest torque on, up to the first level with either sign.
     """
     torque, columns = (np.concatenate(rows) for rows in zip(*map(_rows, sessions, compared), strict=True))
     drives = np.concatenate([~near(s.torque <= 0.0)[m] for s, m in zip(sessions, compared, strict=True)])
@@ -60,12 +60,12 @@ def motor_brakes_alone(sessions: Sequence[DriveSession], compared: Sequence[Mask
 
 
 def near(steps: Mask) -> Mask:
-    """Steps and those beside them."""
+    """Steps and their neighbours."""
     return np.asarray(np.convolve(steps, np.ones(3), mode="same") > 0)
 
 
 def _rows(session: DriveSession, compared: Mask) -> tuple[Array, Array]:
-    """The torque, and what it may hang on."""
+    """The torque, and its possible dependencies."""
     v, weight = session.speed, session.weight
     of_mass = weight * (session.accel / GRAVITY)
     columns = (weight * np.sign(v), weight * v, v * np.abs(v), of_mass, weight * np.nan_to_num(session.grade))

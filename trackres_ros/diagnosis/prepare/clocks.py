@@ -21,34 +21,34 @@ from trackres_ros.recording.roles import base_role
 from trackres_ros.recording.samples import Series
 
 SECOND_NS = 1_000_000_000
-OVERLAP_SHARE = 0.02  # of the samples that have one of another part before them: samples of overlapping parts alternate
-SET_BACK_S = 5.0  # more than samples overtake each other on their way
-LONG_PAUSE_S, LONGEST_PAUSE_S = 600.0, 86400.0  # within a recording: one to mention, and one that a clock makes that was set
+OVERLAP_SHARE = 0.02  # of samples preceded by one of another part: samples of overlapping parts alternate
+SET_BACK_S = 5.0  # more than samples overtake each other in transport
+LONG_PAUSE_S, LONGEST_PAUSE_S = 600.0, 86400.0  # within a recording: one to mention, and one from a changed clock
 ZONE_S = 900.0  # clocks of two time zones differ by a multiple of it
-BOTH_ENDS_S = 10.0  # by which begin and end of a role may differ in how far they are off
+BOTH_ENDS_S = 10.0  # most difference between the offsets at begin and end of a role
 FEWEST = 30  # steps
-SLOW_ROLES = ("ambient",)  # hardly change in hours: better late than not at all
+SLOW_ROLES = ("ambient",)  # hardly change in hours, so a late start is usable
 NO_COURSE = ("stood", "passengers")  # recorded at other times than while it drives
 
 
 class _Offset(NamedTuple):
-    """How far the clock of a role is ahead of the speed's [s], and whether the time of logging says so."""
+    """How far the clock of a role is ahead of the speed's [s], and whether the logging times confirm it."""
 
     seconds: int
     logged: bool
 
 
 def on_one_clock(recording: Recording) -> tuple[Recording, list[str]]:
-    """The recording with every role on the clock of the speed, and what to say of it.
+    """The recording with every role on the clock of the speed, and notes.
 
-    A role that begins and ends by the same time before or after the speed has another clock. A torque is moved if it then goes
-    with the speed, another role if the time of logging, or such a torque, says the same. Another role that is off by a time zone
-    is not used. The speed's clock is the one that is right, as the others are held against it.
+    A role that begins and ends the same time before or after the speed has another clock. A torque is shifted if it then
+    fits the speed. Another role is shifted if the logging times, or such a torque, confirm the offset. Another role that is
+    off by a time zone is not used. The speed's clock is the reference.
 
     Raises
     ------
     InputError
-        If the clock of the speed or of a torque was set back, or it is not clear how far a torque is off.
+        If the clock of the speed or of a torque was set back, or the offset of a torque is ambiguous.
     """
     series = {role: _set(samples) if recording.zero_is_unset else samples for role, samples in recording.series.items()}
     torques = [role for role in series if base_role(role) == "torque"]
@@ -106,7 +106,7 @@ def _refuse_set_back(where: str, series: Series, several: bool) -> None:
 
 
 def _pauses(name: str, at: Array) -> list[str]:
-    """What to say of long pauses of the speed [s].
+    """Notes on long pauses of the speed [s].
 
     Raises
     ------
@@ -126,7 +126,7 @@ def _pauses(name: str, at: Array) -> list[str]:
 
 
 def _offset(series: Mapping[str, Series], role: str, at: Array, its: Array) -> _Offset | None:
-    """How far a role is off, by what was logged at the same time, else by its begin and end; None where neither says."""
+    """Clock offset of a role, from the logging times, else from its begin and end; None where neither gives one."""
     logged = round((_ahead_ns(series[role]) - _ahead_ns(series["speed"])) / SECOND_NS)
     if abs(logged) >= LEAST_SHIFT_S and max(at[0] - its[0] + logged, its[-1] - at[-1] - logged) <= LARGEST_SHIFT_S:
         return _Offset(logged, True)
@@ -140,12 +140,12 @@ def _ahead_ns(series: Series) -> float:
 
 
 def _goes_better(speed: tuple[Array, Array], torque: tuple[Array, Array], seconds: int, where: str, given: str) -> bool:
-    """Whether a torque goes with the speed once it is moved; False where it does as it is.
+    """Whether a torque fits the speed better after the shift; False where it fits without.
 
     Raises
     ------
     InputError
-        If it does neither.
+        If it fits neither way.
     """
     as_it_is, moved = (_explained(speed, (torque[0] - off, torque[1])) for off in (0, seconds))
     if moved >= SURE and moved >= as_it_is + CLEARLY_BETTER:
@@ -161,7 +161,7 @@ def _goes_better(speed: tuple[Array, Array], torque: tuple[Array, Array], second
 
 
 def _explained(speed: tuple[Array, Array], torque: tuple[Array, Array]) -> float:
-    """Correlation of a torque with what speed and changes of speed take, each by a factor; 0 where they share too little."""
+    """Correlation of a torque with the fitted torque of speed and acceleration; 0 with too few common samples."""
     edges = np.arange(speed[0][0], speed[0][-1], STEP_S)
     v, known = means(*speed, edges)
     shown, measured = means(*torque, edges)

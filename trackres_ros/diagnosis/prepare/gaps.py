@@ -19,8 +19,8 @@ Indices = NDArray[np.intp]
 
 FILLED_BY_LINES, REPEATED = "gap filled by straight lines", "last value repeated"
 FEWEST_FILLED, SHORTEST_FILLED_S = 5, 3.0
-EXACT = 1e-6  # of the largest values: as exact as six digits are written
-LEAST_RISE = 20.0  # times the resolution: a line that rises by less may be a level
+EXACT = 1e-6  # of the largest values: the resolution of six digits
+LEAST_RISE = 20.0  # times the resolution: a line with a smaller rise may be constant
 UNUSUAL = 20.0
 """Multiple of the usual length of a straight run, from which one series alone shows a filled gap. Real drives reach 10: a car,
 a bus and four robots, 16 h in all. Their speeds were as recorded and rounded to 0.1 and 1 km/h, torques to 1, 10 and 50 Nm.
@@ -30,10 +30,10 @@ FEWEST_FOR_SPACING = 100
 
 
 def filled_steps(speed: Samples, torques: Sequence[Samples], edges: Array, slowest: float) -> dict[str, Mask]:
-    """Steps in which speed or torque was made up, by reason.
+    """Steps with a filled-in speed or torque, by reason.
 
-    A gap was filled with a line where speed and torque are both straight within their resolution, or where one of them is
-    straight for far longer than it usually is. A last value was repeated where both keep a value for far longer than usual.
+    A line filled a gap where speed and torque are both straight within their resolution, or one is straight far
+    longer than usual. A last value was repeated where both stay constant far longer than usual.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def filled_steps(speed: Samples, torques: Sequence[Samples], edges: Array, slowe
 
 
 def _straight(samples: Samples, edges: Array) -> tuple[Mask, Mask]:
-    """Steps in which a series is a straight line that rises or falls, and those in which it is for far longer than usual."""
+    """Steps in which a series is a rising or falling straight line, and those in which it is so far longer than usual."""
     at, value = samples
     exact = EXACT * max(float(np.percentile(np.abs(value), 99.0)), 1e-12)
     tolerance = max(resolution(value) * (1.0 + EXACT), exact)
@@ -63,7 +63,7 @@ def _straight(samples: Samples, edges: Array) -> tuple[Mask, Mask]:
     forward, last = _straight_runs(at, value, tolerance), len(at) - 1
     begins, ends = _straight_runs(
         -at[::-1], value[::-1].copy(), tolerance
-    )  # a run that began before a gap takes a part of its line
+    )  # a run that began before a gap includes a part of its line
     for first, behind in (forward, (last - ends, last - begins)):
         count, rise = behind - first, np.abs(value[behind] - value[first])
         fills = (count >= FEWEST_FILLED) & (at[behind] - at[first] >= SHORTEST_FILLED_S) & (rise > LEAST_RISE * tolerance)
@@ -73,7 +73,7 @@ def _straight(samples: Samples, edges: Array) -> tuple[Mask, Mask]:
 
 
 def _constant(samples: Samples, edges: Array) -> Mask:
-    """Steps in which a series keeps one value for far longer than it usually does."""
+    """Steps in which a series stays constant far longer than usual."""
     at, value = samples
     first = np.flatnonzero(np.diff(value, prepend=np.nan) != 0.0)
     last = np.append(first[1:], len(value)) - 1
@@ -83,7 +83,7 @@ def _constant(samples: Samples, edges: Array) -> Mask:
 
 
 def _usual(counts: Indices) -> float:
-    """Length of the runs that half of the samples are in, or in shorter ones."""
+    """Weighted median run length: half of the samples are in runs up to it."""
     if not len(counts):
         return np.inf
     counts = np.sort(counts)
@@ -92,7 +92,7 @@ def _usual(counts: Indices) -> float:
 
 
 def _straight_runs(at: Array, value: Array, tolerance: float) -> tuple[Indices, Indices]:
-    """First and last samples of runs that are straight; a run begins where the one before ends."""
+    """First and last samples of straight runs; each run begins at the end of the previous one."""
     corners = np.zeros(len(at), dtype=bool)
     mark_corners(at, value, tolerance, corners)
     first = np.flatnonzero(corners)
@@ -101,7 +101,7 @@ def _straight_runs(at: Array, value: Array, tolerance: float) -> tuple[Indices, 
 
 @compiled
 def mark_corners(at: Array, value: Array, tolerance: float, corners: Mask) -> None:
-    """Mark where straight runs begin: a line from the first sample passes all others of a run within a tolerance."""
+    """Mark the starts of straight runs: a line from the first sample passes all others of a run within a tolerance."""
     i = 0
     while i < len(at) - 1:
         corners[i] = True
@@ -116,7 +116,7 @@ def mark_corners(at: Array, value: Array, tolerance: float, corners: Mask) -> No
 
 
 def steps_without_value(at: Array, edges: Array) -> Mask:
-    """Steps in a gap of a series that is long beside its usual spacing, or before or after all of it by as much."""
+    """Steps in a gap that is long relative to the usual spacing, or that far before or after the series."""
     if len(at) < FEWEST_FOR_SPACING:
         return np.zeros(len(edges) - 1, dtype=bool)
     longest = max(LONGEST_UNKNOWN_S, UNUSUAL_SPACING * float(np.median(np.diff(at))))
@@ -126,7 +126,7 @@ def steps_without_value(at: Array, edges: Array) -> Mask:
 
 
 def steps_within(spans: Sequence[tuple[float, float]], edges: Array) -> Mask:
-    """Steps that a span reaches into."""
+    """Steps that overlap a span."""
     inside = np.zeros(len(edges) - 1, dtype=bool)
     for begin, end in spans:
         inside |= (edges[:-1] < end) & (edges[1:] > begin)

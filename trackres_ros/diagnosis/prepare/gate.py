@@ -37,16 +37,16 @@ from trackres_ros.recording.roles import base_role
 from trackres_ros.recording.wheels import wheel_notes
 
 LEFT_OUT = "in recordings that are left out"
-SLOWER = 5.0  # times the step that half of the driving suits: slower recordings would blur the others
-LONGEST_STEP_S = 60.0  # speed and torque vary within it, and their means hardly tell what a change of speed takes
+SLOWER = 5.0  # times the step of half of the driving: slower recordings would blur the others
+LONGEST_STEP_S = 60.0  # speed and torque vary within it, so their means hardly show inertia
 SHORTEST_MOVING_S = 60.0
-LONGEST_BREAK_S = 7 * 86400.0  # between recordings whose clocks run on
-CLOCK_OFF_S = 60.0  # by which a standing time that is given may be shorter than clocks say, and still be the same
+LONGEST_BREAK_S = 7 * 86400.0  # between recordings with continuous clocks
+CLOCK_OFF_S = 60.0  # most by which a given standing time may be shorter than the clocks' without a conflict
 
 
 @dataclass(frozen=True, slots=True)
 class Exclusion:
-    """Time that is not compared [s], and the reason."""
+    """Excluded time [s], and the reason."""
 
     reason: str
     seconds: int
@@ -59,11 +59,11 @@ class Gated:
     Attributes
     ----------
     sessions
-        One for each recording that is used.
+        One for each used recording.
     left_out
-        What is not compared, by reason.
+        Exclusions, by reason.
     notes
-        What was assumed, one sentence each.
+        Assumptions, one sentence each.
     """
 
     sessions: tuple[DriveSession, ...]
@@ -85,17 +85,17 @@ def gate(
     hide
         Roles that are not read.
     refused
-        Recordings that cannot be used for reasons that were found elsewhere.
+        Recordings rejected before the gate.
 
     Returns
     -------
     Gated
-        Sessions of one step, cut into laps; what was left out, and what was assumed.
+        Sessions of one step, cut into laps; exclusions, and assumptions.
 
     Raises
     ------
     InputError
-        If no recording can be used, or too little of all of them; says why of each, and what to do.
+        If no recording can be used, or too little of all of them, with reasons and remedies.
     """
     refused, given, overlaps = list(refused), in_order(recordings), list[str]()
     known = {one.name for one in refused}
@@ -131,7 +131,7 @@ def gate(
 
 @dataclass(frozen=True, eq=False)
 class _Admitted:
-    """A recording on one clock without what is hidden, how long it had stood before [s], and what to say of it."""
+    """A recording on one clock without hidden roles, its standing time before [s], and notes."""
 
     recording: Recording
     stood: float
@@ -144,7 +144,7 @@ class _Admitted:
 
 @dataclass(frozen=True, eq=False)
 class _Resampled(_Admitted):
-    """The recording on an even grid, and its time without comparison."""
+    """The recording on an even grid, and its excluded time."""
 
     session: DriveSession
     unknown: Mapping[str, Mask]
@@ -165,7 +165,7 @@ def _admitted(recording: Recording, hide: Sequence[str], settings: GateSettings)
 
 
 def _of_one_step(admitted: Sequence[_Admitted], refused: list[Refusal], settings: GateSettings) -> tuple[float, list[_Admitted]]:
-    """The step to compare them in [s], and those it suits: one that comes far more slowly than the others is left out."""
+    """Common step [s], and the recordings that suit it: those with far slower sampling are excluded."""
     own = {one.name: step_for([one.recording], slowest_speed=settings.slowest) for one in admitted}
     steps = sorted((own[one.name], duration_s(one.recording.series)) for one in admitted)
     half, so_far = 0.5 * sum(seconds for _, seconds in steps), 0.0
@@ -217,7 +217,7 @@ def _enough(one: _Resampled) -> _Resampled:
 
 
 def _one_after_another(checked: Sequence[_Resampled], unused: Sequence[Recording], notes: list[str]) -> list[DriveSession]:
-    """Sessions with their laps counted through, and how long each vehicle stood before; `unused` are drives in between."""
+    """Sessions with consecutive lap numbers and standing times; `unused` are drives in between."""
     ends_ns = [r.start_ns + int(duration_s(r.series) * 1e9) for r in unused]
     sessions: list[DriveSession] = []
     block, end_ns, end_m = 0, None, 0.0
@@ -249,7 +249,7 @@ def _one_after_another(checked: Sequence[_Resampled], unused: Sequence[Recording
 
 
 def _drove(recording: Recording) -> bool:
-    """Whether a recording that is not used shows when the vehicle was driven before another one."""
+    """Whether an unused recording shows that the vehicle drove before another one."""
     if recording.start_ns * 1e-9 < EARLIEST_CLOCK_S or duration_s(recording.series) < SHORTEST_S:
         return False
     speed = recording.series["speed"].value
@@ -257,7 +257,7 @@ def _drove(recording: Recording) -> bool:
 
 
 def _of_brakes(session: DriveSession, on: Mask, settings: GateSettings) -> str:
-    """What the brakes leave."""
+    """Note on the time that remains without friction brakes."""
     drives = np.abs(session.speed) >= settings.slowest
     braked, driven, left, braking = (
         round(int(steps.sum()) * session.step)
@@ -275,7 +275,7 @@ def _of_wheels(recording: Recording) -> list[str]:
 
 
 def _stood(recording: Recording) -> float:
-    """How long it had stood before, as far as that was recorded [s]; infinite where it was not, or longer than counts.
+    """Recorded standing time before the drive [s]; infinite if unknown, or too long to matter.
 
     Raises
     ------
@@ -294,7 +294,7 @@ def _stood(recording: Recording) -> float:
 
 
 def _motor_brakes_alone(resampled: Sequence[_Resampled], settings: GateSettings, notes: list[str]) -> float:
-    """The torque down to which nothing but the motor brakes [Nm]; adds what was found to the notes."""
+    """Torque down to which the motor brakes alone [Nm]; adds the result to the notes."""
     compared = [~is_slow(one.session, settings) & ~np.any(list(one.unknown.values()), axis=0) for one in resampled]
     alone = motor_brakes_alone([one.session for one in resampled], compared)
     if alone < 0.0:

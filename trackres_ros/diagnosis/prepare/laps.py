@@ -17,7 +17,7 @@ FEWEST_DRIVES = 8
 
 
 def lap_numbers(session: DriveSession) -> NDArray[np.int64]:
-    """Number of the drive between two stops, where there are enough of them; else of a piece of equal length.
+    """Number of the drive between two stops, if there are enough stops; else of a piece of equal length.
 
     Returns
     -------

@@ -19,8 +19,8 @@ from trackres_ros.route.track import track_of
 
 
 def on_route(gated: Gated, route: Sequence[RouteMap]) -> Gated:
-    """Sessions with a position have the torque of the route, and its slope where none is recorded; samples beside it are not
-    compared.
+    """Sessions with the torque of the route by position, and its slope if none is recorded; samples off the route are
+    excluded.
     """
     sessions, notes = list(gated.sessions), list(gated.notes)
     for one in route:
@@ -43,7 +43,7 @@ def on_route(gated: Gated, route: Sequence[RouteMap]) -> Gated:
 
 
 def way_of(session: DriveSession) -> Way:
-    """Where a session was; of one without positions within its steps, at their middles."""
+    """Positions of a session; without positions within its steps, those at their middles."""
     if session.way is not None:
         return session.way
     driven = np.abs(np.nan_to_num(session.speed)) * session.step
@@ -51,8 +51,8 @@ def way_of(session: DriveSession) -> Way:
 
 
 def _along(session: DriveSession, route: RouteMap) -> Array:
-    """What was learned for the way it travels, of a slope the way the vehicle points; mean over each step, nan where nothing was
-    learned.
+    """Learned values along the direction of travel, of a slope along the heading; mean over each step, nan where nothing
+    was learned.
     """
     way = way_of(session)
     track = track_of(way.driven, *route.frame.metres(way.latitude, way.longitude))

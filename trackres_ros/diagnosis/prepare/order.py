@@ -13,9 +13,9 @@ from trackres_ros.recording.samples import Series
 
 
 def in_order(recordings: Sequence[Recording]) -> list[Recording]:
-    """Recordings by their start, and those that start at the same time by their samples: of speed, then of the other roles.
+    """Recordings by their start; those with equal starts by their samples: of speed, then of the other roles.
 
-    Recordings that all start at 0 s have no time in common. Their order is arbitrary then, but it is always the same: the
+    Recordings that all start at 0 s have no common clock. Their order is then arbitrary but reproducible: the
     hold-out set depends on it.
     """
     return sorted(recordings, key=lambda r: (r.start_ns, _digests(r), r.name))

@@ -22,15 +22,15 @@ from trackres_ros.recording.torque_candidates import remedy_of
 from trackres_ros.units import KMH_PER_MPS
 
 SHORTEST_S = 120.0
-EARLIEST_CLOCK_S = 6e8  # 1989: a recording that begins before it counts from its own start
-MOST_OVERLAP = 0.1  # of the shorter: more is no clock that is a little off
+EARLIEST_CLOCK_S = 6e8  # 1989: an earlier time is relative to the recording's own start
+MOST_OVERLAP = 0.1  # of the shorter: too much for a small clock error
 
 Given = TypeVar("Given")
 Used = TypeVar("Used")
 
 
 def duration_s(series: Mapping[str, Series]) -> float:
-    """From the first speed to the last [s]."""
+    """Time from the first speed to the last [s]."""
     speed = series.get("speed")
     at = speed.stamp_ns[np.isfinite(speed.value)] if speed else np.empty(0)
     return float(at.max() - at.min()) * 1e-9 if len(at) else 0.0
@@ -45,7 +45,7 @@ class Refusal:
 
     @property
     def reason(self) -> str:
-        """Why, without its name."""
+        """The reason, without its name."""
         return str(self.error).removeprefix(one_line(self.name)).lstrip(": ")
 
 
@@ -55,7 +55,7 @@ def each_usable(
     refused: list[Refusal],
     name: Callable[[Given], str] = attrgetter("name"),
 ) -> list[Used]:
-    """What can be made of each recording; those that cannot be used go to `refused`."""
+    """Results of `use` for each usable recording; the others go to `refused`."""
     made = []
     for one in given:
         try:
@@ -68,7 +68,7 @@ def each_usable(
 
 
 def nothing_left(refused: Sequence[Refusal]) -> InputError:
-    """The error of recordings none of which can be used: the reason of each, and equal reasons once."""
+    """Error if no recording can be used: the reason of each, equal reasons once."""
     alike: dict[tuple[str, str, str], list[Refusal]] = {}
     for one in sorted(refused, key=lambda one: one.name):
         where = one.error.where
@@ -85,7 +85,7 @@ def nothing_left(refused: Sequence[Refusal]) -> InputError:
 
 
 def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
-    """Refuse two recordings of one time: they show the same drive twice. Without a clock of the day none is refused."""
+    """Refuse two recordings of the same time: they show the same drive twice. Without a clock of the day none is refused."""
     clocked = [(r.start_ns * 1e-9, r) for r in recordings if r.start_ns * 1e-9 > EARLIEST_CLOCK_S]
     spans = sorted((begin, begin + duration_s(r.series), r.name) for begin, r in clocked)
     for i, (begin, end, name) in enumerate(spans):
@@ -110,7 +110,7 @@ def check_compared(
     Raises
     ------
     InputError
-        Says what it has instead.
+        Lists the roles that it has instead.
     """
     if not any(role.partition("/")[0] == "torque" and np.isfinite(s.value).any() for role, s in series.items()):
         raise InputError(
@@ -127,12 +127,12 @@ def check_compared(
 
 
 def check_speed(session: DriveSession, max_speed: float) -> None:
-    """Refuse a session that never moves, or faster than its vehicle can [m/s].
+    """Refuse a session that never moves, or exceeds its vehicle's maximum speed [m/s].
 
     Raises
     ------
     InputError
-        With the line of the topics file, in case the unit is another.
+        With the line of the topics file for another unit.
     """
     fastest = float(np.percentile(np.abs(session.speed), 99.0))
     if fastest < min(SLOWEST_MPS, SLOWEST_SHARE * max_speed):

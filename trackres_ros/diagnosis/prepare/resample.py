@@ -28,7 +28,7 @@ from trackres_ros.recording.samples import Series
 from trackres_ros.units import GRAVITY
 
 MOST_UNKNOWN = 0.5  # of a recording
-ODOMETER_OFF = 0.15  # of the speed: further off it was reset, or stood still
+ODOMETER_OFF = 0.15  # of the speed: a larger deviation means a reset or stuck odometer
 QUICK, STEADY = 1.0 / 3.0, 0.01
 """Mean square change of the speed over one step, as a share of its mean square. Over 1 s a car or
 a bus reaches 0.004, robots driven to and fro 0.03 to 0.17, a carriage on a screw 0.56."""
@@ -37,22 +37,22 @@ CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
 
 
 def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES, slowest_speed: float = SLOWEST_MPS) -> float:
-    """Step in which recordings are compared [s]: the usual one, or longer where speed or torque come slowly, so that some samples
-    are in each; or shorter where the speed becomes another within the usual one.
+    """Common step of recordings [s]: the usual one; longer for slow speed or torque, so that each step has several samples;
+    or shorter where the speed changes within the usual one.
 
     Parameters
     ----------
     slowest_speed
-        What moves less than this on average does not move, and what its speed shows is noise [m/s].
+        A lower mean speed is standstill, and its variation is noise [m/s].
 
     Notes
     -----
-    Of a bus that recorded once in a second, steps of 1 s made a mass of 12.5 t of one of 19 t, and steps from 3 to 8 s one of
-    18.1 to 18.9 t: what happens between two samples hides a part of the inertia.
+    Changes between two samples hide a part of the inertia. For a bus of 19 t recorded once per second, steps of 1 s gave
+    a mass of 12.5 t, and steps from 3 to 8 s one of 18.1 to 18.9 t.
 
-    What resists hangs on the speed at each moment, so the mean of a step has to stand for all of it. Where a third of the speed's
-    mean square is another one step later, it does not: the step is then one over which so little changes as does for a vehicle
-    on a road in the usual one.
+    Resistance depends on the current speed, so the mean speed must represent the whole step. It does not where a third of
+    the speed's mean square changes within one step. The step is then chosen so that the speed changes as little as that of
+    a road vehicle in the usual one.
     """
     slowest = 0.0
     for recording in recordings:
@@ -70,8 +70,8 @@ def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES, slow
 
 
 def _changes(recordings: Sequence[Recording], step: float, slowest_speed: float) -> float:
-    """Share of the speed's mean square that is another one step later, or averages out within steps; 0 of what does not move,
-    has no speed, or fewer samples than steps, as of a clock that was set.
+    """Share of the speed's mean square that changes by the next step, or averages out within steps; 0 at standstill, without
+    a speed, or with fewer samples than steps, as after a clock jump.
     """
     alike, whole, count = 0.0, 0.0, 0
     for recording in recordings:
@@ -87,13 +87,13 @@ def _changes(recordings: Sequence[Recording], step: float, slowest_speed: float)
 
 
 def is_hidden(role: str, hide: Collection[str]) -> bool:
-    """Whether a role is not to be read: it is named itself, or all of its kind are."""
+    """Whether a role is hidden, by itself or with all of its kind."""
     return role in hide or role.partition("/")[0] in hide
 
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Channels of a recording that may be read, and the even grid that they are put on; what is assumed is added to the notes."""
+    """Readable channels of a recording, and their even grid; assumptions are added to the notes."""
 
     name: str
     series: dict[str, Series]
@@ -127,7 +127,7 @@ class _Grid:
 
 @dataclass(frozen=True, eq=False)
 class _Speed:
-    """Samples of the speed, its means, in which steps it is known, acceleration with its noise, and speed by the odometer."""
+    """Samples of the speed, its means, the steps with a known value, acceleration with its noise, and odometer speed."""
 
     at: Array
     raw: Array
@@ -140,7 +140,7 @@ class _Speed:
 
 @dataclass(frozen=True, eq=False)
 class _Torque:
-    """Samples of each part, means of the sum, in which steps it is known, and its noise."""
+    """Samples of each part, means of the sum, the steps with a known value, and its noise."""
 
     samples: list[tuple[Array, Array]]
     mean: Array
@@ -150,7 +150,7 @@ class _Torque:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """Position [rad], altitude [m], and which of them were recorded."""
+    """Position [rad], altitude [m], and the recorded ones of these."""
 
     latitude: Array
     longitude: Array
@@ -160,7 +160,7 @@ class _Place:
 
 @dataclass(frozen=True, eq=False)
 class _Load:
-    """Weight of the whole and of the passengers [N], their number, and what of it was recorded."""
+    """Weight of the whole and of the passengers [N], their number, and the recorded ones of these."""
 
     weight: Array
     payload: Array
@@ -181,24 +181,24 @@ def resample(
     Parameters
     ----------
     recording
-        With a speed and a torque.
+        Has a speed and a torque.
     step
-        Of the grid [s].
+        Step of the grid [s].
     settings
-        Of the vehicle; its weight and ambient temperature stand in where none is recorded.
+        Of the vehicle; its weight and ambient temperature replace missing ones.
     hide
         Roles that are not read.
     notes
-        What was assumed is added to them.
+        Receives the assumptions.
     shortest_s
-        How long it has to be [s].
+        Least duration [s].
 
     Returns
     -------
     session
-        One lap, in which every step is used.
+        One lap with every step in use.
     unknown
-        Steps in which something needed was not measured, each of shape (n,), by reason.
+        Steps without a needed measurement, each of shape (n,), by reason.
 
     Raises
     ------
@@ -267,10 +267,10 @@ def _filled(grid: _Grid, speed: _Speed, torque: _Torque) -> dict[str, Mask]:
 
 
 def _speed(grid: _Grid) -> _Speed:
-    """The speed, and the acceleration as measured, or by it."""
+    """Speed, and acceleration as measured or derived from it."""
     at, raw = grid.samples("speed")
     scale = pace(grid.step)
-    unit = grid.settings.slowest / SLOWEST_MPS if scale < 1.0 else 1.0  # of speed and of its noise, which is as much smaller
+    unit = grid.settings.slowest / SLOWEST_MPS if scale < 1.0 else 1.0  # scales speed and noise to a vehicle's
     smoothed = smooth_speed(at / scale, raw / unit, grid.edges / scale, LONGEST_HOLD_S)
     at_edges = unit * smoothed.speed if smoothed else np.interp(grid.edges, at, raw)
     mean, known = means(at, raw, grid.edges)
@@ -285,7 +285,7 @@ def _speed(grid: _Grid) -> _Speed:
 
 
 def _torque(grid: _Grid) -> _Torque:
-    """The torque as such, or the sum of its parts."""
+    """The torque itself, or the sum of its parts."""
     roles = [role for role in grid.series if role.partition("/")[0] == "torque" and grid.has(role)]
     samples = [grid.samples(role) for role in (["torque"] if "torque" in roles else roles)]
     torque, known, noise = np.zeros(grid.count), ~grid.nowhere, 0.0
@@ -297,7 +297,7 @@ def _torque(grid: _Grid) -> _Torque:
 
 
 def _load(grid: _Grid) -> _Load:
-    """The weight as measured, or the vehicle file's with that of passengers on top."""
+    """Measured weight, or the vehicle file's plus that of passengers."""
     weight, of_load = _weight(grid.series, grid.start, grid.edges, grid.settings.weight)
     given, payload = frozenset({"load"} if of_load else ()), np.zeros(grid.count)
     passengers = carried(grid.series["passengers"], grid.start, grid.edges) if "passengers" in grid.series else grid.nan
@@ -325,11 +325,11 @@ def _steering(grid: _Grid) -> Array | None:
 
 
 def _turning(grid: _Grid, speed: _Speed, given: frozenset[str]) -> tuple[Array, Array, frozenset[str]]:
-    """Yaw rate and heading, measured or made of what is, and what is given with them."""
+    """Yaw rate and heading, measured or derived, and the given channels."""
     series, edges, settings = grid.series, grid.edges, grid.settings
     heading, yaw_rate = grid.held("heading", np.nan), grid.nan
     if "yaw_rate" in given and not np.ptp(series["yaw_rate"].value[np.isfinite(series["yaw_rate"].value)]):
-        given -= {"yaw_rate"}  # a gyroscope that is there is never still
+        given -= {"yaw_rate"}  # a gyroscope is never exactly still
         grid.notes.append(f"{grid.name}: yaw_rate never changes; treated as not recorded")
     if "yaw_rate" in given:
         yaw_rate = means(*grid.samples("yaw_rate"), edges)[0]
@@ -347,7 +347,7 @@ def _turning(grid: _Grid, speed: _Speed, given: frozenset[str]) -> tuple[Array, 
 
 
 def _slope(grid: _Grid, given: frozenset[str]) -> tuple[Mask, frozenset[str]]:
-    """Steps without a slope; where they are most of all it counts as not recorded."""
+    """Steps without a slope; if these are the majority, the slope is treated as not recorded."""
     unknown = steps_without_value(grid.samples("grade")[0], grid.edges) if "grade" in given else grid.nowhere
     if unknown.mean() > MOST_UNKNOWN:
         grid.notes.append(f"{grid.name}: the slope is unknown for {unknown.mean():.0%} of the time; treated as not recorded")
@@ -368,23 +368,23 @@ def _braked(grid: _Grid, binding: TopicBinding) -> Mask | None:
 
 
 def _driven(speed: Array, by_way: Array | None) -> Array:
-    """Distance per time in each step [m/s]: by the odometer, where there is one and it agrees with the speed."""
+    """Distance per time in each step [m/s]: from the odometer if it agrees with the speed."""
     by_speed = np.abs(np.nan_to_num(speed))
     if by_way is None:
         return by_speed
     found = np.abs(by_way)
     agrees = np.abs(found - by_speed) <= ODOMETER_OFF * by_speed + SLOWEST_MPS
-    return np.where(agrees & (by_speed > SLOWEST_MPS), found, by_speed)  # at rest what it moves by is noise
+    return np.where(agrees & (by_speed > SLOWEST_MPS), found, by_speed)  # at rest its motion is noise
 
 
 def _course(torques: Sequence[tuple[Array, Array]]) -> Cumulative:
-    """Sum of torques as they were measured."""
+    """Sum of the measured torques."""
     at = np.unique(np.concatenate([t for t, _ in torques]))
     return Cumulative.of(at, np.sum([np.interp(at, t, v) for t, v in torques], axis=0))
 
 
 def _of_passengers(name: str, passengers: Array, step: float, kg_each: float, of_load: bool) -> str:
-    """What becomes of the passengers."""
+    """Note on the passengers."""
     if of_load:
         return f"{name}: the weight comes from the load channel, which is assumed to include the passengers"
     first = int(np.argmax(np.isfinite(passengers)))
@@ -393,7 +393,7 @@ def _of_passengers(name: str, passengers: Array, step: float, kg_each: float, of
 
 
 def _position(series: dict[str, Series], start: int, edges: Array) -> tuple[Array, Array]:
-    """Latitude and longitude [rad]; zeros are what a receiver gives that knows nothing."""
+    """Latitude and longitude [rad]; a receiver without a fix gives zeros."""
     if not set(POSITION) <= series.keys():
         return np.full(len(edges) - 1, np.nan), np.full(len(edges) - 1, np.nan)
     seen = [replace(s, value=np.where(s.value == 0.0, np.nan, s.value)) for s in (series[role] for role in POSITION)]
@@ -403,7 +403,7 @@ def _position(series: dict[str, Series], start: int, edges: Array) -> tuple[Arra
 
 
 def _way(grid: _Grid, speed: _Speed) -> Way:
-    """Where it was at the middle of each `STEP_S` of all steps, or of each step where they are shorter."""
+    """Position at the middle of each `STEP_S` of all steps, or of each step where they are shorter."""
     each = min(STEP_S, grid.edges[1] - grid.edges[0])
     fine = np.arange(0.0, grid.edges[-1] + 0.5 * each, each)
     driven = Cumulative.of(speed.at, np.abs(speed.raw))

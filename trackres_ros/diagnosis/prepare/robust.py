@@ -14,7 +14,7 @@ TURNS, OUTLIER = 10, 1.5  # Huber's
 
 
 def robust_least_squares(columns: Array, y: Array) -> Array:
-    """Least squares in which samples far from the rest count less; columns may hang together."""
+    """Least squares with less weight on outliers; columns may be collinear."""
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-12)
     weight = np.ones(len(y))
     values = np.zeros(columns.shape[1])

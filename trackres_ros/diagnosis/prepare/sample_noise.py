@@ -17,10 +17,10 @@ SECOND_DIFFERENCE = 6.0  # variance of a second difference over that of the nois
 
 
 def noise_of_means(at: Array, value: Array, step: float) -> float:
-    """Standard deviation that the noise from one sample to the next leaves in means over a step; 0 where it cannot be told.
+    """Standard deviation of a step mean due to sample-to-sample noise; 0 where unknown.
 
-    Second differences show that noise where samples come faster than what is measured changes its course. What the noise has
-    that lasts longer is not in it.
+    Second differences show that noise if the sampling is faster than changes of the signal. They exclude slower
+    noise.
 
     Parameters
     ----------

@@ -11,19 +11,19 @@ from trackres_ros.diagnosis.prepare.session import Array, Cumulative, Mask
 from trackres_ros.diagnosis.prepare.settings import pace
 from trackres_ros.recording.samples import Series
 
-LONGEST_HOLD_S = 2.0  # of what changes while driving, over a gap
-SLOWEST_SPACING = 3.0  # usual spacings that no sample came for: a gap, of a receiver of one sample in a second or in five
+LONGEST_HOLD_S = 2.0  # for channels that change while driving, over a gap
+SLOWEST_SPACING = 3.0  # usual spacings without a sample: a gap, for receivers at one sample in a second or in five
 
 
 def ordered(series: Series, start: int) -> tuple[Array, Array]:
-    """Times [s] and values that are finite, by stamp; of equal stamps the first."""
+    """Times [s] and finite values, by stamp; of equal stamps the first."""
     finite = np.isfinite(series.value)
     at, index = np.unique(series.stamp_ns[finite], return_index=True)
     return np.asarray((at - start) * 1e-9, dtype=float), series.value[finite][index]
 
 
 def means(at: Array, value: Array, edges: Array) -> tuple[Array, Mask]:
-    """Mean over each step, along straight lines between samples; and where no gap there is too long for that."""
+    """Mean over each step, along straight lines between samples; and the steps without too long a gap."""
     middle = middles(edges)
     after = np.clip(np.searchsorted(at, middle), 1, len(at) - 1)
     step = edges[1] - edges[0]
@@ -32,7 +32,7 @@ def means(at: Array, value: Array, edges: Array) -> tuple[Array, Mask]:
 
 
 def held(series: Series, start: int, edges: Array, default: float) -> Array:
-    """The last finite value before the middle of each step; before the first that one."""
+    """The last finite value before the middle of each step; before the first sample, the first value."""
     at, value = ordered(series, start)
     if not len(at):
         return np.full(len(edges) - 1, default)
@@ -51,7 +51,7 @@ def read_off(series: Series, start: int, edges: Array, angle: bool = False) -> A
     Parameters
     ----------
     angle
-        Whether it turns at pi: the line then goes the short way, and what comes out lies within it again.
+        Whether it wraps at pi: the line then takes the short way, and the result is wrapped again.
     """
     at, value = ordered(series, start)
     if len(at) < 2:
@@ -69,7 +69,7 @@ def any_from(series: Series, start: int, edges: Array, least: float) -> Mask:
     """Steps in which, or at an edge of which, a value of at least `least` was sampled or is held from the sample before."""
     at, value = ordered(series, start)
     high = np.concatenate(([0], np.cumsum(value >= least)))
-    first = np.maximum(np.searchsorted(at, edges[:-1], side="right") - 1, 0)  # the sample that is held as the step begins
+    first = np.maximum(np.searchsorted(at, edges[:-1], side="right") - 1, 0)  # sample held at the start of the step
     behind = np.searchsorted(at, edges[1:], side="right")
     return np.asarray(high[np.maximum(behind, first)] > high[first])
 

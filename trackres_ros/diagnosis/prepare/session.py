@@ -18,16 +18,16 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 AROUND = 5  # steps, odd
-MOST_KEPT = 8  # of what a course was asked for
+MOST_KEPT = 8  # cached shifts
 NOT_RECORDED = dict.fromkeys(("latitude", "longitude", "altitude", "steering_angle", "passengers"), np.nan) | {
     "payload": 0.0, "torque_by_place": 0.0,
 }  # fmt: skip
-"""Series that a session may be made without, and what they then are."""
+"""Default values of optional series."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cumulative:
-    """A measured quantity as it came: times [s], and its integral up to each."""
+    """A measured quantity on its own times: times [s], and its integral up to each."""
 
     at: Array
     integral: Array
@@ -45,7 +45,7 @@ class Cumulative:
         return np.asarray((edges[1] - edges[0]) / step)
 
     def later_means(self, begin: Array, step: float, later: float) -> Array:
-        """The same so much later [s]; kept for the last few, as most derivatives of a fit leave a delay as it is."""
+        """The same, delayed by `delay` [s]; cached for the last few, as most derivatives of a fit keep the delay."""
         asked = len(begin), float(begin[0]), step, later
         found = self._asked.get(asked)
         if found is None:
@@ -58,12 +58,12 @@ class Cumulative:
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """Where a session was within its steps: as many samples in each, evenly spaced in time, shape (n times samples in a step,).
+    """Positions of a session within its steps: a fixed number in each, evenly spaced in time, shape (n times that number,).
 
     Attributes
     ----------
     latitude, longitude
-        [rad]; nan where they are not known.
+        [rad]; nan where unknown.
     driven
         Distance since the start of the session [m].
     """
@@ -75,52 +75,52 @@ class Way:
 
 @dataclass(frozen=True, eq=False)
 class DriveSession:
-    """One recording. All series have the shape (n,), evenly spaced by `step` [s]; nan where nothing is known.
+    """One recording. All series have the shape (n,), evenly spaced by `step` [s]; nan where unknown.
 
     Attributes
     ----------
     name
-        Where it is from.
+        Name of the recording.
     step, time
         Spacing, and times from the start of the recording [s].
     speed, accel, weight, ambient, grade, yaw_rate, heading, distance
-        What is known, in the units of `effects.Conditions`.
+        Known inputs, in the units of `effects.Conditions`.
     torque, belt
         Measured: at the sprockets, whole vehicle [Nm], and of the belt [degC].
     used
-        Where the torque may be compared.
+        Samples whose torque may be compared.
     block
-        Number of the lap, or of the piece, that a sample belongs to; counted through all sessions.
+        Number of the lap, or of the piece, of each sample; counted through all sessions.
     gap
-        Time off since the session before [s]; infinite where the belt starts soaked at the ambient temperature.
+        Time off since the previous session [s]; infinite where the belt starts at the ambient temperature.
     after_unseen
-        Whether the drive before, `gap` ago, is not among the recordings; it is taken to have been like this one.
+        Whether the drive before, `gap` ago, is not among the recordings; it is assumed to be like this one.
     given
-        The channels that were measured.
+        The measured channels.
     accel_noise
-        Standard deviation of what an error of the speed makes of the acceleration [m/s^2]; 0 where it cannot be told. It is
-        that of a smoothed speed, which does not vary with what the speed is said to be: it hides no share of the inertia.
+        Standard deviation of the acceleration due to errors of the speed [m/s^2]; 0 where unknown. It refers to a
+        smoothed speed and does not depend on the noise assumed for the speed: it hides no share of the inertia.
     torque_noise
-        Standard deviation of what the torque's noise from sample to sample leaves in the mean over a step [Nm]; 0 where it
-        cannot be told.
+        Standard deviation of a step's mean torque due to sample-to-sample noise [Nm]; 0 where
+        unknown.
     belt_shows_surface
         Whether the measured belt temperature is that of the surface, or the mean.
     grade_std
-        Standard deviation of `grade`, where it is made of an altitude; nan where nobody knows.
+        Standard deviation of `grade` derived from an altitude; nan where unknown.
     start_s
-        When it began [s since 1970, UTC]; nan where its clock does not say.
+        Start [s since 1970, UTC]; nan without a clock of the day.
     torque_course
-        The torque as it was measured, for delays of less than a step; None where it was not.
+        The torque as measured, for delays of less than a step; None without one.
     latitude, longitude, altitude, steering_angle
-        [rad], [rad], [m], [rad]: where it is, as recorded, and how it steers.
+        [rad], [rad], [m], [rad]: recorded position, and steering angle.
     passengers
-        People on board, from one count to the next; their weight is in `payload`.
+        Number of people on board, between counts; their weight is in `payload`.
     payload
-        What of `weight` comes on top of the empty vehicle, as the passengers say [N].
+        Part of `weight` due to passengers [N].
     torque_by_place
-        Against travel, as the surroundings have it [Nm].
+        Torque against travel, from the surroundings [Nm].
     way
-        Where it was within its steps; None where no position is known.
+        Positions within its steps; None without positions.
     """
 
     name: str
@@ -171,14 +171,14 @@ class DriveSession:
 
     @cached_property
     def accel_around(self) -> Array:
-        """Acceleration [m/s^2] as a mean over `AROUND` steps, in which errors of the speed at the edges of a step cancel."""
+        """Mean acceleration over `AROUND` steps [m/s^2], in which errors of the speed at the edges of a step cancel."""
         inside = np.convolve(np.ones(len(self)), np.ones(AROUND), mode="same")
         return np.asarray(np.convolve(self.accel, np.ones(AROUND), mode="same") / inside)
 
 
 def with_unseen(sessions: Sequence[DriveSession]) -> Iterator[tuple[DriveSession, bool]]:
-    """Sessions to step through one after the other, with the drives before them that are not among them; and whether it is one
-    of those.
+    """Sessions in sequence, with the unrecorded drives before them; and whether each is an unrecorded
+    one.
     """
     for session in sessions:
         if session.after_unseen:
@@ -188,7 +188,7 @@ def with_unseen(sessions: Sequence[DriveSession]) -> Iterator[tuple[DriveSession
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Numbers of the blocks to fit on, and of those never looked at before the end."""
+    """Numbers of the blocks to fit on, and of the hold-out blocks."""
 
     training: tuple[int, ...]
     held_out: tuple[int, ...]
@@ -199,5 +199,5 @@ class Split:
         return session.used & np.isin(session.block, self.training)
 
     def held_out_mask(self, session: DriveSession) -> Mask:
-        """Samples of a session to show at the end."""
+        """Samples of a session to hold out."""
         return session.used & np.isin(session.block, self.held_out)

@@ -9,16 +9,16 @@ from dataclasses import dataclass
 
 from trackres_ros.recording.roles import PASSENGER_KG
 
-STEP_S = 1.0  # mean torque over a step against the change of speed over it: exact, whatever happens within
-LEAST_SAMPLES = 5  # in a step: of fewer, the change of speed and the mean torque are as much the sampling's as the drive's
+STEP_S = 1.0  # mean torque over a step against its change of speed: exact for any course within
+LEAST_SAMPLES = 5  # in a step: with fewer, sampling affects the change of speed and the mean torque as much as the drive does
 SLOWEST_MPS, SLOWEST_SHARE = 0.3, 0.1  # of the greatest speed; below both friction may be static
 
 
 def pace(step: float) -> float:
-    """Time scale of a recording over that of a drive: 1, or less where a quick machine asks for steps of less than `STEP_S`.
+    """Time scale of a recording over that of a drive: 1, or less for a quick machine with steps of less than `STEP_S`.
 
-    Times of a drive that the diagnosis has built in (how long a piece is, which gap is long) are meant in steps of `STEP_S`: of
-    a machine they are so many times as long.
+    Built-in times of the diagnosis (length of a piece, of a long gap) refer to steps of `STEP_S`. For a machine, this
+    factor scales them.
     """
     return min(1.0, step / STEP_S)
 
@@ -30,19 +30,19 @@ class GateSettings:
     Attributes
     ----------
     weight, max_speed, ambient
-        [N], [m/s], [degC]; the first and last stand in where nothing is recorded.
+        [N], [m/s], [degC]; the first and last replace missing measurements.
     friction_brakes
-        Whether brakes help a torque that brakes, where nothing is recorded of them; None where there are none at all.
+        Whether friction brakes may add to a braking torque, if not recorded; None for a vehicle without.
     belt_shows_surface
-        Whether a measured belt temperature is that of the surface, as infrared sees it, or the mean.
+        Whether a measured belt temperature is that of the surface, as from infrared, or the mean.
     motor_ratio
-        Turns of the motor to one of the sprocket; None where the file does not say.
+        Motor turns per sprocket turn; None if not in the file.
     torque_scale
-        Least and most times the expected torque that the file allows to be shown.
+        Lower and upper limit of shown over expected torque, from the file.
     passenger_kg
         Mass of a passenger [kg].
     track_width
-        Distance of left from right wheels [m]; None where the file does not say.
+        Distance of left from right wheels [m]; None if not in the file.
     """
 
     weight: float

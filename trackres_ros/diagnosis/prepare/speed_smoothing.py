@@ -3,8 +3,8 @@
 
 """Smooths speed samples with a Kalman smoother: speed at chosen times, and the variance of its changes.
 
-The state is speed and acceleration, driven by a white jerk; a sample is the speed with white noise, which is at least that of
-rounding to the sensor's steps. Jerk and noise are the most likely ones given all innovations. Forward pass: Bar-Shalom, Li and
+The state is speed and acceleration, driven by white jerk. A sample is the speed with white noise, at least that of
+rounding to the sensor's steps. Jerk and noise maximise the likelihood of all innovations. Forward pass: Bar-Shalom, Li and
 Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 6.2.3; backward pass: Rauch, Tung and
 Striebel, AIAA Journal 3 (1965) 1445.
 """
@@ -22,36 +22,36 @@ from trackres_ros.jit.compiled import compiled
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SLOWEST_S, FEWEST = 0.25, 100  # slower samples, or fewer, do not tell noise from what the vehicle does
-JERK = 0.002, 1.0  # m/s^2/sqrt(s): from a heavy vehicle that holds one speed to a robot that is pushed; assumed
-NOISE_MPS = 3e-4, 0.5  # beside the rounding: from a hundredth of what wheel encoders show to a poor satellite receiver; assumed
-REST_S = 1.0  # so long at exactly zero is no crawling
-SAME = 1e-6  # of the greatest speed: as exact as six digits are written
-WHOLE, MULTIPLES = 0.1, 0.95  # off a whole number of steps, and the share of differences that must not be
-LONGEST_REPEAT, REGULAR = 50, 0.95  # samples of one value, and the share of changes that come in their rhythm
-OUTLIER = 5.0  # standard deviations from which an innovation counts less the larger it is
-UNKNOWN = 1e4  # variance of speed and acceleration where a stretch begins
-PIECE, MOST_PIECES = 2000, 30  # samples by which jerk and noise are found
+SLOWEST_S, FEWEST = 0.25, 100  # slower samples, or fewer, do not separate noise from motion
+JERK = 0.002, 1.0  # m/s^2/sqrt(s): from a heavy vehicle at constant speed to a pushed robot; assumed
+NOISE_MPS = 3e-4, 0.5  # plus rounding: from a hundredth of a wheel encoder's to a poor satellite receiver; assumed
+REST_S = 1.0  # so long at exactly zero is standstill, not crawling
+SAME = 1e-6  # of the greatest speed: the resolution of six digits
+WHOLE, MULTIPLES = 0.1, 0.95  # deviation from a whole number of steps, and the least share of differences within it
+LONGEST_REPEAT, REGULAR = 50, 0.95  # samples of one value, and the share of changes in its rhythm
+OUTLIER = 5.0  # standard deviations beyond which an innovation gets less weight
+UNKNOWN = 1e4  # variance of speed and acceleration at the start of a stretch
+PIECE, MOST_PIECES = 2000, 30  # samples for estimating jerk and noise
 TURNS = 3
-LOCAL_TURNS = 5  # of the jerk of each moment and the speed smoothed with it
-LOCAL_S = 1.0  # to either side of a moment: over which it is driven alike
+LOCAL_TURNS = 5  # of estimating local jerk and smoothing the speed with it
+LOCAL_S = 1.0  # to either side of a moment, for its local jerk
 LEAST_LOCAL, MOST_LOCAL = 0.02, 4.0  # times the jerk of the whole recording
 EVEN = 0.3  # median over mean of squared jerks: 0.65 where it is white throughout, below 0.1 where steady speeds are held
-MOST_LAGS, STILL_ALIKE = 60, 0.02  # samples, and the correlation below which the noise has forgotten
+MOST_LAGS, STILL_ALIKE = 60, 0.02  # samples, and the correlation below which the noise is forgotten
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothedSpeed:
-    """What a speed sensor says at chosen times.
+    """Smoothed speed at chosen times.
 
     Attributes
     ----------
     speed
         At those times [m/s], shape (n,).
     change_std
-        Standard deviation of the error of the change to the next of them [m/s], shape (n - 1,); 0 at rest, nan over gaps.
+        Standard deviation of the change's error to the next of them [m/s], shape (n - 1,); 0 at rest, nan over gaps.
     jerk, noise, step
-        Density of the jerk [m/s^2/sqrt(s)], standard deviation of what a sample is off, and what the sensor rounds to [m/s].
+        Density of the jerk [m/s^2/sqrt(s)], standard deviation of a sample, and resolution of the sensor [m/s].
     """
 
     speed: Array
@@ -68,16 +68,16 @@ class SmoothedSpeed:
 
 
 def smooth_speed(at: Array, shown: Array, times: Array, longest_gap_s: float) -> SmoothedSpeed | None:
-    """Speed at some times by all samples before and after; None where samples are too slow, or too few of a vehicle that moves.
+    """Speed at some times from all samples before and after; None for slow sampling, or a moving vehicle with too few samples.
 
     Parameters
     ----------
     at, shown
         Times [s], rising, and samples [m/s].
     times
-        Where the speed is asked for [s], rising.
+        Times of the result [s], rising.
     longest_gap_s
-        Over longer ones the speed is a straight line.
+        Longer gaps get a straight line.
     """
     if len(at) < FEWEST or float(np.median(np.diff(at))) > SLOWEST_S:
         return None
@@ -91,14 +91,14 @@ def smooth_speed(at: Array, shown: Array, times: Array, longest_gap_s: float) ->
     everywhere = np.full(len(grid.at), jerk)
     states, variances = grid.run(everywhere, noise)
     local = everywhere
-    for _ in range(LOCAL_TURNS):  # at a steady speed there is hardly any jerk, and what the sensor shows of one is its error
+    for _ in range(LOCAL_TURNS):  # a steady speed has hardly any jerk: its apparent one is sensor error
         squares = grid.squared_jerks(states)
         if np.median(squares) > EVEN * squares.mean():
             break
         local = np.clip(np.sqrt(squares * LOCAL_S), LEAST_LOCAL * jerk, MOST_LOCAL * jerk)
         states, variances = grid.run(local, noise)
     white = noise
-    for _ in range(TURNS):  # noise that is not white pulls the speed after it, and shows whole only once it no longer does
+    for _ in range(TURNS):  # coloured noise pulls the speed along, and shows fully only afterwards
         alike = _times_alike(grid.shown[grid.sample] - states[grid.sample, 0])
         if alike == 1.0:
             break
@@ -121,7 +121,7 @@ def smooth_speed(at: Array, shown: Array, times: Array, longest_gap_s: float) ->
 
 
 def without_repeats(shown: Array) -> Mask:
-    """Samples without the repeats of a sensor that is slower than its topic: all changes come in one rhythm then."""
+    """Samples without the repeats of a sensor slower than its topic, recognised by a regular rhythm of changes."""
     changes = np.flatnonzero(np.diff(shown, prepend=np.nan) != 0.0)
     lengths = np.diff(changes)
     rhythm = 1
@@ -133,7 +133,7 @@ def without_repeats(shown: Array) -> Mask:
 
 
 def rounding_step(shown: Array) -> float:
-    """What a sensor rounds to, where it shows the same few values again and again; 0 where it does not."""
+    """Resolution of a sensor whose few values recur; 0 for others."""
     return resolution(shown) if len(np.unique(shown)) <= 0.5 * len(shown) else 0.0
 
 
@@ -151,7 +151,7 @@ def resolution(shown: Array) -> float:
 
 
 def at_rest(at: Array, shown: Array) -> Mask:
-    """Samples of runs of zeros that last."""
+    """Samples in lasting runs of zeros."""
     zero = np.concatenate(([False], shown == 0.0, [False]))
     begins, ends = np.flatnonzero(zero[1:] & ~zero[:-1]), np.flatnonzero(zero[:-1] & ~zero[1:]) - 1
     lasts = at[ends] - at[begins] >= REST_S
@@ -165,15 +165,15 @@ def at_rest(at: Array, shown: Array) -> Mask:
 class _Grid:
     """Samples of stretches of driving and the asked times within them, in order.
 
-    A stretch begins and ends with a gap or a rest, of which it has the nearest zero.
+    A stretch begins and ends at a gap or a rest, and includes the nearest zero of a rest.
     """
 
     at: Array
     shown: Array
-    sample: Mask  # a sample, else an asked time
+    sample: Mask  # a sample, else a requested time
     begins: Mask
-    kept: Mask  # of all samples those that are here
-    within: Mask  # of all asked times those that are here
+    kept: Mask  # kept samples among all
+    within: Mask  # requested times inside, among all
 
     @classmethod
     def of(cls, at: Array, shown: Array, times: Array, longest_gap_s: float) -> _Grid:
@@ -194,14 +194,14 @@ class _Grid:
         return cls(every[order], values, sample, first, kept, within)
 
     def run(self, jerk: Array, noise: float) -> tuple[Array, Array]:
-        """Smoothed states and the variances of changes to the next asked time."""
+        """Smoothed states, and variances of changes to the next requested time."""
         states, variances = np.empty((len(self.at), 5)), np.full(len(self.at), np.nan)
         filter_forward(self.at, self.shown, self.sample, self.begins, jerk, (noise, OUTLIER), states)
         smooth_backward(self.at, ~self.sample, self.begins, jerk, states, variances)
         return states, variances
 
     def squared_jerks(self, states: Array) -> Array:
-        """Mean squares about each moment of the change of the smoothed acceleration [m^2/s^6]."""
+        """Local mean squares of the smoothed acceleration's change [m^2/s^6]."""
         ends = np.clip(np.stack([self.at - LOCAL_S, self.at + LOCAL_S]), self.at[0], self.at[-1])
         before, after = np.interp(ends, self.at, states[:, 1])
         square = ((after - before) / (2.0 * LOCAL_S)) ** 2
@@ -211,7 +211,7 @@ class _Grid:
 
 
 def _most_likely(grid: _Grid, step: float) -> tuple[float, float]:
-    """Density of the jerk, and standard deviation of the noise with the rounding."""
+    """Density of the jerk, and standard deviation of the noise including rounding."""
     piece = np.arange(len(grid.at)) // PIECE
     some = piece % (1 + piece[-1] // MOST_PIECES) == 0
     begins = (grid.begins | np.append(True, np.diff(piece) > 0))[some]
@@ -234,7 +234,7 @@ def _most_likely(grid: _Grid, step: float) -> tuple[float, float]:
 
 
 def _apart(grid: _Grid) -> Mask:
-    """Samples so far from each other that a sensor that rounds has mostly left a step: its error is white then."""
+    """Samples spaced so that a rounding sensor has mostly changed its step: its error is then white."""
     shown, spacing = grid.shown[grid.sample], float(np.median(np.diff(grid.at[grid.sample])))
     stays = len(shown) / (1 + int(np.count_nonzero(np.diff(shown))))
     every = max(1, int(min(stays, SLOWEST_S / spacing)))
@@ -242,9 +242,9 @@ def _apart(grid: _Grid) -> Mask:
 
 
 def _times_alike(left: Array) -> float:
-    """How many samples tell as much as one with noise of its own would: 1 if it is white.
+    """Number of samples with the information of one independent sample: 1 for white noise.
 
-    Rounding is not white where the speed stays between two steps, and stays alike until it has left them.
+    Rounding errors are correlated while the speed stays between two steps.
     """
     left = left - left.mean()
     total = float(left @ left)
@@ -268,15 +268,15 @@ def filter_forward(
     at, shown
         Times [s] and samples [m/s].
     sample
-        Where there is one; elsewhere only the state is asked for.
+        Samples among them; elsewhere only the state is computed.
     begins
-        Where a stretch begins that shares nothing with what was before.
+        Starts of stretches, independent of earlier samples.
     jerk
-        Its density up to each moment [m/s^2/sqrt(s)].
+        Jerk density up to each moment [m/s^2/sqrt(s)].
     of
-        Standard deviation of a sample [m/s], and the standard deviations from which an innovation counts less the larger it is.
+        Standard deviation of a sample [m/s], and the threshold of an outlier in standard deviations.
     states
-        Takes speed, acceleration, and variance of the speed, covariance and variance of the acceleration, shape (n, 5).
+        Receives speed, acceleration, and variance of the speed, covariance and variance of the acceleration, shape (n, 5).
     """
     deviance, known = 0.0, 0
     v, a, vv, va, aa = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -295,7 +295,7 @@ def filter_forward(
             known += 1
             off = shown[i] - v
             s = max(vv + r, off * off / (outlier * outlier))
-            if known > 2:  # the first two only tell where the stretch begins
+            if known > 2:  # the first two only initialise the stretch
                 deviance += 0.5 * (np.log(s) + off * off / s)
             of_speed, of_accel = vv / s, va / s
             v += of_speed * off
@@ -314,18 +314,18 @@ def smooth_backward(at: Array, asked: Mask, begins: Mask, jerk: Array, states: A
     Parameters
     ----------
     asked
-        The times between which the change of speed is of interest.
+        Requested times, between which the change of speed is needed.
     variances
-        Takes the variance of the change of speed from each of them to the next of the stretch, shape (n,).
+        Receives the variance of the change of speed from each of them to the next of the stretch, shape (n,).
     """
-    later, with_v, with_a = -1, 0.0, 0.0  # the next asked time, and covariances of its speed with the state here
+    later, with_v, with_a = -1, 0.0, 0.0  # the next requested time, and covariances of its speed with the state here
     for i in range(len(at) - 1, -1, -1):
         if i == len(at) - 1 or begins[i + 1]:
             later = -1
         else:
             dt, q = at[i + 1] - at[i], jerk[i + 1] * jerk[i + 1]
             v, a, vv, va, aa = states[i, 0], states[i, 1], states[i, 2], states[i, 3], states[i, 4]
-            v_v, a_v = vv + dt * va, va + dt * aa  # covariances of the state here with the speed predicted of the next
+            v_v, a_v = vv + dt * va, va + dt * aa  # covariances of the state here with the next predicted speed
             next_vv = v_v + dt * a_v + q * dt * dt * dt / 3.0
             next_va, next_aa = a_v + 0.5 * q * dt * dt, aa + q * dt
             det = next_vv * next_aa - next_va * next_va

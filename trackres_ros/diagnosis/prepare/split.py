@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Splits sessions: which laps are fitted on, and which are held out until the end."""
+"""Splits sessions into fitted and hold-out laps."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ HELD_OUT_SHARE = 0.25
 
 
 def split(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None = None) -> Split:
-    """Choose the blocks that are held out until the end: the last ones.
+    """Choose the hold-out blocks: the last ones.
 
     Parameters
     ----------
     sessions
         In the order of their recordings.
     held_out
-        How many of the last sessions (where there are several) or blocks, or the names of recordings, or of laps as a report
-        lists them ("drive_3.csv: 5"): with these a recording can be added to others without changing what is held out.
+        Number of the last sessions (of several) or blocks, or the names of recordings, or of laps as in a report
+        ("drive_3.csv: 5"). With names, added recordings do not change the hold-out set.
 
     Returns
     -------
     Split
-        Numbers of the blocks to fit on and of those held out, and a sentence that says which.
+        Numbers of the fitted and of the hold-out blocks, and a sentence about them.
 
     Raises
     ------
     InputError
-        If nothing would be left to fit on, or a name is not among the recordings.
+        If nothing would remain to fit on, or a name is not among the recordings.
     """
     blocks = [sorted(set(s.block.tolist())) for s in sessions]
     by_session = len(sessions) >= FEWEST_SESSIONS or (isinstance(held_out, int) and held_out < len(sessions) > 1)
@@ -65,7 +65,7 @@ def split(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None
 
 
 def lap_name(session: DriveSession, block: int) -> str:
-    """A lap as a report lists it: the recording, and its number there."""
+    """A lap as in a report: the recording, and its number there."""
     return f"{session.name}: {block - session.block[0] + 1}"
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 0, second half: units, signs and clocks of the torque, judged by what the vehicle file expects."""
+"""Step 0, second half: checks units, signs and clocks of the torque against the vehicle file."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from trackres_ros.units import KMH_PER_MPS, MAD_TO_STD
 
 Array = NDArray[np.float64]
 
-SURE = 0.5  # correlation from which a wrong sign or unit is no doubt
-HEALTHY = (0.62, 1.7)  # of the inertia: gears that lose a quarter, rotating parts and a gain of a sensor together
-FAR_OFF = (0.05, 20.0)  # of all together, where changes of speed do not show
+SURE = 0.5  # correlation for a certain wrong sign or unit
+HEALTHY = (0.62, 1.7)  # of the inertia: covers a gear loss of a quarter, rotating parts and a sensor gain together
+FAR_OFF = (0.05, 20.0)  # of the total, where inertia does not show
 NEAR = 1.35  # either way of a factor
 ROBUST_TURNS, OUTLIER = 5, 2.0
 SMALL_ERROR = 0.3  # of the torque
 LARGEST_SHIFT_S = 30
 LEAST_SHIFT_S = 2
-UNLIKE = 1.8  # times the torque: more than load, ground and weather do to one vehicle between two drives
+UNLIKE = 1.8  # times the torque: more than load, ground and weather change between two drives of one vehicle
 CLEARLY_BETTER = 0.05  # in correlation
 
 
 def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession, str]:
     """The session with its torque shifted to the best correlation with the speed, and a note.
 
-    Only whole steps from `LEAST_SHIFT_S` on: less is a delay, which is physics, or a sensor's.
+    Shifts only by whole steps from `LEAST_SHIFT_S` on: a shorter delay is physical, or a sensor's.
     """
     shifts = range(-LARGEST_SHIFT_S, LARGEST_SHIFT_S + 1)
     there = [_correlation(_moved(session.torque, -s), expected, _moved_mask(session.used, -s) & session.used) for s in shifts]
@@ -56,12 +56,12 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
 def check_torque(
     sessions: Sequence[DriveSession], expected: Sequence[Array], resisting: Sequence[Array], known: GateSettings
 ) -> None:
-    """Refuse a torque whose sign or unit is plainly wrong, or which is that of a part.
+    """Refuse a torque with a plainly wrong sign or unit, or of a part.
 
     Parameters
     ----------
     expected, resisting
-        Torque of each session by the vehicle file [Nm], and the same without inertia.
+        Torque of each session from the vehicle file [Nm], and the same without inertia.
 
     Raises
     ------
@@ -70,8 +70,8 @@ def check_torque(
 
     Notes
     -----
-    What resists may be several times of what a data sheet says; the inertia may not, as the mass is known. So the torque is
-    compared with what changes of speed take, wherever they show.
+    The resistance may be several times the data sheet's. The inertia may not, because the mass is known. So the torque
+    is compared with the inertia torque where that shows.
     """
     used = [s.used for s in sessions]
     m, e, r = (
@@ -99,7 +99,7 @@ def check_torque(
 def faulty_torques(
     sessions: Sequence[DriveSession], expected: Sequence[Array], resisting: Sequence[Array], known: GateSettings
 ) -> list[Refusal]:
-    """Sessions that `check_torque` refuses by themselves; none where it refuses each of them."""
+    """Sessions that `check_torque` refuses one by one; none if it refuses all of them."""
     refused: list[Refusal] = []
 
     def check(one: tuple[DriveSession, Array, Array]) -> None:
@@ -111,10 +111,10 @@ def faulty_torques(
 
 
 def _share_of_inertia(measured: Array, inertia: Array, resisting: Array) -> tuple[float, float]:
-    """Bounds of how many times the expected inertia is in the measured torque; errors of the speed hide a part of it.
+    """Bounds of measured over expected inertia; errors of the speed hide a part of it.
 
-    The least is that of a torque on an inertia without error, the most that of an inertia on a torque without error, both
-    beside what resists; samples far from the rest count less.
+    The lower bound assumes an exact inertia, the upper bound an exact torque. Both regressions remove the
+    resistance and give outliers less weight.
     """
     weight = np.ones(len(measured))
     for _ in range(ROBUST_TURNS):
@@ -139,7 +139,7 @@ def _between(least: float, most: float) -> float:
 
 
 def _remedy(share: float, sessions: Sequence[DriveSession], known: GateSettings) -> str:
-    """Possible causes of a torque that differs from the expected one by this factor, and the line for the topics file."""
+    """Possible causes of this ratio to the expected torque, and the line for the topics file."""
     sides = {f"one of {n}": float(n) for n in (2, 3, 4)}
     whats = {
         "in kNm": 1e3,
@@ -172,14 +172,14 @@ def nothing_to_conclude(
     Parameters
     ----------
     names
-        Of the recordings.
+        Names of the recordings.
     r2, mae
-        On laps held out, by stage.
+        On hold-out laps, by stage.
     size
-        Mean size of the torque there [Nm]: that of a steady drive hardly varies, and R2 says nothing where the error is
-        small beside it.
+        Mean size of the torque there [Nm]. A steady drive's torque hardly varies, so R2 means nothing at a small relative
+        error.
     notes
-        What was found odd about the recordings, see `unlike`.
+        Warnings about the recordings, see `inconsistent_scale_notes`.
     """
     best = max(r2, key=lambda stage: r2[stage])
     if r2[best] >= 0.0 or min(mae.values()) < SMALL_ERROR * size:
@@ -212,7 +212,7 @@ def _correlation(a: Array, b: Array, used: NDArray[np.bool_]) -> float:
 
 
 def _moved(series: Array, steps: int) -> Array:
-    """The series earlier (negative) or later by steps; what is not known repeats the edge."""
+    """The series shifted by steps, earlier if negative; unknown values repeat the edge."""
     if steps == 0:
         return series
     edge = np.full(abs(steps), series[0 if steps > 0 else -1])
@@ -220,7 +220,7 @@ def _moved(series: Array, steps: int) -> Array:
 
 
 def _moved_mask(used: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
-    """The same of a mask; what is not known is not used."""
+    """The same for a mask; unknown samples are not used."""
     if steps == 0:
         return used
     edge = np.zeros(abs(steps), dtype=bool)

@@ -17,14 +17,14 @@ from trackres_ros.units import EARTH_M, MAD_TO_STD
 
 SIDES = ("left", "right")
 LONGEST_GAP_S = 2.0
-REACHES_S = (1.0, 2.0, 4.0)  # of positions to either side, of which the shortest is taken that is sure enough
-SURE_RADPS = 0.03  # standard deviation of a yaw rate that is good enough
+REACHES_S = (1.0, 2.0, 4.0)  # of positions to either side; the shortest precise enough is used
+SURE_RADPS = 0.03  # largest acceptable standard deviation of a yaw rate
 FEWEST_MOVING = 60  # steps
 MAD_OF_SECOND_DIFFERENCE = MAD_TO_STD / 6.0**0.5
 
 
 class Turning(NamedTuple):
-    """Yaw rate [rad/s], positive to the left, mean over each step and nan where it is not known; and what it is made of."""
+    """Yaw rate [rad/s], positive to the left, mean over each step, nan where unknown; and its source."""
 
     yaw_rate: Array
     made_of: str
@@ -33,7 +33,7 @@ class Turning(NamedTuple):
 def turning(
     series: Mapping[str, Series], start: int, edges: Array, speed: Array, slowest: float, track_width: float | None
 ) -> Turning | None:
-    """The yaw rate out of the heading, else the sides' wheel speeds, else positions; None where none of them tells it.
+    """Yaw rate [rad/s] from the heading, else the sides' wheel speeds, else positions; None if none suffices.
 
     Parameters
     ----------
@@ -44,9 +44,9 @@ def turning(
     speed
         Mean over each step [m/s], shape (n,).
     slowest
-        Speed from which on positions show a direction [m/s].
+        Least speed at which positions give a direction [m/s].
     track_width
-        Distance of left from right wheels [m]; None where it is not known.
+        Distance of left from right wheels [m]; None if unknown.
     """
     if "heading" in series and np.isfinite(series["heading"].value).sum() > 1:
         return Turning(_of_angle(*ordered(series["heading"], start), edges), "heading")
@@ -68,7 +68,7 @@ def _of_angle(at: Array, angle: Array, edges: Array) -> Array:
 
 
 def _side(series: Mapping[str, Series], side: str, start: int, edges: Array) -> Array | None:
-    """Mean speed of the wheels of one side over each step; None where there are none."""
+    """Mean wheel speed of one side over each step; None without any."""
     roles = [role for role in series if role.startswith("wheel_speed/") and side in role.partition("/")[2].split("_")]
     of = [Cumulative.of(*ordered(series[r], start)).means(edges[:-1], edges[1] - edges[0]) for r in roles if _there(series[r])]
     return np.asarray(np.mean(of, axis=0)) if of else None
@@ -79,7 +79,7 @@ def _there(series: Series) -> bool:
 
 
 def _of_positions(series: Mapping[str, Series], start: int, edges: Array, speed: Array, slowest: float) -> Array | None:
-    """Turn of the way from before a step to after it; nan where it hardly moves, or changes between forward and reverse."""
+    """Turn of the path from before a step to after it; nan at near standstill, or between forward and reverse."""
     (at, north), (also_at, east) = (ordered(series[role], start) for role in ("latitude", "longitude"))
     if len(at) < FEWEST_MOVING or len(also_at) < FEWEST_MOVING:
         return None

@@ -22,14 +22,14 @@ Array = NDArray[np.float64]
 CELSIUS_OF_KELVIN, CELSIUS_OF_FAHRENHEIT = (1.0, -273.15), (5.0 / 9.0, -160.0 / 9.0)
 HOTTEST_AIR_DEGC = 50.0  # as a median of hours; the record of a moment in the shade is 57
 UNUSUAL_AIR_DEGC = 40.0
-WEIGHTS = (0.3, 2.5)  # over that of the vehicle file: what a vehicle with less or more on it may weigh
+WEIGHTS = (0.3, 2.5)  # over that of the vehicle file: range for a lighter or loaded vehicle
 USUAL_WEIGHTS = (0.6, 1.7)
 AROUND = 1.7  # either way of a unit's factor
 LOAD_UNITS = {"kN": 1e3, "t": 1e3 * GRAVITY, "kg": GRAVITY, "lbf": 4.4482, "daN": 10.0}
 FASTEST_TURN, STEEPEST = PLAUSIBLE["yaw_rate"][1], PLAUSIBLE["grade"][1]
 DEGREE = np.pi / 180.0
 SPEED_OFF = 0.01  # against the recorded distance
-RELATED = 0.8  # correlation from which the ratio of two series is their units'
+RELATED = 0.8  # correlation from which the ratio of two series is due to units
 FEWEST = 30
 OF_SPEED = {"km/h": 1.0 / KMH_PER_MPS, "mph": 0.44704, "knots": 0.51444, "mm/s": 1e-3, "cm/s": 1e-2}
 
@@ -54,9 +54,9 @@ def check_units(name: str, series: Mapping[str, Series], weight: float) -> list[
     Parameters
     ----------
     name, series
-        Of the recording.
+        Name and series of the recording.
     weight
-        Of the vehicle by its file [N].
+        Weight in the vehicle file [N].
 
     Raises
     ------
@@ -84,14 +84,14 @@ def check_units(name: str, series: Mapping[str, Series], weight: float) -> list[
 
 
 def check_speed_unit(name: str, speed: Array, accel: Array, recorded_accel: Array | None, distance: Array | None) -> list[str]:
-    """Refuse a speed that is not in m/s beside a recorded acceleration or distance; a note where it is a little off the distance.
+    """Refuse a speed that recorded acceleration or distance show is not in m/s; a note on a small deviation from the distance.
 
     Parameters
     ----------
     speed, accel
         Mean speed of each step [m/s] and its change [m/s^2], shape (n,).
     recorded_accel, distance
-        As recorded, or None: accelerations [m/s^2], and the way of each step [m].
+        Recorded values, or None: accelerations [m/s^2], and the distance of each step [m].
     """
     if recorded_accel is not None:
         ratio = _ratio(recorded_accel, accel)
@@ -138,7 +138,7 @@ def _temperature(where: str, role: str, middle: float, hottest: float) -> list[s
 
 
 def _weight(name: str, series: Mapping[str, Series], weight: float) -> list[str]:
-    """The sum of the loads against the vehicle file's."""
+    """Compare the sum of the loads with the vehicle file's weight."""
     roles = ["load"] if "load" in series else [role for role in series if base_role(role) == "load"]
     values = [series[role].value[np.isfinite(series[role].value)] for role in roles]
     if not roles or not all(len(value) for value in values):
@@ -163,7 +163,7 @@ def _turns_by(value: Array, whole: float) -> bool:
 
 
 def _ratio(a: Array, b: Array) -> float:
-    """By how much a is b, or 0 where the two are not that much alike."""
+    """Ratio of a to b, or 0 without a sufficient correlation."""
     both = np.isfinite(a) & np.isfinite(b)
     a, b = a[both], b[both]
     if len(a) < FEWEST or not a.any() or not b.any():

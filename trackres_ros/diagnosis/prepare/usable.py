@@ -15,34 +15,34 @@ from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import GateSettings
 
 BRAKES_ON = "brakes on"
-SAME_SHARE = 1e-9  # of the largest torque: a difference that rounding makes
+SAME_SHARE = 1e-9  # of the largest torque: a rounding difference
 LONGEST_STUCK_S = 30.0
-BRAKING_MPS2 = -0.5  # with a torque that does not drive: friction brakes may be at work
+BRAKING_MPS2 = -0.5  # at a torque that does not drive: friction brakes may act
 
 
 def usable(
     session: DriveSession, unknown: Mapping[str, Mask], settings: GateSettings, left_out: Counter[str], alone: float = 0.0
 ) -> Mask:
-    """Steps in which the torque may be compared.
+    """Steps with a comparable torque.
 
     Parameters
     ----------
     session
-        On its grid.
+        Session on its grid.
     unknown
-        Steps in which something needed was not measured, each of shape (n,), by reason.
+        Steps without a needed measurement, each of shape (n,), by reason.
     settings
         Of the vehicle.
     alone
-        Torque [Nm], zero or negative, down to which nothing but the motor brakes.
+        Torque [Nm], zero or negative, down to which the motor brakes alone.
     left_out
-        Counts the seconds that are not used under the first reason that holds.
+        Receives the seconds of excluded steps, each under its first reason.
     """
     used = np.ones(len(session), dtype=bool)
     braking = (session.accel < BRAKING_MPS2) & (session.torque <= 0.0)
-    if settings.friction_brakes:  # used together with a torque that brakes, and for a moment after it
+    if settings.friction_brakes:  # applied with a braking torque, and for a moment after it
         braking = near(session.torque < alone if alone < 0.0 else session.torque <= 0.0)
-    if "brake" in session.given or settings.friction_brakes is None:  # what brakes beside the torque is known
+    if "brake" in session.given or settings.friction_brakes is None:  # all braking except the torque is known
         braking = np.zeros(len(session), dtype=bool)
     slow = is_slow(session, settings)
     stuck = _stuck(session.torque, session.step, ~slow, LONGEST_STUCK_S * session.pace)
@@ -65,7 +65,7 @@ def is_slow(session: DriveSession, settings: GateSettings) -> Mask:
 
 
 def _stuck(torque: Array, step: float, moving: Mask, longest_s: float) -> Mask:
-    """Where one torque stays, but for rounding, while moving."""
+    """Steps with a constant torque, but for rounding, while moving."""
     changes = np.flatnonzero(~(np.abs(np.diff(torque, prepend=np.nan)) <= SAME_SHARE * np.abs(torque).max()))
     lengths = np.diff(np.append(changes, len(torque)))
     return np.repeat(lengths * step > longest_s, lengths) & moving

@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 AVERAGED_S = 10.0
 MARK = "#777777"
-COLOURS = (ORANGE, BLACK, GREEN, PURPLE, SKY)  # of terms: lightness differs too, and blue and vermilion are residuals
+COLOURS = (ORANGE, BLACK, GREEN, PURPLE, SKY)  # of terms, with different lightness; blue and vermilion are residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Line:
     Attributes
     ----------
     text, colour
-        Its entry in the legend.
+        Entry in the legend.
     solid
         Whether it is measured or confirmed; a suspected term is dashed.
     wide
@@ -58,17 +58,17 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Lines over one another, and what they show."""
+    """Lines in one plot, and its title."""
 
     title: str
     lines: Sequence[Line]
 
 
 def panels(d: Diagnosis) -> list[Panel]:
-    """The residual of the re-fitted base with the terms over it, and what is left; without a term the residual alone."""
+    """The residual of the re-fitted base with the terms over it, and the remaining residual; without a term the first alone."""
     mae = {stage: figures(error) for stage, error in d.held_out.mae.items()}
     re_fitted = _line(d, "measured minus re-fitted model", BLUE, [p.torque for p in d.refitted.predicted])
-    title = f"Re-fitted: mean error {mae['refitted']} Nm on hold-out laps"  # short: a phone shows it whole
+    title = f"Re-fitted: mean error {mae['refitted']} Nm on hold-out laps"  # short enough for a phone
     found = terms(d)
     if not found:
         as_it_is = _line(d, f"measured minus vehicle file as given ({mae['nominal']} Nm)", GREY, d.nominal)
@@ -84,7 +84,7 @@ def _line(d: Diagnosis, text: str, colour: str, expected: Sequence[Array]) -> Li
 
 
 def terms(d: Diagnosis) -> list[Line]:
-    """What each term of the last fit takes of the residual of the re-fitted base. All together are the difference of the fits."""
+    """Part of the re-fitted base's residual due to each term of the last fit. Their sum is the difference of the fits."""
     of = [t for t in by_weight([*d.found, *d.described]) if t.adds]
     if not of:
         return []
@@ -107,7 +107,7 @@ def _named(name: str, sure: bool) -> str:
 
 
 def _beyond_a_refit(refitted: Fit, adds: Sequence[Sequence[Array]]) -> list[list[Array]]:
-    """Torque of each term less what a re-fit of the base takes up of it, to first order; of each session [Nm]."""
+    """Torque of each term minus the part absorbed by a re-fit of the base, to first order; of each session [Nm]."""
     problem, free = refitted.problem, refitted.free
     change = jacobian(lambda at: np.concatenate(problem.expected(problem.predict(*refitted.model_at(at)))), refitted.point, free)
     by_segment = problem.split(change)
@@ -128,17 +128,17 @@ def _beyond_a_refit(refitted: Fit, adds: Sequence[Sequence[Array]]) -> list[list
 
 
 def begins(d: Diagnosis) -> list[float]:
-    """When each session begins, one after the other, and the end of the last [unit of `clock`]."""
+    """Start of each session in sequence, and the end of the last [unit of `clock`]."""
     return [float(x) for x in np.cumsum([0.0, *(s.time[-1] - s.time[0] + s.step for s in d.sessions)]) / clock(d)[0]]
 
 
 def held_out_times(d: Diagnosis) -> Iterator[tuple[float, float]]:
-    """Begin and end of each lap that was not used for fitting [unit of `clock`]."""
+    """Begin and end of each hold-out lap [unit of `clock`]."""
     yield from _times(d, [np.isin(s.block, d.split.held_out) for s in d.sessions])
 
 
 def marked_times(d: Diagnosis) -> tuple[str, list[tuple[float, float]]]:
-    """Where the verdict's sentence sees the difference: words, and begin and end of each time [as `clock`]; or none."""
+    """Times of the difference in the verdict's sentence: words, and begin and end of each [unit of `clock`]; or none."""
     lead = next(iter(by_weight([*d.found, *d.described])), None)
     left = [b for b in d.at_end.bins if b.p < LACK_OF_FIT_P]
     if d.verdict.status == "unexplained" and left:
@@ -168,13 +168,13 @@ def _times(d: Diagnosis, inside: Sequence[Mask]) -> Iterator[tuple[float, float]
 
 
 def minutes(d: Diagnosis, session: int) -> Array:
-    """The time of a session, all one after the other [unit of `clock`]."""
+    """The time of a session, with all sessions in sequence [unit of `clock`]."""
     time = d.sessions[session].time
     return np.asarray(begins(d)[session] + (time - time[0]) / clock(d)[0])
 
 
 def names(d: Diagnosis, letters: int) -> list[str]:
-    """What stands at the beginning of each session: its name where all fit into so many letters, else its number."""
+    """Label of each session: its name if all fit into `letters` characters, else its number."""
     ends = begins(d)
     room = [int(letters * (end - begin) / max(ends[-1], 1e-9)) for begin, end in pairwise(ends)]
     full = [Path(s.name).name for s in d.sessions]

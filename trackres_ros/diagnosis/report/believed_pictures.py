@@ -19,7 +19,7 @@ LETTERS = 105  # of a small font over the whole width
 
 
 def draw_believed(d: Diagnosis, path: Path) -> Picture:
-    """Draw the residual of the re-fitted base over all sessions with each term over it, and below it what is left."""
+    """Draw the residual of the re-fitted base over all sessions with each term over it, and the remaining residual below."""
     drawn, ends = panels(d), begins(d)
     text, marked = marked_times(d)
     most = max(60, MOST_POINTS // len(d.sessions))
@@ -34,7 +34,7 @@ def draw_believed(d: Diagnosis, path: Path) -> Picture:
             for begin in ends[1:-1]:
                 axis.axvline(begin, color=GREY, linestyle=":", linewidth=1.0)
             for line in panel.lines:
-                label = line.text if panel is drawn[0] else ""  # of the panel below the title says it
+                label = line.text if panel is drawn[0] else ""  # the title of the panel below names its line
                 for i, values in enumerate(line.values):
                     axis.plot(
                         *thinned(minutes(d, i), values, most), color=line.colour, label=label,

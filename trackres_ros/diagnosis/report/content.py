@@ -98,7 +98,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
 
 
 def _base(d: Diagnosis) -> dict[str, Any]:
-    """The model as re-fitted, and what an imperfect instrument takes up."""
+    """The re-fitted model, and its errors of the instrument."""
     nominal = {q.name: q for q in d.base.parameters}
     return {
         "model": d.base.name,
@@ -144,7 +144,7 @@ def _verdict(d: Diagnosis) -> dict[str, Any]:
 
 
 def _held_out(held_out: HeldOut) -> dict[str, Any]:
-    """Errors on the laps that were not fitted."""
+    """Errors on the hold-out laps."""
     return {
         "laps": list(held_out.laps),
         "mae": _numbers(held_out.mae),
@@ -160,7 +160,7 @@ def _held_out(held_out: HeldOut) -> dict[str, Any]:
 
 
 def _advice(d: Diagnosis) -> list[dict[str, Any]]:
-    """Drives that would separate effects that these recordings do not distinguish."""
+    """Drives that would separate effects not distinguishable in these recordings."""
     return [
         {
             "separates": list(a.separates),
@@ -175,7 +175,7 @@ def _advice(d: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _candidates(d: Diagnosis) -> list[dict[str, Any]]:
-    """All that was tried, round by round."""
+    """All tried candidates, round by round."""
     return [
         {
             "round": i + 1,
@@ -196,7 +196,7 @@ def _candidates(d: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
-    """Next steps for the kept results, besides using the vehicle file."""
+    """Next steps for the kept results, in addition to using the vehicle file."""
     said = []
     around, sensors = (", ".join(d.kept.names_of(kind)) for kind in ("surroundings", "sensor"))
     if around:
@@ -210,7 +210,7 @@ def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
 
 
 def _why(c: Candidate, step: Step) -> str:
-    """Why a candidate was chosen, or was not."""
+    """Why a candidate was chosen or not."""
     if step.chosen is c:
         return "chosen"
     if step.chosen is not None and c.name in step.members:
@@ -299,7 +299,7 @@ def _described(t: Told) -> dict[str, Any]:
 
 
 def _route(route: Route, final: Fit) -> dict[str, Any]:
-    """What goes by place."""
+    """A term by place."""
     learned = route.learned(final)
     return {
         "name": route.candidate.name,
@@ -355,7 +355,7 @@ def _bin(b: Bin) -> dict[str, Any]:
 
 
 def _number(value: float) -> float | None:
-    """A number that JSON can hold, with as many figures as matter."""
+    """A number with 6 significant digits for JSON; None if not finite."""
     value = float(value)
     return float(np.format_float_positional(value, 6, fractional=False)) if math.isfinite(value) else None
 
@@ -365,7 +365,7 @@ def _numbers(values: dict[str, float]) -> dict[str, float | None]:
 
 
 def _of_base(interval: Interval | None) -> dict[str, Any]:
-    """A value of the base at the end of its range is only bounded."""
+    """Interval of a base value; at the end of its range it is only a bound."""
     bound_only = interval is not None and interval.bound_only
     return {"ci95": None if bound_only else _pair(interval), "bound_only": bound_only}
 

@@ -17,7 +17,7 @@ BINS, CELLS = 24, (24, 12)  # of a histogram; of speed and acceleration
 
 
 def inputs(d: Diagnosis) -> dict[str, Any]:
-    """What was recorded, as plain data: of each recording its length and gaps [s], of each variable its range and histogram."""
+    """Summary of the recordings as plain data: the length and gaps of each [s], the range and histogram of each variable."""
     used = np.concatenate([s.used for s in d.sessions])
     recordings = []
     for s in d.sessions:
@@ -42,7 +42,7 @@ def inputs(d: Diagnosis) -> dict[str, Any]:
 
 
 def _coverage(d: Diagnosis) -> dict[str, Any]:
-    """Seconds that are compared by speed and acceleration: a row each range of the acceleration, the least first."""
+    """Compared seconds by speed and acceleration: one row for each range of the acceleration, the least first."""
     used = np.concatenate([s.used for s in d.sessions])
     speed = np.concatenate([s.speed for s in d.sessions])[used]
     accel = np.concatenate([s.accel_around for s in d.sessions])[used]

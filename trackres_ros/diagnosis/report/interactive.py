@@ -1,9 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The interactive plots of the page, by Bokeh; without it the page has only static pictures.
+"""The interactive plots of the page, with Bokeh; without it the page has only static pictures.
 
-The library and the data lie in the page packed, and the browser unpacks them: one file, no network.
+The page contains the library and the data compressed, and the browser decompresses them: one file, no network.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ INTERACTIVE_LETTERS = 90  # of a small font over the width of a page
 
 @dataclass(frozen=True, slots=True)
 class ZoomPlot:
-    """Where a plot goes: the part of the page, and the element and root that belong together."""
+    """Place of a plot: the part of the page, and the matching element and root."""
 
     part: str
     element: str
@@ -71,16 +71,16 @@ class ZoomPlot:
 
 @dataclass(frozen=True, slots=True)
 class Interactive:
-    """Plots of a page: their places, and what the browser needs to draw them, packed (gzip, base64).
+    """Plots of a page: their places, and the browser's data, packed (gzip, base64).
 
     Attributes
     ----------
     library, version
-        Of Bokeh.
+        Source and version of Bokeh.
     data
-        Its documents, and which step is in which bin.
+        Its documents, and the bin of each step.
     over_all
-        Colours and texts of the lines over all drives, with whether each is solid.
+        Colours and texts of the lines over all drives, and whether each is solid.
     """
 
     plots: tuple[ZoomPlot, ...]
@@ -113,7 +113,7 @@ def interactive(d: Diagnosis) -> Interactive:
     document = Document()
     over_all = panels(d)
     drawn: list[tuple[str, Any]] = [*_believed(d, over_all), *_over_time(d, shown), *_lap(d), *_bars(d)]
-    with document.models.freeze():  # else each root looks at all models anew
+    with document.models.freeze():  # else each root checks all models again
         for _, figure in drawn:
             document.add_root(figure)
     (content,) = standalone_docs_json_and_render_items([figure for _, figure in drawn])[0].values()
@@ -134,19 +134,19 @@ def interactive(d: Diagnosis) -> Interactive:
 
 @cache
 def _library() -> str:
-    """Bokeh's own script, as the page holds it."""
+    """Bokeh's own script, packed for the page."""
     from bokeh.resources import Resources
 
     return packed("\n".join(Resources(mode="inline", components=["bokeh"]).js_raw))
 
 
 def packed(text: str) -> str:
-    """A text as the page holds it; the same text gives the same."""
+    """A text packed for the page; the same text gives the same result."""
     return base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()
 
 
 def _named_in_order(text: str) -> tuple[str, dict[str, str]]:
-    """A document whose models are numbered from one, whatever was drawn before in this process, and the number of each."""
+    """A document with models numbered from one, independent of earlier plots, and the number of each."""
     names: dict[str, str] = {}
 
     def numbered(found: re.Match[str]) -> str:
@@ -181,7 +181,7 @@ def _figure(title: str, height: int, zoom: bool = True, **more: Any) -> Any:
 
 
 def _strips(figure: Any, session: int, unit: float) -> None:
-    """Strips that light up: where is written into their source, by the script of the page."""
+    """Strips for highlighting; the page's script writes their times."""
     from bokeh.models import ColumnDataSource
 
     source = ColumnDataSource({"x0": [], "x1": []}, name="lit", tags=[session, unit])
@@ -193,7 +193,7 @@ def _numbers(values: Array, places: int = 1) -> list[float]:
 
 
 def _believed(d: Diagnosis, over_all: Sequence[Panel]) -> list[tuple[str, Any]]:
-    """The residual over all drives, one after the other, with each term over it, and what is left."""
+    """The residual over all drives in sequence, with each term over it, and the remaining residual."""
     from bokeh.models import ColumnDataSource, HoverTool, Range1d
     from bokeh.models.annotations import BoxAnnotation, Label, Span
 
@@ -223,7 +223,7 @@ def _believed(d: Diagnosis, over_all: Sequence[Panel]) -> list[tuple[str, Any]]:
         columns: dict[str, list[float]] = {"t": []}
         for i, session in enumerate(d.sessions):
             rows = slice(0, None, max(1, int(SHOWN_EACH_S * session.pace / session.step)))
-            # A nan after each session breaks the line between two of them.
+            # A nan after each session breaks the line before the next.
             columns["t"] += [*_numbers(minutes(d, i)[rows], 3), float("nan")]
             for k, line in enumerate(panel.lines):
                 columns.setdefault(f"y{k}", []).extend([*_numbers(line.values[i][rows]), float("nan")])
@@ -285,7 +285,7 @@ def _over_time(d: Diagnosis, shown: Sequence[int]) -> list[tuple[str, Any]]:
 
 
 def _lap(d: Diagnosis) -> list[tuple[str, Any]]:
-    """Measured and simulated torque on a held-out lap, and the speed, over one time."""
+    """Measured and simulated torque on a hold-out lap, and the speed, over the same time."""
     from bokeh.models import ColumnDataSource, HoverTool
 
     index, rows = shown_lap(d)
@@ -313,7 +313,7 @@ def _lap(d: Diagnosis) -> list[tuple[str, Any]]:
 
 
 def _bars(d: Diagnosis) -> list[tuple[str, Any]]:
-    """Mean residual by bins, with 95 % intervals; a bar that is pressed lights up its times."""
+    """Mean residual by bins, with 95 % intervals; pressing a bar highlights its times."""
     from bokeh.models import ColumnDataSource, CustomJS, FixedTicker, HoverTool, Range1d, TapTool
     from bokeh.models.annotations import Whisker
 

@@ -26,7 +26,7 @@ BARTLETT = 1.358  # over the root of the number of frequencies: 95 % of white no
 
 
 def autocorrelation(rows: Sequence[Array], lags: int = LAGS) -> tuple[Array, Array]:
-    """Autocorrelation at lags 1 and on of series that have gaps (nan), and how many pairs each is of."""
+    """Autocorrelation at lags 1 and up of series with gaps (nan), and the number of pairs of each."""
     rows = [row - np.nanmean(np.concatenate(list(rows))) for row in rows]
     square = np.nanmean(np.concatenate(rows) ** 2)
     found, pairs = np.zeros(lags), np.zeros(lags)
@@ -38,14 +38,14 @@ def autocorrelation(rows: Sequence[Array], lags: int = LAGS) -> tuple[Array, Arr
 
 
 def cumulative_power(rows: Sequence[Array]) -> Array:
-    """Cumulative share of the power over the frequency of series one after the other, gaps left out; shape (frequencies,)."""
+    """Cumulative share of the power over the frequency of concatenated series without gaps; shape (frequencies,)."""
     joined = np.concatenate([row[np.isfinite(row)] for row in rows])
     power = np.abs(np.fft.rfft(joined - joined.mean())[1:-1]) ** 2
     return np.asarray(np.cumsum(power) / power.sum())
 
 
 def draw_noise(d: Diagnosis, path: Path) -> Picture:
-    """Autocorrelation and cumulative periodogram of the residual, as it is and whitened, with bounds of white noise."""
+    """Autocorrelation and cumulative periodogram of the plain and whitened residual, with bounds of white noise."""
     fit = for_tests(d.final)
     torque = [g.kind == "torque" for g in fit.problem.segments]
     plain = [np.where(g.mask, r, np.nan) for r, g, used in zip(fit.residuals, fit.problem.segments, torque, strict=True) if used]

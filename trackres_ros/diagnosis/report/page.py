@@ -44,9 +44,9 @@ def write_page(
     Parameters
     ----------
     plots
-        What one can zoom into, or why there is none.
+        Interactive plots, or the reason for having none.
     provenance
-        What it is made of: names and texts.
+        Sources of the page: names and texts.
 
     Raises
     ------
@@ -81,13 +81,13 @@ def script() -> str:
 
 
 def r2(value: float | None) -> str:
-    """A coefficient of determination; one that is not 1 is not said to be."""
+    """A coefficient of determination; a value below 1 is never rounded to 1."""
     text = decimals(value, 3)
     return "> 0.999" if text == "1.000" and value != 1.0 else text
 
 
 def interval(parameter: dict[str, Any]) -> tuple[str, str, str]:
-    """A parameter's value, the interval it is in, and what the vehicle file has, all to the step that the interval allows."""
+    """A parameter's value, its interval, and the vehicle file's value, all rounded to the precision of the interval."""
     values = parameter["value"], parameter.get("nominal")
     if not parameter["ci95"] or None in parameter["ci95"]:
         value, nominal = (figures(v) for v in values)

@@ -34,7 +34,7 @@ from trackres_ros.text.numbers import alike, decimals, figures
 Array = NDArray[np.float64]
 
 LONGEST_SHOWN_S = 400.0
-PIECE_S = 30.0  # mean errors of longer pieces hardly hang together
+PIECE_S = 30.0  # mean errors of longer pieces are hardly correlated
 ROUTE_PICTURES = "route.svg", "route_beside.svg"
 DARK = "#333333"
 IN_ONE_COLUMN, MOST_RECORDINGS = 8, 24
@@ -60,7 +60,7 @@ def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
 
 
 def draw_before_after(d: Diagnosis, path: Path) -> Picture:
-    """Draw the held-out lap on which the model gained most, over all its samples."""
+    """Draw the hold-out lap with the largest gain of the model, with all its samples."""
     index, rows = shown_lap(d)
     session = d.sessions[index]
     rows = rows[: int(LONGEST_SHOWN_S * session.pace / session.step)]
@@ -90,7 +90,7 @@ def draw_before_after(d: Diagnosis, path: Path) -> Picture:
 
 
 def draw_times(d: Diagnosis, path: Path) -> Picture:
-    """The residual over the time of each recording, whether or not anything was named; of very many, the worst."""
+    """The residual over the time of each recording, with or without a named effect; of very many, the worst."""
     unit, word = clock(d)
     shown_as = {"nominal": (GREY, 0.7), "refitted": (BLUE, 1.1), "with_effects": (VERMILION, 1.1)}
     kinds = [(label, *shown_as[key]) for key, label, _ in stages(d)]
@@ -216,7 +216,7 @@ def _laps(d: Diagnosis, path: Path) -> Picture:
 
 
 def _uncertainty_of_laps(d: Diagnosis, stage: str) -> list[float]:
-    """Half of the 95 % interval of the mean error of each held-out lap [Nm], over its pieces; nan for a lap of one piece."""
+    """Half of the 95 % interval of the mean error of each hold-out lap [Nm], over its pieces; nan for a lap of one piece."""
     expected = next(of for key, _, of in stages(d) if key == stage)
     found = []
     masks = [d.split.held_out_mask(s) for s in d.sessions]

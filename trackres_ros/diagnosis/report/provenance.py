@@ -20,14 +20,14 @@ from trackres_ros.version import __version__
 
 
 def provenance(recordings: Sequence[Path], others: Sequence[Path], seconds: float | None) -> tuple[tuple[str, str], ...]:
-    """What it is and what it says, in words.
+    """Name and text of each item of the provenance.
 
     Parameters
     ----------
     recordings, others
-        What was read; its SHA-256 is given where it is a file or a folder, over the contents in the order of names.
+        Files and folders read; each gets a SHA-256, for a folder over its contents in the order of names.
     seconds
-        How long the diagnosis took; None where nobody knows.
+        Duration of the diagnosis; None if unknown.
     """
     said = [
         ("made", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"),
@@ -44,7 +44,7 @@ def provenance(recordings: Sequence[Path], others: Sequence[Path], seconds: floa
 
 
 def sha256(path: Path) -> str:
-    """Of a file, or of all files of a folder one after the other; empty where there is neither."""
+    """SHA-256 of a file, or of all files of a folder in sequence; empty if neither exists."""
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else []
     digest = hashlib.sha256()
     for file in files:

@@ -22,7 +22,7 @@ PERCENT = 100.0
 
 
 def draw_route(route: Route, final: Fit, path: Path) -> Picture:
-    """Draw a slope or a torque by place, as it was learned on the laps that were fitted."""
+    """Draw a slope or a torque by place, as learned on the fitted laps."""
     learned = route.learned(final)
     slope = learned.kind == SLOPE
     factor, unit = (PERCENT, "slope [%]") if slope else (1.0, "torque [Nm]")

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Series that the page shows: residuals over time, and in which bin or effect each step of them is."""
+"""Series of the page: residuals over time, and the bin or effect of each step."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ INTERVAL = 1.96  # standard deviations, of 95 %
 
 
 def stages(d: Diagnosis) -> list[tuple[str, str, Sequence[Array]]]:
-    """Key, words and expected torque of each session [Nm] of each stage that was reached."""
+    """Key, words and predicted torque of each session [Nm] of each completed stage."""
     found: list[tuple[str, str, Sequence[Array]]] = [
         ("nominal", "vehicle file as given", d.nominal),
         ("refitted", "base re-fitted", [p.torque for p in d.refitted.predicted]),
@@ -32,17 +32,17 @@ def stages(d: Diagnosis) -> list[tuple[str, str, Sequence[Array]]]:
 
 
 def clock(d: Diagnosis) -> tuple[float, str]:
-    """Seconds in the unit in which times are shown, and its name: a minute, or a second of what is quicker than a vehicle."""
+    """Seconds per unit of displayed times, and its name: a minute, or a second for machines quicker than a vehicle."""
     return (60.0, "min") if all(s.pace == 1.0 for s in d.sessions) else (1.0, "s")
 
 
 def lasting(d: Diagnosis, seconds: float) -> str:
-    """A time of a drive as long as it is in these recordings, in words."""
+    """A time of a drive, scaled to these recordings, in words."""
     return f"{seconds * min(s.pace for s in d.sessions):g} s"
 
 
 def shown_lap(d: Diagnosis) -> tuple[int, NDArray[np.intp]]:
-    """The session and the steps of the held-out lap on which the model gained most."""
+    """The session and the steps of the hold-out lap with the largest gain of the model."""
     mae = d.held_out.by_lap["mae"]
     gained = mae["refitted"] - mae["with_effects"] if d.modelled else mae["refitted"]
     laps = [lap for lap in d.split.held_out if any((s.block[s.used] == lap).any() for s in d.sessions)]
@@ -53,14 +53,14 @@ def shown_lap(d: Diagnosis) -> tuple[int, NDArray[np.intp]]:
 
 
 def runs(session: DriveSession, inside: Mask) -> Iterator[tuple[float, float]]:
-    """Begin and end [s] of each stretch of a session that is inside."""
+    """Begin and end [s] of each stretch of a session inside a mask."""
     edges = np.flatnonzero(np.diff(inside.astype(np.int8), prepend=0, append=0))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         yield float(session.time[begin]), float(session.time[end - 1] + session.step)
 
 
 def bins_by_variable(bins: Sequence[Bin]) -> dict[str, list[Bin]]:
-    """Bins of each variable that has more than one: one alone tells nothing of where."""
+    """Bins of each variable with more than one: a single bin has no location."""
     found: dict[str, list[Bin]] = {}
     for b in bins:
         found.setdefault(b.variable, []).append(b)
@@ -68,8 +68,8 @@ def bins_by_variable(bins: Sequence[Bin]) -> dict[str, list[Bin]]:
 
 
 def where_each_step_is(d: Diagnosis) -> list[dict[str, str]]:
-    """Of each session by variable, a letter a step: the number of the bin that it is in, `NOWHERE` where none or not compared;
-    on an edge, where two bins share it, letters from `IN_TWO` on, of which the first is of bins 0 and 1.
+    """Bin numbers of each session by variable, one letter per step; `NOWHERE` without a bin or comparison.
+    A step on the edge of two bins has a letter from `IN_TWO` on, the first for bins 0 and 1.
 
     An effect has an entry too, ``effect:NAME``: 0 where it acts most.
     """
@@ -99,7 +99,7 @@ def _letters(length: int, inside: Sequence[Mask]) -> str:
 
 
 def uncertainty(d: Diagnosis, b: Bin, expected: Sequence[Array]) -> float:
-    """Half of the 95 % interval of the mean residual of a bin [Nm], over laps; nan where it lies in one lap alone."""
+    """Half of the 95 % interval of the mean residual of a bin [Nm], over laps; nan if it is in one lap only."""
     off, laps = [], []
     for i, session in enumerate(d.sessions):
         series = BY_NAME[b.variable].of(session, d.refitted.predicted[i])
@@ -110,7 +110,7 @@ def uncertainty(d: Diagnosis, b: Bin, expected: Sequence[Array]) -> float:
 
 
 def half_interval(values: Array, pieces: NDArray[np.int64]) -> float:
-    """Half of the 95 % interval of a mean whose values hang together within pieces; nan where there is one piece alone."""
+    """Half of the 95 % interval of a mean with values correlated within pieces; nan for one piece."""
     numbers, place = np.unique(pieces, return_inverse=True)
     if len(numbers) < 2:
         return float("nan")

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The pictures of an effect and of a term without a name: what is left without it, and what it adds, over what it follows."""
+"""Pictures of named effects and unnamed terms: the residual without the term, and its torque, over its variable."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SHOWN_BINS = 24
 
 
 def draw_effect(d: Diagnosis, found: NamedEffect, path: Path) -> Picture:
-    """What is left without the effect, and what the effect adds, over the variable that it follows best."""
+    """The residual without the effect, and the effect's torque, over its main variable."""
     fit = d.final
     left_over = [s.torque - p.torque for s, p in zip(d.sessions, fit.predicted, strict=True)]
     if found.acts_on != "sensor":
@@ -41,7 +41,7 @@ def draw_effect(d: Diagnosis, found: NamedEffect, path: Path) -> Picture:
 
 
 def draw_term(d: Diagnosis, told: Told, path: Path) -> Picture:
-    """The same for a term without a name: over what it follows, or over time where it follows nothing."""
+    """The same for an unnamed term: over its variable, or over time without one."""
     of = told.described
     left_over = against_travel(d.sessions, [s.torque - p.torque for s, p in zip(d.sessions, d.final.predicted, strict=True)])
     adds = against_travel(d.sessions, told.adds)
@@ -56,14 +56,14 @@ def draw_term(d: Diagnosis, told: Told, path: Path) -> Picture:
 
 
 def _label(axis: Any, along: str, title: str) -> None:
-    """Labels of a picture of a term: what it is shown along, and its sentence."""
+    """Labels of a term's picture: its axis, and its sentence."""
     axis.set_xlabel(along)
     axis.set_ylabel("torque against travel [Nm]")
     axis.set_title(textwrap.fill(title, TITLE_LETTERS))
 
 
 def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], name: str, title: str, path: Path) -> Picture:
-    """All recordings, one after the other."""
+    """All recordings in sequence."""
     unit, word = clock(d)
     begins = np.cumsum([0.0, *(s.time[-1] + s.step for s in d.sessions)]) / unit
     with picture_with_legend(path, WIDTH, 3.0) as body:
@@ -89,7 +89,7 @@ def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], na
 
 
 def _by_stretch(d: Diagnosis, of: Described, path: Path) -> Picture:
-    """The mass of each stretch with its interval, all recordings one after the other."""
+    """The mass of each stretch with its interval, all recordings in sequence."""
     begins = dict(
         zip((s.name for s in d.sessions), np.cumsum([0.0, *(s.time[-1] + s.step for s in d.sessions[:-1])]), strict=True)
     )
@@ -113,7 +113,7 @@ def _by_stretch(d: Diagnosis, of: Described, path: Path) -> Picture:
 
 
 def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], name: str, title: str, path: Path) -> Picture:
-    """The recording in which a term acts most."""
+    """The recording with the largest torque of the term."""
     acts = [float(np.abs(x[s.used]).sum()) for x, s in zip(adds, d.sessions, strict=True)]
     i = int(np.argmax(acts))
     session = d.sessions[i]
@@ -142,7 +142,7 @@ def _over(
     title: str,
     path: Path,
 ) -> Picture:
-    """What is left without a term, and what it adds, over what it follows."""
+    """The residual without a term, and the term's torque, over its variable."""
     used = np.concatenate([s.used for s in d.sessions])
     adds, residual, x = (np.concatenate(series)[used] for series in (adds_, left_over, course))
     _, place = evenly_filled(x, SHOWN_BINS)

@@ -14,13 +14,13 @@ from trackres_ros.diagnosis.findings.wording import form_words
 from trackres_ros.diagnosis.selection.held_out import SMALL_SHARE
 from trackres_ros.text.numbers import alike, decimals, figures
 
-MOST_WORDS = 40  # of the sentence: fewer than these
+MOST_WORDS = 40  # upper limit for the sentence
 STANDS_OUT_P = 0.05
-FEW = 3  # names that a sentence holds
+FEW = 3  # most names in a sentence
 LACK_OF_FIT_P = 0.01
-FOLLOWED = ("recordings", "drift")  # forms that no model of the torque has
-AVERAGED = "Averaged"  # begins what is seen of a slow residual
-LEAST_SHARE = 0.01  # of the mean error, that is worth a new file
+FOLLOWED = ("recordings", "drift")  # forms that no torque model has
+AVERAGED = "Averaged"  # first word of a slow residual's description
+LEAST_SHARE = 0.01  # of the mean error: least gain for a new file
 SURE = "the hold-out laps confirm it"
 SURE_OF_SPREAD = "a test over laps confirms it"
 SURE_OF_NONE = {
@@ -40,12 +40,12 @@ class Tile:
 
 
 def tiles(report: dict[str, Any]) -> tuple[Tile, ...]:
-    """The four tiles of a report, in the order in which one asks."""
+    """The four tiles of a report, in reading order."""
     return _where(report), _what(report), _better(report), _next(report)
 
 
 def headline(report: dict[str, Any]) -> str:
-    """The verdict in fewer than `MOST_WORDS` words; what the tiles have too gives way first."""
+    """The verdict in fewer than `MOST_WORDS` words; parts that the tiles repeat are dropped first."""
     where, what, *_ = tiles(report)
     verdict, lead, possible = report["verdict"], leading(report), _possible(report)
     errors = f"Hold-out error: {_errors(report)}"
@@ -76,13 +76,13 @@ def _possible(r: dict[str, Any]) -> str:
 
 
 def stage_of(report: dict[str, Any]) -> str:
-    """The last stage that was reached: the base re-fitted, or what was found on it."""
+    """The last completed stage: the re-fitted base, or the fit with found effects."""
     modelled = report["effects"] or [t for t in report.get("described", ()) if t["heldout"]]
     return "with_effects" if modelled else "refitted"
 
 
 def standing_out(report: dict[str, Any], stage: str = "base") -> list[dict[str, Any]]:
-    """Bins that stand out of noise, the clearest first."""
+    """Significant bins, the clearest first."""
     bins = [b for b in report["residual_by_regime"][stage] if b["p"] is not None and b["p"] < STANDS_OUT_P]
     return sorted(bins, key=lambda b: (b["p"], -abs(b["mean_residual"] or 0.0)))
 
@@ -94,7 +94,7 @@ def range_of(b: dict[str, Any]) -> str:
 
 
 def lights(report: dict[str, Any], most: int = 6) -> Iterator[tuple[str, str]]:
-    """Key and words of what can be lit up with a press: effects where they act most, and bins that stand out."""
+    """Keys and words of highlightable items: effects where they act most, and significant bins."""
     for e in report["effects"]:
         if e["where"]["time"]:
             yield f"effect:{e['name']}", f"{_plain(e['name'])} acts most"
@@ -108,7 +108,7 @@ def lights(report: dict[str, Any], most: int = 6) -> Iterator[tuple[str, str]]:
 
 
 def leading(r: dict[str, Any]) -> dict[str, Any] | None:
-    """The confirmed term, named or not, that takes most off the error of the hold-out laps; one not confirmed where none is."""
+    """The confirmed term, named or not, that reduces the hold-out error most; without one, an unconfirmed term."""
     terms = [*r["effects"], *r.get("described", ())]
     return max(terms, key=lambda t: (t.get("grade") == "confirmed", _gained(t)[0]), default=None)
 
@@ -152,7 +152,7 @@ def _where(r: dict[str, Any]) -> Tile:
 
 
 def _of_curves(text: str) -> str:
-    """A range in words; a curvature as the radius that one drives."""
+    """A range in words; a curvature as the radius of the curve."""
     above = re.fullmatch(r"above (\S+) 1/m of curvature", text)
     return f"in curves tighter than {figures(1.0 / float(above[1]), 2)} m" if above and float(above[1]) > 0.0 else text
 
@@ -180,7 +180,7 @@ def _what(r: dict[str, Any]) -> Tile:
 
 
 def by_file(r: dict[str, Any]) -> tuple[list[str], list[str]]:
-    """Names of the effects that were written: to vehicle.yaml, and to surroundings.yaml."""
+    """Names of the written effects: in vehicle.yaml, and in surroundings.yaml."""
     around = {e["name"] for e in r["effects"] if e.get("belongs_to") == "surroundings"}
     written = r["written"]["effects"]
     return [n for n in written if n not in around], [n for n in written if n in around]
@@ -242,21 +242,21 @@ def _errors(r: dict[str, Any]) -> str:
 
 
 def _followed(r: dict[str, Any]) -> float | None:
-    """Mean error on held-out laps where the estimate follows as it goes what cannot be predicted; None where it need not."""
+    """Mean hold-out error with live estimation of an unpredictable term; None if not needed."""
     sure = _sure(r)
     return sure[0]["heldout"]["mae"][1] if sure and sure[0].get("form") in FOLLOWED else None
 
 
 def _share(r: dict[str, Any]) -> float:
-    """Share of the mean error on held-out laps that the last stage takes away; 0 where it is not known."""
+    """Share of the mean hold-out error that the last stage removes; 0 if unknown."""
     mae, followed = r["heldout"]["mae"], _followed(r)
     before, after = mae["nominal"], mae[stage_of(r)] if followed is None else followed
     return 0.0 if not before or after is None else float((before - after) / before)
 
 
 def _sure(r: dict[str, Any]) -> list[dict[str, Any]]:
-    """The confirmed terms, with a name or without, the one that takes most off the hold-out error first; none where too much
-    is left to believe them. Small ones give way to others.
+    """Confirmed terms, named or not, the largest reduction of the hold-out error first; none if the residual is
+    too large to trust them. Small ones are omitted if there are others.
     """
     if r["verdict"]["status"] == "unexplained":
         return []
@@ -265,7 +265,7 @@ def _sure(r: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _gained(term: dict[str, Any]) -> tuple[float, float]:
-    """What a term takes off the mean error of the hold-out laps [Nm], and as a share; a share of one where it is not known."""
+    """Reduction of the mean hold-out error by a term [Nm], and as a share; a share of one if unknown."""
     before, after = (term.get("heldout") or {}).get("mae") or (None, None)
     if not before or after is None:
         return 0.0, 1.0
@@ -277,7 +277,7 @@ def _is_sure(term: dict[str, Any], r: dict[str, Any]) -> bool:
 
 
 def _names(r: dict[str, Any]) -> str:
-    """The names; of many that look alike, how many they are."""
+    """The names; for a large class, the number of its members."""
     classes = [e["class"] for e in _sure(r) if "form" not in e]
     return " and ".join(" or ".join(map(_plain, of)) if len(of) <= FEW else f"one of {len(of)}" for of in classes)
 

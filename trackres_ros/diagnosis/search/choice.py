@@ -3,9 +3,9 @@
 
 """Chooses among explanations by cross-validation over laps: evidence proposes, prediction decides.
 
-A term is confirmed if its own level score is surely above zero, the mean error does not grow, and what it improves fits its size.
-Of explanations whose terms all are, none that another one surely predicts better is taken; of the others the one with the most
-evidence.
+A term is confirmed if its own level score is significantly above zero, the mean error does not grow, and the gain fits
+its size. A fully confirmed explanation is dropped if another one predicts significantly better. Of the rest, the one with
+the most evidence is chosen.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from trackres_ros.diagnosis.selection.naming import ALIKE_WITHIN, Step, spurious
 
 Array = NDArray[np.float64]
 
-MOST_SCORED = 12  # explanations, of the most evidence
-LEAST_OF_SIZE = 0.05  # of the mean square that a term adds: what improves less cancels another term
+MOST_SCORED = 12  # explanations, those with the most evidence
+LEAST_OF_SIZE = 0.05  # of the mean square that a term adds: a smaller gain means that it cancels another term
 CLASS_SHARE = 0.8
 
 
 @dataclass(frozen=True, eq=False)
 class ScoredExplanation:
-    """An explanation with values that predict, and what laps left out say of it."""
+    """An explanation with predictive values, and its cross-validated score."""
 
     explanation: Explanation
     final: Fit
@@ -52,18 +52,18 @@ class ScoredExplanation:
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """What explains the recordings.
+    """The chosen explanation and its rivals.
 
     Attributes
     ----------
     explanation, final, graded
-        The best that laps left out confirm, with values that predict, and the grade of each term; nothing where none is.
+        The best explanation confirmed by cross-validation, its predictive fit, and the grade of each term; empty if none.
     alone, steps, last
-        The round beside the base alone; of each term the round without it, with its class; and the round beside all of it.
+        The round from the base alone; for each term the round without it, with its class; and the round from all of it.
     refuted
-        The terms that fit best, where laps left out do not confirm them.
+        Best-fitting terms that cross-validation does not confirm.
     shares
-        Probability of each name, and of none of them: over the explanations that are confirmed, or over all where none is.
+        Probability of each name, and of no name: over the confirmed explanations, or over all if none is.
     """
 
     explanation: Explanation
@@ -76,17 +76,17 @@ class Chosen:
     shares: Mapping[str, float]
 
     def is_named(self, name: str) -> bool:
-        """Whether a term has a name: it is of the catalogue, or surely a slope by place."""
+        """Whether a term has a name: it is in the catalogue, or certainly a slope by place."""
         route = self.term(name).route
         return self.explanation.candidates[name].is_name or (route is not None and route.told)
 
     def term(self, name: str) -> Term:
-        """A term with what its fit does not say."""
+        """A term with its properties outside the fit."""
         return self.explanation.terms.get(name) or Term(self.explanation.candidates[name])
 
     @property
     def routes(self) -> tuple[Route, ...]:
-        """What goes by place."""
+        """The terms by place."""
         return tuple(term.route for term in self.explanation.terms.values() if term.route is not None)
 
 
@@ -95,7 +95,7 @@ class Choice:
 
     Parameters
     ----------
-    refitted
+    The base alone with predictive values.
         The base alone with values that predict.
     """
 
@@ -112,7 +112,7 @@ class Choice:
         return self._judged[frozenset()]
 
     def judged(self, explanation: Explanation) -> ScoredExplanation:
-        """Fit with values that predict, and score."""
+        """Fit with predictive values, and score."""
         if explanation.key not in self._judged:
             final = inside_ranges(with_levels(replace(explanation.fit, problem=self._refitted.problem)), self._use)
             final = _off_bounds(final, self._refitted)
@@ -120,7 +120,7 @@ class Choice:
         return self._judged[explanation.key]
 
     def graded(self, judged: ScoredExplanation, name: str) -> Graded:
-        """What laps left out say of a term of an explanation."""
+        """Cross-validated grade of a term of an explanation."""
         at = judged.key, name
         if at not in self._graded:
             self._graded[at] = self._grade(judged, name)
@@ -130,7 +130,7 @@ class Choice:
         without = self.judged(self._search.without(judged.explanation, name))
         change = name in judged.explanation.terms and judged.explanation.terms[name].change is not None
         improvement = self._left_out.improvement(without.score, judged.score, for_good=change)
-        # The part of it that the base alone cannot take up should come off the mean square error.
+        # The part orthogonal to the base should reduce the mean square error.
         adds = self._beyond_base(judged.final.contribution(name))
         gained = float((without.score.square - judged.score.square).sum())
         cancels = gained < LEAST_OF_SIZE * float((adds**2).sum())
@@ -144,19 +144,19 @@ class Choice:
         once = any(term.change is not None for term in judged.explanation.terms.values())
         whole = self._left_out.improvement(self._nothing.score, judged.score, for_good=once)
         kept = self._kept(judged)
-        # A re-fit may be worse than the file. What only mends that is not missing.
+        # A re-fit may be worse than the file. A term that only corrects that is not missing physics.
         if not whole.confirmed or kept.after > min(kept.before, self._by_file) or far_from_file(judged.final):
             return False
         return all(self.graded(judged, name).confirmed for name in judged.explanation.candidates)
 
     def _kept(self, judged: ScoredExplanation) -> Improvement:
-        """Of the error on held-out laps."""
+        """Improvement of the hold-out error."""
         return self._laps.improvement_of(self._refitted, judged.final)
 
     def best(self, keep_suspected: bool = False) -> Chosen:
-        """The best explanation; each of its terms is compared with all that could stand in its place.
+        """The best explanation; each of its terms is compared with all possible replacements.
 
-        Where none is confirmed, it is that with the most evidence if `keep_suspected`, else nothing.
+        If none is confirmed: with `keep_suspected` the one with the most evidence, else nothing.
         """
         best = self._nothing
         while True:
@@ -180,10 +180,10 @@ class Choice:
         return Chosen(best.explanation, best.final, self._all_graded(best), alone, steps, last, doubted, shares)
 
     def _counts(self, judged: ScoredExplanation) -> bool:
-        """Whether each term gains more than noise would beside all others, and one that improves little more than the model's own
-        error would.
+        """Whether each term gains more than noise would, given the others. A small improvement must also exceed the model's
+        own error.
 
-        What goes by place was sought on passes that it was not learned from: the price of all its places does not count again.
+        Terms by place were found on other passes than those learned from, so their places add no further penalty.
         """
         explanation = judged.explanation
         for name, candidate in explanation.candidates.items():
@@ -202,15 +202,15 @@ class Choice:
         return True
 
     def _proposed(self) -> list[Explanation]:
-        """Those of the most evidence, and each with something that goes by place."""
+        """Explanations with the most evidence, and all with a term by place."""
         found = sorted((e for e in self._search.known.values() if e.key), key=lambda e: -e.evidence)
         return [e for i, e in enumerate(found) if i < MOST_SCORED or any(map(e.goes_by_place, e.key))]
 
     def _pick(self, confirmed: Sequence[ScoredExplanation]) -> ScoredExplanation:
-        """Of those that none surely beats those with the fewest terms without a name, and of these that with the most evidence.
+        """Choose among those that no other significantly beats: fewest unnamed terms first, then most evidence.
 
-        The functions of a name are nature's to a tenth only: a form that bends to the data has more evidence beside a true name,
-        and predicts no better.
+        A named function is accurate to about 10 %: a flexible form added to a true name has more evidence, but predicts
+        no better.
         """
         unbeaten = [j for j in confirmed if not any(self._beats(k, j) or self._outdoes(k, j) for k in confirmed)]
 
@@ -220,10 +220,10 @@ class Choice:
         return max(unbeaten or confirmed, key=rank, default=self._nothing)
 
     def _beats(self, one: ScoredExplanation, other: ScoredExplanation) -> bool:
-        """Whether one surely predicts better than another.
+        """Whether one explanation predicts significantly better than another.
 
-        A form in the place of a name has to by more: the function of a name is nature's to a tenth only, so the mean square
-        error has to fall by more than the square of a tenth of what the names add.
+        A form that replaces a name needs a larger margin, because a named function is accurate to about 10 %: the mean square
+        error must fall by more than the square of a tenth of the names' torque.
         """
         more_forms = one.explanation.without_a_name > other.explanation.without_a_name
         if self._left_out.least_gain(other.score, one.score) <= (SURE if more_forms else ALIKE_WITHIN):
@@ -233,9 +233,9 @@ class Choice:
         return not more_forms or float((other.score.square - one.score.square).sum()) > by_form
 
     def _outdoes(self, one: ScoredExplanation, other: ScoredExplanation) -> bool:
-        """Whether one is the other with a form of more evidence in the place of a name that takes little off the error.
+        """Whether one replaces a name of little effect in the other by a form with more evidence.
 
-        Of a small term the data do not show its function, so nothing speaks for the name but its evidence.
+        Data do not show the function of a small term, so the name has only its evidence.
         """
         places = [(mine, its) for mine in one.key - other.key for its in other.key - one.key]
         if len(one.key) != len(other.key) or len(places) != 1:
@@ -248,7 +248,7 @@ class Choice:
         return bool(small) and one.explanation.evidence > other.explanation.evidence
 
     def _round_of(self, best: ScoredExplanation, name: str) -> Step:
-        """The round without a term, with its class: what stands in its place as well."""
+        """The round without a term, with its class: the term and its equivalent replacements."""
         without = self._search.without(best.explanation, name)
         step = self._search.expand(without)
         chosen = best.explanation.candidates[name]
@@ -274,7 +274,7 @@ class Choice:
         )
 
     def _shares(self, judged: Sequence[ScoredExplanation]) -> dict[str, float]:
-        """Probability of each name: its share over some explanations."""
+        """Probability of each name: its share over the given explanations."""
         shares = self._left_out.shares([j.score for j in judged])
         found: dict[str, float] = {NONE_OF_THESE: 0.0}
         for one, share in zip(judged, shares.tolist(), strict=True):
@@ -285,8 +285,8 @@ class Choice:
 
 
 def _off_bounds(final: Fit, refitted: Fit) -> Fit:
-    """With typical values of what only shapes a term and lies on a bound, where that costs less than a tenth of what all terms
-    gain: to a tenth a function is nature's.
+    """Re-fit with typical values of shape parameters on a bound, if that costs less than a tenth of the gain of all terms:
+    a function is accurate to about 10 %.
     """
     typical = {
         (a.effect.name, q.name): q.start for a in final.effects for q in a.effect.parameters
@@ -300,7 +300,7 @@ def _off_bounds(final: Fit, refitted: Fit) -> Fit:
 
 
 def _class_of(name: str, shares: Mapping[str, float], alike: Collection[str]) -> list[str]:
-    """The fewest that hold `CLASS_SHARE` of all, the one that was chosen among them, and those that are alike."""
+    """The smallest set with `CLASS_SHARE` of the probability, including the chosen one, plus those that look alike."""
     members, held = [name], shares[name]
     for other, share in sorted(shares.items(), key=lambda pair: -pair[1]):
         if held >= CLASS_SHARE:

@@ -3,8 +3,8 @@
 
 """Searches for whole explanations: sets of names, forms and terms by clock or place, all in one pool.
 
-It begins with nothing. In each turn the best few are expanded by everything in the pool, and by leaving out one term. Sets that
-two ways reach are one. To first order all is linear algebra on columns that are simulated once; only what may be best is fitted.
+It starts from the base alone. In each turn the best few are expanded by everything in the pool, and by removing one
+term. Duplicate sets merge. The first order is linear algebra on columns simulated once; only promising sets are fitted.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from trackres_ros.effects.effect import Effect
 
 Key = frozenset[str]
 
-EXPANDED = 2  # of the best explanations in each turn
+EXPANDED = 2  # best explanations in each turn
 MOST_TERMS = 3
-LEAST_EXPANDED = 0.4  # of the best evidence: what explains less is not expanded
+LEAST_EXPANDED = 0.4  # of the best evidence: weaker explanations are not expanded
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +37,11 @@ class Explanation:
     Attributes
     ----------
     candidates
-        Each term, as it was when it was added.
+        Each term, as added.
     terms
-        Of those by clock or place, what their fit does not say.
+        Properties outside the fit of terms by clock or place.
     evidence
-        Log-evidence over the base alone, less what the terms cost that their parameters do not show.
+        Log-evidence over the base alone, less the cost of the terms that their parameters do not include.
     """
 
     fit: Fit
@@ -56,7 +56,7 @@ class Explanation:
 
     @property
     def without_a_name(self) -> int:
-        """How many of its terms are not of the catalogue."""
+        """Number of its unnamed terms."""
         return sum(not c.is_name for c in self.candidates.values())
 
     def goes_by_place(self, name: str) -> bool:
@@ -65,16 +65,16 @@ class Explanation:
 
 
 class Search:
-    """All explanations that were looked at.
+    """All explored explanations.
 
     Parameters
     ----------
     base
-        The base as it was fitted.
+        The fitted base.
     effects
-        Those that may be named.
+        The candidate names.
     roads, kinds
-        Where positions say that the sessions are, and what of them may be learned.
+        Matched roads of the sessions, and the kinds of terms by place to learn.
     """
 
     def __init__(
@@ -95,11 +95,11 @@ class Search:
 
     @property
     def by_noise(self) -> float:
-        """What the best gains by noise alone once in twenty."""
+        """Gain that the best candidate reaches by noise alone with 5 % probability."""
         return math.inf if self._pool.by_noise is None else self._pool.by_noise
 
     def run(self) -> None:
-        """Look at all that may be best."""
+        """Explore all promising explanations."""
         frontier = [self.nothing]
         for _ in range(MOST_TERMS):
             for explanation in frontier:
@@ -110,7 +110,7 @@ class Search:
             frontier = self._best_unexpanded()
 
     def expand(self, explanation: Explanation) -> Step:
-        """Add all that may explain what an explanation leaves, one at a time."""
+        """Add each candidate for the remaining residual, one at a time."""
         if explanation.key in self.rounds:
             return self.rounds[explanation.key]
         self._on_stage(f"missing physics besides {', '.join(explanation.fit.effect_names) or 'the base alone'}")
@@ -148,7 +148,7 @@ class Search:
             self.known[explanation.key] = explanation
 
     def _leave_out(self, explanation: Explanation) -> None:
-        """Leave out one term at a time."""
+        """Remove one term at a time."""
         if len(explanation.key) > 1:
             for name in explanation.key:
                 self.without(explanation, name)

@@ -3,9 +3,9 @@
 
 """Scores explanations by cross-validation over laps.
 
-Every fourth lap that is fitted makes a fold. What a model expects of a fold comes from a fit without it, to first order about the
-fit of all of them: one Newton step, with the weights of heavy tails and the priors. Held-out laps were never fitted. The *level
-score* is the log-likelihood of all laps left out under a noise that is no random walk, so that levels count.
+Every fourth fitted lap makes a fold. Its prediction comes from a fit without it, to first order about the fit of all laps:
+one Newton step, with heavy-tail weights and priors. The hold-out laps were never fitted. The *level score* is the
+log-likelihood of all these laps under a noise that is no random walk, so that levels matter.
 
 Source: cross-validation by one Newton step as in Giordano et al., A Swiss army infinitesimal jackknife (2019).
 """
@@ -30,13 +30,13 @@ from trackres_ros.diagnosis.selection.visibility import base_columns
 Array = NDArray[np.float64]
 
 FOLDS = 4
-FEWEST_OCCASIONS = 5  # of an error: one slow rise over a drive counts as four
-SURELY = 0.025  # of resampled laps, in which it may be the other way
+FEWEST_OCCASIONS = 5  # of an error: a slow rise over a drive makes four
+SURELY = 0.025  # of resampled laps, allowed to show the opposite
 
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """What a model is worth on laps left out, by piece of them; shape (pieces,).
+    """Cross-validated score of a model by piece; shape (pieces,).
 
     Attributes
     ----------
@@ -45,9 +45,9 @@ class Score:
     error, square
         Sums of absolute and of squared errors [Nm], [Nm2].
     occasion
-        Number of the occasion of each piece: pieces in which the error is much the same are one.
+        Number of the occasion of each piece: pieces with nearly the same error share one.
     expected
-        Torque expected of each sample left out [Nm], shape (samples,).
+        Predicted torque of each scored sample [Nm], shape (samples,).
     """
 
     density: Array
@@ -58,19 +58,19 @@ class Score:
 
 
 class LeaveLapsOut:
-    """Laps left out in turn.
+    """Cross-validation over laps.
 
     Parameters
     ----------
     problem_masks, held_out
-        Samples of each session that are fitted, and those that are held out until the end.
+        Fitted samples of each session, and the final hold-out samples.
     """
 
     def __init__(self, fitted: Fit, held_out: Sequence[Mask], rng: np.random.Generator) -> None:
         sessions, masks = fitted.problem.sessions, fitted.problem.masks
         self._fold = [np.full(len(s), -1) for s in sessions]
         laps = np.unique(np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)]))
-        if len(laps) < FOLDS:  # laps too few: pieces of time
+        if len(laps) < FOLDS:  # too few laps: pieces of time
             laps = np.unique(np.concatenate([_piece(s)[m] for s, m in zip(sessions, masks, strict=True)]))
             of = [_piece(s) for s in sessions]
         else:
@@ -91,7 +91,7 @@ class LeaveLapsOut:
         self._draws: dict[int, Array] = {}
 
     def score(self, found: Fit) -> Score:
-        """Of a fit by `levels.with_levels`."""
+        """Score a fit by `levels.with_levels`."""
         problem = found.problem
         columns = base_columns(found)
         white = np.concatenate(problem.white(problem.split(columns), found.noises))
@@ -124,8 +124,8 @@ class LeaveLapsOut:
             if isinstance(active.effect, ResidualPattern):
                 self._as_known(active.effect, found, expected)
         error = [s.torque - e for s, e in zip(problem.sessions, expected, strict=True)]
-        # The noise beside what was expected ahead: beside the fit it is too small for what nobody can know, such as when a spell
-        # begins.
+        # Noise of the forecast: that of the fit is too small for unpredictable events, such as the start of a
+        # spell.
         noise = estimate_noise(error, self._left_out, LARGEST_ROOT)
         density = []
         for left, mask in zip(error, self._left_out, strict=True):
@@ -143,7 +143,7 @@ class LeaveLapsOut:
         )  # fmt: skip
 
     def _as_known(self, effect: ResidualPattern, found: Fit, expected: list[Array]) -> None:
-        """Put what one could have known of a series in place of what all laps told of it."""
+        """Replace a series learned from all laps by its forecast."""
         adds = found.contribution(effect.name)
         size = sum(float((s * s).sum()) for s in effect.shape)
         per_shape = sum(float((a * s).sum()) for a, s in zip(adds, effect.shape, strict=True)) / max(size, 1e-300)
@@ -156,11 +156,11 @@ class LeaveLapsOut:
         return float((after.density - before.density).sum())
 
     def least_gain(self, before: Score, after: Score) -> float:
-        """The level score that is as good as sure."""
+        """Lower bound of the level score."""
         return self._least(before, after.density - before.density)
 
     def improvement(self, before: Score, after: Score, for_good: bool = False) -> Improvement:
-        """Of the mean error, with the level score that is as good as sure; what changed once `for_good` has one occasion only."""
+        """Change of the mean error, with the lower bound of the level score; a lasting change (`for_good`) is one occasion."""
         if for_good:
             before = replace(before, occasion=np.arange(len(self._count)))
         count, fallen = self._count.sum(), before.error - after.error
@@ -172,7 +172,7 @@ class LeaveLapsOut:
         )  # fmt: skip
 
     def _least(self, before: Score, gained: Array, count: NDArray[Any] | None = None) -> float:
-        """Least sum that is as good as sure over resampled occasions, or least mean; nothing is sure of a few occasions."""
+        """Lower bound of a sum, or of a mean, over resampled occasions; minus infinity for too few occasions."""
         if before.occasion.max() + 1 < FEWEST_OCCASIONS:
             return -np.inf
         draws = self._draw(int(before.occasion.max()) + 1)
@@ -182,7 +182,7 @@ class LeaveLapsOut:
         )
 
     def shares(self, scores: Sequence[Score]) -> Array:
-        """How often each is the likeliest of some over resampled laps; what is as likely shares.
+        """Share of resampled laps in which each is the most likely; equal likelihoods share.
 
         Source: pseudo Bayesian model averaging with a bootstrap, Yao et al. (2018).
         """
@@ -191,13 +191,13 @@ class LeaveLapsOut:
         return np.asarray((weight / weight.sum(axis=1, keepdims=True)).mean(axis=0))
 
     def _draw(self, count: int) -> Array:
-        """How often each of some occasions is drawn, in each resample."""
+        """Number of draws of each occasion, in each resample."""
         if count not in self._draws:
             self._draws[count] = self._rng.multinomial(count, np.full(count, 1.0 / count), size=RESAMPLES).astype(np.float64)
         return self._draws[count]
 
     def beyond(self, base: Fit) -> Callable[[Sequence[Array]], Array]:
-        """A function that gives of a series of each session the samples left out, less all that parameters of a base take up."""
+        """Function that returns the scored samples of each session's series, orthogonal to the parameters of a base."""
         own = self._of(_of_torque(base, base_columns(base) * np.array([f.scale for f in base.free])))
         basis, size, _ = np.linalg.svd(own, full_matrices=False)
         basis = basis[:, size > 1e-9 * size[0]]
@@ -216,18 +216,18 @@ class LeaveLapsOut:
 
 
 def _of_torque(found: Fit, columns: Array) -> list[Array]:
-    """Changes of what is expected of the torque of each session."""
+    """Changes of the predicted torque of each session."""
     segments = found.problem.segments
     return [part for part, g in zip(found.problem.split(columns), segments, strict=True) if g.kind == "torque"]
 
 
 def _piece(session: DriveSession) -> NDArray[np.int64]:
-    """Number of the piece of each sample: of its lap, and of time in it."""
+    """Number of the piece of each sample: by lap and by time in it."""
     return np.asarray(session.block * 10_000 + (session.time // (PIECE_S * session.pace)).astype(np.int64))
 
 
 def alike_for(series: Sequence[Array]) -> float:
-    """For how many samples series resemble themselves: twice the integral of their autocorrelation, to where it ends."""
+    """Correlation length of series in samples: twice the integral of their autocorrelation, up to its end."""
     power = np.zeros(2 ** int(np.ceil(np.log2(2 * max(map(len, series))))))
     for x in series:
         power[: len(power) // 2 + 1] += np.abs(np.fft.rfft(x, len(power))) ** 2

@@ -34,21 +34,21 @@ VEHICLE, SURROUNDINGS, SENSOR = "vehicle", "surroundings", "sensor"
 
 
 def of_kind(effects: Sequence[Active], *kinds: str) -> tuple[Active, ...]:
-    """The effects that belong to one of some kinds; what follows the clock alone is in no file."""
+    """Effects of the given kinds; no file holds a term of the clock."""
     return tuple(a for a in effects if a.effect.belongs_to in kinds and a.effect.acts_on != WATCHED)
 
 
 class AsUsed:
-    """The errors of files on held-out laps, each file as it is used.
+    """Hold-out errors of files, each file as it is used.
 
     Parameters
     ----------
     base, sessions
-        The vehicle in the surroundings that were given, and the recordings there.
+        The vehicle in the given surroundings, and the recordings there.
     recorded
-        The recordings without what the surroundings say of their places.
+        The recordings without values of the surroundings by place.
     laps
-        The held-out laps.
+        The hold-out laps.
     """
 
     def __init__(self, base: Base, sessions: Sequence[DriveSession], recorded: Sequence[DriveSession], laps: HeldOutLaps) -> None:
@@ -62,7 +62,7 @@ class AsUsed:
         self._read = dict[tuple[bool, tuple[float, ...]], Base]()
 
     def expected(self, values: Values | None, effects: Sequence[Active], alone: bool) -> list[Array]:
-        """The torque that a sensor would show [Nm], of each session, by a file with other values, or with its own."""
+        """Sensed torque of each session [Nm], from a file with other values, or with its own."""
         base, sessions = self._alone if alone else self._around
         if values is not None:
             key = alone, tuple(values.values())
@@ -72,21 +72,21 @@ class AsUsed:
         return [p.torque for p in base.predict(sessions, {q.name: q.nominal for q in base.parameters}, effects)]
 
     def error(self, values: Values | None, effects: Sequence[Active] = (), alone: bool = False) -> float:
-        """Mean absolute error on held-out laps [Nm]."""
+        """Mean absolute error on hold-out laps [Nm]."""
         return float(np.abs(self._laps.measured - self._laps.of(self.expected(values, effects, alone))).mean())
 
     def surely_better(self, after: Fit, before: Fit) -> bool:
-        """Whether one fit has a surely smaller error than another without surroundings."""
+        """Whether the error of one fit is significantly smaller, without surroundings."""
         base, sessions = self._alone
         both = (base.predict(sessions, f.base_values, of_kind(f.effects, VEHICLE, SENSOR)) for f in (before, after))
         return self._laps.improvement(*([p.torque for p in one] for one in both)).grade == CONFIRMED
 
 
 def inside_ranges(found: Fit, use: AsUsed) -> Fit:
-    """A fit whose base values lie inside the ranges of the vehicle file, except values that held-out laps confirm outside.
+    """A fit with base values inside the ranges of the vehicle file, except values confirmed outside on hold-out laps.
 
-    A value outside is confirmed if vehicle.yaml alone is surely better with it than with that value at the end of its range, the
-    others fitted again. Further fits of the same problem keep to these ranges.
+    The alternative to a value outside is the end of its range with a re-fit of the others. It is confirmed if vehicle.yaml
+    alone is significantly better with it. Further fits of the same problem keep to these ranges.
     """
     names = {q.name for q in found.problem.base.parameters}
     held, confirmed = set[str](), set[str]()
@@ -112,7 +112,7 @@ def _outside(found: Fit) -> list[BaseParameter]:
 
 
 def _within(found: Fit, free: Collection[str]) -> Fit:
-    """The same values of a problem whose base is bound to the ranges of the vehicle file, except the parameters in `free`."""
+    """The same values for a base limited to the ranges of the vehicle file, except the parameters in `free`."""
     base = found.problem.base.inside_ranges(free)
     bounds = {("", q.name): (q.low, q.high) for q in base.parameters}
     limits = ((f, *bounds.get(f.key, (f.low, f.high))) for f in found.free)
@@ -125,7 +125,7 @@ def _within(found: Fit, free: Collection[str]) -> Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Option:
-    """What may be written together; `fitted` is where the values of the base are from, None for the file's own."""
+    """Possible content of the files; `fitted` is the fit of the base values, None for the file's own."""
 
     fitted: Fit | None
     effects: tuple[Active, ...]
@@ -143,16 +143,16 @@ class _Option:
 def choose_written(
     believed: Collection[str], confirmed: Collection[str], final: Fit, refitted: Fit, use: AsUsed, bounds: Bounds
 ) -> FileChanges:
-    """What may be written, the first of `_options` that is no worse as it is used than the vehicle file.
+    """Changes to write: the first of `_options` that is no worse in use than the vehicle file.
 
     Parameters
     ----------
     believed
         Names of the effects that may be written.
     confirmed
-        Those that held-out laps confirm. A sensor's among them corrects the torque that vehicle.yaml is compared with.
+        Those confirmed on hold-out laps. Confirmed sensor effects correct the torque for judging vehicle.yaml.
     final, refitted
-        Fits with all that was found, and with nothing.
+        Fits with all found effects, and with none.
     bounds
         Intervals of `final`.
     """
@@ -167,11 +167,11 @@ def choose_written(
 
 
 def _options(written: tuple[Active, ...], final: Fit, refitted: Fit) -> Iterator[_Option]:
-    """What may be written, best first: what was found as it was fitted; the same with the file's own values; what is the
-    vehicle's alone; a re-fit with nothing found.
+    """Possible changes, best first: the found effects with fitted values; the same with the file's own values; the
+    vehicle's effects alone; a re-fit without effects.
 
-    The parameters of effects are those of `final` in each, which the report shows. Where effects of `final` are not written, the
-    base is fitted again without them.
+    Effects keep their parameters of `final`, as in the report. Without some effects of `final`, the
+    base is fitted again.
     """
     if written:
         yield _Option(_beside(written, final), written)
@@ -183,7 +183,7 @@ def _options(written: tuple[Active, ...], final: Fit, refitted: Fit) -> Iterator
 
 
 def _beside(written: Sequence[Active], final: Fit) -> Fit:
-    """The base beside some effects with the parameters that they have in the final fit."""
+    """Re-fit of the base with some effects at their final parameters."""
     names = {a.effect.name for a in written}
     without = [a.effect.name for a in final.effects if a.effect.name not in names and a.effect.acts_on != WATCHED]
     if not without:
@@ -193,7 +193,7 @@ def _beside(written: Sequence[Active], final: Fit) -> Fit:
 
 
 def _refused(option: _Option, confirmed: Collection[str], refitted: Fit, use: AsUsed) -> str:
-    """Why an option is not written; empty if it may be."""
+    """Reason for not writing an option; empty if it may be written."""
     values, effects = option.values, option.effects
     if option.fitted is not None and option.fitted is not refitted:
         for q in _outside(option.fitted):
@@ -202,7 +202,7 @@ def _refused(option: _Option, confirmed: Collection[str], refitted: Fit, use: As
                 return f"{q.name} would leave its range in the file without confirmation"
     try:
         alone, before = _alone(option, confirmed, use)
-    except InputError as error:  # what fits what was driven may be no vehicle elsewhere: a belt that burns at its greatest speed
+    except InputError as error:  # a fit may be infeasible elsewhere: a belt that burns at its greatest speed
         return f"no command would accept that file: {error.given}; allowed: {error.allowed}"
     if alone > before:
         return f"the mean error of vehicle.yaml alone would be {figures(alone)} Nm, {figures(before)} Nm with the old file"
@@ -219,8 +219,8 @@ def _refused(option: _Option, confirmed: Collection[str], refitted: Fit, use: As
 
 
 def _alone(option: _Option, confirmed: Collection[str], use: AsUsed) -> tuple[float, float]:
-    """Errors of vehicle.yaml alone and of the file it came from, both against the torque as confirmed lines of a sensor correct
-    it [Nm].
+    """Errors of vehicle.yaml alone and of its original, both against the torque with confirmed sensor corrections
+    [Nm].
     """
     sensors = _correcting(option, confirmed)
     after = use.error(option.values, [*of_kind(option.effects, VEHICLE), *sensors], alone=True)
@@ -232,7 +232,7 @@ def _correcting(option: _Option, confirmed: Collection[str]) -> list[Active]:
 
 
 def _kept(option: _Option, final: Fit, confirmed: Collection[str], use: AsUsed, bounds: Bounds, not_first: str) -> FileChanges:
-    """An option with its intervals and in words."""
+    """An option with its intervals and a text."""
     names = {a.effect.name for a in option.effects}
     spans = {key: one for key, one in bounds.items() if key[0] in names}
     if option.fitted is not None:

@@ -13,19 +13,19 @@ from trackres_ros.diagnosis.inference.fitting import Fit
 
 Array = NDArray[np.float64]
 
-FORM_ERROR = 0.1  # of what an effect adds: a standard deviation by which its function may be off
+FORM_ERROR = 0.1  # of an effect's torque: standard deviation of its functional error
 FOLLOWED = ("speed", "acceleration", "load", "belt temperature", "time since start")
 
 
 def other_forms(fit: Fit) -> Array:
-    """Columns by which the effects of a fit would change if their functions were off by `FORM_ERROR`.
+    """Changes of the effects of a fit for functional errors of `FORM_ERROR`.
 
-    Each effect is made larger where a variable is large and smaller where it is small: for the variables of `FOLLOWED`, for
+    Each effect is scaled up for large values of a variable and down for small ones: for the variables of `FOLLOWED`, for
     the direction, and for its own size.
 
     Returns
     -------
-    Change of what is expected of all segments, one after the other, shape (n, columns).
+    Change of all predicted segments, concatenated, shape (n, columns).
     """
     masks, driven = fit.problem.masks, list(zip(fit.problem.sessions, fit.predicted, strict=True))
     found = []
@@ -47,5 +47,5 @@ def other_forms(fit: Fit) -> Array:
 
 
 def _rows(fit: Fit, torques: list[Array]) -> Array:
-    """Of all segments: belts are left as they are."""
+    """Rows of all segments; zero for belts."""
     return np.concatenate([torques[g.session] if g.kind == "torque" else np.zeros(len(g.measured)) for g in fit.problem.segments])

@@ -20,15 +20,15 @@ Array = NDArray[np.float64]
 
 STAGES = ("nominal", "refitted", "with_effects")
 RESAMPLES = 10_000
-FEWEST_LAPS, PIECE_S = 8, 60.0  # of fewer laps pieces are resampled: a handful of laps says nothing of how they vary
-NO_WORSE = 1.01  # times the error before: more than a hundredth worse refutes
-SMALL_SHARE = 0.02  # of the mean error: what improves less is small
+FEWEST_LAPS, PIECE_S = 8, 60.0  # with fewer laps pieces are resampled: a handful of laps does not show their variation
+NO_WORSE = 1.01  # times the error before: an increase of over 1 % refutes
+SMALL_SHARE = 0.02  # of the mean error: a smaller improvement is small
 CONFIRMED, SUSPECTED, REFUTED = "confirmed", "suspected", "refuted"
 
 
 @dataclass(frozen=True, slots=True)
 class Improvement:
-    """By how much a model takes the mean error of another down on held-out laps [Nm].
+    """Reduction of the mean error on hold-out laps [Nm] by one model over another.
 
     Attributes
     ----------
@@ -37,10 +37,10 @@ class Improvement:
     low, high
         A 95 % interval of the difference, over laps.
     likelier
-        Least level score that is as sure, see `search.left_out`: it tells an effect from noise where the mean error, most of
-        which is noise, cannot yet. Negative infinity where it was not asked for.
+        Lower bound of the level score, see `search.left_out`. It separates an effect from noise earlier than the mean error,
+        which is mostly noise. Negative infinity where not requested.
     gained
-        The level score itself; nan where it was not asked for.
+        The level score itself; nan where not requested.
     """
 
     before: float
@@ -52,11 +52,10 @@ class Improvement:
 
     @property
     def grade(self) -> str:
-        """What the laps say.
+        """Grade by the hold-out laps.
 
-        `refuted` where the error grows, surely or by more than a hundredth; `confirmed` where it does not grow and a gain in
-        likelihood is sure, or it surely falls, and by no less than `SMALL_SHARE` where likelihoods were asked for; else
-        `suspected`.
+        `refuted` if the error grows, significantly or by over 1 %. `confirmed` if it does not grow and the likelihood gain
+        is significant, or if it falls significantly, with likelihoods by at least `SMALL_SHARE`. Else `suspected`.
         """
         if self.after > NO_WORSE * self.before or self.high < 0.0:
             return REFUTED
@@ -71,12 +70,12 @@ class Improvement:
 
 
 class HeldOutLaps:
-    """The held-out samples, on which models are compared.
+    """Comparison of models on the hold-out samples.
 
     Parameters
     ----------
     masks
-        The held-out samples of each session.
+        The hold-out samples of each session.
 
     Raises
     ------
@@ -103,35 +102,35 @@ class HeldOutLaps:
         self._draws = rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES)
 
     def of(self, series: Sequence[Array]) -> Array:
-        """The held-out samples of a series of each session."""
+        """The hold-out samples of a series of each session."""
         return np.concatenate([x[m] for x, m in zip(series, self._masks, strict=True)])
 
     def improvement(self, before: Sequence[Array], after: Sequence[Array]) -> Improvement:
-        """Of one expected torque of each session over another [Nm]."""
+        """Improvement by one predicted torque of each session over another [Nm]."""
         errors = [np.abs(self.measured - self.of(x)) for x in (before, after)]
         means = self._over_laps(errors[0] - errors[1]) / (self._draws @ self._count)
         low, high = np.quantile(means, (0.025, 0.975))
         return Improvement(float(errors[0].mean()), float(errors[1].mean()), float(low), float(high))
 
     def improvement_of(self, before: Fit, after: Fit) -> Improvement:
-        """Of one fit over another."""
+        """Improvement by one fit over another."""
         return self.improvement(*([p.torque for p in fit.predicted] for fit in (before, after)))
 
     def _over_laps(self, gained: Array) -> Array:
-        """Sums of what is gained at each sample, over resampled laps."""
+        """Sums of a gain per sample, over resampled laps."""
         return np.asarray(self._draws @ np.bincount(self._piece, weights=gained))
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Errors on held-out laps by stage: mean absolute error [Nm], R2, mean error [Nm].
+    """Errors on hold-out laps by stage: mean absolute error [Nm], R2, mean error [Nm].
 
     Attributes
     ----------
     by_lap
         Each of them by stage and lap, shape (laps,).
     of_refit, of_effects
-        What re-fitting the base improves over the vehicle file, and the effects over the re-fitted base.
+        Improvement by re-fitting the base over the vehicle file, and by the effects over the re-fitted base.
     """
 
     laps: tuple[str, ...]
@@ -144,7 +143,7 @@ class HeldOut:
 
 
 def held_out(laps: HeldOutLaps, expected: Mapping[str, Sequence[Array]]) -> HeldOut:
-    """Compare the three `STAGES`, by their expected torques of each session [Nm]."""
+    """Compare the three `STAGES`, by their predicted torques of each session [Nm]."""
     numbers = np.unique(laps.blocks)
     error = {stage: laps.measured - laps.of(expected[stage]) for stage in STAGES}
     of_lap = [laps.blocks == b for b in numbers]

@@ -31,11 +31,11 @@ GROWTH = 2.0
 
 
 def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
-    """Intervals of all parameters of a fit by `levels.with_levels`: the base's by the curvature, those of effects by their
-    profile; both by laps and by sessions where wider. A value at the end of its range is only bounded, and what was held at a
+    """Intervals of all parameters of a fit by `levels.with_levels`: the base's from the curvature, those of effects from their
+    profile; both from laps and sessions where wider. A value at the end of its range is only bounded. One fixed at a
     typical value may lie anywhere within its bounds.
 
-    How large an effect is depends on its function too, which is nature's to `FORM_ERROR` only.
+    The size of an effect also depends on its function, which is accurate to `FORM_ERROR`.
     """
     laps, sessions = lap_std(found), session_std(found)
     by_laps = {key: max(std, sessions.get(key, 0.0)) for key, std in laps.items()}
@@ -61,12 +61,12 @@ def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
 
 
 def lap_std(found: Fit, together: int = 1) -> dict[tuple[str, str], float]:
-    """Standard deviations by leaving out one lap at a time, or so many that follow one another, to first order."""
+    """Standard deviations from leaving out one lap at a time, or `together` consecutive ones, to first order."""
     return _left_out_std(found, np.concatenate([g.block for g in found.problem.segments]) // together)
 
 
 def session_std(found: Fit) -> dict[tuple[str, str], float]:
-    """The same by leaving out one session at a time: what the model does not know differs between them."""
+    """The same from leaving out one session at a time: unmodelled conditions differ between them."""
     return _left_out_std(found, np.concatenate([np.full(len(g.measured), g.session) for g in found.problem.segments]))
 
 
@@ -88,7 +88,7 @@ def _left_out_std(found: Fit, blocks: NDArray[np.int64]) -> dict[tuple[str, str]
 
 
 def _edge(found: Fit, key: tuple[str, str], side: float, bound: float) -> tuple[float, bool]:
-    """Where the profile has fallen by `DROP`, or the bound with True if it has not by then."""
+    """Point where the profile has fallen by `DROP`, or the bound with True if it does not."""
     at, wanted = found.at[key], DROP
     effects = [a.effect for a in found.effects]
     reach = abs(bound - at)
@@ -107,7 +107,7 @@ def _edge(found: Fit, key: tuple[str, str], side: float, bound: float) -> tuple[
         step = min(reach, GROWTH * step)
     if outside is None:
         return bound, True
-    # Between the two the square root of the fall is nearly straight.
+    # Between them the square root of the fall is nearly linear.
     a, b = np.sqrt(inside[1]), np.sqrt(outside[1])
     share = (np.sqrt(wanted) - a) / (b - a) if b > a else 1.0
     return at + side * float(inside[0] + share * (outside[0] - inside[0])), False

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Proposes additions to an explanation by name or form: the best to first order, fitted together with it."""
+"""Proposes additions to an explanation, named or as a form: the best to first order, fitted together with it."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from trackres_ros.effects.learned import EmpiricalEffect
 Array = NDArray[np.float64]
 
 MOST_REFITTED = {False: 6, True: 3}  # names, and forms
-FAR_BEHIND = 15.0  # in log-likelihood, to first order: no refit makes that good
-BORNE_OUT = 0.25  # of its gain to first order: a fit that gains less does not bear it out
-THROUGH_TEMPERATURE = ("heat", "cooling")  # but for what is far from linear
+FAR_BEHIND = 15.0  # in log-likelihood, to first order: no re-fit recovers that
+BORNE_OUT = 0.25  # of its first-order gain: least gain of a fit that confirms it
+THROUGH_TEMPERATURE = ("heat", "cooling")  # except for strongly non-linear effects
 ALIKE_WITHIN = 3.0  # in log-likelihood
 LEAST_BEGUN = 0.05  # of the typical size
-LEAST_SHARE = 0.005  # of the torque, root mean square: what adds less hardly matters
-MODEL_ERROR = 0.004  # of the torque, root mean square and slow: what a re-fitted base is off by where nothing is missing
+LEAST_SHARE = 0.005  # of the torque, root mean square: a smaller effect hardly matters
+MODEL_ERROR = 0.004  # of the torque, root mean square and slow: error of a re-fitted base without missing physics
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,17 +42,17 @@ class Candidate:
     name, fit
         The effect, and the fit with it.
     gain
-        In log-likelihood over the fit without.
+        Gain in log-likelihood over the fit without.
     criterion
-        The same in log-evidence: less what its parameters cost.
+        Gain in log-evidence: less the cost of its parameters.
     bic_gain
-        Twice the gain less the logarithm of the effective sample for each parameter that the data settle; for comparison.
+        Twice the gain less the logarithm of the effective sample for each effective parameter; for comparison.
     kept, d_prime
         See `visibility.EffectSensitivity`.
     share
-        Of the torque that it adds, root mean square.
+        Its share of the torque, root mean square.
     form_error_gain
-        What other forms of the effects beside it take of the gain, see `form_error.other_forms`.
+        Part of the gain that other forms of the present effects explain, see `form_error.other_forms`.
     """
 
     name: str
@@ -72,26 +72,26 @@ class Candidate:
 
     @property
     def is_name(self) -> bool:
-        """Whether it is of the catalogue."""
+        """Whether it is in the catalogue."""
         return not isinstance(self.effect, EmpiricalEffect | ResidualPattern)
 
     @property
     def net_gain(self) -> float:
-        """The gain beyond what other forms of the effects beside it take."""
+        """Gain beyond that of other forms of the present effects."""
         return self.gain - self.form_error_gain
 
     @property
     def net_evidence(self) -> float:
-        """The same in log-evidence."""
+        """Log-evidence beyond that of other forms."""
         return self.criterion - self.form_error_gain
 
     def counts(self, threshold: float) -> bool:
-        """Whether it deserves a name."""
+        """Whether it is worth a name."""
         return self.matters and self.net_gain > threshold and self.net_evidence > 0.0
 
     @property
     def matters(self) -> bool:
-        """Whether it adds enough to be worth a name."""
+        """Whether its torque is large enough for a name."""
         return self.share >= LEAST_SHARE
 
 
@@ -102,20 +102,20 @@ class Step:
     Attributes
     ----------
     before
-        The fit it began with.
+        The initial fit.
     separability, screened
-        What could be seen, and the gains to first order.
+        The visible effects, and the gains to first order.
     by_noise, threshold
-        The gain that noise alone reaches once in twenty; and the one that counts, which is also more than the model's own
-        error may give.
+        The gain that noise alone reaches with 5 % probability; and the required gain, which also exceeds the model's own
+        error.
     candidates
-        Those re-fitted, best first.
+        The fitted ones, best first.
     chosen
-        The best, if it counts; else None.
+        The best one, if its gain suffices; else None.
     members, weights
-        Effects that explain it as well, and how likely each is.
+        Effects with an equivalent explanation, and the probability of each.
     stability
-        Share of resampled laps in which the class wins.
+        Share of resampled laps won by the class.
     """
 
     before: Fit
@@ -131,7 +131,7 @@ class Step:
 
     @property
     def hint(self) -> str:
-        """The effect that would be named if the model were exact; empty where none would, or one was."""
+        """The best effect for an exact model; empty without one, or if one was chosen."""
         if self.chosen is not None:
             return ""
         beyond = [c for c in self.candidates if c.is_name and c.net_gain > self.by_noise and c.net_evidence > 0.0]
@@ -140,8 +140,8 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """What may be added to an explanation by name or form, what each does to first order about the base, and what the best of
-    them gains by noise alone.
+    """Candidates by name or form, their first-order columns about the base, and the best one's gain by noise
+    alone.
     """
 
     effects: Mapping[str, Effect]
@@ -149,12 +149,12 @@ class Pool:
     by_noise: float | None = None
 
     def without(self, taken: Collection[str]) -> dict[str, Effect]:
-        """Those with other names."""
+        """The candidates with other names."""
         return {key: effect for key, effect in self.effects.items() if effect.name not in taken}
 
 
 def one_round(current: Fit, pool: Pool, replicates: int, rng: np.random.Generator) -> Step:
-    """What most explains what a fit leaves, fitted; of one name there may be several, of which the best counts."""
+    """Fit the best candidates for the residual of a fit; a name may have several, the best one is used."""
     seen = separability(pool.without(current.effect_names), current, pool.columns)
     screened = screen(current, seen.visible, replicates, rng, pool.by_noise)
     gains = tuple((s.effect.name, gain.value) for s, gain in screened.gains)
@@ -164,10 +164,10 @@ def one_round(current: Fit, pool: Pool, replicates: int, rng: np.random.Generato
 
 
 def _refitted(current: Fit, screened: Screened) -> list[Candidate]:
-    """Effects that may gain most to first order, fitted.
+    """Fit the effects with the largest first-order gains.
 
-    The others are measured by the best; but not by one whose fit does not bear out its gain to first order: a delay, whose
-    likeness to the lag that any sensor has is far from linear, would keep what is there from being looked at.
+    The best one sets the limit for the others, unless its fit does not confirm its first-order gain. A delay, which is
+    similar to a sensor lag only by non-linear terms, would otherwise exclude the true effect.
     """
     fitted, misleading = dict[str, Candidate](), set[str]()
     while True:
@@ -188,7 +188,7 @@ def _refitted(current: Fit, screened: Screened) -> list[Candidate]:
 
 
 def _may_be_best(screened: Screened, misleading: Collection[str]) -> dict[str, list[tuple[EffectSensitivity, Gain]]]:
-    """By name what is to be fitted and from where, of effects the best of which is no misleading one."""
+    """Effects to fit by name, with their starts, near the best one that is not misleading."""
     best = max((gain.value for s, gain in screened.gains if s.effect.name not in misleading), default=0.0)
     if best < 0.5 * screened.threshold or best < 1.0:
         return {}
@@ -204,7 +204,7 @@ def _may_be_best(screened: Screened, misleading: Collection[str]) -> dict[str, l
 
 
 def spurious_gain(current: Fit) -> float:
-    """Log-likelihood that an effect can gain by mending the model's own error.
+    """Log-likelihood that an effect can gain from the model's own error.
 
     That error does not average out: the longer a recording and the smaller its noise, the more it looks like physics.
     """
@@ -214,7 +214,7 @@ def spurious_gain(current: Fit) -> float:
 
 
 def _refit(current: Fit, found: Sequence[tuple[EffectSensitivity, Gain]], form_error_gain: float) -> Candidate:
-    """The best of the fits from each start."""
+    """Best fit over all starts."""
     active, short = [a.effect for a in current.effects], shortened(current.noise)
     fits = []
     for s, gain in found:
@@ -226,7 +226,7 @@ def _refit(current: Fit, found: Sequence[tuple[EffectSensitivity, Gain]], form_e
 
 
 def compared(current: Fit, found: Fit, name: str, kept: float, d_prime: float, form_error_gain: float) -> Candidate:
-    """What a fit with one more effect gains over the one without."""
+    """Gain of a fit with one more effect over the one without."""
     gain = found.log_likelihood - current.log_likelihood
     bic = 2.0 * gain - np.log(effective_samples(found)) * effective_parameters(found, name)
     criterion = found.log_evidence - current.log_evidence
@@ -235,13 +235,13 @@ def compared(current: Fit, found: Fit, name: str, kept: float, d_prime: float, f
 
 
 def rms(series: Sequence[Array], found: Fit) -> float:
-    """Root mean square over the samples that count."""
+    """Root mean square over the used samples."""
     used = np.concatenate([x[m] for x, m in zip(series, found.problem.masks, strict=True)])
     return float(np.sqrt(np.mean(used[np.isfinite(used)] ** 2)))
 
 
 def _begin(sensitivity: EffectSensitivity, moved: Array) -> dict[tuple[str, str], float]:
-    """Values to begin a fit at: where it is best to first order, but not at nothing, where its shape cannot be felt."""
+    """Initial values: the first-order optimum, but not zero, where the shape has no influence."""
     values, of = dict(sensitivity.start), sensitivity.effect
     amplitudes = [q for q in of.parameters if q.off is not None]
     for q, share in zip(amplitudes, moved.tolist(), strict=True):
@@ -252,13 +252,13 @@ def _begin(sensitivity: EffectSensitivity, moved: Array) -> dict[tuple[str, str]
 
 
 def effective_parameters(found: Fit, effect: str) -> float:
-    """How many parameters of an effect the data settle: one as unsure as its bounds allow is none."""
+    """Number of parameters of an effect that the data determine; one as uncertain as its bounds is not included."""
     of = [f for f in found.free if f.key[0] == effect]
     return float(sum(1.0 - min(1.0, (found.std_of(*f.key) / f.std) ** 2) for f in of))
 
 
 def effective_samples(found: Fit) -> float:
-    """Samples that autocorrelated residuals are worth for a constant."""
+    """Number of independent samples equivalent to the autocorrelated residuals for a constant."""
     torque = [(r, g.mask) for r, g in zip(found.residuals, found.problem.segments, strict=True) if g.kind == "torque"]
     variance = float(np.var(np.concatenate([r[m] for r, m in torque])))
     samples = sum(int(m.sum()) for _, m in torque)

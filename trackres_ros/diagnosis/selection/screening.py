@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 5, first half: the gain of each effect to first order, and the best gain from noise alone."""
+"""Step 5, first half: the first-order gain of each effect, and the largest gain from noise alone."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from trackres_ros.diagnosis.selection.visibility import EffectSensitivity, base_
 Array = NDArray[np.float64]
 
 TURNS = 3  # of coefficients and noise
-FLIPPED_TOGETHER = 20  # samples whose sign the bootstrap flips as one: what whitening left of their likeness stays
+FLIPPED_TOGETHER = 20  # samples whose sign the bootstrap flips together: keeps the correlation after whitening
 REPLICATES, QUICK_REPLICATES = 99, 39
 NEARLY_LARGEST = 4
 DRAWS = "thresholds of noise alone"
-FIRST_SHARE, PLAINLY = 0.4, 3.0  # of the draws; that many times the threshold, or less by as much, is plain
+FIRST_SHARE, PLAINLY = 0.4, 3.0  # of the draws; a clear result differs from the threshold by at least this factor
 GUMBEL_95 = (-np.log(-np.log(0.95)) - np.euler_gamma) * np.sqrt(6.0) / np.pi  # standard deviations from mean to 95th percentile
 MOST_DRAWN_ROWS = 7200  # two hours of driving
-STRETCH = 200  # rows that stay together where not all are drawn
+STRETCH = 200  # consecutive rows kept together in a subset
 
 
 class Gain(NamedTuple):
-    """A gain in log-likelihood to first order, the amplitudes there over the typical ones, and whether the noise is short."""
+    """First-order gain in log-likelihood, the amplitudes over the typical ones, and whether the noise is short."""
 
     value: float
     moved: Array
@@ -45,16 +45,16 @@ class Gain(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """First-order gains in log-likelihood of effects over a fit, and what noise alone reaches.
+    """First-order gains in log-likelihood of effects over a fit, and those of noise alone.
 
     Attributes
     ----------
     gains
         Best first; over a fit whose effects may have another form, see `form_error.other_forms`.
     form_error_gain
-        What other forms of the effects in the fit take of each effect's gain.
+        Part of each effect's gain that other forms of the fitted effects explain.
     threshold
-        What the best gains by noise alone once in twenty.
+        Gain that the best candidate reaches by noise alone with 5 % probability.
     reached
         Largest gain of each replicate of the bootstrap.
     """
@@ -68,14 +68,14 @@ class Screened:
 def screen(
     fit: Fit, candidates: Sequence[EffectSensitivity], replicates: int, rng: np.random.Generator, by_noise: float | None = None
 ) -> Screened:
-    """Gain of each candidate, and the distribution of the largest under noise of the fit's own kind, unless it is known what
-    the best gains `by_noise`. Where the first draws leave no doubt, there are no more.
+    """Gain of each candidate, and the distribution of the largest one under the fit's noise, unless that gain `by_noise`
+    is given. Clear first draws end the bootstrap.
 
     Notes
     -----
-    The noise is fitted with each candidate anew: a slow effect that is left out looks like slow noise, and whitening with
-    that would hide it. What noise alone gains hardly depends on how much of it there is: of more than `MOST_DRAWN_ROWS` rows,
-    stretches of that many together are drawn, and priors weigh as much less.
+    The noise is fitted again with each candidate: a missing slow effect looks like slow noise, and whitening with
+    that would hide it. The gain by noise hardly depends on its duration: of more than `MOST_DRAWN_ROWS` rows,
+    only evenly spaced stretches are drawn, with weaker priors.
     """
     own, forms = base_columns(fit), other_forms(fit)
     linear = _Linear(fit, own, forms)
@@ -111,9 +111,9 @@ def screen(
 
 
 def largest_by_noise(reached: Array) -> float:
-    """What largest values exceed once in twenty: of the Gumbel distribution with their mean and standard deviation.
+    """95th percentile of the Gumbel distribution with the mean and standard deviation of the largest values.
 
-    It hangs on the draws by two thirds as much as their own quantile does.
+    It varies between draws by two thirds as much as their own quantile.
     """
     if len(reached) < 2:
         return np.inf
@@ -125,13 +125,13 @@ def _best(name: str, candidates: Sequence[EffectSensitivity], gains: Sequence[Ga
 
 
 Lagged = Mapping[str, Array]
-"""Rows of each kind that count, and those before them: shapes (1 + lags, rows) or (1 + lags, rows, columns)."""
+"""Used rows of each kind, and those before them: shapes (1 + lags, rows) or (1 + lags, rows, columns)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Mover:
-    """What may move to explain a residual: columns, bounds, and the weight of the priors and where they pull, per parameter; and
-    the columns whitened by the noises that are begun with, as they are asked for.
+    """Free parameters for explaining a residual: columns, bounds, weight and pull of the priors; and the
+    columns whitened by the initial noises, on demand.
     """
 
     columns: Lagged
@@ -146,14 +146,14 @@ class _Mover:
         return {kind: _white(self.columns[kind], noise) for kind, noise in noises.items()}
 
     def white_at_first(self, noises: Mapping[str, Noise]) -> Lagged:
-        """The same, kept: each draw begins with the same noises."""
+        """The same, cached: each draw begins with the same noises."""
         if id(noises) not in self.begun:
             self.begun[id(noises)] = self.white(noises)
         return self.begun[id(noises)]
 
 
 class _Linear:
-    """The fit, linearised, with further columns of which each may move by about one: likelihoods by linear algebra."""
+    """The linearised fit, with additional columns of about unit prior: likelihoods by linear algebra."""
 
     def __init__(self, fit: Fit, own: Array, further: Array, most_rows: int = sys.maxsize) -> None:
         self._fit = fit
@@ -176,7 +176,7 @@ class _Linear:
         self.own = _Mover(self.lagged(self._columns), -far, far, prior, pull)
 
     def lagged(self, rows: Array) -> Lagged:
-        """Rows of all segments, one after the other, as the whitening needs them."""
+        """Concatenated rows of all segments with their lags, for the whitening."""
         return {
             kind: np.stack([rows[at - i] for i in range(len(self._fit.noises[kind].phi) + 1)]) for kind, at in self._at.items()
         }
@@ -196,7 +196,7 @@ class _Linear:
         )
 
     def gains(self, residual: Lagged, movers: Sequence[_Mover]) -> list[Gain]:
-        """In log-likelihood of each mover over the fit's own."""
+        """Gains in log-likelihood of each mover over the fit's own."""
         null = self.likelihood(residual, self.own).value
 
         def gain(mover: _Mover) -> Gain:
@@ -206,8 +206,8 @@ class _Linear:
         return side_by_side(gain, movers, "screening of the candidates")
 
     def ranking(self, movers: Sequence[_Mover]) -> Callable[[Lagged], Array]:
-        """A function that tells what each mover gains of a residual under the fit's own noise and without bounds: cheap, and near
-        enough to tell which gain most.
+        """Function for the gain of each mover on a residual under the fit's own noise and without bounds: cheap, and precise
+        enough for ranking.
         """
         count, noises = len(self.own.prior), self._fit.noises
         prior = np.concatenate([self.own.prior, *(m.prior[count:] for m in movers)])
@@ -219,7 +219,7 @@ class _Linear:
         }
         normal = np.sum([np.diag(prior**2), *(x.T @ x for x in white.values())], axis=0)
         normal[np.diag_indices_from(normal)] *= 1.0 + 1e-9
-        taken = np.linalg.solve(normal[:count, :count], normal[:count, count:])  # by the fit's own parameters
+        taken = np.linalg.solve(normal[:count, :count], normal[:count, count:])  # explained by the fit's own parameters
         left = normal[count:, count:] - normal[count:, :count] @ taken
         ends = np.cumsum([len(m.prior) - count for m in movers])
         parts = [slice(end - len(m.prior) + count, end) for end, m in zip(ends, movers, strict=True)]
@@ -234,10 +234,10 @@ class _Linear:
         return gains
 
     def likelihood(self, residual: Lagged, mover: _Mover, centred_on_fit: bool = False) -> Gain:
-        """Of a residual with a mover's parameters free within their bounds, and the noise fitted along.
+        """Likelihood of a residual with a mover's parameters free within their bounds, and the noise fitted too.
 
-        `centred_on_fit` takes the parameters of the fit for true, as they are in what is drawn: no candidate gains by
-        bringing them back into their ranges.
+        `centred_on_fit` treats the fit's parameters as true, as in drawn residuals: no candidate gains by
+        returning them to their ranges.
         """
         found = Gain(*self._turned(residual, mover, self._fit.noises, centred_on_fit), False)
         if self._short is None:
@@ -245,7 +245,7 @@ class _Linear:
         return max(found, Gain(*self._turned(residual, mover, self._short, centred_on_fit), True), key=lambda gain: gain.value)
 
     def _turned(self, residual: Lagged, mover: _Mover, begin: Mapping[str, Noise], centred_on_fit: bool) -> tuple[float, Array]:
-        """The likelihood, and what it moves, by turns of coefficients and noise that begin with a noise."""
+        """Likelihood and parameter changes, from alternating coefficients and noise, with an initial noise."""
         pull = np.zeros_like(mover.pull) if centred_on_fit else mover.pull
         noises, left = dict(begin), residual
         moved = np.zeros(len(mover.prior))
@@ -263,7 +263,7 @@ class _Linear:
         return total - 0.5 * float(((mover.prior * moved - pull) ** 2).sum()), moved
 
     def drawn(self, rng: np.random.Generator) -> Array:
-        """A residual of noise alone: the whitened one with signs flipped by the piece, coloured again."""
+        """A residual of noise alone: the whitened one with signs flipped in pieces, then coloured again."""
         parts, fit = [], self._fit
         for white, segment in zip(fit.white, fit.problem.segments, strict=True):
             noise = fit.noises[segment.kind]
@@ -275,7 +275,7 @@ class _Linear:
 
 
 def _thinned(rows: NDArray[np.int64], share: float) -> NDArray[np.int64]:
-    """A share of the rows, in stretches that are evenly spaced."""
+    """A share of the rows, in evenly spaced stretches."""
     stretch = np.arange(len(rows)) // STRETCH
     return np.asarray(rows[np.ceil((stretch + 1) * share) > np.ceil(stretch * share)])
 
@@ -288,7 +288,7 @@ def _white(lagged: Array, noise: Noise) -> Array:
 
 
 def coloured(white: Array, noise: Noise, rng: np.random.Generator) -> Array:
-    """Noise out of innovations, begun in its steady state."""
+    """Coloured noise from innovations, starting in steady state."""
     lead = rng.choice(white[white != 0.0], 500) if np.any(white) else np.zeros(500)
     return np.asarray(lfilter([1.0], np.concatenate(([1.0], -noise.phi)), np.concatenate((lead, white)))[500:])
 

@@ -27,29 +27,29 @@ LEAST_KEPT, LEAST_D_PRIME = 0.1, 3.0
 ALIKE_COSINE = 0.95
 ALWAYS_KNOWN = ("speed", "accel", "weight", "distance", "drive_torque", "ambient", "belt")
 REPLACED_BY = {"grade": ("grade", "grade_profile")}
-"""Effects that make no sense where a channel is measured."""
+"""Effects that a measured channel replaces."""
 
 
 @dataclass(frozen=True, eq=False)
 class EffectSensitivity:
-    """What an effect would do to the residual, to first order.
+    """First-order change of the residual by an effect.
 
     Attributes
     ----------
     effect, start
-        The effect, and the values it is linearised at.
+        The effect, and the values of its linearisation.
     amplitudes
         Names of the parameters of `columns`.
     columns
-        Change of what is expected per amplitude, of all segments one after the other, shape (n, amplitudes).
+        Change of the prediction per amplitude, of all segments concatenated, shape (n, amplitudes).
     kept
-        Share of it that no re-fit of the base takes away.
+        Share of it that no re-fit of the base absorbs.
     d_prime
-        Standard deviations that a typical effect would stand out by.
+        Visibility of a typical effect in standard deviations.
     by_priors
-        The part of them that comes from how far it would push the base's parameters out of the ranges of the vehicle file.
+        Part of it due to base parameters pushed out of the ranges of the vehicle file.
     direction
-        Whitened, without what the base takes, of unit length: for the cosine between two effects.
+        Whitened, orthogonal to the base, of unit length: for the cosine between two effects.
     """
 
     effect: Effect
@@ -63,7 +63,7 @@ class EffectSensitivity:
 
 
 class Shown(NamedTuple):
-    """How a change of the expected torque shows, see `EffectSensitivity`."""
+    """Visibility of a change of the predicted torque, see `EffectSensitivity`."""
 
     kept: float
     d_prime: float
@@ -73,29 +73,29 @@ class Shown(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class NotVisible:
-    """An effect that cannot be seen in these recordings."""
+    """An effect that is not visible in these recordings."""
 
     effect: Effect
     why: str
 
     @property
     def name(self) -> str:
-        """Of the effect."""
+        """Name of the effect."""
         return self.effect.name
 
 
 @dataclass(frozen=True, eq=False)
 class Separability:
-    """What can be seen, and how alike it looks.
+    """Visible effects, and their similarity.
 
     Attributes
     ----------
     visible
-        Sensitivities of effects that would stand out; one may stand there several times, from several starts.
+        Sensitivities of visible effects; one may appear several times, from several starts.
     not_visible
-        The others with the reason; and those that would stand out but for a base that can take up nearly all of it.
+        The others with the reason; and visible ones that the base could absorb almost entirely.
     names, cosines
-        Of the visible ones, and how alike they look, shape (names, names), signed.
+        Names of the visible ones, and the cosines between them, shape (names, names), signed.
     """
 
     visible: tuple[EffectSensitivity, ...]
@@ -105,7 +105,7 @@ class Separability:
 
     @property
     def of_names(self) -> Separability:
-        """The part of it that is of the catalogue."""
+        """The part for effects of the catalogue."""
         visible = tuple(s for s in self.visible if not isinstance(s.effect, EmpiricalEffect))
         not_visible = tuple(n for n in self.not_visible if not isinstance(n.effect, EmpiricalEffect))
         names = {s.effect.name for s in visible}
@@ -113,13 +113,13 @@ class Separability:
         return Separability(visible, not_visible, tuple(self.names[i] for i in at), self.cosines[np.ix_(at, at)])
 
     def alike(self, name: str) -> tuple[str, ...]:
-        """Effects that look the same as one here, itself first."""
+        """Effects that look the same as one here, that one first."""
         i = self.names.index(name)
         return (name, *(other for j, other in enumerate(self.names) if j != i and abs(self.cosines[i, j]) > ALIKE_COSINE))
 
 
 def feasible(effects: Mapping[str, Effect], fit: Fit) -> tuple[list[Effect], list[NotVisible]]:
-    """Effects whose inputs are there, and the others with the reason."""
+    """Effects with all inputs available, and the others with the reason."""
     sessions = fit.problem.sessions
     given = frozenset.intersection(*(s.given for s in sessions))
     possible, not_visible = [], []
@@ -144,7 +144,7 @@ def feasible(effects: Mapping[str, Effect], fit: Fit) -> tuple[list[Effect], lis
 
 
 def separability(effects: Mapping[str, Effect], fit: Fit, columns_of: ColumnsOf | None = None) -> Separability:
-    """Linearise all effects about a fit, unless that is known, and compare them with what the fit can take up itself, and with
+    """Linearise all effects about a fit, unless given, and compare them with the fit's own parameters and with
     each other.
     """
     columns_of = columns_of or EffectColumns(fit)
@@ -160,7 +160,7 @@ def separability(effects: Mapping[str, Effect], fit: Fit, columns_of: ColumnsOf 
         columns = [(start, columns_of(effect, start)) for start in starts(effect)]
         found, best = _strongest(effect, columns, fit, project)
         if best and LARGE * best.d_prime < LEAST_D_PRIME and beside_short and project_short:
-            # What is slow hides in noise that is taken for a random walk, and may be what that is made of.
+            # A random-walk noise hides a slow effect, which may even be its cause.
             found, best = _strongest(effect, columns, beside_short, project_short)
         if best is None:
             not_visible.append(NotVisible(effect, "it has no effect here"))
@@ -169,7 +169,7 @@ def separability(effects: Mapping[str, Effect], fit: Fit, columns_of: ColumnsOf 
             why = f"even {size}, it would reach only {LARGE * best.d_prime:.1f} standard deviations"
             not_visible.append(NotVisible(effect, why))
         else:
-            # What the base takes up is hardly seen, and may yet explain better than a base pushed out of its ranges.
+            # An absorbed effect is hardly visible, but may explain better than base values outside their ranges.
             if best.kept < LEAST_KEPT and LARGE * best.by_priors < LEAST_D_PRIME:
                 why = f"the base's parameters absorb {1 - best.kept:.0%} of it"
                 not_visible.append(NotVisible(effect, why))
@@ -181,25 +181,25 @@ def separability(effects: Mapping[str, Effect], fit: Fit, columns_of: ColumnsOf 
 
 
 def starts(effect: Effect) -> list[dict[str, float]]:
-    """Values to begin at: the typical ones, and each of the further ones by itself."""
+    """Initial values: the typical ones, and each further start separately."""
     first = effect.values()
     return [first, *({**first, q.name: value} for q in effect.parameters for value in q.more_starts)]
 
 
 def base_columns(fit: Fit) -> Array:
-    """Change of what is expected of all segments with each free parameter of the fit, shape (n, parameters)."""
+    """Change of all predicted segments with each free parameter of the fit, shape (n, parameters)."""
     return jacobian(lambda point: _expected(fit, fit.problem.predict(*fit.model_at(point))), fit.point, fit.free)
 
 
 class EffectColumns:
-    """Changes of what is expected per amplitude of effects, to first order about a fit; each is simulated once."""
+    """Changes of the prediction per amplitude of effects, to first order about a fit; each is simulated once."""
 
     def __init__(self, fit: Fit) -> None:
         self._fit = fit
         self._known = dict[tuple[int, tuple[float, ...]], Array]()
 
     def __call__(self, effect: Effect, start: Mapping[str, float]) -> Array:
-        """Of one effect about its values at the start."""
+        """Columns of one effect about its initial values."""
         key = id(effect), tuple(start.values())
         if key not in self._known:
             self._known[key] = _columns(effect, start, self._fit)
@@ -207,7 +207,7 @@ class EffectColumns:
 
 
 def _columns(effect: Effect, start: Mapping[str, float], fit: Fit) -> Array:
-    """Change of what is expected per amplitude of an effect, shape (n, amplitudes)."""
+    """Change of the prediction per amplitude of an effect, shape (n, amplitudes)."""
     before = _expected(fit, fit.predicted)
     off = {**start, **{q.name: q.off for q in effect.parameters if q.off is not None}}
     amplitudes = [(q, q.off, q.start - q.off) for q in effect.parameters if q.off is not None]
@@ -221,7 +221,7 @@ def _columns(effect: Effect, start: Mapping[str, float], fit: Fit) -> Array:
 def _strongest(
     effect: Effect, columns: Sequence[tuple[dict[str, float], Array]], fit: Fit, project: Projector
 ) -> tuple[list[EffectSensitivity], EffectSensitivity | None]:
-    """How an effect shows from each start from which it does anything, under the noise of a fit; and the strongest of them."""
+    """Visibility of an effect from each start with any influence, under the noise of a fit; and the strongest one."""
     found = [s for start, of in columns if (s := _sensitivity(effect, start, of, fit, project)) is not None]
     return found, max(found, key=lambda s: s.d_prime, default=None)
 
@@ -240,7 +240,7 @@ def _sensitivity(
 
 
 def _shown(change: Array, fit: Fit, project: Projector) -> Shown | None:
-    """How a change of the expected torque shows; None where it is nothing."""
+    """Visibility of a change of the predicted torque; None for no change."""
     white = _white(change[:, np.newaxis], fit)[:, 0]
     whole = float(np.linalg.norm(white))
     if not whole > 1e-9:
@@ -253,9 +253,9 @@ def _shown(change: Array, fit: Fit, project: Projector) -> Shown | None:
 
 
 def _projector(own_white: Array, fit: Fit) -> Projector:
-    """A function that takes out of a whitened series what the fit's own parameters take up.
+    """Function that removes the part of a whitened series that the fit's own parameters explain.
 
-    It gives what is left of the series, and how far that pushes the parameters from their priors, in standard deviations.
+    It returns the remainder of the series, and the resulting change of the parameters in prior standard deviations.
     """
     std = np.array([f.std for f in fit.free])
     scale = np.array([f.scale for f in fit.free])
@@ -275,5 +275,5 @@ def _expected(fit: Fit, predicted: Sequence[Predicted]) -> Array:
 
 
 def _white(columns: Array, fit: Fit) -> Array:
-    """Whitened columns over the noise's standard deviation, the rows that count."""
+    """Whitened columns over the noise's standard deviation, used rows only."""
     return valid_rows(fit.problem.white(fit.problem.split(columns), fit.noises))

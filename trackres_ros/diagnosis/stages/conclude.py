@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Concluded:
-    """What to do: drives that would tell more, and what may be written."""
+    """Next drives, and the changes that may be written."""
 
     advice: tuple[Advice, ...]
     kept: FileChanges
@@ -39,9 +39,9 @@ class Concluded:
 def conclude(
     prepared: PreparedSessions, base: Refitted, chosen: Chosen, judged: Judgement, options: DiagnosisOptions
 ) -> Concluded:
-    """Decide what is kept, and next drives."""
+    """Choose the changes to keep and the next drives."""
     options.on_stage("next drives")
-    of_vehicle = all(s.pace == 1.0 for s in prepared.sessions)  # the menu of manoeuvres is one for drivers
+    of_vehicle = all(s.pace == 1.0 for s in prepared.sessions)  # the manoeuvres are for drivers
     advice = [a for step in chosen.steps.values() if of_vehicle for a in advise(step, prepared.vehicle.known.max_speed)]
     keep_suspected, final = options.keep_suspected, chosen.final
     kinds = {name: effect.belongs_to for name, effect in prepared.effects.items()}
@@ -59,14 +59,14 @@ def conclude(
 def believed_in(
     found: Sequence[NamedEffect], terms: Sequence[Told], verdict: Verdict, kinds: Mapping[str, str], keep_suspected: bool
 ) -> list[str]:
-    """Names of the effects that may be written: the verdict stands by them, held-out laps confirm them, and all that may be
-    meant belong to the same; of terms without a name, those that follow what is known at the time. Or whatever was found, if
-    suspected ones are kept.
+    """Names of the effects that may be written: accepted by the verdict, confirmed on hold-out laps, and with
+    all alternatives of the same kind. An unnamed term must depend on inputs known at the time. With
+    `keep_suspected`, all found effects.
 
     Parameters
     ----------
     kinds
-        What each effect of the catalogue belongs to.
+        Kind of each effect of the catalogue.
     """
 
     def settled(f: NamedEffect) -> bool:
@@ -80,17 +80,17 @@ def believed_in(
 
 
 def may_be_kept(f: NamedEffect | Told, verdict: Verdict, keep_suspected: bool) -> bool:
-    """Whether the verdict stands by it and held-out laps confirm it, or suspected ones are kept."""
+    """Whether the verdict accepts the term and hold-out laps confirm it, or suspected ones are kept."""
     return keep_suspected or (verdict.names and f.graded.grade == CONFIRMED)
 
 
 def to_watch(terms: Sequence[Term], drifts: bool, final: Fit, expected: Sequence[Array]) -> LearnedDisturbance | None:
-    """What is to be watched for live: the spells among terms that may be kept, else a drift; None where there is neither.
+    """Disturbance to estimate live: the spells among terms that may be kept, else a drift; None without either.
 
     Parameters
     ----------
     expected
-        Torque of each session that the written file expects [Nm].
+        Torque of each session from the written file [Nm].
     """
     spells = next((t for t in terms if t.chain is not None), None)
     if spells is not None:

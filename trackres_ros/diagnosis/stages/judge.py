@@ -49,20 +49,20 @@ Bounds = Mapping[tuple[str, str], Interval]
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What it comes to.
+    """Final terms, errors, intervals and residuals.
 
     Attributes
     ----------
     found, terms
-        Effects and terms without a name in the final fit, the weightiest first.
+        Effects and unnamed terms of the final fit, the largest first.
     wanders, tracked
-        How what is left wanders, where it does so by more than it should; and what it is worth to follow that live.
+        The slow residual, where it is larger than expected; and the hold-out result of following it live.
     spread
-        Where the torque shakes more than elsewhere.
+        Conditions with a larger scatter of the torque.
     worth
         Errors on held-out laps.
     tested_end, at_end
-        The final fit with the noise that whitens its residuals, and the residual by regime.
+        The final fit with the noise that whitens its residuals, and its residual by regime.
     bounds
         Intervals of the values of the final fit.
     """
@@ -119,13 +119,13 @@ def judge(
 
 
 def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen) -> HeldOut:
-    """Errors on held-out laps; refuses where nothing can be concluded from them."""
+    """Errors on hold-out laps; raises where they allow no conclusion."""
     predicted = {"refitted": base.refitted.predicted, "with_effects": chosen.final.predicted}
     expected = {stage: [p.torque for p in of] for stage, of in predicted.items()}
     worth = held_out(base.laps, {"nominal": prepared.nominal, **expected})
     names = ", ".join(s.name for s in prepared.sessions)
     odd = inconsistent_scale_notes(prepared.sessions, prepared.nominal)
-    # Recordings of different vehicles differ by load or hour too, and a term without a name takes on whatever tells them apart.
+    # Different vehicles also differ by load or hour, so an unnamed term would absorb the difference between them.
     has_name = any(c.is_name for c in chosen.explanation.candidates.values())
     stages = [stage for stage in worth.r2 if has_name or not odd or stage != "with_effects"]
     r2, mae = ({stage: of[stage] for stage in stages} for of in (worth.r2, worth.mae))
@@ -136,7 +136,7 @@ def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen) -> HeldOu
 
 
 def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
-    """The effects of the final fit that have a name."""
+    """The named effects of the final fit."""
     final, sessions = chosen.final, chosen.final.problem.sessions
     of_base = _residual(base)
     swings = swings_of([smoothed(s, r) for s, r in zip(sessions, of_base, strict=True)])[1]
@@ -149,7 +149,7 @@ def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
         resists = against_travel(sessions, adds) if effect.acts_on != "sensor" else adds
         where = acts(final, resists)
         if isinstance(effect, ByPlace):
-            where = replace(where, low=where.least, high=where.most)  # by the place, and by nothing that is looked over
+            where = replace(where, low=where.least, high=where.most)  # limits by place only
         regime = regime_of(base.refitted, base.at_base, where, effect.acts_on != "sensor")
         found.append(
             NamedEffect(
@@ -162,7 +162,7 @@ def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
 
 
 def _terms(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[Told]:
-    """The terms of the final fit that have none."""
+    """The unnamed terms of the final fit."""
     final, of_base, terms = chosen.final, _residual(base), []
     for name in final.effect_names:
         if not chosen.is_named(name):

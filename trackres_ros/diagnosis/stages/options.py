@@ -14,24 +14,24 @@ from trackres_ros.diagnosis.prepare.refuse import Refusal
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisOptions:
-    """What a user chooses of a diagnosis.
+    """Options of a diagnosis.
 
     Attributes
     ----------
     hide
-        Roles that are not to be read.
+        Roles that are not read.
     holdout
         See `gate.split`.
     seed
-        Of all that is drawn: equal seeds give equal results.
+        Seed of all random draws: equal seeds give equal results.
     quick
         Fewer draws.
     effects_dir
-        Folder with effects of the user's own.
+        Folder with user effects.
     keep_suspected
-        Whether effects that fit and that held-out laps do not confirm are kept too.
+        Whether to keep suspected effects, which fit but are not confirmed on hold-out laps.
     on_stage
-        Takes the name of each stage.
+        Callback with the name of each stage.
     unread
         Recordings that could not be read.
     """

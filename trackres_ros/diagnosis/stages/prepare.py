@@ -32,18 +32,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PreparedSessions:
-    """What is diagnosed.
+    """Sessions to diagnose, with their base and candidate effects.
 
     Attributes
     ----------
     gated, split
-        What passed the gate, and which laps are held out.
+        Sessions that passed the gate, and the hold-out laps.
     nominal
         Torque of each session with the values of the vehicle file [Nm].
     recorded
-        The sessions without what a route says of their places.
+        The sessions without values from a route.
     effects
-        Those that may be missing.
+        Candidate effects.
     """
 
     vehicle: LoadedBase
@@ -60,7 +60,7 @@ class PreparedSessions:
 
     @property
     def sessions(self) -> tuple[DriveSession, ...]:
-        """What passed the gate."""
+        """The sessions that passed the gate."""
         return self.gated.sessions
 
 
@@ -80,7 +80,7 @@ def prepare(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diagn
 
 
 def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -> tuple[Gated, dict[str, Effect]]:
-    """The effects that may be found: no offset of a torque sensor that reads none at rest for long; and a note that says so."""
+    """Remove a sensor offset from the candidate effects if the torque sensor reads zero at rest for long; with a note."""
     none = usual_offset(base)
     seconds = seconds_without_torque(gated.sessions, none)
     if not seconds or TorqueOffset.name not in effects:

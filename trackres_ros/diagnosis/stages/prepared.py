@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Prepares recordings for a vehicle: the gate, then clock, sign and unit of the torque by what the vehicle file expects."""
+"""Prepares recordings for a vehicle: the gate, then clock, sign and unit of the torque against the vehicle file."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from trackres_ros.recording.recording import Recording
 def prepared(
     recordings: Sequence[Recording], vehicle: LoadedBase, hide: Sequence[str] = (), refused: Sequence[Refusal] = ()
 ) -> tuple[Gated, tuple[Array, ...], tuple[DriveSession, ...]]:
-    """What passed the gate and the checks of the torque, the torque that the vehicle file expects of it [Nm], and the sessions as
-    recorded, without what a route says of their places.
+    """Sessions that passed the gate and the torque checks, their torque from the vehicle file [Nm], and the same sessions
+    without values from a route.
 
-    A recording whose torque is plainly wrong where that of others is not is left out. The gate then looks at the rest anew, as
-    a recording also says how warm the next one begins.
+    If only some recordings have a plainly wrong torque, these are dropped. The gate then runs again on the rest,
+    because a recording also sets the belt temperature at the start of the next one.
 
     Raises
     ------
     InputError
-        If no recording can be used, or the torque of all of them is wrong.
+        If no recording can be used, or all have a wrong torque.
     """
 
     def by_file(sessions: Sequence[DriveSession]) -> list[Array]:

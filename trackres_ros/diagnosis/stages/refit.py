@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Sessions come in; the base re-fitted to them goes out, and the laps on which all further models are compared with it."""
+"""Sessions come in; the re-fitted base and the laps for comparing all further models go out."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Refitted:
     Attributes
     ----------
     tested, refitted
-        With the noise that whitens what is left as far as it goes; and with values by which levels count.
+        Fits with the noise that best whitens the residual, and with values by `levels.with_levels`.
     laps, left_out, use
-        The held-out laps, all laps left out in turn, and what a file is worth as it is used.
+        The hold-out laps, the cross-validation over laps, and the evaluation of a file in use.
     at_base
         Residual by regime.
     """
@@ -42,7 +42,7 @@ class Refitted:
 
 
 def refit(prepared: PreparedSessions, options: DiagnosisOptions, rng: np.random.Generator) -> Refitted:
-    """Fit the base, and see where recordings part from it."""
+    """Fit the base, and bin its residual by regime."""
     options.on_stage("re-fit of the base")
     sessions, split = prepared.sessions, prepared.split
     tested = fit(Problem(prepared.base, sessions, tuple(split.training_mask(s) for s in sessions)))
