@@ -68,7 +68,7 @@ def imported(repository):
 
 @pytest.fixture(scope="session")
 def compiled(reference):
-    """The kernels are compiled: nodes that are started then need not do so beside, each anew, while they are tested."""
+    """The kernels are compiled, so that nodes started in tests do not compile them again."""
     exercise(reference)
 
 
@@ -91,13 +91,13 @@ def warm_code(tmp_path, compiled):
 
 @pytest.fixture(scope="session")
 def trackres():
-    """The command line in this process: `trackres(*words, cwd=None)` gives its exit code and what stands on both streams."""
+    """The command line in this process: `trackres(*words, cwd=None)` returns its exit code and both output streams."""
     return _trackres
 
 
 @pytest.fixture(scope="session")
 def good():
-    """What a command prints that ends well: `good(*words, cwd=None)`."""
+    """Output of a successful command: `good(*words, cwd=None)`."""
 
     def good(*words, cwd=None):
         done = _trackres(*words, cwd=cwd)
@@ -156,7 +156,7 @@ def drawn(monkeypatch):
 
 
 def _faults(figure):
-    """What a person would find hard to read, in words."""
+    """Text that is hard to read, in words."""
     from matplotlib.axis import Tick
     from matplotlib.legend import Legend
     from matplotlib.text import Text

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The steps of CONTRIBUTING.md: its code, put where it says, does what it says."""
+"""The steps of CONTRIBUTING.md: its code works in the named places."""
 
 import json
 import os
@@ -55,7 +55,7 @@ def logged(tmp_path):
 
 @pytest.fixture
 def package(tmp_path, repository):
-    """A copy of the package to change, beside what it finds there."""
+    """A copy of the package to change, with its surrounding files."""
     shutil.copytree(repository / "config", tmp_path / "copy" / "config")
     shutil.copytree(repository / "trackres_ros", tmp_path / "copy" / "trackres_ros", ignore=shutil.ignore_patterns("__pycache__"))
     return tmp_path / "copy"

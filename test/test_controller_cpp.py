@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The controller's rules in C++: compiled with every warning, laws of what it adds, and the same as the example in Python."""
+"""The controller's rules in C++: compiled with every warning, laws of its added torque, and equal to the example in Python."""
 
 import itertools
 import math

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What docs/decisions rests on can be measured anew, and each page is listed; no time is judged here."""
+"""The measurements behind docs/decisions can be repeated, and each page is listed; no time is judged here."""
 
 import importlib
 import math

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is generated in docs/ is what the program says now, and the links in the pages lead somewhere."""
+"""Generated text in docs/ is up to date, and the links in the pages have targets."""
 
 import doctest
 import re

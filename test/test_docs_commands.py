@@ -53,7 +53,7 @@ def shown():
 
 
 def is_whole(words):
-    """Whether a person may type a command as it stands; else a page only mentions it."""
+    """Whether a command is complete; else a page only mentions it."""
     command, path, rest = command_of(words)
     if (path == ["live"] and "--vehicle" not in rest) or (path == ["prove"] and "-o" not in rest):
         return False

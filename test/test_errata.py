@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""docs/errata.md: every equation of the paper has its row, and what the rows name is there."""
+"""docs/errata.md: every equation of the paper has its row, and all names in the rows exist."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_every_test_that_is_named_exists(name: str) -> None:
 
 
 def test_the_errata_name_each_contradicted_claim_and_its_figure() -> None:
-    """What the program says does not hold stands in the errata too, and the other way round the figures are there."""
+    """Claims that the program finds false are in the errata too, and all figures of the errata exist."""
     reproduction, errata = page("reproduction.md"), page("errata.md")
     contradicted = [row[0] for row in rows(reproduction) if len(row) == 3 and row[2].startswith("[does not hold]")]
     assert len(contradicted) >= 4

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Every example runs as it stands, in an empty folder, and prints what it is there for."""
+"""Every example runs unchanged, in an empty folder, and prints its expected output."""
 
 import os
 import re

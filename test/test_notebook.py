@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The notebook runs from top to bottom, what its cells end in can be shown, and it finds what it hides."""
+"""The notebook runs from top to bottom, its results can be displayed, and it finds the hidden physics."""
 
 import ast
 import json

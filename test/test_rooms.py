@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The house: rooms need only those before them, each says what it is for, the page of it is true, and test names are short."""
+"""Rooms import only those before them, each has a purpose, their page is up to date, and test names are short."""
 
 import ast
 import re

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`import trackres_ros as tr`: what is there, that it is there at once, and that the command line has nothing else."""
+"""`import trackres_ros as tr`: its content, available at once, and the only interface of the command line."""
 
 import ast
 import importlib

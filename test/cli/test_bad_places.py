@@ -68,7 +68,7 @@ def little_room():
     ],
 )
 def test_a_full_disk_is_one_line_with_the_file(trackres, little_room, tmp_path, words, name):
-    trackres(*words, tmp_path / f"first{name}")  # writes what is kept for later
+    trackres(*words, tmp_path / f"first{name}")  # writes a file for later
     little_room()
     done = trackres(*words, tmp_path / name)
     assert done.returncode == 2

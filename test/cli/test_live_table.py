@@ -63,7 +63,7 @@ def test_nothing_is_cut_and_numbers_stay_on_their_line(width):
     for number in ("1038 +- 10438", "104.2 +- 12.3", "123.5", "12345", "-1846", "123456789", "272000 N", "86400", "-98765"):
         assert any(number in text for text in shown.splitlines()), number
     words = re.sub(r"[\s│]+", "", shown)
-    for topic in TOPICS:  # a long one goes on below
+    for topic in TOPICS:  # a long one continues below
         assert topic[:20] in words
         assert topic[-4:] in words
     for name in ("bad_stamp99", "dropped1234567", *ASSEMBLIES):

@@ -84,7 +84,7 @@ def values(parameter):
 
 @st.composite
 def words(draw, command):
-    """The words of a call: what is required, and some of the rest."""
+    """The words of a call: required ones, and some of the others."""
     drawn = []
     for parameter in command.params:
         if isinstance(parameter, click.Argument):

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Whatever a command shows of the torque adds up, with effects in the vehicle file and without."""
+"""The parts of the torque in every command add up, with effects in the vehicle file and without."""
 
 import json
 import re

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The command: what it writes is loaded, what it says is so, and damaged files end in one line."""
+"""The command: its output can be loaded, its statements are true, and damaged files end in one line."""
 
 import json
 import random
@@ -23,7 +23,7 @@ LONGEST_LINE = 3000  # characters
 
 
 def refusal(function, *given):
-    """What a function gives, and the line that refuses it if one does."""
+    """Result of a function, or the line that refuses the input."""
     try:
         return function(*given), ""
     except InputError as error:

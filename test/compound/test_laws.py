@@ -35,7 +35,7 @@ def natural_rubber(vehicle):
 @given(SHIFTS, TEMPS, TEMPS, st.floats(1e-3, 1e3))
 def test_frequency_times_shift_factor_equals_another_temperature(shift, temp, other, frequency):
     decades = shift.log_shift(temp) - shift.log_shift(other)
-    assume(abs(decades) < 290.0)  # what a double holds in full precision
+    assume(abs(decades) < 290.0)  # full precision of a double
     carried = frequency * 10.0**decades
     one, same = shift.equivalent_degc(frequency, temp, 1.0), shift.equivalent_degc(carried, other, 1.0)
     assert same == pytest.approx(one, rel=1e-6, abs=1e-6)
@@ -144,7 +144,7 @@ def test_the_master_curve_has_the_true_moduli_in_its_intervals(natural_rubber):
     true = np.log(np.column_stack(moduli(np.log10(master.at_frequency) + shift.log_shift(degc) - shift.log_shift(-23.15))))
     found, std = np.log(np.column_stack(master.moduli(degc))), master.log_std(degc)
     assert np.abs(found - true).max() < 0.05
-    inside = np.abs(found - true) < 1.96 * np.hypot(std, 0.005)  # errors of isotherms are shared, and told of in the docs
+    inside = np.abs(found - true) < 1.96 * np.hypot(std, 0.005)  # errors of isotherms are shared, and documented
     assert inside.mean() > 0.85
     assert natural_rubber.rms == pytest.approx((0.0071, 0.0112), rel=0.3)
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The same sweep in every form instruments write; and what is wrong with one is said with its line and column."""
+"""The same sweep in every format of instruments; errors are reported with line and column."""
 
 from math import pi
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The transport without ROS on its own: bytes, types and presence; what it does as a node is in test/processes."""
+"""The transport without ROS alone: bytes, types and presence; its behaviour as a node is tested in test/processes."""
 
 import importlib.util
 import os

@@ -87,7 +87,7 @@ class Graph:
         }
 
     def keys_of(self, namespace, name):
-        """Readers' and writers' keys of a node, by what it says."""
+        """Readers' and writers' keys of a node, by its announcement."""
         for message in self.update()._nodes.values():
             for node in message.node_entities_info_seq_:
                 if (node.node_namespace_, node.node_name_) == (namespace, name):

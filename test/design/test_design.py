@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The designer's desk: steady states balance, a sweep is what it says of each vehicle, indices are those that can be computed."""
+"""Design commands: steady states balance, a sweep equals single vehicles, indices equal analytical ones."""
 
 import json
 import math

@@ -70,7 +70,7 @@ def run():
 
 @pytest.fixture(scope="session")
 def check_form():
-    """Refuses what is no report.json by its schema."""
+    """Refuses a file that does not satisfy the schema of report.json."""
     return check_report
 
 
@@ -111,7 +111,7 @@ def scrubbed(run, recorded, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def explained():
-    """Searches explanations of what a fitted base leaves, and chooses one; laps that it was not fitted to are held out."""
+    """Searches explanations of a fitted base's residual, and chooses one; hold-out laps are not fitted."""
 
     def explain(found, effects, **given):
         problem, rng = found.problem, np.random.default_rng(1)
@@ -132,7 +132,7 @@ def explained():
 
 @pytest.fixture
 def play(monkeypatch):
-    """A round of the search in a world, beside some of its effects: the round, and the world."""
+    """A round of the search in a world, with some of its effects: the round, and the world."""
 
     def it(gains, effects=None, beside=(), by_noise=None, **given):
         world = World(gains, **given)

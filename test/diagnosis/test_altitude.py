@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Slopes made of a recorded altitude: as sure as they are said to be, and none where the altitude is worth nothing."""
+"""Slopes from a recorded altitude: with a correct uncertainty, and none from a useless altitude."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ CLIMB_M, TURNS = 60.0, 2  # heights of the loop, and how often it goes up and do
 
 
 def loop(error_m=0.0, error_s=100.0, smooth=False, position=True, seed=1):
-    """Rounds of one hilly loop, with an error of the altitude that wanders, and the torque that driving takes."""
+    """Rounds of one hilly loop, with a slowly varying error of the altitude, and the drive torque."""
     rng, n = np.random.default_rng(seed), HOURS * 3600
     time = np.arange(n, dtype=float)
     accel = 0.4 * np.sin(2.0 * np.pi * time / 30.0)

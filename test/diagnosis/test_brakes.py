@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Friction brakes of which nothing is recorded: what the motor brakes alone is compared, what they help with is not."""
+"""Unrecorded friction brakes: torques of motor braking alone are compared, assisted ones are not."""
 
 from dataclasses import replace
 

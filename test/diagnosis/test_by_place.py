@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A slope by place is learned from passes, with its uncertainty, and told from a torque by its sign and by the load."""
+"""A slope by place is learned from passes, with its uncertainty, and distinguished from a torque by its sign and by the load."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ WEIGHT_RADIUS_NM = 60_000.0
 
 
 def made(seed, rounds, size=1.0, loads=(1.0,)):
-    """A drive matched to itself, the torque of its slopes and noise, and what a slope makes of it."""
+    """A drive matched to itself, the torque of its slopes and noise, and the slope's effect on it."""
     one, rng = drive(seed, rounds), np.random.default_rng(seed + 100)
     track = track_of(one.distance, one.x, one.y)
     places = places_of([track])

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a candidate is worth, on constructed candidates."""
+"""The gain of a candidate, on constructed candidates."""
 
 import math
 from dataclasses import FrozenInstanceError
@@ -15,7 +15,7 @@ from trackres_ros.diagnosis.selection import naming
 from trackres_ros.diagnosis.selection.naming import Step
 from trackres_ros.effects.learned import OPEN, SPEED, Curve
 
-# What a candidate is worth
+# Gain of a candidate
 
 
 def test_a_candidate_counts_by_gain_net_of_other_forms_and_costs():

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a round of the search proposes, in constructed worlds: no vehicle is simulated and nothing is fitted."""
+"""Proposals of a round of the search, in constructed worlds: no vehicle is simulated and nothing is fitted."""
 
 import math
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A vehicle that rolls out: what is found is what was there, within its ranges, and only what is better is written."""
+"""Coast-downs: true values are found, within their ranges, and only improvements are written."""
 
 import json
 import re

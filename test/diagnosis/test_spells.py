@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Spells: two levels are found where there are two, and told from a level that wanders and from noise."""
+"""Spells: two levels are found if there are two, and distinguished from a drifting level and from noise."""
 
 import math
 from dataclasses import replace
@@ -54,7 +54,7 @@ def wandering(n, rng, size=40.0, seconds=60.0):
 
 
 def likelier(b):
-    """By how much two levels are likelier than one that wanders; and the chain."""
+    """Log-likelihood ratio of two levels and a drifting one; and the chain."""
     chain, _, likelihood = find_chain(b)
     return likelihood - find_wander(b)[1], chain
 
@@ -106,7 +106,7 @@ def test_what_is_expected_hangs_on_the_past_alone(at):
     if at + 1 < len(changed) and not b.first[at + 1]:
         assert before[at + 1] != after[at + 1]
     rest = np.flatnonzero(b.first & (np.arange(len(changed)) > at))
-    if len(rest):  # a piece begins anew
+    if len(rest):  # a piece restarts
         np.testing.assert_array_equal(before[rest[0] :], after[rest[0] :])
 
 

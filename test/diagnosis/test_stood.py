@@ -32,7 +32,7 @@ def drive(base):
 
 
 def begins(base, name, *sessions):
-    """What an effect that warms up adds in the first minute of driving of the last of some sessions [Nm]."""
+    """Torque of an effect that warms up in the first minute of driving of the last of some sessions [Nm]."""
     effect = catalogue(size=base.facts.weight * base.facts.radius, on_tyres=True)[name]
     values = {q.name: q.nominal for q in base.parameters}
     with_it = base.predict(sessions, values, [Active(effect, effect.values())])

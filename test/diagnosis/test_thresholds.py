@@ -29,7 +29,7 @@ def fitted(recorded, loaded):
 
 
 def scanned(fitted, code, x, shapes):
-    """What a scan of one variable finds where a torque of a shape is added to the measured one."""
+    """Result of a scan of one variable after a torque of a shape is added to the measured one."""
     found, own = fitted
     sessions = tuple(
         replace(s, torque=s.torque + LEVEL_NM * shape * np.sign(s.speed))

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A yaw rate that was not recorded is made of heading, wheel speeds or positions, and it is that of the drive."""
+"""A missing yaw rate is computed from heading, wheel speeds or positions, and equals that of the drive."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def series(time, value):
 
 
 def made(time, speed, yaw, of, width=None):
-    """What is made of series, and the true means over steps."""
+    """Values computed from series, and the true means over steps."""
     edges = np.arange(0.0, time[-1], STEP_S)
     over = [np.diff(np.interp(edges, time, np.concatenate(([0.0], np.cumsum(z[:-1])))) / RATE_HZ) / STEP_S for z in (speed, yaw)]
     return turning({role: series(time, z) for role, z in of.items()}, 0, edges, over[0], 0.3, width), over[1], over[0]

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""From what was found to one of five verdicts, its grade, and what may be written: on constructed findings."""
+"""From findings to one of five verdicts, its grade, and the permitted files: on constructed findings."""
 
 import math
 import re
@@ -349,7 +349,7 @@ def test_what_strays_and_can_be_followed_is_described_as_a_drift():
     assert "from 100 to 80 Nm" in verdict.sentence
     for not_followed in (None, drift(UNSURE), drift(WORSE)):
         assert said(stray=NOISY, drift=not_followed).status == "unexplained"
-    # What a regime lacks is more than a level that wanders, and one that hardly shows is nothing.
+    # The torque missing in a regime exceeds a drifting level, and a hardly visible one is none.
     assert said(stray=NOISY, drift=drift(BETTER), at_end=regimes(30.0)).status == "unexplained"
     assert said(drift=drift(BETTER)).status == "none"
     # Time and distance only grow, and show it as a level.

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is to be watched for live: written as it was found, and only what may be."""
+"""Disturbances to watch for live: written as found, and only if permitted."""
 
 from dataclasses import astuple
 from types import SimpleNamespace
@@ -90,7 +90,7 @@ def test_a_suspected_disturbance_is_kept_only_on_request(grade, names, keep_susp
 
 
 def wandering(seed, n=720, size=150.0, seconds=300.0, noise=40.0):
-    """Means over blocks of an hour of what wanders [Nm]."""
+    """Means over blocks of an hour of a slow disturbance [Nm]."""
     rng, level, keep = np.random.default_rng(seed), np.empty(n), np.exp(-BLOCK_S / seconds)
     level[0] = rng.normal(0.0, size)
     for i in range(1, n):

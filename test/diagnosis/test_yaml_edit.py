@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Changes in the text of a YAML file: what is changed is, and nothing else."""
+"""Changes in the text of a YAML file affect only their lines."""
 
 import pytest
 import yaml

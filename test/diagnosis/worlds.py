@@ -43,7 +43,7 @@ class Model:
         self.noises = {"torque": world.noise}
         self.noise = world.noise
         self.laps = world.gains_of(self.effect_names)
-        # What came before the first sample of a lap is not known: it counts for nothing.
+        # Values before the first sample of a lap are unknown and have no weight.
         row = np.concatenate([[np.nan, *np.full(LAP - 1, x / (LAP - 1))] for x in self.laps])
         self.white = [row]
         self.log_likelihood = LEVEL + float(self.laps.sum())

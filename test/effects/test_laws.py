@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Whatever effects a vehicle file or the surroundings switch on: nothing pushes a standing vehicle, every number stays one."""
+"""For all effects in a vehicle or surroundings file: nothing pushes a standing vehicle, and every number is finite."""
 
 import math
 from dataclasses import replace
@@ -32,7 +32,7 @@ AT_REST = (0.0, 0.0, 1e-9, -1e-10, -0.0)
 
 
 class Nasty(Effect):
-    """An effect of a user's own that says whatever it was made to say, moving or not, or fails."""
+    """A user's effect that returns any given value, moving or not, or fails."""
 
     name = "nasty"
     acts_on = "torque"
@@ -76,7 +76,7 @@ def nasty(draw):
 
 @st.composite
 def states(draw):
-    """Effects, where they belong, and what is known at a few steps."""
+    """Effects, their owners, and known values at a few steps."""
     effects = draw(st.lists(st.one_of(of_catalogue(), nasty()), min_size=1, max_size=3, unique_by=lambda a: a.effect.name))
     places = st.sampled_from(["vehicle", "surroundings"])
     where = [draw(places) if active.effect.name == "nasty" else active.effect.belongs_to for active in effects]
@@ -124,7 +124,7 @@ def test_live_feedforward_is_zero_at_rest_and_outputs_are_finite(state):
     estimator = made(effects, where, parts)
     session, now = estimator.session(), START_NS
     for i, speed in enumerate((*speeds, *AT_REST)):
-        stood = i > len(speeds)  # the first step at rest still comes down from what was fed before
+        stood = i > len(speeds)  # the first step at rest still reduces the earlier feed-forward
         for name, value in known.items():
             session.handle(session.channel(name), now, now, value)
         estimate = session.handle(at.SPEED, now, now, speed)

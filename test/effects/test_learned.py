@@ -97,7 +97,7 @@ OF_GATE = {
     BRAKING: lambda at, threshold: -at.accel * at.direction > threshold,
     ACCELERATING: lambda at, threshold: at.accel * at.direction > threshold,
 }
-# What a variable or the variable of a gate may come to, so that knots and thresholds lie among it.
+# Ranges of the variables and of those of gates, for knots and thresholds.
 REACH = {
     ALWAYS: (0.0, 1.0), SPEED: (0.0, 15.0), ACCELERATION: (-1.0, 1.0), LOAD: (1e5, 4e5), AMBIENT: (-20.0, 40.0),
     TURN: (-0.5, 0.5), TURNING: (0.0, 0.5), CURVATURE: (0.0, 0.5), DRIVING_TORQUE: (-2e4, 2e4),

@@ -50,7 +50,7 @@ def solved(matrix, rate, start, dt):
 
 
 def lumped(belt):
-    """Jacobian, what the heat and the air do to each node per second, per unit of it, of a belt with one node."""
+    """Jacobian of a belt with one node: change per second of each node due to heat and air, per unit."""
     gained, lost = HEAT.power / CAPACITY, HEAT.cooling * (belt[0, 0] - HEAT.surroundings) / CAPACITY
     return np.array([[(HEAT.power_slope - HEAT.cooling) / CAPACITY]]), np.array([gained]), np.array([lost]), np.zeros(1)
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is watched for: laws of its two filters, and what the watch makes of residuals that come, go and stay away."""
+"""The watch for disturbances: laws of its two filters, and its result on residuals that begin, end and drop out."""
 
 import math
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The rules of the guards one by one, in plain Python: a message is what it is by its stamp, its arrival and what came before."""
+"""The rules of the guards one by one, in plain Python: stamp, arrival and earlier messages decide on a message."""
 
 import math
 from types import SimpleNamespace
@@ -294,7 +294,7 @@ def test_what_is_forgotten_is_all_of_the_others_but_counters(guard):
         assert guard.counts(channel) == {"ACCEPTED": 1}
 
 
-# What is held
+# Held values
 
 
 def test_a_value_is_held_for_so_long(guard):
@@ -460,7 +460,7 @@ def test_a_common_belt_temperature_yields_to_a_belts_own(guard):
     assert np.isnan(guard.belts).all()
 
 
-# What is remarked
+# Remarks
 
 
 def test_clock_jumps_and_resets_are_reported_with_the_next_step(guard):
@@ -521,7 +521,7 @@ def test_a_jump_of_the_clock_is_no_time_for_which_it_was_stuck(guard):
     assert guard.of(at.Times.unchanged_since) == T + 3600 * S + 2
 
 
-# A speed that changes too fast: 8 m/s2, and 1 m/s besides
+# A speed that changes too fast: 8 m/s2, plus 1 m/s
 
 
 @pytest.mark.parametrize(("after", "value", "refused"), [(MS, 9.0, False), (MS, 9.1, True), (S, 16.9, False), (S, 17.1, True)])
@@ -601,7 +601,7 @@ def test_other_channels_may_leap(guard):
         assert guard.send(1, 1000.0, channel)[0] == ACCEPTED_IN_ORDER
 
 
-# What is not fed forward
+# No feed-forward
 
 
 def test_enable_holds_for_its_time(guard):

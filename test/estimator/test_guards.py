@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The guards: every message is counted once, nothing that is not finite comes out, and each policy does what it says."""
+"""The guards: every message is counted once, all outputs are finite, and each policy is followed."""
 
 import numpy as np
 import pytest

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What was learned moves the torque as a vehicle file with that value does, to first order, and nothing at rest."""
+"""Learned departures change the torque like a vehicle file with these values, to first order, and not at rest."""
 
 import numpy as np
 import pytest

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a speed may do: a vehicle accelerates as its file says at most, and moves as its wheels and its odometer do."""
+"""Plausible speeds: a vehicle accelerates at most as its file says, and agrees with its wheels and its odometer."""
 
 import itertools
 import math
@@ -62,7 +62,7 @@ class Drive:
         return any(estimate.reasons & reason for _, estimate in self.estimates)
 
 
-# What the issue reports
+# The case of the issue
 
 
 def test_a_leap_from_standing_for_a_second_feeds_nothing():
@@ -280,7 +280,7 @@ def test_the_feedforward_follows_enable_at_its_rate():
     assert fed[199] > 3000.0
     last = drive.estimates[-1][1]
     assert (last.reasons & Reason.DISABLED, last.reasons & Reason.ENABLE_OLD) == (Reason.DISABLED, 0)
-    assert last.resistance_torque_nm > 3000.0  # the estimate goes on
+    assert last.resistance_torque_nm > 3000.0  # the estimate continues
     assert not last.reasons & ~at.HARMLESS & ~(Reason.LOAD_NOMINAL | Reason.AMBIENT_NOMINAL)
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the estimator's objects say of themselves."""
+"""Texts of the estimator's objects."""
 
 import doctest
 

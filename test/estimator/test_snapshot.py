@@ -109,7 +109,7 @@ def saved(reference):
 
 
 def taken(estimator, path, data):
-    """What a file gives: the content of the session, or None where it is refused; nothing else may happen."""
+    """Result of a file: the content of the session, or None if refused; nothing else may happen."""
     path.write_bytes(data)
     try:
         return snapshot.content(snapshot.resume(estimator, path), 1.0)

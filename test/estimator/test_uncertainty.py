@@ -1,9 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Standard deviations of the estimate: what the plausible ranges of the vehicle file make of temperature and torque.
+"""Standard deviations of the estimate due to the plausible ranges of the vehicle file.
 
-Each range is moved by a little, the vehicle driven anew, and the change compared with what the estimator carries along.
+Each value is changed slightly, the vehicle driven again, and the change compared with the estimator's departures.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def by_differences(vehicle: Vehicle, cache: Path, paths: Collection[str], speed:
 
 
 def at_least(expected: np.ndarray, carried: dict[str, np.ndarray], column: str) -> np.ndarray:
-    """A standard deviation of the torque is never less than what a torque transducer is off by."""
+    """A standard deviation of the torque is never less than the error of a torque transducer."""
     return np.maximum(expected, LEAST_STD_SHARE * carried["resistance_torque_nm"]) if column == "resistance_std_nm" else expected
 
 
@@ -143,7 +143,7 @@ def test_the_uncertainty_of_the_ambient_temperature(xgd24d: Vehicle, cache: Path
 
 
 def test_uncertainty_of_the_start_fades(xgd24d: Vehicle, cache: Path) -> None:
-    """A belt that was 5 K warmer or colder is forgotten as the drive goes on; random departures stay bounded."""
+    """A belt 5 K warmer or colder is forgotten during the drive; random departures stay bounded."""
     started = drive(with_open_ranges(xgd24d, []), cache, 10.0, replace(CERTAIN, initial_belt_std_k=5.0))["belt_std_k/front_left"]
     assert started[0] == pytest.approx(5.0, rel=1e-3)
     assert (np.diff(started) < 0.0).all()

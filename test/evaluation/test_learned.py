@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is drawn for the proof of the learning: the same from a seed, sealed, and each thing that misleads does mislead."""
+"""Draws for the proof of the learning: reproducible from a seed, sealed, and each disturbance has an effect."""
 
 import json
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the drives of a real car teach of it, where its recordings are."""
+"""Values learned from the drives of a real car, if its recordings are present."""
 
 from pathlib import Path
 

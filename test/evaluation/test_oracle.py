@@ -15,7 +15,7 @@ MINUTES = 12.0  # of each drive
 
 
 def made(folder, level, hidden, minutes=MINUTES, seed=21):
-    """The folder of a case, and what is hidden in it adds to the torque of each drive [Nm]."""
+    """The folder of a case, and the torque of its hidden physics in each drive [Nm]."""
     case = Case(f"{level}_{len(hidden)}", level, hidden, {}, False, False, False, True, seed)
     make_case((folder, case, minutes))
     truth = np.load(folder / "sealed" / f"{case.name}.npz")
@@ -38,7 +38,7 @@ def test_an_addition_gains_where_it_is_and_nowhere_else(tmp_path, seed):
 
 
 def once_a_second(level, seeds):
-    """The first seed of which a case is recorded once in a second, and the first of which it is recorded faster."""
+    """The first seed of a case recorded at 1 Hz, and the first of one recorded faster."""
     slow = {bool(sensors_of(Case("a", level, {}, {}, False, False, False, True, seed)).every_s): seed for seed in reversed(seeds)}
     return slow[True], slow[False]
 

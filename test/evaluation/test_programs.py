@@ -37,7 +37,7 @@ from trackres_ros.files.resources import find_vehicle
 
 SHEET = find_vehicle("xgd24d")
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
-STOPS_S = 60.0  # of a steady drive with stops, how long it stands
+STOPS_S = 60.0  # of a steady drive with stops, its standing time
 EVERY_SEED = range(300)
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is told of real recordings beside the diagnosis: start states, and what is locked to position."""
+"""Findings on real recordings outside the diagnosis: start states, and residuals tied to position."""
 
 from pathlib import Path
 

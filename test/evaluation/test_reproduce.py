@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The paper reproduced: what is written, what is judged, and that the page in the repository is what the command writes."""
+"""The paper reproduced: files, verdicts, and that the page in the repository is the command's output."""
 
 import csv
 import json

@@ -205,7 +205,7 @@ def test_masses_are_compared_between_changes_of_the_load():
         {"begin_s": 420.0, "end_s": 520.0, "mass": 2800.0, "std": 100.0},
         {"begin_s": 520.0, "end_s": 550.0, "mass": 0.0, "std": 1.0},
     ]
-    long, short = mass_errors(speed, mass, told, 4000.0)  # of the last less than half is told
+    long, short = mass_errors(speed, mass, told, 4000.0)  # less than half of the last is described
     assert (long.driving_s, short.driving_s) == (400.0, 100.0)
     assert long.off == pytest.approx(100.0 / 4000.0)
     assert short.off == pytest.approx(200.0 / 4000.0)

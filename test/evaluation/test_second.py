@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Cases of another simulator: which labels are taken, and what counts as right."""
+"""Cases of another simulator: accepted labels, and right answers."""
 
 import json
 

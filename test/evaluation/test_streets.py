@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Towns, drives through them and what is hidden there, by their own laws; and what is recorded of them."""
+"""Towns, drives through them and hidden physics there, by their own laws; and the recorded channels."""
 
 from collections import Counter, defaultdict
 from dataclasses import replace
@@ -246,7 +246,7 @@ def test_positions_come_once_a_second_and_wander(tmp_path):
     east = np.radians(table["longitude_deg"] - LONGITUDE_DEG) * EARTH_M * np.cos(np.radians(LATITUDE_DEG)) - one.street.x
     for off in (north[known], east[known]):
         assert 3.5 < np.sqrt(np.mean(off**2)) < 9.5
-        assert 0.8 < np.std(np.diff(off)) < 2.5  # from one second to the next: white noise, and little of what wanders
+        assert 0.8 < np.std(np.diff(off)) < 2.5  # from one second to the next: white noise, and little of the slow error
     gaps = np.diff(np.flatnonzero(known)) * 0.1
     lost = gaps[gaps > 1.5]
     assert len(lost) >= 2

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The second simulator: its own laws, and that it shares nothing with what is to be proved."""
+"""The second simulator: its own laws, and that it shares no code with the diagnosis."""
 
 import subprocess
 import sys
@@ -103,7 +103,7 @@ def test_each_phenomenon_changes_the_torque_on_its_own(drives):
 
 
 def test_the_base_refits_to_a_truth_without_effects(sheet, tmp_path):
-    """Two nodes stand for fifteen conducting layers, a loss table for another's: one percent of the torque is left over."""
+    """Two nodes replace fifteen conducting layers, a loss table another one: the torque differs by one percent."""
     vehicle = write_vehicle(tmp_path / "vehicle.yaml", "core_surface")
     rng = np.random.default_rng(1)
     made = [

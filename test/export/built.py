@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Exports, compiles and runs the C of a vehicle, beside the session that it must equal."""
+"""Exports, compiles and runs the C of a vehicle, and the session that it must equal."""
 
 import ctypes
 import shutil
@@ -69,7 +69,7 @@ class Built:
         return found, rows["level"][:steps]
 
     def step(self, given, dt):
-        """One call of `trackres_step` with inputs by name; what it gives and the outputs by name."""
+        """One call of `trackres_step` with inputs by name; returns its result and the outputs by name."""
         real = ctypes.c_float if self.single else ctypes.c_double
         if not hasattr(self, "_outputs"):
             self._names = list(input_names(self.estimator.channels).values())

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres export`: what it writes, replays as `trackres replay` does; what belongs to it, and what it refuses."""
+"""`trackres export`: its output replays as `trackres replay` does; also the check of a folder, and refusals."""
 
 import csv
 import json

@@ -27,7 +27,7 @@ SANITIZED = ("-g", "-O0", "-fsanitize=address,undefined,float-cast-overflow", "-
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
-    """Files of a vehicle with three effects, a drive, and what the live step makes of it."""
+    """Files of a vehicle with three effects, a drive, and the live step's results on it."""
     folder = tmp_path_factory.mktemp("exported")
     known = catalogue()
     vehicle = tr.load_vehicle("agri3t")

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The exported step under the rules of the example controller in C++: what it adds, without ROS."""
+"""The exported step under the rules of the example controller in C++: its added torque, without ROS."""
 
 import itertools
 import shutil
@@ -52,7 +52,7 @@ class Vehicle:
             assert done.returncode == 0, done.stderr
 
     def added(self, speeds, enabled=None):
-        """Torque to add, what the step gave, and its level: a column each."""
+        """Torque to add, result of the step, and its level: a column each."""
         lines = "".join(f"{v!r} {PERIOD_S} {int(on)}\n" for v, on in zip(speeds, enabled or itertools.repeat(True), strict=False))
         done = subprocess.run([self.folder / "step"], input=lines, capture_output=True, text=True, check=True)
         return np.array([line.split() for line in done.stdout.splitlines()], dtype=float).T

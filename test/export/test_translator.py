@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the translator writes does what Python does, and what it cannot write it refuses with the line."""
+"""The translator's C computes the same as Python, and untranslatable source is refused with the line."""
 
 import ctypes
 import math

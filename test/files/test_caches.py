@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Caches: whatever lies in their place, the numbers are the same, and nothing in it is run that we did not write."""
+"""Caches: whatever their content, the numbers are the same, and no foreign code is run."""
 
 import os
 import pickle
@@ -80,7 +80,7 @@ def test_what_is_not_a_file_in_its_place_stops_nothing(tmp_path, make):
 
 @pytest.fixture
 def said(caplog):
-    """What is said of caches, from the beginning."""
+    """Messages on caches, from the beginning."""
     cache._say.cache_clear()
     yield lambda: [record.getMessage() for record in caplog.records]
     cache._say.cache_clear()
@@ -246,7 +246,7 @@ def simulate(folder, out, repository, seconds=SHORT_S, **environment):
 
 @pytest.fixture(scope="module")
 def warm(tmp_path_factory, repository):
-    """A cache that holds what a simulation needs, without compiled code, and what the simulation gives."""
+    """A cache with all inputs of a simulation, without compiled code, and the simulation's result."""
     folder = tmp_path_factory.mktemp("warm")
     return folder, simulate(folder, folder / "out.csv", repository, TRACKRES_INTERPRETED="1")[0]
 

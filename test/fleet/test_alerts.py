@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What changed as rows for other programs, and what a month says of recordings without a load."""
+"""Changes as rows for other programs, and the text of a month with recordings without a load."""
 
 import csv
 import json
@@ -63,7 +63,7 @@ def dataset(tmp_path):
 
 @contextmanager
 def hook(answer):
-    """A web server on loopback that answers a POST with a code; gives its address and what was sent to it."""
+    """A web server on loopback that answers a POST with a code; returns its address and the received content."""
     received = []
 
     class Handler(BaseHTTPRequestHandler):

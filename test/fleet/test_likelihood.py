@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What one recording says of its vehicle, whatever the day was like."""
+"""Likelihood of one recording about its vehicle, whatever the day's weather."""
 
 import numpy as np
 import pytest
@@ -64,7 +64,7 @@ def test_a_windy_day_says_the_same_of_the_vehicle(days):
 
 
 def test_a_recording_never_says_less_than_nothing(days):
-    """Of what it does not tell at all it says nothing, up to the rounding of the largest."""
+    """Without information on a parameter the precision is zero, up to the rounding of the largest."""
     _, windy, _ = days
     directions = np.linalg.eigvalsh(windy.precision)
     assert directions.min() > -ROUNDING * directions.max()

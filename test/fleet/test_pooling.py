@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Pooling and changes: laws of the likelihoods, and what is found in vehicles drawn by them."""
+"""Pooling and changes: laws of the likelihoods, and findings in vehicles drawn by them."""
 
 from dataclasses import replace
 

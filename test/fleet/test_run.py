@@ -110,7 +110,7 @@ def test_a_run_analyses_each_recording_and_a_rerun_only_new_ones(recordings, goo
     again = json.loads(good(*words(recordings, "--json")))
     assert again["run"] == {"found": 8, "kept": 8, "good": 0, "broken": 0}
     assert {key: again[key] for key in ("types", "vehicles")} == {key: first[key] for key in ("types", "vehicles")}
-    # A file that is only touched is not computed anew, one that changed is; neither has two rows.
+    # A file that is only touched is not computed again, a changed one is; neither has two rows.
     touched, changed = (recordings / "recordings" / "truck-02" / f"drive_000{n}.csv" for n in (1, 2))
     os.utime(touched, (1e9, 1e9))
     lines = changed.read_text().splitlines()

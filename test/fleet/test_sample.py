@@ -61,7 +61,7 @@ def test_the_smallest_sample_is_analysed(good, tmp_path):
 
 
 def test_a_short_recording_holds_enough_driving(tmp_path, monkeypatch):
-    """Of a driver who stands at first: that drive is drawn again, and the recording can be compared."""
+    """If a driver stands at first, that drive is drawn again, and the recording can be compared."""
     drawn = []
 
     def standing_first(minutes, weight, air, fastest, rng):

@@ -209,7 +209,7 @@ KINDS: dict[str, tuple[str, Callable[[Drive, Path], None]]] = {
 
 
 def topics_of(kind: str) -> dict[str, Any]:
-    """What the topics file of a kind says; the database of a bus lies beside it."""
+    """Content of the topics file of a kind; the database of a bus is in the same folder."""
     if kind == "bag":
         message = {"type": "std_msgs/msg/Float64", "field": "data"}
         return {role: {"topic": f"/{line['channel']}", "unit": line["unit"], **message} for role, line in TOPICS.items()}

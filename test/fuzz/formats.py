@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Small files of every kind a reader takes, what is in them, and how a damaged copy is read and what comes of it."""
+"""Small files of every kind, their content, and how a damaged copy is read and classified."""
 
 from __future__ import annotations
 

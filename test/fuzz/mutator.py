@@ -16,7 +16,7 @@ EXTREMES = tuple(
     for number in (0, 1, 2 ** (8 * size - 1) - 1, 2 ** (8 * size - 1), 2 ** (8 * size) - 1)
     for order in ("little", "big")
 )
-"""Numbers at the ends of what 1, 2, 4 and 8 bytes hold, signed and not, in both orders."""
+"""Extreme numbers of 1, 2, 4 and 8 bytes, signed and not, in both orders."""
 TEXTS = (
     *(text.encode() for text in ("nan", "inf", "-inf", "1e999", "-0", "1e308", "9" * 40, "null", "~", "true", "''", '"')),
     *(b",", b":", b"\t", b"\r", b"\n", b"\0", b"\xff\xfe", b"\xef\xbb\xbf"),
@@ -73,7 +73,7 @@ def _move(data: bytearray, dice: random.Random) -> None:
 
 
 def _extreme(data: bytearray, dice: random.Random) -> None:
-    """Write an extreme number over what is there, as over a length, a count or an offset."""
+    """Overwrite bytes with an extreme number, such as a length, a count or an offset."""
     number = dice.choice(EXTREMES)
     start = dice.randrange(len(data))
     data[start : start + len(number)] = number
@@ -108,9 +108,9 @@ def mutations(data: bytes, count: int, seed: int) -> Iterator[bytes]:
     Parameters
     ----------
     data : bytes
-        What to change; not empty.
+        Bytes to change; not empty.
     count : int
-        How many copies.
+        Number of copies.
     seed : int
         Of the random numbers.
     """

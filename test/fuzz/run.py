@@ -44,7 +44,7 @@ FAULTS = ("traceback", "hang", "memory", "lost")
 
 @dataclass
 class Result:
-    """What became of the mutations of a format: counts by outcome, and the first of every fault."""
+    """Outcomes of the mutations of a format: counts by outcome, and the first of every fault."""
 
     outcomes: Counter[str] = field(default_factory=Counter)
     faults: list[dict[str, Any]] = field(default_factory=list)
@@ -77,11 +77,11 @@ def work(name: str, count: int, seed: int, start: int) -> None:
                 report["outcome"] = "memory"
             print(json.dumps({"number": number, **report}), flush=True)
             if report["outcome"] == "memory":
-                return  # the peak would be that of all that follow
+                return  # the peak would be that of all later ones
 
 
 def lines(process: subprocess.Popen[bytes]) -> Iterator[dict[str, Any] | None]:
-    """Yield what a worker says; None if it says nothing for too long."""
+    """Yield a worker's messages; None after a silence that is too long."""
     assert process.stdout is not None
     with selectors.DefaultSelector() as selector:
         selector.register(process.stdout, selectors.EVENT_READ)

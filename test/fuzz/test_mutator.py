@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Laws of the mutator: the same again, mostly something else, never far beyond what was given."""
+"""Laws of the mutator: reproducible, mostly different, never much longer than the input."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def results(tmp_path):
 
 def of_rows(folder: Path) -> object:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a damaged row is left out with a warning
+        warnings.simplefilter("ignore", UserWarning)  # a damaged row is skipped with a warning
         found = trends(FleetDataset.existing(folder), limits_of(folder, {}))
     json.dumps(found, allow_nan=False)
     return sentences(found)

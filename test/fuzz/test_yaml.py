@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Every kind of YAML that is read: whatever stands in it, it is taken, or one line says why not."""
+"""Every kind of YAML that is read: any content is accepted, or one line gives the reason."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def spoiled(content: bytes, rng: random.Random) -> bytes:
 
 @pytest.fixture(params=KINDS)
 def kind(request, tmp_path):
-    """Reads a text as one kind of file: what it made of it, or the refusal; anything else is raised."""
+    """Reads a text as one kind of file: the result, or the refusal; anything else is raised."""
     read, right = KINDS[request.param]
     path = tmp_path / "given.yaml"
     if "rubber" in right:
@@ -155,7 +155,7 @@ def test_more_spoilt_bytes(kind):
 
 
 def places(content: object, path: tuple = ()) -> list[tuple]:
-    """Where something stands in nested mappings and lists, and where a key does."""
+    """Paths of a value in nested mappings and lists, and of a key."""
     found = [path] if path else []
     items = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
     return found + [p for key, value in items for p in places(value, (*path, key))]

@@ -15,7 +15,7 @@ STEP_NS = 100_000_000
 
 
 class Road:
-    """One vehicle that is driven, and what is learned of it. `true` are departures that the file does not have."""
+    """One driven vehicle, and its learner. `true` are departures that the file does not have."""
 
     def __init__(self, estimator: Estimator, mode="watch", true=None, seed=1):
         self.true = estimator.session()
@@ -27,7 +27,7 @@ class Road:
         self.said = set()
 
     def drive(self, minutes, shown=lambda torque, i: torque, speed=lambda t: 8.0 + 6.0 * np.sin(t / 60.0), noise=30.0):
-        """Drive on; `shown` is what the sensor makes of a torque, by the number of the step since here."""
+        """Drive on; `shown` is the sensor's function of a torque, by the number of the step since here."""
         for i in range(round(minutes * 600.0)):
             stamp, time = START_NS + self.steps * STEP_NS, self.steps * 0.1
             self.steps += 1
@@ -44,7 +44,7 @@ class Road:
         return self
 
     def expected(self, estimate):
-        """Resistance with what was learned, whatever acts."""
+        """Resistance with learned values, whether they act or not."""
         learned = self.session.learned
         if learned[at.Learned.on] > 0.0:
             return estimate["resistance_torque_nm"]
@@ -52,7 +52,7 @@ class Road:
         return estimate["resistance_torque_nm"] + moved.sum() - moved[at.OF_MASS]
 
     def errors(self, minutes):
-        """Mean error of the last minutes, without and with what was learned, over the torque."""
+        """Mean error of the last minutes, without and with learned values, over the torque."""
         rows = np.array(self.rows[-round(minutes * 600.0) :])
         return [float(np.abs(rows[:, i] - rows[:, 0]).mean() / np.abs(rows[:, 0]).mean()) for i in (1, 2)]
 

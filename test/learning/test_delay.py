@@ -22,12 +22,12 @@ MOST_SHIFT_S = 0.5
 
 
 class Drive:
-    """A vehicle that now and then accelerates or slows down, and what an estimator makes of it."""
+    """A vehicle that sometimes accelerates or slows down, and the estimator's results."""
 
     def __init__(self, delay, seed=1, rate_hz=20.0, noise_nm=40.0, step_mps=0.03, gain=1.0, changes=True, brakes_nm=None):
         self.random = np.random.default_rng(seed)
         self.delay, self.rate_hz, self.noise_nm, self.step_mps, self.gain = delay, rate_hz, noise_nm, step_mps, gain
-        self.brakes_nm = brakes_nm  # a torque that brakes harder is left to friction brakes
+        self.brakes_nm = brakes_nm  # friction brakes supply a stronger braking torque
         self.time = np.arange(0.0, 3600.0, 0.05)
         wanted = (
             np.repeat(self.random.uniform(4.0, 14.0, 180), 400)[: len(self.time)] if changes else np.full(len(self.time), 8.0)
@@ -43,7 +43,7 @@ class Drive:
         self.estimator, self.begun = DelayEstimator(ROLLING_NM), 0.0
 
     def on(self, minutes, torque=lambda torque, _t: torque):
-        """Drive on; `torque` is what the sensor makes of one, by its time [s]."""
+        """Drive on; `torque` is the sensor's function of one, by its time [s]."""
         times = self.begun + np.arange(int(60.0 * minutes * self.rate_hz)) / self.rate_hz
         self.begun += 60.0 * minutes
         speeds = np.round(np.interp(times, self.time, self.speed) / self.step_mps) * self.step_mps
@@ -136,7 +136,7 @@ def test_the_same_windows_twice_are_surer_and_say_the_same(windows):
 
 
 def test_friction_brakes_are_no_delay():
-    """The motor brakes with no torque at all, and the torque sees nothing of what the brakes do."""
+    """The motor does not brake at all, and the torque sensor does not see the brakes."""
     assert Drive(0.25, brakes_nm=0.0).on(15.0).value[0] == pytest.approx(0.25, abs=0.02)
 
 
@@ -202,7 +202,7 @@ def test_at_any_rate_memory_stays_bounded():
 
 
 def learner_of(road, delay_steps):
-    """What is learned of a vehicle whose torque comes some steps of 0.1 s late."""
+    """Values learned of a vehicle with a torque delayed by some steps of 0.1 s."""
     held = []
 
     def shown_late(torque, _i):

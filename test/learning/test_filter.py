@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The filter's step: laws of any gain, and what is known of a part when the whole is."""
+"""The filter's step: laws for any gain, and the knowledge of a part given the whole."""
 
 import numpy as np
 import pytest

@@ -53,7 +53,7 @@ class Drive:
 
     @property
     def rolling(self):
-        """What was learned of the rolling coefficient, and how sure it is."""
+        """Learned rolling coefficient and its standard deviation."""
         s = self.learner.learned
         return float(s.mean[at.OF_BEARING]), float(np.sqrt(s.covariance[at.OF_BEARING, at.OF_BEARING]))
 

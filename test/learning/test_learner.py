@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is learned of a vehicle, and what is not: each rule by a drive that would break it."""
+"""Rules of learning: each by a drive that would break it."""
 
 import copy
 
@@ -175,7 +175,7 @@ def test_outliers_freeze_it(road):
 
 
 def test_what_wanders_is_not_taken_for_the_vehicle(road):
-    """Hills of one in a hundred of which nothing is known."""
+    """Unknown hills of one in a hundred."""
     driven = road("on", {at.OF_LOSS: -0.05})
     driven.drive(25.0, lambda torque, i: torque + 980.0 * np.sin(2.0 * np.pi * i / 1500.0))
     file, with_it = driven.errors(10.0)

@@ -61,7 +61,7 @@ def test_watching_leaves_every_column_of_the_estimate_as_it_is(recording):
 def test_the_vehicle_file_it_leaves_starts_from_what_was_learned(recording, tmp_path):
     learned = tr.replay(recording, "xgd24d", learning="watch", save_vehicle=tmp_path / "learned.yaml")
     again = tr.replay(recording, tmp_path / "learned.yaml")
-    late = slice(-600, None)  # what was learned by then, all the way
+    late = slice(-600, None)  # with values learned by then, over the whole distance
     assert again["resistance_torque_nm"][late] == pytest.approx(learned["learned_resistance_torque_nm"][late], rel=0.02)
     assert again["resistance_std_nm"][-1] < 0.5 * learned["resistance_std_nm"][-1]
 

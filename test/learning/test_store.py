@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What was learned survives a restart bit by bit, and nothing else comes out of a file."""
+"""Learned values survive a restart bit by bit, and a file can contain nothing else."""
 
 import copy
 import json

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the law tests share: the shipped vehicles, a rubber without dispersion, and how hypothesis searches."""
+"""Common parts of the law tests: the shipped vehicles, a rubber without dispersion, and settings of hypothesis."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""One operating point taken apart: what is there, and that its parts add up to its wholes."""
+"""One operating point by parts: complete, and the parts add up."""
 
 from __future__ import annotations
 

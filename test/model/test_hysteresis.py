@@ -127,7 +127,7 @@ def test_a_counted_sine_loses_a_quarter_of_printed_equation_29(
 
 
 class Maxwell(RubberModel):
-    """One spring and one dashpot in series, beside the moduli of a compound where contacts ask for them."""
+    """A spring and a dashpot in series, with the moduli of a compound as contacts need them."""
 
     MODULUS, RELAXATION_S = 5e6, 0.02
 
@@ -137,7 +137,7 @@ class Maxwell(RubberModel):
 
 
 def maxwell_work(profile: Profile, speed: float) -> float:
-    """Work [J/m^3] that a Maxwell element takes in on one loop in the steady state, segment by segment in closed form."""
+    """Work [J/m^3] absorbed by a Maxwell element in one steady loop, segment by segment in closed form."""
     tau, modulus = Maxwell.RELAXATION_S, Maxwell.MODULUS
     times = np.diff(np.append(profile.position, profile.position[0] + profile.length)) / speed
     rates = np.diff(np.append(profile.value, profile.value[0])) / times
@@ -214,7 +214,7 @@ def test_twice_the_harmonics_change_loss_by_under_a_thousandth(vehicle: Vehicle,
 
 
 def mirrored(track: Track) -> Track:
-    """The track seen from the other side: what was the front end of the ground run is its rear end."""
+    """The track seen from the other side: the former front end of the ground run is its rear end."""
     run = track.road_wheels.ground_run
     wheels = replace(track.road_wheels, positions=tuple(run - x for x in reversed(track.road_wheels.positions)))
     return replace(track, road_wheels=wheels, wrapped_wheels=track.wrapped_wheels[::-1])

@@ -185,7 +185,7 @@ def test_the_table_of_the_cache_is_the_one_built(agri3t: Vehicle, tmp_path: Path
     assert same(loss_table(agri3t, name, tmp_path), loss_table(agri3t, name, tmp_path))
 
 
-# What the fingerprint depends on
+# Inputs of the fingerprint
 
 
 def relevant(vehicle: Vehicle) -> list[str]:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Rainflow count, equation (25): the standard's example, an independent package, and what holds for any loop."""
+"""Rainflow count, equation (25): the standard's example, an independent package, and laws for any loop."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def test_nothing_jumps_at_standstill(limit: float) -> None:
 
 
 def scaled(formula, **units):  # type: ignore[no-untyped-def]
-    """What a formula yields in mm over what it yields in m; `units` are (value, power of length)."""
+    """Result of a formula in mm over that in m; `units` are (value, power of length)."""
     return formula(**{name: value * 1000.0**power for name, (value, power) in units.items()}) / formula(
         **{name: value for name, (value, _) in units.items()}
     )

@@ -36,7 +36,7 @@ def tracks(draw: st.DrawFn, base: Track, fewest: int = 1) -> Track:
 
 
 def mirrored(track: Track) -> Track:
-    """The track seen from the other side: what was the front end of the ground run is its rear end."""
+    """The track seen from the other side: the former front end of the ground run is its rear end."""
     run = track.road_wheels.ground_run
     wheels = replace(track.road_wheels, positions=tuple(run - x for x in reversed(track.road_wheels.positions)))
     return replace(track, road_wheels=wheels, wrapped_wheels=track.wrapped_wheels[::-1])

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A transport that keeps what it is given, and a clock that stands until it is moved: the application without a middleware."""
+"""A transport that keeps its messages, and a clock that moves only on request: the application without a middleware."""
 
 import math
 import shutil
@@ -39,7 +39,7 @@ class Desk:
         self.time_s, self.steady_s = 0.0, 0.0
         self.clock_offset_s = 0.0  # of the machine's clock against steady time
         self.published, self.statuses, self.logged = [], [], []
-        self.reasons, self.left = [], []  # of each estimate: why, and how much of the feed-forward is left then
+        self.reasons, self.left = [], []  # of each estimate: reasons, and share of the feed-forward
         self.found_peers = {}
         self.sim_time = given.get("use_sim_time", False)
         parameters = {"vehicle": "xgd24d", "state_file": "none", "output_rate_hz": 0.0, **given}
@@ -96,7 +96,7 @@ class Desk:
         self.app.receive(index, message)
 
     def drive(self, seconds, speed=8.0, dt=0.02, **others):
-        """Speeds every dt, and whatever else is given with each."""
+        """Speeds every dt, with the given other inputs."""
         for _ in range(round(seconds / dt)):
             self.forward(dt)
             for role, value in others.items():
@@ -116,7 +116,7 @@ class Desk:
 
 
 class Wild(Desk):
-    """A transport that packs what it is given as a middleware does, and refuses whatever it is told to."""
+    """A transport that packs messages as a middleware does, and refuses those it is set to refuse."""
 
     def __init__(self, **given):
         self.broken, self.own_clock = set(), None

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The application without a middleware: what leaves when what arrives, and what it says of it."""
+"""The application without a middleware: its outputs and statuses for given inputs."""
 
 import itertools
 import math

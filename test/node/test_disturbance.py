@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A torque that comes and goes, watched for live: said where it is to be seen, and in nothing that is fed forward."""
+"""An intermittent torque, watched for live: reported in the statuses, and never fed forward."""
 
 import re
 

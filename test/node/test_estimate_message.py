@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Laws of `~/estimate`, the one message a controller needs: its torque is that of `~/feedforward_torque`, and it says when not to
+"""Laws of `~/estimate`, the one message a controller needs: its torque equals `~/feedforward_torque`, and it reports when not to
 trust it."""
 
 import itertools
@@ -35,7 +35,7 @@ def estimates(d):
 
 
 def check(d):
-    """What holds of every estimate, whatever came."""
+    """Laws of every estimate, for any input."""
     for (stamp, numbers, reasons, (other, torque)), left in zip(estimates(d), d.left, strict=True):
         assert (stamp, numbers["feedforward_torque_nm"]) == (other, torque)
         assert abs(torque) <= LIMIT_OF_WEIGHT * d.app.estimator.settings.feedforward_share * (1 + 1e-9)

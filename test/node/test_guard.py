@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Law: whatever fails besides the step, the torque goes on as if nothing had, and the status names the part."""
+"""Law: if anything but the step fails, the torque continues unchanged, and the status names the part."""
 
 import importlib
 import itertools
@@ -42,7 +42,7 @@ class Failure(BaseException):
 
 @pytest.fixture
 def node(desk, tmp_path):
-    """A node that does everything: it learns, saves its state, and what it takes and makes is recorded."""
+    """A node that does everything: it learns, saves its state, and records its inputs and outputs."""
     (tmp_path / "topics.yaml").write_text(TOPICS)
     number = itertools.count()
 
@@ -137,7 +137,7 @@ def test_no_edge_and_no_recorder_can_change_the_torque(node, monkeypatch, what):
         monkeypatch.setattr(target, what, failing)
     assert driven(d) == whole
     monkeypatch.undo()
-    if what not in ("log", "publish_status"):  # of those nobody can be told
+    if what not in ("log", "publish_status"):  # failures that cannot be reported
         assert "PART_FAILED" in d.names()
     d.forward(7.0)
     assert not {"PART_FAILED", "INTERNAL_ERROR"} & d.names()

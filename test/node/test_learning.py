@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A node that learns: by default it watches, says what it learned, keeps it over a restart, and moves nothing."""
+"""A node that learns: by default it watches, reports learned values, keeps them over a restart, and changes nothing."""
 
 import math
 import re
@@ -14,7 +14,7 @@ from trackres_ros.node.notices import KINDS
 
 
 def drive(d, seconds, share=1.1, more=0.0):
-    """Drive now slower, now faster, with a torque so many times what the file expects."""
+    """Drive slower and faster in turn, with a torque so many times the file's expectation."""
     for i in range(round(seconds / 0.2)):
         speed = 8.0 + 4.0 * math.sin(i / 150.0)
         expected = d.app.overview().values.get("drive_torque_nm", 3000.0)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The live table: every number as people write it, whatever the row of results holds."""
+"""The live table: every number in common notation, for any row of results."""
 
 import re
 from dataclasses import replace

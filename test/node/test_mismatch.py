@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Have measured and expected torque parted: found where it is so, not where it is not, whatever the noise."""
+"""Mismatch of measured and expected torque: found if present, else not, for any noise."""
 
 import dataclasses
 import math

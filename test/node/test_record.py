@@ -50,7 +50,7 @@ def made(kind, value, stamp_ns):
 
 
 class Wire:
-    """Hands messages to an application as a transport does, and keeps what it handed over."""
+    """Passes messages to an application as a transport does, and keeps them."""
 
     def __init__(self, desk, path):
         self.desk, self.sent = desk, []
@@ -71,7 +71,7 @@ class Wire:
 
 
 def driven(desk, folder, seconds, speed_of, rate_hz=10.0):
-    """A drive with a torque of 1.3 times what the node expects; the desk, what was sent, the bag, and what is said of it."""
+    """A drive with 1.3 times the expected torque; the desk, the sent messages, the bag, and the log."""
     (folder / "topics.yaml").write_text(TOPICS)
     d = desk(topics=str(folder / "topics.yaml"), learning="off")
     wire, noise = Wire(d, folder / "live.mcap"), np.random.default_rng(5)

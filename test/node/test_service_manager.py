@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the node tells its service manager: that it is alive only while its messages leave."""
+"""Messages of the node to its service manager: it is reported alive only while its messages leave."""
 
 import configparser
 import socket
@@ -46,7 +46,7 @@ def test_a_node_whose_messages_do_not_leave_is_not_alive(heard, wild_desk):
     made = wild_desk(output_rate_hz=50.0)
     made.drive(1.0)
     made.broken = {"publish", "publish_status"}
-    made.drive(0.3)  # what left before is still told
+    made.drive(0.3)  # earlier messages are still reported
     heard()
     made.drive(3.0)
     assert "WATCHDOG=1" not in heard()

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a signal requests is kept, whether or not anybody reads the log any more."""
+"""Requests by signals are kept, whether or not the log still has a reader."""
 
 import os
 import signal

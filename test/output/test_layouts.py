@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Layouts name only what is published, for any vehicle under any name, and the bag of a replay has what they show."""
+"""Layouts name only published topics, for any vehicle under any name, and the bag of a replay has them."""
 
 import json
 import xml.etree.ElementTree as ET

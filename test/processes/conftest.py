@@ -146,7 +146,7 @@ class Node:
 
     @property
     def log(self):
-        """What it has logged so far."""
+        """Its log so far."""
         return self.log_path.read_text()
 
     def started(self):
@@ -156,7 +156,7 @@ class Node:
         return self
 
     def sees_its_publishers(self, tell_time):
-        """Wait until the node has seen all publishers and the simulated clock: what is sent before is not kept for it."""
+        """Wait until the node has seen all publishers and the simulated clock: earlier messages are not kept for it."""
         self.until(lambda: not {"NO_PUBLISHER", "NO_CLOCK"} & self.last_remarks(), "the node to see all", meanwhile=tell_time)
 
     def until(self, holds, what, patience_s=PATIENCE_S, meanwhile=None, working=False):
@@ -223,7 +223,7 @@ class Node:
         return {name for status in self.statuses()[since:] for name in _values(status)["remarks"].split()}
 
     def last_remarks(self):
-        """Names of what the last status notices."""
+        """Names of the notices in the last status."""
         return set(_values(self.status())["remarks"].split())
 
     def noticed(self, name, meanwhile=None):
@@ -355,7 +355,7 @@ def standing(request, standing_nodes):
 
 @pytest.fixture(params=[*TRANSPORTS, FAST], scope="module")
 def anywhere(request, standing_nodes):
-    """As `standing`, and on Fast DDS too, for what the middleware plays a part in."""
+    """As `standing`, and on Fast DDS too, for behaviour that depends on the middleware."""
     return standing_nodes(request.param)
 
 

@@ -18,7 +18,7 @@ DOMAIN = str(domain_of_worker(72))
 
 
 class Shell:
-    """Runs commands in one environment and ends what it started."""
+    """Runs commands in one environment and ends all processes it started."""
 
     def __init__(self, folder, environment):
         self.folder, self.running = folder, []

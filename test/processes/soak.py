@@ -73,7 +73,7 @@ class Soak:
         self.finish()
 
     def begin(self, fault):
-        """What a fault does once."""
+        """One action of a fault."""
         if self.second:
             self.second.delivered()
             self.second.close()
@@ -94,7 +94,7 @@ class Soak:
             self.seen(self.node.inputs["speed"], "the new publisher")
 
     def seen(self, publisher, what):
-        """Wait until a publisher and the node know each other: what is sent before is not kept."""
+        """Wait until a publisher and the node know each other: earlier messages are not kept."""
         since = len(self.node.statuses())
         # The node looks at who publishes once a second, and tells; it may have looked just before the publisher came.
         told = lambda: len(self.node.statuses()) >= since + 2 and "NO_PUBLISHER" not in self.node.last_remarks()  # noqa: E731

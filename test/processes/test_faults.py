@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What fails besides the step takes nothing from the torque of a node process; where the process ends, the torque fades first."""
+"""Failures outside the step do not affect the torque of a node process; if the process ends, the torque fades first."""
 
 import itertools
 import resource

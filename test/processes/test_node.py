@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A node process and independent peers: what it gives is what an offline session gives, and is kept over restarts."""
+"""A node process and independent peers: it gives the same as an offline session, and keeps it over restarts."""
 
 import itertools
 import json
@@ -83,7 +83,7 @@ class Simulated:
 
 
 def offline(sent):
-    """What an offline session makes of messages; by stamp."""
+    """Results of an offline session from messages; by stamp."""
     estimator = Estimator(load("xgd24d"), Settings(feedforward_rate=AT_ONCE))
     session, found = estimator.session(), {}
     for role, stamp, value in sent:
@@ -146,7 +146,7 @@ torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.tor
 position: {topic: fix, type: sensor_msgs/msg/NavSatFix, max_age_s: 7.3}
 """
 STREET_M, LATITUDE, LONGITUDE = 1200.0, 0.827, 0.1486
-LOST, ASIDE = range(45, 75), range(95, 112)  # seconds without a fix, and beside the street
+LOST, ASIDE = range(45, 75), range(95, 112)  # seconds without a fix, and off the street
 
 
 def a_street(folder, vehicle):
@@ -517,6 +517,6 @@ def test_a_diagnosed_vehicle_file_improves_the_live_feedforward(simulated, diagn
         heard = {stamp_ns(h.message): h.message.wrench.torque.y for h in feedforward.update()}
         stamps = [s for s in sorted(heard) if s in measured and abs(measured[s]["speed_mps"]) > 1.0]
         torque = np.array([measured[s]["torque_nm"] - heard[s] for s in stamps])
-        # Speeding up and slowing down cancel over a drive; what is left of the mean is resistance.
+        # Acceleration and deceleration cancel over a drive; the remaining mean is resistance.
         error[name] = abs(np.nanmean(torque))
     assert error["after"] < 0.5 * error["before"]

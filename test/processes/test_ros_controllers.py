@@ -54,7 +54,7 @@ def running(command, built, folder):
 
 
 def follows_and_lets_go(node, added, log):
-    """It adds what the node says while that drives, and nothing once it has gone."""
+    """It adds the node's torque while that drives, and nothing once it has gone."""
 
     def near():
         node.drive(0.3)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A real node as a service: what it tells the service manager while it starts, runs, hangs and ends."""
+"""A real node as a service: its messages to the service manager while it starts, runs, hangs and ends."""
 
 import signal
 import socket

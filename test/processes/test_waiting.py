@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Waiting: ends with the condition, goes on while there is work, and gives up on who idles."""
+"""Waiting: ends with the condition, continues while there is work, and gives up on an idle process."""
 
 import os
 import re

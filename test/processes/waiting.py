@@ -96,7 +96,7 @@ def kept_waiting_s(pid):
 
 
 class Pace:
-    """Sends at a rate, whatever each sending takes: call `next` after each."""
+    """Sends at a rate, independent of the duration of each sending: call `next` after each."""
 
     def __init__(self, hz):
         self._period_s, self._due = 1.0 / hz, time.monotonic()

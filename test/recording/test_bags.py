@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bags of every kind give what the library's own decoding gives; what is written is read back by others."""
+"""Bags of every kind give the same as the library's own decoding; others can read the written ones."""
 
 from __future__ import annotations
 
@@ -357,7 +357,7 @@ def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
 
 
 def write_outputs(path: Path, count: int, at_once: int = 256) -> None:
-    """Write what a replay writes: torques and a speed, in blocks."""
+    """Write torques and a speed, in blocks, as a replay does."""
     with BagWriter(path) as writer:
         store = writer.typestore
         blank = header(store, 0, "base_link")

@@ -73,7 +73,7 @@ def messages(store: Any, msgtype: str) -> st.SearchStrategy[Any]:
 
 
 def expected(message: Any, field: str) -> float:
-    """Return what the live node reads from the decoded message; NaN where it has no such element."""
+    """Return the live node's value of the decoded message; NaN without such an element."""
     try:
         return TopicBinding("/t", "x/msg/Y", field).read(message)
     except (LookupError, IndexError):

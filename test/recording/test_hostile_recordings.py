@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings that are not what they seem: each ends in one line and exit code 2, or is read with what was lost counted."""
+"""Deceptive recordings: each ends in one line and exit code 2, or is read with the losses counted."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_a_socket_is_refused(tmp_path, refused, monkeypatch):
 
 
 def test_names_that_no_terminal_takes(tmp_path, refused, capsys):
-    """A name that is not UTF-8 and holds a line end: in what is refused, in what is read, and in what is written."""
+    """A name that is not UTF-8 and holds a line end: in refusals, in reading, and in writing."""
     path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/a\n\xff.csv"))
     path.write_bytes(b"time_s\n0\n")
     assert "a\\n\\udcff.csv" in refused(path)
@@ -157,7 +157,7 @@ def test_any_bytes_are_read_or_refused_in_one_line(tmp_path_factory, suffix, hea
 
 
 def refusal(path: Path) -> str:
-    """What is said about a table or bag; nothing if it is read."""
+    """Refusal of a table or bag; empty if it is read."""
     try:
         speeds(path, None).report()
     except InputError as error:
@@ -188,7 +188,7 @@ def test_a_fault_of_our_own_is_said_to_be_one(tmp_path, monkeypatch):
     path = tmp_path / "run.csv"
     path.write_bytes(CSV)
     monkeypatch.setattr("trackres_ros.recording.channel_source.choose", lambda *_: 1 // 0)
-    with pytest.raises(ZeroDivisionError):  # outside of reading a fault stays what it is
+    with pytest.raises(ZeroDivisionError):  # outside of reading a fault is unchanged
         open_source([path])
     monkeypatch.setattr("trackres_ros.recording.readers.csv_table.re.split", lambda *_, **__: [])
     with pytest.raises(InputError, match=r"ValueError: .* at csv_table\.py:\d+") as caught:

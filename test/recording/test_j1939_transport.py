@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Long messages of J1939: what was sent is what is joined, and what cannot be joined is counted."""
+"""Long messages of J1939: joined messages equal the sent ones, and the others are counted."""
 
 from collections import Counter
 
@@ -22,7 +22,7 @@ def frames_of(senders):
 
 
 def joined(frames):
-    """Group, sender and content of the messages that are joined of frames, 10 ms apart; and what was counted."""
+    """Group, sender and content of the messages joined from frames, 10 ms apart; and the counts of losses."""
     met = Counter()
     sent = [Frame(STEP_NS * place, number, True, 1, data) for place, (number, data) in enumerate(frames)]
     found = list(with_joined(iter(sent), met))

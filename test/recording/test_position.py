@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Position, passengers and brakes of a recording: units told by the values, and what a topics file says of them."""
+"""Position, passengers and brakes of a recording: units from the values, and keys of a topics file."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ STATES = (FIXED, NO_FIX, AUGMENTED, NO_FIX, UNKNOWN, FIXED)
 
 
 def fixes(store: Any) -> list[Any]:
-    """Messages of a receiver that loses its fix and goes on with what it had."""
+    """Messages of a receiver that loses its fix and repeats the last one."""
     types, start = store.types, 1_700_000_000
     return [
         types[FIX](

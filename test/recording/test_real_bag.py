@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A bag of a real vehicle, as it is: what the reader makes of it and what it says."""
+"""An unchanged bag of a real vehicle: the reader's result and notes."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_there_is_no_torque(recording: Recording) -> None:
 
 
 def test_it_replays_as_it_is(tmp_path: Path, good: Any) -> None:
-    """Header stamps two months off, quantised speed and drops to 0: the estimate goes through, and what was met is said."""
+    """Header stamps two months off, quantised speed and drops to 0: the estimate runs through, and reports them."""
     report = json.loads(good("replay", BAG, "--vehicle", "agri3t", "-o", tmp_path / "out.csv", "--json"))
     assert report["steps"] == report["counters"]["speed"]["accepted"] == 2143
     assert {"stamp_offset", "dropout"} <= {finding["kind"] for finding in report["findings"]}

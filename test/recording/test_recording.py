@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a Recording finds wrong, how it holds series on one another, and what it says."""
+"""Defects found by a Recording, its resampling of series, and its texts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ S = 10**9
 
 
 class Given:
-    """A source of what a test gives: by role, stamps [s], values, and log times [s] where they differ."""
+    """A source from a test's data: by role, stamps [s], values, and log times [s] if they differ."""
 
     name = "given"
     notes = ("a note",)

@@ -70,7 +70,7 @@ def write(path, storage, count=1500, mode=None, broken=()):
 
 
 def read(path):
-    """All that is known of a bag, or what is wrong with it."""
+    """All content of a bag, or its error."""
     try:
         source = BagSource([path])
         blocks = list(source.blocks())

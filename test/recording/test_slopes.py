@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A slope by the altitude: that of the road, none at standstill, and none that no road has."""
+"""A slope from the altitude: that of the road, none at standstill, and none steeper than roads."""
 
 import numpy as np
 import pytest

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tables: what is read, refused and said; the bytes written; with pyarrow and without."""
+"""Tables: reading, refusals and texts; the bytes written; with pyarrow and without."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The topics file: what it takes, what it refuses and says, and what is guessed without."""
+"""The topics file: accepted and refused keys, texts, and guesses without one."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def with_lz4(path):
 
 
 def whole_blocks(path):
-    """What is read; None where the file was cut off before its first whole block."""
+    """Content read; None if the file was cut off before its first complete block."""
     try:
         return tr.read(path, topics=TOPICS)
     except tr.InputError as error:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Slope and torque under a vehicle by its positions: from each message the same, and nothing beside the route."""
+"""Slope and torque under a vehicle by its positions: equal from each message, and none off the route."""
 
 import math
 from dataclasses import replace
@@ -34,7 +34,7 @@ def slope_at(way):
 
 
 def street(kind, value, std):
-    """A street to the east, of which something is known each way."""
+    """A street to the east, with learned values in both directions."""
     way = np.arange(0.0, STREET_M + 1.0, 20.0)
     latitude, longitude = Frame(LATITUDE, LONGITUDE).position(way, np.zeros_like(way))
     value = np.stack([np.broadcast_to(one, way.shape) for one in value(way)], axis=1).astype(float)
@@ -67,7 +67,9 @@ def on(slopes, torques):
 
 
 def messages(way, speed, aside=0.0, scatter_m=0.0, hidden=(), step_s=1.0, more=()):
-    """What a vehicle sends each second: channel, stamp and value; `more` of (sample, channel, value) come before the speed."""
+    """Messages of a vehicle in each second: channel, stamp and value; `more` of (sample, channel, value) come before the
+    speed.
+    """
     rng, n = np.random.default_rng(1), len(way)
     x, y = (autoregression(n, rng, 30.0, scatter_m) + where for where in (way, np.broadcast_to(aside, way.shape)))
     latitude, longitude = Frame(LATITUDE, LONGITUDE).position(x, y)
@@ -89,7 +91,7 @@ def driven(estimator, sent, session=None):
 
 
 def slope_of(estimator, rows):
-    """The slope that a step used; nan beside the route."""
+    """The slope used by a step; nan off the route."""
     radius = estimator.vehicle.track_of(estimator.vehicle.assemblies[0]).sprocket_radius
     sine = rows[:, at.Results.grade_nm] / (radius * rows[:, at.Results.weight_n])
     off = (rows[:, at.Results.reasons].astype(int) & Reason.OFF_ROUTE) > 0

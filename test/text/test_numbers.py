@@ -20,7 +20,7 @@ FEW_FIGURES = re.compile(r":[-+ #0-9,]*\.[1-5]g\}")
 
 
 def count_of(text):
-    """Figures of a number as it stands."""
+    """Figures of a number in a text."""
     digits = re.sub(r"e.*", "", text).lstrip("-+")
     kept = digits.replace(".", "").lstrip("0")
     return len(kept if "." in digits else kept.rstrip("0"))
@@ -76,7 +76,7 @@ def test_examples(text, shown):
 
 
 def room(path):
-    """The first two folders of a module, of which texts of the diagnosis and of the proof keep their own figures."""
+    """The first two folders of a module; texts of the diagnosis and of the proof keep their own figures."""
     return path.relative_to(PACKAGE).parts[:-1][:2]
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The section `disturbance` of a vehicle file: taken as it is said or refused, and part of no estimate."""
+"""The section `disturbance` of a vehicle file: accepted or refused, and part of no estimate."""
 
 from __future__ import annotations
 

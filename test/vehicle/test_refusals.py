@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Every kind of refusal of a vehicle file names the file, the key, what was given and what is allowed."""
+"""Every kind of refusal of a vehicle file names the file, the key, the given and the allowed values."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from trackres_ros.vehicle.loading import read_rubber_sweep
 THICKNESS = "tracks.triangular.belt.thickness"
 
 
-# What the shipped files say
+# Content of the shipped files
 
 
 def test_both_vehicles_are_shipped() -> None:
@@ -206,7 +206,7 @@ def test_overlapping_road_wheels_are_refused_unless_side_by_side(folder: Path, c
     wheels["contact_length"].update(value=0.3, range=[0.1, 0.635])  # interleaved, two rows on a belt of 0.635 m
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     load(path)
-    wheels["radius"].update(value=0.36, range=[0.1, 0.5])  # three of 0.3 m have no place beside each other
+    wheels["radius"].update(value=0.36, range=[0.1, 0.5])  # three of 0.3 m do not fit in a row
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     with pytest.raises(InputError, match="3 wheels"):
         load(path)

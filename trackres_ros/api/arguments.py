@@ -23,7 +23,7 @@ TopicsGiven: TypeAlias = Union["Topics", Mapping[str, Mapping[str, Any]], StrPat
 
 
 def as_vehicle(vehicle: VehicleGiven) -> AnyVehicle:
-    """A vehicle, given as such or by its file."""
+    """A vehicle, from a `Vehicle` or its file."""
     from trackres_ros.vehicle import RoadVehicle, Vehicle, load_any
 
     if isinstance(vehicle, str | PathLike):

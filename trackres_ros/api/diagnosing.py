@@ -106,7 +106,7 @@ def diagnose(
     if not listed:
         raise InputError("recordings", "none", "at least one")
     mapping = as_topics(topics)
-    if mapping is None:  # what a belt temperature shows is of the vehicle: any of the recordings says it for all
+    if mapping is None:  # belt temperatures are those of the vehicle: one recording decides for all
         mapping = next((r.topics for r in listed if isinstance(r, Recording) and r.topics), None)
     loaded = load_base(vehicle, method, thermal, mapping, surroundings)
     for path in (path for r in listed if not isinstance(r, Recording) for path in as_paths(r)):

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
-DISTRIBUTIONS = {"sklearn": "scikit-learn"}  # where its name is not that of the module
+DISTRIBUTIONS = {"sklearn": "scikit-learn"}  # if its name is not that of the module
 
 
 DBC = f"{__name__}.dbc"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import signal
 
 INTERRUPTED = 130
-AGAIN_S = 3.0  # longer than any command needs to put things in order
+AGAIN_S = 3.0  # longer than any command needs to clean up
 
 
 def insist() -> None:

@@ -134,7 +134,7 @@ def live_command(
             for text in recorder.end():
                 with suppress(OSError):  # the same disk may be that of the terminal's file
                     click.echo(text, err=as_json or not all(ended))
-        if not all(ended):  # nobody takes the output, and the end of the interpreter would wait for its buffer
+        if not all(ended):  # the output has no reader, and the end of the interpreter would wait for its buffer
             os._exit(code)
 
 

@@ -42,7 +42,7 @@ class LiveJson:
             over = self._stop.wait(PERIOD_S)
             try:
                 print(json.dumps(as_dict(self._overview(), over), allow_nan=False), flush=True)
-            except BrokenPipeError:  # nobody reads any more, which does not end the node
+            except BrokenPipeError:  # the output has no reader any more, which does not end the node
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
                 return
             except OSError:  # a full disk: the next line may fit again

@@ -101,7 +101,7 @@ def line(seen: Overview) -> str:
 
 
 def _inputs(seen: Overview) -> Group:
-    parts: list[Text] = []  # what else was counted has a line of its own: there is no telling how much it is
+    parts: list[Text] = []  # other counters have a separate line: their number is unknown
     shown = Table(expand=True, box=None, pad_edge=False, header_style="dim")
     shown.add_column("input", no_wrap=True)
     shown.add_column("topic", overflow="fold", ratio=1)

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 POINTS, MOST_VALUES, MOST_CONDITIONS = 5, 25, 200
 SLOWEST_KMH, USUAL_KMH, COLDEST_DEGC, WARMEST_DEGC = 5.0, 30.0, -20.0, 80.0
-BELTS_DEGC, AIR_DEGC = (-60.0, 150.0), (-60.0, 60.0)  # what a belt and the air may have
+BELTS_DEGC, AIR_DEGC = (-60.0, 150.0), (-60.0, 60.0)  # limits of belt and air temperature
 STEADY = {
     "cold_nm": ("resistance, cold belts", "Nm"),
     "warm_nm": ("resistance, warm belts", "Nm"),
@@ -54,7 +54,7 @@ SLOPE_POINTS = 3  # belt temperatures at which it is looked at how sure the loss
 
 @dataclass(frozen=True, slots=True)
 class ComparisonRequest:
-    """What two designs are compared at.
+    """Conditions for the comparison of two designs.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class ComparisonRequest:
     cycles
         Drives.
     given
-        Which of `ambient` and `load` were asked for: what a recording holds does not act then.
+        Given options of `ambient` and `load`: they replace recorded values.
     """
 
     vehicles: tuple[Vehicle, Vehicle]
@@ -90,7 +90,7 @@ class ComparisonRequest:
 
 @dataclass(frozen=True, slots=True)
 class ComparisonOptions:
-    """What the options of `trackres compare` say, as text; None where they were not given."""
+    """Options of `trackres compare`, as text; None by default."""
 
     speed_kmh: str | None = None
     belt_degc: str | None = None
@@ -100,12 +100,12 @@ class ComparisonOptions:
 
 
 def asked_of(given: Sequence[str], options: ComparisonOptions) -> ComparisonRequest | None:
-    """What to compare two vehicle files with tracks at; None of anything else.
+    """Conditions to compare two vehicle files with tracks; None for anything else.
 
     Raises
     ------
     InputError
-        If an option says nothing usable, or is given for something else.
+        If an option is not valid, or is given for something else.
     """
     files = vehicle_files(given, "tracks")
     if not files:
@@ -138,7 +138,7 @@ def asked_of(given: Sequence[str], options: ComparisonOptions) -> ComparisonRequ
 
 
 def vehicle_files(given: Sequence[str], section: str) -> list[Path]:
-    """The vehicle files that names or paths mean; none where one of them is no such file, or lacks the section."""
+    """The vehicle files of names or paths; none if one of them is no such file, or lacks the section."""
     try:
         files = [find_vehicle(name) for name in given]
     except InputError:
@@ -147,7 +147,7 @@ def vehicle_files(given: Sequence[str], section: str) -> list[Path]:
 
 
 def numbers(option: str, given: str, limits: tuple[float, float]) -> tuple[float, ...]:
-    """The numbers that `A`, `A:B`, `A:B:N` and `A,B,C` say; `A:B` is five, evenly spaced.
+    """The numbers of `A`, `A:B`, `A:B:N` and `A,B,C`; `A:B` is five, evenly spaced.
 
     Raises
     ------
@@ -179,14 +179,15 @@ def compare_designs(asked: ComparisonRequest, advance: Callable[[float], None] =
     Parameters
     ----------
     advance
-        Takes that one more point is done.
+        Called after each point.
 
     Returns
     -------
     dict
         Ready for JSON. `designs`: of each vehicle torque [Nm] and coefficient (resistance over weight) by belt temperature and
-        speed, and what the first drive takes. `steady` and `drives`: a row for each condition and outcome with both values, their
-        difference, and its standard deviations by the ranges that both files have alike, and by all.
+        speed, and the totals of the first drive. `steady` and `drives`: a row for each condition and outcome with both values
+        and their
+        difference. Its standard deviations are those by the ranges that both files have in common, and by all.
     """
     names = shown_names(asked.vehicles)
     slopes = _Slopes(asked)
@@ -217,7 +218,7 @@ def shown_names(vehicles: Sequence[Vehicle]) -> list[str]:
 
 
 class _Slopes:
-    """The slopes of a vehicle over belt temperatures, at that of three of the speeds which is nearest."""
+    """Sensitivities of a vehicle over belt temperatures, at the nearest of three speeds."""
 
     def __init__(self, asked: ComparisonRequest) -> None:
         air, speeds = asked.ambients_degc, sorted(asked.steady_kmh)
@@ -258,7 +259,7 @@ def _driven(
 
         def outcomes(off: FileErrors, capacity: float, estimator: Estimator = estimator) -> Array:
             found = driven(with_factors(estimator, off, capacity), cycle, weight, ambient)
-            # The radius is no part of the drive itself: a torque goes with it, the energy does not.
+            # The radius does not affect the drive itself: it scales the torque, but not the energy.
             return np.array([found[name] * (off.radius if name.endswith("_nm") else 1.0) for name in DRIVEN])
 
         found = driven(estimator, cycle, weight, ambient)

@@ -46,9 +46,9 @@ class DriveCycle:
     Attributes
     ----------
     recorded
-        Load [N] and air [degC] by role, where they were recorded, each of shape (times,).
+        Load [N] and air [degC] by role, if recorded, each of shape (times,).
     notes
-        What of a recording is not used.
+        Unused content of a recording.
     """
 
     name: str
@@ -57,12 +57,12 @@ class DriveCycle:
     notes: tuple[str, ...] = field(default=())
 
     def conditions(self, given: Collection[str]) -> list[str]:
-        """Which of load and air were recorded, and are not given otherwise."""
+        """Recorded ones of load and air, unless given otherwise."""
         series = {} if self.recording is None else self.recording.series
         return [r for r in OF_PROFILE if r in series and r not in given and np.isfinite(series[r].value).any()]
 
     def recorded(self, vehicle: Vehicle, given: Collection[str]) -> dict[str, Array]:
-        """Load [N] and air [degC] along the drive, where they were recorded and are not given otherwise.
+        """Load [N] and air [degC] along the drive, if recorded and not given otherwise.
 
         Raises
         ------
@@ -126,12 +126,12 @@ def read_cycle(given: str, fastest_mps: float) -> DriveCycle:
 
 
 def check_weight(vehicle: Vehicle, weight: float) -> None:
-    """See that a vehicle may weigh so much [N].
+    """Check the weight of a vehicle [N].
 
     Raises
     ------
     InputError
-        Beyond what a live estimate takes for a load.
+        Beyond the limits of a live estimate.
     """
     low, high = LEAST_LOAD_SHARE * vehicle.weight / 1e3, LARGEST_LOAD_SHARE * vehicle.weight / 1e3
     if not low <= weight / 1e3 <= high:
@@ -140,12 +140,12 @@ def check_weight(vehicle: Vehicle, weight: float) -> None:
 
 
 def driven(estimator: Estimator, cycle: DriveCycle, weight: float | None, ambient: float | None) -> dict[str, float]:
-    """What a vehicle takes on a cycle from cold; see `offline.energy.taken`.
+    """Totals of a vehicle on a cycle from cold; see `offline.energy.taken`.
 
     Parameters
     ----------
     weight, ambient
-        Whole weight [N] and air [degC]; without them as recorded, and where nothing is, as the vehicle file has them.
+        Whole weight [N] and air [degC]; by default as recorded, else those of the vehicle file.
 
     Raises
     ------

@@ -73,17 +73,17 @@ class SensitivityResult:
     Attributes
     ----------
     vehicle, speed, ambient
-        Of which it is: name, [m/s], [degC].
+        Its conditions: name, [m/s], [degC].
     nominal, std
-        Each outcome by the file, and the standard deviation that its ranges leave.
+        Each outcome by the file, and its standard deviation due to the ranges.
     indices
         By outcome and path.
     held
         Why some values were not varied, by path.
     samples, drawn
-        Draws, of each of which every value is changed in turn; vehicles that were computed for them.
+        Draws, in each of which every value is changed in turn; vehicles that were computed for them.
     lost, why_lost
-        Draws left out, as one of their vehicles cannot be; and why the first cannot.
+        Draws left out, as one of their vehicles is impossible; and the reason for the first.
     """
 
     vehicle: str
@@ -99,7 +99,7 @@ class SensitivityResult:
     why_lost: str
 
     def ranked(self, outcome: str) -> list[str]:
-        """Paths, that which leaves most open first."""
+        """Paths, by decreasing share of the uncertainty."""
         of = self.indices[outcome]
         return sorted(of, key=lambda path: -of[path].total)
 
@@ -160,25 +160,25 @@ def sensitivity(
     file: str, speed: float, ambient: float | None = None, samples: int = 64, seed: int = 1,
     progress: Callable[[str, int], Callable[[float], None]] = lambda _what, _total: lambda _: None,
 ) -> SensitivityResult:  # fmt: skip
-    """Which of a vehicle file's values leaves how much of each outcome open, if all may lie anywhere in their ranges.
+    """Share of each outcome's uncertainty due to each value of a vehicle file, if all are uniform in their ranges.
 
     Parameters
     ----------
     file
         Vehicle file, or the name of a shipped one.
     speed, ambient
-        [m/s]; air [degC], the file's without.
+        [m/s]; air [degC], by default the file's.
     samples
         Of each value, a power of two: samples times (values + 2) vehicles are computed.
     seed
-        Of what is drawn.
+        Of the draws.
     progress
-        Takes what is done and how often, and gives what takes how much more is done.
+        Takes a description and the number of steps, and returns a function that takes the number of finished ones.
 
     Raises
     ------
     InputError
-        On a number of samples that is none, or ranges that do not go together.
+        On an invalid number of samples, or inconsistent ranges.
     MissingExtraError
         SALib is not installed.
     """
@@ -236,23 +236,23 @@ class Indices:
 def sobol(
     names: Sequence[str], bounds: Sequence[tuple[float, float]], model: Model, samples: int, seed: int
 ) -> tuple[Indices, int]:
-    """Sobol's indices of a model whose arguments lie anywhere between their bounds, by SALib.
+    """Sobol's indices of a model with uniform arguments between their bounds, by SALib.
 
     Parameters
     ----------
     names, bounds
         Of its arguments.
     model
-        From rows of arguments, shape (n, arguments), to rows of outcomes, shape (n, outcomes); nan where there is none.
+        From rows of arguments, shape (n, arguments), to rows of outcomes, shape (n, outcomes); nan for an impossible one.
     samples
         A power of two.
     seed
-        Of what is drawn.
+        Of the draws.
 
     Returns
     -------
     indices, drawn
-        See `Indices`; and how many rows there were.
+        See `Indices`; and the number of rows.
     """
     try:
         from SALib.analyze import sobol as analysis
@@ -262,7 +262,7 @@ def sobol(
     problem = {"num_vars": len(names), "names": list(names), "bounds": [list(pair) for pair in bounds]}
     rows = np.asarray(sampling.sample(problem, samples, calc_second_order=False, seed=seed))
     outcomes = model(rows)
-    # Rows of one point are compared with each other: a number put in for one would count as what the changed value does.
+    # Rows of one point are compared with each other: a substitute for one would look like an effect of the changed value.
     size = len(names) + 2
     whole = np.isfinite(outcomes).all(axis=1).reshape(-1, size).all(axis=1)
     outcomes = outcomes[np.repeat(whole, size)]
@@ -290,7 +290,7 @@ class Drawn:
 
 
 def outcomes_of(piece: Drawn) -> Array:
-    """Outcomes of vehicles, shape (n, outcomes); nan where one cannot be."""
+    """Outcomes of vehicles, shape (n, outcomes); nan for an impossible one."""
     make, found = variants(load(piece.file)), np.full((len(piece.rows), len(OUTCOMES)), np.nan)
     for row, into in zip(piece.rows, found, strict=True):
         with suppress(InputError):
@@ -314,7 +314,7 @@ def _outcomes(
 
 
 def _computed(pieces: Sequence[Drawn], advance: Callable[[float], None]) -> list[Array]:
-    """By the fleet's engine where it is installed."""
+    """By the fleet's engine if it is installed."""
     found: dict[int, Array] = {}
     if find_spec("distributed") is None:
         for number, piece in enumerate(pieces):
@@ -334,7 +334,7 @@ def _computed(pieces: Sequence[Drawn], advance: Callable[[float], None]) -> list
 def _ends(
     vehicle: Vehicle, speed: float, ambient: float, progress: Callable[[str, int], Callable[[float], None]]
 ) -> tuple[dict[str, tuple[tuple[float, ...], tuple[float, ...]]], dict[str, str]]:
-    """Outcomes with each value at either end of its range; and why some are held."""
+    """Outcomes with each value at either end of its range; and reasons for fixed values."""
     ends, held, make = {}, {}, variants(vehicle)
     paths = [path for path in scalars(vehicle) if path not in NOT_OF_THE_VEHICLE]
     advance = progress("each value alone", len(paths))
@@ -352,7 +352,7 @@ def _ends(
 
 
 def draw_tornado(found: SensitivityResult, outcome: str, path: Path) -> Path:
-    """What each value moves, and how much of the variance it leaves open."""
+    """Outcome at the ends of each value's range, and its shares of the variance."""
     from trackres_ros.output.style import BLUE, GREY, ORANGE, picture
 
     of, ranked = found.indices[outcome], found.ranked(outcome)[:MOST_SHOWN]

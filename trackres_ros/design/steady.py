@@ -29,16 +29,16 @@ J_PER_KWH = 3.6e6
 
 @dataclass(frozen=True, slots=True)
 class Steady:
-    """Whole vehicle at one speed; nan where no belt temperature is steady below `WARMEST_K` above the air.
+    """Whole vehicle at one speed; nan if no belt temperature is steady below `WARMEST_K` above the air.
 
     Attributes
     ----------
     cold_nm, warm_nm
-        Resistance at the sprockets with belts as cold as the air, and as warm as they become [Nm].
+        Resistance at the sprockets with belts as cold as the air, and in steady state [Nm].
     belt_degc
-        How warm that is, mean of the assemblies [degC].
+        Steady temperature, mean of the assemblies [degC].
     kwh_per_km
-        What it then takes.
+        Energy in steady state.
     """
 
     cold_nm: float
@@ -49,7 +49,7 @@ class Steady:
 
 @dataclass(frozen=True, eq=False)
 class SteadyAssembly:
-    """Assemblies that are alike, at one speed: name of the track, how many, and each one's forces.
+    """Equal assemblies at one speed: name of the track, number, and the forces of each.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class SteadyAssembly:
     cold_loss, bearing, wind
         Loss with the belt at the air's temperature, bearing friction and air drag [N].
     cooled
-        Heat that the belt gives off [W/K].
+        Heat flow out of the belt [W/K].
     """
 
     track: str
@@ -73,7 +73,7 @@ class SteadyAssembly:
 
 @dataclass(frozen=True, slots=True)
 class FileErrors:
-    """Factors on what a vehicle file may be off by; loss, film and radius of one kind of track, or of all where it is empty."""
+    """Factors on uncertain quantities of a vehicle file; loss, film and radius of one kind of track, or of all if it is empty."""
 
     track: str = ""
     loss: float = 1.0
@@ -126,7 +126,7 @@ def steady(vehicle: Vehicle, speed: float, ambient: float, weight: float | None 
     Parameters
     ----------
     vehicle
-        With its effects, of which those act that a straight drive at one speed tells.
+        With its effects; those without sufficient inputs in a straight drive at one speed are excluded.
     speed
         [m/s], forward.
     ambient
@@ -137,7 +137,7 @@ def steady(vehicle: Vehicle, speed: float, ambient: float, weight: float | None 
     Returns
     -------
     Steady
-        See there.
+        Steady values, see there.
 
     Raises
     ------

@@ -46,7 +46,7 @@ PLACES = {"cold_nm": 0, "warm_nm": 0, "belt_degc": 1, "kwh_per_km": 3, DRIVE: 3}
 
 @dataclass(frozen=True, slots=True)
 class SweepRequest:
-    """What is swept: vehicle file, values by path, speed [m/s], air [degC], and a drive as `drives.read_cycle` takes it."""
+    """Inputs of a sweep: vehicle file, values by path, speed [m/s], air [degC], and a drive for `drives.read_cycle`."""
 
     file: str
     varied: tuple[Varied, ...]
@@ -62,7 +62,7 @@ class SweepRequest:
 
     @property
     def paths(self) -> list[str]:
-        """Paths of all values that are varied."""
+        """Paths of all varied values."""
         return [path for one in self.varied for path in one.paths]
 
 
@@ -85,11 +85,11 @@ class Swept:
     Attributes
     ----------
     asked
-        What was swept.
+        Inputs of the sweep.
     columns
-        By name, shape (points,): the values by path, then outcomes; nan where a vehicle cannot be so.
+        By name, shape (points,): the values by path, then outcomes; nan for an impossible vehicle.
     refused
-        Why not, by the number of the point.
+        The reason, by the number of the point.
     """
 
     asked: SweepRequest
@@ -136,21 +136,21 @@ class Swept:
 def sweep(
     asked: SweepRequest, address: str = LOCAL, workers: int | None = None, advance: Callable[[float], None] = lambda _: None
 ) -> Swept:
-    """Compute all points, on the fleet's engine where there are many.
+    """Compute all points, on the fleet's engine if there are many.
 
     Parameters
     ----------
     asked
-        What to sweep.
+        Inputs of the sweep.
     address, workers
         See `engine.engine`.
     advance
-        Takes that one more point is done.
+        Called after each point.
 
     Raises
     ------
     InputError
-        If there are too many points, or the vehicle can be none of them.
+        If there are too many points, or none is a possible vehicle.
     """
     points, twice = asked.points, [path for path in asked.paths if asked.paths.count(path) > 1]
     if twice:
@@ -229,6 +229,6 @@ def draw(found: Swept, path: Path) -> Path:
 
 
 def _label(one: Varied, paths: Sequence[str]) -> str:
-    """What an axis shows: of values that move together the first."""
+    """Quantity of an axis: the first of values that change together."""
     others = f" (with {len(one.paths) - 1} more)" if len(one.paths) > 1 else ""
     return f"{short(one.paths[0], paths)}{others} [{one.unit}]"

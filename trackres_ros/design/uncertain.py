@@ -30,12 +30,12 @@ OF_DRAG = (DRAG, "chassis.frontal_area", "chassis.air_density")
 
 @dataclass(frozen=True, eq=False)
 class LogDerivatives:
-    """By how much a standard deviation of each value moves the logarithms of what a drive depends on.
+    """Sensitivity of a drive's quantities, as logarithms, to one standard deviation of each value.
 
     Attributes
     ----------
     belts_degc
-        At which the loss was looked at.
+        Temperatures of the loss.
     of_track
         By track, then by path: loss at each of those temperatures, film, heat capacity and radius.
     bearing, drag
@@ -65,7 +65,7 @@ def slopes_of(vehicle: Vehicle, speed: float, belts_degc: Array) -> LogDerivativ
 
 
 def moved(known: LogDerivatives, outcomes: Callable[[FileErrors, float], Array], belts_degc: Array) -> dict[str, Array]:
-    """By how much a standard deviation of each value moves some outcomes.
+    """Sensitivity of some outcomes to one standard deviation of each value.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def moved(known: LogDerivatives, outcomes: Callable[[FileErrors, float], Array],
     outcomes
         Of factors, and of a factor on the heat capacity, shape (outcomes,).
     belts_degc
-        At which belt temperature the loss acts on each outcome, shape (outcomes,).
+        Belt temperature of the loss in each outcome, shape (outcomes,).
 
     Returns
     -------

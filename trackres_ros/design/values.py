@@ -14,7 +14,7 @@ from trackres_ros.errors import InputError, nearest
 from trackres_ros.vehicle import Vehicle
 
 USUAL_COUNT, MOST_COUNT = 9, 1000
-NAMED = "axles", "tracks", "wrapped_wheels"  # parts of a path that the name of one of several follows
+NAMED = "axles", "tracks", "wrapped_wheels"  # parts of a path that are followed by the name of one of several
 DEGREES = "degC"
 ALLOWED = (
     "PATH=A:B:N, PATH=A:B or PATH=A,B,C with finite numbers, or with changes as +20%, and N from 2 to 1000; or PATH alone for "
@@ -24,7 +24,7 @@ ALLOWED = (
 
 @dataclass(frozen=True, slots=True)
 class Varied:
-    """Values of a vehicle file that move together, by their paths; their unit; and what each is to be, point by point."""
+    """Values of a vehicle file that change together, by their paths; their unit; and the value of each, point by point."""
 
     paths: tuple[str, ...]
     unit: str
@@ -42,14 +42,14 @@ def scalars(vehicle: Vehicle) -> list[str]:
 
 
 def meant(vehicle: Vehicle, given: str, where: str) -> tuple[str, ...]:
-    """The paths that somebody means: all of one, or enough of its words in their order, as belt.thickness.
+    """The paths of an abbreviation: a full path, or enough of its words in their order, as belt.thickness.
 
-    One value of several axles, tracks or wheels is meant of all of them, as axles.load.
+    A value of several axles, tracks or wheels means all of them, as axles.load.
 
     Raises
     ------
     InputError
-        If it is none, or several that are not the same of several parts.
+        If there is none, or several that are not the same of several parts.
     """
     known = scalars(vehicle)
     if given in known:
@@ -89,7 +89,7 @@ def varied(vehicle: Vehicle, given: str, where: str = "--vary") -> Varied:
     Raises
     ------
     InputError
-        If it says something else.
+        If it is none of these.
     """
     name, equals, values = given.partition("=")
     paths = meant(vehicle, name.strip(), where)
@@ -133,7 +133,7 @@ def _between(low: float, high: float, count: int) -> tuple[float, ...]:
 
 
 def short(path: str, beside: Sequence[str] = ()) -> str:
-    """The last two words of a path, or more where these do not tell it from those beside it."""
+    """The last two words of a path, or more if these are ambiguous."""
     parts = path.split(".")
     for count in range(2, len(parts)):
         name = ".".join(parts[-count:])

@@ -60,7 +60,7 @@ class Parameter:
 
     @property
     def is_fixed(self) -> bool:
-        """Whether there is only one value: it selects the effect within its family, and stands in no file."""
+        """Whether there is only one value: it selects the effect within its family, and is in no file."""
         return not self.fitted and self.low == self.high
 
     def for_size(self, size: float, on_tyres: bool) -> Parameter:
@@ -104,8 +104,8 @@ class VehicleConstants(NamedTuple):
     air_density: float
     contact_length: float  # on the ground
     assemblies: float
-    cooled_area: float  # of one assembly's belt; 0 where there is none
-    tension: float  # of one belt; 0 where there is none
+    cooled_area: float  # of one assembly's belt; 0 without one
+    tension: float  # of one belt; 0 without one
     standstill: float = STANDSTILL_MPS  # speed over which friction changes its sign smoothly
 
 
@@ -120,9 +120,9 @@ class Conditions(NamedTuple):
     yaw_rate: float  # rad/s
     heading: float  # rad
     distance: float  # m, driven since the first known start
-    drive_torque: float  # Nm, expected at the sprockets without what the effects change in this step
+    drive_torque: float  # Nm, expected at the sprockets without the effects' changes in this step
     direction: float  # sign of the speed, smooth through zero
-    curvature: float  # of the path [1/m], unsigned; bounded where it turns on the spot
+    curvature: float  # of the path [1/m], unsigned; bounded when turning on the spot
     belt: float = math.nan  # degC, mean of the belts at the end of the last step
     own: float = 0.0  # the effect's own state, see `Effect.lag`
 
@@ -140,7 +140,7 @@ def conditions(
     own: float = 0.0,
     belt: float = math.nan,
 ) -> Conditions:
-    """What effects look at, from what is known: units of `Conditions`, the nominal weight without one."""
+    """Conditions for effects from known values: units of `Conditions`, nominal weight by default."""
     turning = abs(yaw_rate)
     curvature = turning / math.hypot(speed, facts.contact_length * turning + STANDSTILL_MPS)
     weight = facts.weight if weight is None else weight
@@ -210,9 +210,9 @@ SOFTENING_FROM_DEGC = 40.0
 
 
 class Lag(NamedTuple):
-    """A state of an effect's own: it follows a target with a time constant [s], from a value after a long rest.
+    """An effect's own state: it follows a target with a time constant [s], from a value after a long rest.
 
-    `lag` sees the state as it is now in `Conditions.own`, and 0 where it has none yet.
+    `lag` reads the present state in `Conditions.own`, and 0 before there is one.
     """
 
     target: float
@@ -261,12 +261,12 @@ class Effect(ABC):
     source: Path | None = None
 
     def lag(self, at: Conditions, p: Values) -> Lag | None:  # noqa: ARG002 - most have none
-        """Its own state, if it has one: what it tends to under the conditions."""
+        """Target of its own state, if it has one, under the conditions."""
         return None
 
     @property
     def has_lag(self) -> bool:
-        """Whether it has a state of its own."""
+        """Whether it has its own state."""
         return type(self).lag is not Effect.lag
 
     @property
@@ -307,7 +307,7 @@ class Effect(ABC):
 
 @dataclass(frozen=True)
 class Active:
-    """An effect with values for its parameters, and where they are known the ranges that they lie in."""
+    """An effect with values for its parameters, and their ranges if known."""
 
     effect: Effect
     values: Mapping[str, float]
@@ -319,15 +319,15 @@ class Active:
         return tuple(float(self.values[q.name]) for q in self.effect.parameters)
 
     def terms(self, at: Conditions, own: float = 0.0) -> Terms:
-        """What it does, its own state given."""
+        """Its terms, given its own state."""
         return self.effect.terms(at._replace(own=own), self.effect.pack(*self.numbers))
 
     def lag(self, at: Conditions) -> Lag | None:
-        """What its own state tends to, if it has one."""
+        """Target of its own state, if it has one."""
         return self.effect.lag(at, self.effect.pack(*self.numbers))
 
     def shifted(self) -> list[Active]:
-        """The same with one parameter moved by a standard deviation, for each that has a range (+-2 standard deviations)."""
+        """Copies with one parameter moved by a standard deviation, for each that has a range (+-2 standard deviations)."""
         found = []
         for q in self.effect.parameters:
             low, high = self.ranges.get(q.name, (0.0, 0.0))
@@ -339,7 +339,7 @@ class Active:
 
 
 def together(terms: Sequence[Terms]) -> Terms:
-    """All terms in one."""
+    """Sum of all terms."""
     total = Terms()
     for one in terms:
         total = total.with_(one)

@@ -1,12 +1,13 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Empirical effects have no name in the catalogue: each is a torque that follows what is known of a drive, found by a diagnosis.
+"""Defines empirical effects, which have no name in the catalogue: each is a torque that depends on a variable of the drive.
 
-A curve follows one variable, always or only where a gate is open. A corner is a step or a hinge at one value of a variable, a
-latch is on above one value and off below another. A sided gain is another gain on the driving torque for one sign of it. A
-build-up is taken away by a stop or by time. They are effects as any other: they are fitted, run live and are written to the
-vehicle file. Their names say what they follow (`curve_of_speed_when_light`), their parameters are knots and heights.
+A curve depends on one variable, always or only while a gate is open. A corner is a step or a hinge at one value of a variable. A
+latch is on above one value and off below another. A sided gain changes the gain of the driving torque for one of its signs. A
+build-up is reset by a stop or decays with time. They are fitted, run live and written to the
+vehicle file like any other effect. Their names give the variable (`curve_of_speed_when_light`), their parameters are knots and
+heights.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ MOVING_MPS = 0.3
 BRAKING_MPS2 = -0.3
 RESET_S = 1.0
 SETS_ON_S = 2.0
-LATCHES_S = 1e-3  # shorter than any step: a latch knows what it was in the last one
+LATCHES_S = 1e-3  # shorter than any step: a latch has its state from the last one
 MOST_GAIN = 0.8
 TYPICAL_GAIN = 0.1
 SMOOTH = 1e-3  # of weight times radius: over it driving turns into braking
@@ -43,7 +44,7 @@ BY_DISTANCE, BY_TIME, BY_BRAKING = range(3)
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """A variable, a gate or a build-up: its name in an effect's name, what a sentence says, its unit and what it needs."""
+    """A variable, a gate or a build-up: its part of an effect's name and of a sentence, its unit and its required inputs."""
 
     name: str
     text: str
@@ -108,14 +109,14 @@ def variable(at: Conditions, code: float) -> float:
 
 @inlined
 def beyond(x: float, low: float, high: float) -> float:
-    """1 where a variable is outside of the range in which it was driven, with a margin, else 0."""
+    """1 where a variable is outside of its driven range, with a margin, else 0."""
     little = MARGIN * (high - low)
     return 1.0 if x < low - little or x > high + little else 0.0
 
 
 @inlined
 def latched(x: float, was: float, off: float, on: float) -> float:
-    """1 where a latch is on now, which was on or off (`was`) before, else 0."""
+    """1 if a latch is on now, given its last state `was`, else 0."""
     if x > on:
         return 1.0
     return 1.0 if x >= off and was > 0.5 else 0.0
@@ -140,7 +141,7 @@ def is_open(at: Conditions, code: float, threshold: float) -> bool:
 
 
 class EmpiricalEffect(Effect):
-    """An effect that a diagnosis found in recordings and that the catalogue has no name for."""
+    """An effect found by a diagnosis in recordings, without a name in the catalogue."""
 
     acts_on = "torque"
     belongs_to = "vehicle"
@@ -153,13 +154,13 @@ class EmpiricalEffect(Effect):
 
     @property
     def knots(self) -> int:
-        """How many heights it has."""
+        """Number of heights."""
         return sum(q.name.startswith("y") for q in self.parameters)
 
 
 class Curve(EmpiricalEffect):
-    """A torque against travel along straight lines between knots, held at the value of the last knot outside of them, and zero
-    where the gate's condition does not hold. A fit leaves one knot of a curve without a constant at zero.
+    """A torque against travel, piecewise linear between knots, constant outside of them, and zero
+    while the gate is closed. A fit fixes one knot of a curve without a constant at zero.
 
     Parameters
     ----------
@@ -170,7 +171,7 @@ class Curve(EmpiricalEffect):
     threshold
         Of the gate, in its unit.
     constant
-        Whether what is the same at all knots is a part of it; without a gate it never is.
+        Whether a constant common to all knots is included; never without a gate.
     """
 
     def __init__(self, variable: int, gate: int, at: Sequence[float], threshold: float = 0.0, constant: bool = True) -> None:
@@ -208,15 +209,15 @@ class Curve(EmpiricalEffect):
 
 
 class Corner(EmpiricalEffect):
-    """A step or a hinge: a torque against travel that is there above a value of a variable, or that grows along a straight line
-    from there to the end of the range that was driven, above or below. It keeps its value outside of that range.
+    """A step or a hinge: a torque against travel that is constant above a value of a variable, or that is linear
+    from there to the end of the driven range, above or below. It is constant outside of that range.
 
     Parameters
     ----------
     variable, kind
         Of `VARIABLES` and `CORNERS`.
     low, threshold, high
-        The variable's value at both ends of the range that was driven and where the corner is, rising.
+        The variable's value at both ends of the driven range and at the corner, rising.
     """
 
     def __init__(self, variable: int, kind: int, low: float = 0.0, threshold: float = 0.5, high: float = 1.0) -> None:
@@ -251,7 +252,8 @@ class Corner(EmpiricalEffect):
 
 
 class Latch(EmpiricalEffect):
-    """A torque against travel with hysteresis: it comes where a variable rises above one value and goes where that falls below
+    """A torque against travel with hysteresis: it switches on where a variable rises above one value and off where that falls
+    below
     another. It is off in the beginning.
 
     Parameters
@@ -259,7 +261,7 @@ class Latch(EmpiricalEffect):
     variable
         Of `LATCHED`.
     low, off, on, high
-        The variable's value at both ends of the range that was driven, and where it goes and comes, rising.
+        The variable's value at both ends of the driven range, and at switching off and on, rising.
     """
 
     def __init__(self, variable: int, low: float = 0.0, off: float = 0.3, on: float = 0.7, high: float = 1.0) -> None:
@@ -321,15 +323,15 @@ class SidedGain(EmpiricalEffect):
 
 
 class BuildUp(EmpiricalEffect):
-    """A torque against travel that builds up and goes: with distance or time since a stop, which takes it away at once; or that
-    comes with braking and goes with time.
+    """A torque against travel that builds up with distance or time since a stop, which resets it; or that
+    builds up with braking and decays with time.
 
     Parameters
     ----------
     by
         Of `BUILD_UPS`.
     scale
-        Distance [m] or time [s] in which two thirds of it have come, or gone.
+        Distance [m] or time [s] for two thirds of the build-up, or of the decay.
     """
 
     def __init__(self, by: int, scale: float) -> None:
@@ -417,6 +419,6 @@ def _place(name: str, of: Followed, start: float, text: str) -> Parameter:
 
 
 def height(name: str, text: str, fitted: bool = True) -> Parameter:
-    """A torque of an effect without a name; one that is not fitted stays at zero."""
+    """A torque of an effect without a name; an unfitted one stays at zero."""
     start, off = (TYPICAL_NM, 0.0) if fitted else (0.0, None)
     return Parameter(name, "Nm", -MOST_NM, MOST_NM, start, text, off=off, of_size=True, fitted=fitted)

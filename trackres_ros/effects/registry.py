@@ -36,7 +36,7 @@ def catalogue(
     folder: Path | None = None, size: float | None = None, on_tyres: bool = False, files: Sequence[Path] = ()
 ) -> dict[str, Effect]:
     """All effects by name: the shipped ones, and those in the Python files of a folder or in single files; for a vehicle with a
-    weight times wheel radius [Nm], where that is given, on tracks or on tyres.
+    weight times wheel radius [Nm], if given, on tracks or on tyres.
 
     Raises
     ------
@@ -67,12 +67,12 @@ def catalogue(
 def check_effects(
     given: Any, where: str, known: Mapping[str, Effect], belongs_to: str, size: float = REFERENCE_NM
 ) -> tuple[Active, ...]:
-    """Effects with their values, as a file lists them: ``name: {parameter: value or {value: v, range: [low, high]}, ...}``.
+    """Effects with their values, in the notation of a file: ``name: {parameter: value or {value: v, range: [low, high]}, ...}``.
 
     Parameters
     ----------
     known
-        Effects that have a name; besides them what a diagnosis has learned without one, see `learned`, may be listed.
+        Effects with a name; learned effects without one, see `learned`, may be listed too.
     size
         Weight times wheel radius of the vehicle [Nm].
 
@@ -80,7 +80,7 @@ def check_effects(
     ------
     InputError
         For an unknown effect or parameter, a missing one, a value or range out of its bounds, or an effect that belongs to
-        something else than the file is of.
+        another file.
     """
     if not isinstance(given, Mapping):
         raise InputError(where, given, "a mapping of effects: name: {parameter: value}")
@@ -141,10 +141,10 @@ def _python_files(folder: Path | None) -> list[Path]:
 
 
 class _AsItIs(SourceFileLoader):
-    """Loads a file as it is now: cached bytecode is compared with its file only by whole seconds and size."""
+    """Loads a file in its present version: cached bytecode is compared with its file only by whole seconds and size."""
 
     def path_stats(self, path: str) -> Mapping[str, Any]:
-        """Say nothing that would find bytecode of it."""
+        """Return no path of bytecode."""
         raise OSError(path)
 
 
@@ -188,5 +188,5 @@ def _check(effect: Effect, path: Path) -> None:
     except TypeError as error:
         if "indices must be" in str(error):  # as effects were written once
             raise InputError(f"{path}: {effect.name}", 'p["name"]', "p.name for the value of a parameter") from error
-    except Exception:  # reported where it is used, with its purpose
+    except Exception:  # reported at its use, with its purpose
         return

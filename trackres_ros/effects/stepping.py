@@ -1,11 +1,12 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes effects callable from the compiled step: each is a machine function behind one signature, called by its address.
+"""Makes effects callable from the compiled step: each is a machine function of one signature, called by its address.
 
-An effect is a Python file; the step is compiled once. Between them stands a table: a row for each effect with the addresses of
-its `terms` and `lag`, and a row of values of its parameters. What cannot be compiled, as a user's effect may be, stands behind
-the same address as plain Python, so whoever steps does not know which it is.
+An effect is a Python file; the step is compiled once. They are connected by a table. It has a row for each effect with the
+addresses
+of its `terms` and `lag`, and a row of values of its parameters. A function that cannot be compiled, such as a user's, has an
+address too, and runs in plain Python.
 """
 
 from __future__ import annotations
@@ -134,8 +135,8 @@ class EffectTable(NamedTuple):
 def effect_table(
     of_vehicle: Sequence[Active], of_surroundings: Sequence[Active] = (), with_uncertainty: bool = True, machine: bool = True
 ) -> EffectTable:
-    """The effects of a vehicle, which are fed forward, and of its surroundings, with their variances or without; as machine code,
-    or, where that is not to be waited for, in plain Python.
+    """The effects of a vehicle, which are fed forward, and of its surroundings, with or without their variances; as machine code,
+    or in plain Python to save compiling.
     """
     rows: list[tuple[int, ...]] = []
     values: list[tuple[float, ...]] = []
@@ -163,14 +164,14 @@ def new_memory(count: int) -> Array:
 
 
 def cooled(memory: Array) -> Array:
-    """Memory after a start anew: effects' own states begin as after a long rest; the distance driven stays."""
+    """Memory after a restart: effects' own states as after a long rest; the distance driven stays."""
     fresh = new_memory((len(memory) - FIRST_OWN) // EACH)
     fresh[DISTANCE] = memory[DISTANCE]
     return fresh
 
 
 def new_work(facts: VehicleConstants) -> Array:
-    """Work space of a step for a vehicle, with terms that do nothing."""
+    """Work space of a step for a vehicle, with neutral terms."""
     work = np.full(WORK, math.nan)
     work[:TERMS] = NO_TERMS
     work[TERMS : TERMS + FACTS] = facts
@@ -179,7 +180,7 @@ def new_work(facts: VehicleConstants) -> Array:
 
 @inlined
 def neutral(work: Array) -> None:
-    """Terms that do nothing."""
+    """Neutral terms."""
     for i in range(TERMS):
         work[i] = NO_TERMS[i]
 
@@ -197,7 +198,7 @@ def look(
     drive_torque: float,
     belt: float,
 ) -> None:
-    """Put what is known of a step where effects look; units of `Conditions`. Without a distance, it is counted from the speed."""
+    """Write known values of a step for the effects; units of `Conditions`. A missing distance is integrated from the speed."""
     looked_at = work[TERMS : TERMS + LOOKED_AT]
     looked_at[AT_SPEED], looked_at[AT_ACCEL], looked_at[AT_WEIGHT], looked_at[AT_AMBIENT] = speed, accel, weight, ambient
     looked_at[AT_YAW_RATE], looked_at[AT_HEADING], looked_at[AT_DISTANCE] = yaw_rate, heading, distance
@@ -209,16 +210,16 @@ def look(
 
 @compiled
 def rest_effects(rows: IntArray, values: Array, memory: Array, work: Array, ambient: float, seconds: float) -> None:
-    """Let the effects' own states come to rest for a while [s]; leaves the terms that hold at its end."""
+    """Relax the effects' own states for some time at rest [s]; leave the terms at its end."""
     memory[LAST_SPEED] = 0.0
     look(work, 0.0, 0.0, work[TERMS + WEIGHT], ambient, math.nan, math.nan, math.nan, 0.0, math.nan)
-    for dt in (0.0, seconds):  # from where they were, the states turn to what they tend to at rest
+    for dt in (0.0, seconds):  # states relax from their present values to their targets at rest
         step_effects(rows, values, memory, work, dt)
 
 
 @inlined
 def usable(answer: Array, most_torque: float) -> bool:
-    """Whether what an effect returns is a number within the limits."""
+    """Whether an effect's result is a number within the limits."""
     if not abs(answer[0]) <= most_torque:
         return False
     within = True
@@ -229,7 +230,7 @@ def usable(answer: Array, most_torque: float) -> bool:
 
 @inlined
 def own_state(address: int, values: Array, looked_at: Array, answer: Array, own: Array, dt: float) -> bool:
-    """Advance an effect's own state by a step and put it where the effect looks; whether it is usable."""
+    """Advance an effect's own state by a step and write it for the effect; return whether it is usable."""
     looked_at[AT_OWN] = 0.0
     if address == 0:
         return True
@@ -261,12 +262,12 @@ def step_effects(rows: IntArray, values: Array, memory: Array, work: Array, dt: 
     memory
         See `new_memory`; changed.
     work
-        See `new_work`, with what is known now; its terms are filled. Without a distance in it, it gets the one driven.
+        See `new_work`, with the known values; its terms are filled. A missing distance is filled with the one driven.
 
     Returns
     -------
     int
-        `ALL_WELL`, or why an effect is left out of the terms.
+        `ALL_WELL`, or why an effect is missing in the terms.
     """
     looked_at, answer = work[TERMS : TERMS + LOOKED_AT], work[TERMS + LOOKED_AT :]
     memory[DISTANCE] += abs(memory[LAST_SPEED]) * dt
@@ -319,7 +320,7 @@ def step_effects(rows: IntArray, values: Array, memory: Array, work: Array, dt: 
 
 @inlined
 def add_terms(work: Array, answer: Array) -> None:
-    """Add what one effect does to what all do, as `Terms.with_`."""
+    """Add the terms of one effect to the total, as `Terms.with_`."""
     for term in (TERM_TORQUE, TERM_SOFTENING, TERM_HEAT, TERM_INNER_RESISTANCE):
         work[term] += answer[term]
     for term in (TERM_DRIVE_GAIN, TERM_LOSS_FACTOR, TERM_FILM_OFFSET, TERM_FILM_SLOPE):
@@ -331,7 +332,7 @@ def add_terms(work: Array, answer: Array) -> None:
 
 @inlined
 def call_terms(address: int, looked_at: Array, values: Array, answer: Array) -> None:
-    """What an effect does; not a number where it does not fill in a term."""
+    """Terms of an effect; nan where it does not fill in a term."""
     for i in range(LIMITED):
         answer[i] = math.nan
     call_at(address, looked_at, values, answer)
@@ -343,7 +344,7 @@ def call_at(address: int, looked_at: Array, values: Array, answer: Array) -> Non
 
 
 def native(effect: Effect, machine: bool = True) -> tuple[int, int]:
-    """Addresses of an effect's `terms` and `lag`, 0 without one; of machine code, where it may be and can be."""
+    """Addresses of an effect's `terms` and `lag`, 0 without one; of machine code, if allowed and possible."""
     return _address(effect, "terms", machine), _address(effect, "lag", machine) if effect.has_lag else 0
 
 
@@ -367,12 +368,12 @@ def _machine_code(effect: Effect, method: str) -> Any:
 
 @cache
 def _callback(effect: Effect, method: str) -> Any:
-    """An effect's method in plain Python as a machine function. It stays: its address may be in any table."""
+    """An effect's method in plain Python as a machine function. It is kept: its address may be in any table."""
     return CALL(_python_function(effect, method, ANSWERS[method]))
 
 
 def _python_function(effect: Effect, method: str, answered: int) -> Callable[[int, int, int], None]:
-    """An effect's method behind the signature of machine code; what fails leaves the answer no number."""
+    """An effect's method behind the signature of machine code; after a failure the result is nan."""
     run, pack, count = getattr(effect, method), effect.pack, len(effect.parameters)
     given, wanted, out = (ctypes.c_double * n for n in (LOOKED_AT, count, answered))
 
@@ -380,7 +381,7 @@ def _python_function(effect: Effect, method: str, answered: int) -> Callable[[in
         try:
             known = given.from_address(looked_at_)[:]
             answer = run(Conditions(VehicleConstants(*known[:FACTS]), *known[FACTS:]), pack(*wanted.from_address(values_)))
-            if answer is None:  # no state of its own after all
+            if answer is None:  # no own state after all
                 answer = Lag(0.0, 1.0, 0.0)
             out.from_address(answer_)[:] = [float(x) for x in answer]
         except Exception:  # of any kind, as the code is not ours
@@ -435,7 +436,7 @@ if HAVE_NUMBA:
         sensor_delay: float = 0.0,
         extrapolated: float = 0.0,
     ) -> Terms:
-        """`Terms` with its defaults, which compiled code does not know."""
+        """`Terms` with its defaults, which compiled code lacks."""
         return Terms(
             float(torque), float(drive_gain), float(loss_factor), float(softening), float(film_offset_factor),
             float(film_slope_factor), float(conductance), float(sink), float(heat), float(inner_resistance),
@@ -444,7 +445,7 @@ if HAVE_NUMBA:
 
     @cache
     def _machine(kind: type[Effect], method: str, names: tuple[str, ...]) -> Any:
-        """A method of an effect as a machine function; None if it cannot be one, as a user's may not."""
+        """A method of an effect as a machine function; None if that is impossible, as for some users' effects."""
         try:
             return _compile(kind, method, names, ANSWERS[method])
         except Exception:
@@ -468,7 +469,7 @@ if HAVE_NUMBA:
         namespace["pack"] = values_type(names)
         exec("\n".join(lines), namespace)
         function = cast(FunctionType, namespace["call"])
-        # The name distinguishes codes in the cache: what is catalogued is part of its folder's name, a user's file is not.
+        # The name distinguishes codes in the cache: the catalogue is part of its folder's name, a user's file is not.
         known_as = repr((python.__code__.co_filename, python.__code__.co_code, python.__code__.co_consts, _frozen(python)))
         function.__module__ = __name__
         function.__qualname__ = f"{kind.__name__}.{method}.{hashlib.sha256(known_as.encode()).hexdigest()[:16]}"
@@ -479,7 +480,7 @@ if HAVE_NUMBA:
         return found
 
     def _frozen(python: FunctionType) -> list[tuple[str, Any]] | None:
-        """Constants of its file that become part of a function's code; None if there is more than plain numbers and `math`."""
+        """Constants of its file that are part of a function's code; None if there are others than plain numbers and `math`."""
         used = {name: python.__globals__[name] for name in python.__code__.co_names if name in python.__globals__}
         numbers = {name: value for name, value in used.items() if isinstance(value, int | float)}
         others = [value for name, value in used.items() if name not in numbers]

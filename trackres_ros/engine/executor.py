@@ -1,9 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The engine is Dask: a cluster on this machine, or a scheduler that runs. It has the queue, the workers and the retries; here it
-is only begun, given work, and asked.
-"""
+"""Runs tasks on Dask: a cluster on this machine, or a running scheduler. Dask provides queue, workers and retries."""
 
 from __future__ import annotations
 
@@ -26,8 +24,8 @@ Work = TypeVar("Work")
 
 LOCAL = "local"
 CONNECT_S, PAGE_S = 10.0, 2.0
-DEATHS = 3  # of workers with a task, before it counts as the task's fault; with the engine's own meaning
-AHEAD = 4  # tasks for each thread of the workers that the engine has at a time: more would be in the client's memory for nothing
+DEATHS = 3  # worker deaths with a task before they are the task's fault, as Dask defines it
+AHEAD = 4  # tasks in Dask per thread of the workers: more would only fill the client's memory
 LOUD = "distributed", "tornado", "asyncio"
 SAID = "tcp://HOST:PORT of a running dask scheduler, or local"
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -39,14 +37,14 @@ class EngineGoneError(InputError):
 
 @contextmanager
 def engine(address: str, workers: int | None = None) -> Iterator[Client]:
-    """A client of a scheduler, or of a cluster that is there for as long as this is.
+    """A client of a scheduler, or of a cluster that lives as long as this.
 
     Parameters
     ----------
     address
         ``local``, or the address of a scheduler.
     workers
-        Processes of a local cluster; as many as there are processors without.
+        Processes of a local cluster; by default as many as processors.
 
     Raises
     ------
@@ -60,7 +58,7 @@ def engine(address: str, workers: int | None = None) -> Iterator[Client]:
         raise MissingExtraError("trackres fleet", "distributed", "fleet") from None
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] in LOUD:
-            logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters of it is said in one line
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # one line reports the relevant part
     settings = {
         "distributed.scheduler.allowed-failures": DEATHS - 1,
         "distributed.comm.timeouts.connect": CONNECT_S,
@@ -75,7 +73,7 @@ def engine(address: str, workers: int | None = None) -> Iterator[Client]:
                     n_workers=count,
                     threads_per_worker=1,
                     host="127.0.0.1",
-                    dashboard_address="127.0.0.1:0",  # a port of its own: there may be two runs
+                    dashboard_address="127.0.0.1:0",  # a free port: there may be two runs
                     silence_logs=logging.CRITICAL,
                 ) as cluster,
                 Client(cluster, set_as_default=False) as client,
@@ -94,7 +92,7 @@ def engine(address: str, workers: int | None = None) -> Iterator[Client]:
 
 
 def dashboard(client: Client) -> str:
-    """Address of the engine's own page, empty where none answers: it needs bokeh beside the scheduler."""
+    """Address of Dask's own page, empty if none answers: it requires bokeh on the scheduler."""
     port = client.scheduler_info()["services"].get("dashboard")
     host = client.scheduler.address.partition("://")[2].rpartition(":")[0] if client.scheduler else ""
     if not (port and host):
@@ -108,10 +106,10 @@ def dashboard(client: Client) -> str:
 
 
 def done(client: Client, function: Callable[[Work], Any], work: Iterable[Work]) -> Iterator[tuple[Work, Any]]:
-    """Each piece of work with its result, or with the exception that ended it, as they come.
+    """Each piece of work with its result, or with the exception that ended it, in order of completion.
 
-    The engine has but a few at a time, so that memory does not grow with the number of pieces. It blames a worker's death on all
-    that the worker had: what it gives up is done again at the end, with nothing beside it.
+    Dask has only a few at a time, so that memory does not grow with the number of pieces. It blames a worker's death on all
+    tasks of the worker. Those it gives up are repeated at the end, one at a time.
 
     Raises
     ------
@@ -146,7 +144,7 @@ def _done(client: Client, function: Callable[[Work], Any], work: Iterable[Work],
     for future in completed:
         if future.status == "cancelled":
             raise _gone(client)
-        try:  # a result that went with its worker is waited for: it is computed anew
+        try:  # a result lost with its worker is computed again
             result = future.exception() if future.status == "error" else future.result()
         except Exception as error:
             raise _gone(client) from error

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Advances the track assemblies by one step: belt, measured temperature, and what each adds to torque and its variance."""
+"""Advances the track assemblies by one step: belt, measured temperature, and contributions to the torque and its variance."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 FIRST_OF_ASSEMBLIES, COLUMNS_EACH = Results.columns, OfAssembly.columns
 KIND = Assembly.kind
 DISAGREES = 5.0  # standard deviations between measured and expected belt temperature
-# Behind what belts use of the work space: the parts of all assemblies and of each.
+# Offset in the work space, after the belts' entries: the parts of all assemblies and of each.
 PARTS_OF_ALL = BEHIND_BELTS
 PARTS_OF_EACH = PARTS_OF_ALL + PARTS
 BELT_UNSURE, DISAGREEING = int(Reason.BELT_UNSURE), int(Reason.BELT_SENSOR_DISAGREES)
@@ -48,7 +48,7 @@ OUTSIDE = int(Reason.OUTSIDE_TABLE)
 
 @compiled
 def measure(k: Constants, assembly: Assembly, belt: Array, measured: float, ambient: float, speed: float) -> int:
-    """Correct one belt by a new measurement [degC]; the reasons it gives."""
+    """Correct one belt by a new measurement [degC]; return the reasons."""
     shown, of_mean, of_surface = Belt(belt[0]).temperature, 1.0, 0.0
     if k.number.belt_shows_surface:
         shown, of_mean, of_surface = surface(k, assembly, belt, ambient, speed)
@@ -61,8 +61,9 @@ def measure(k: Constants, assembly: Assembly, belt: Array, measured: float, ambi
 
 @inlined
 def bear(arm: float, unsigned: float, road: Road, part: Part) -> float:
-    """Fill the parts (34 to 36) that forces on the whole vehicle have over an arm R_1 G/G_v [m]; what resists without its sign
-    [Nm], of which belts have `unsigned`. At rest it is that at a crawl: the sign of friction is known, its size is not.
+    """Fill the parts (34 to 36) of the forces on the whole vehicle at an arm R_1 G/G_v [m]; return the unsigned resistance [Nm].
+
+    The belts' share of it is `unsigned`. At rest it is that of a crawl: friction has a known sign there but no known size.
     """
     part.arm, part.unsigned = arm, unsigned + arm * (road.rolling_bearing + abs(road.wind))
     part.bearing, part.wind = arm * road.bearing, arm * road.wind
@@ -72,7 +73,7 @@ def bear(arm: float, unsigned: float, road: Road, part: Part) -> float:
 
 @inlined
 def outside(k: Constants, assembly: Assembly, temperature: float, log10_speed: float, log_load: float) -> int:
-    """The reason to report where T, x = log10(a_T v) or ln G are outside of the rubber data or the table, else 0."""
+    """Reason to report where T, x = log10(a_T v) or ln G are outside the rubber data or the table, else 0."""
     x = log10_speed + log_shift_factor(temperature, k.number.glass_transition, k.number.wlf_c1, k.number.wlf_c2)[0]
     last_log_load = assembly.first_log_load + assembly.step_log_load * (k.loss.shape[2] - 1)
     within = assembly.first_log_load - 1e-9 <= log_load <= last_log_load + 1e-9
@@ -81,7 +82,7 @@ def outside(k: Constants, assembly: Assembly, temperature: float, log10_speed: f
 
 @inlined
 def fill_causes(assembly: Assembly, mean: Belt, by_temperature: float, unsigned: float, part: Part) -> None:
-    """Fill what each cause of uncertainty makes of the torque [Nm]: dM/dT d_c + M_h Lambda_1c + M_res Lambda_4c."""
+    """Fill the torque departure [Nm] by cause of uncertainty: dM/dT d_c + M_h Lambda_1c + M_res Lambda_4c."""
     consider, departures = part.consider, mean.consider
     for cause in range(3):
         consider[cause] = (
@@ -98,9 +99,9 @@ def fill_causes(assembly: Assembly, mean: Belt, by_temperature: float, unsigned:
 def fill_departures(
     assembly: Assembly, mean: Belt, by_temperature: float, unsigned: float, learned: Learned, part: Part
 ) -> float:
-    """Fill how much a departure of each thing that acts through the belt would add [Nm]; by what was learned it is warmer [K].
+    """Fill the torque [Nm] per relative departure of loss, cooling and capacity, and the belt's learned warming [K].
 
-    What a loss, cooling or capacity that is larger by its whole makes of the temperature, the departures by cause tell (ours).
+    The temperature change per relative departure follows from the departures by cause (ours).
     """
     departures, by = learned.departures, part.by
     warmer = departures[OF_BELT]
@@ -120,12 +121,12 @@ def advance_assembly(
     k: Constants, assembly: Assembly, belt: Array, load: float, measured: float, road: Road, learned: Learned, part: Part,
     result: OfAssembly,
 ) -> int:  # fmt: skip
-    """Advance one assembly; fills its `part` of the totals and its result, returns its reasons.
+    """Advance one assembly; fill its `part` of the totals and its result, return its reasons.
 
-    Its torque is M_h = R_1 sign(v) F_h (33), and its share of the load in what resists the whole vehicle.
+    Its torque is M_h = R_1 sign(v) F_h (33), and its load share of the resistance of the whole vehicle.
     """
     share, log_load, reasons, mean = load / road.weight, math.log(load), 0, Belt(belt[0])
-    # The drive torque strains the belt and itself depends on the loss, so that of the last step is used.
+    # The drive torque strains the belt and itself depends on the loss, so the last step's torque is used.
     drive = road.last_drive * share
     part.heat = part.cooling = 0.0
     if road.dt > k.number.bridge:
@@ -162,9 +163,9 @@ def advance_assembly(
 
 @inlined
 def twin_of(k: Constants, i: int, belts: Array, inputs: Inputs) -> int:
-    """An earlier assembly of the same kind, load and belt state, to the bit, with nothing measured on either; else i.
+    """Index of an earlier assembly with the same kind, load and belt state, to the bit, both without a measurement; else i.
 
-    What happens to it happens to this one, so it need not be computed again.
+    The two evolve equally, so the second need not be computed.
     """
     if not math.isnan(inputs.belt_measured[i]):
         return i
@@ -185,7 +186,7 @@ def twin_of(k: Constants, i: int, belts: Array, inputs: Inputs) -> int:
 
 @inlined
 def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, learned: Learned, out: Array) -> tuple[Array, int]:
-    """Advance all assemblies; the sums of their parts, a `Part` that lies in the work space, and their reasons."""
+    """Advance all assemblies; return the sums of their parts, a `Part` in the work space, and their reasons."""
     assemblies = belts.shape[0]
     total, parts = k.work[PARTS_OF_ALL:PARTS_OF_EACH], k.work[PARTS_OF_EACH:]
     for column in range(PARTS):

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Computes what warms and what cools one belt: loss of the rolling rubber, film to the air, and what effects add to both."""
+"""Computes heating and cooling of one belt: loss of the rolling rubber, film to the air, and the effects on both."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def loss_force(
 
 @inlined
 def film(k: Constants, assembly: Assembly, speed: float) -> float:
-    """Film coefficient U = U_0 + U_1 |v| [W/m^2/K] (31), with what effects make of U_0 and U_1."""
+    """Film coefficient U = U_0 + U_1 |v| [W/m^2/K] (31), with the effects on U_0 and U_1."""
     return film_coefficient(speed, assembly.film_offset * k.work[TERM_FILM_OFFSET], assembly.film_slope * k.work[TERM_FILM_SLOPE])
 
 

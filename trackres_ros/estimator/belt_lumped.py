@@ -24,11 +24,11 @@ Array = NDArray[np.float64]
 def advance_lumped(
     k: Constants, assembly: Assembly, belt: Array, heat: Heat, ambient_std: float, dt: float
 ) -> tuple[float, float]:
-    """`belt_step.advance_belt` of a belt with one node: f = (P - U A_h (T - T_a)) / C and J = df/dT.
+    """Advance a belt with one node, as `belt_step.advance_belt`: f = (P - U A_h (T - T_a)) / C and J = df/dT.
 
     Notes
     -----
-    T += dt phi_1(J dt) f, and a departure d += dt phi_1(J dt) (J d + what its cause forces) [5]. A random part is kept by
+    T += dt phi_1(J dt) f, and a departure d += dt phi_1(J dt) (J d + its cause's forcing) [5]. A random part is multiplied by
     exp(J dt) = 1 + dt phi_1(J dt) J and gains q^2 dt. Heat in and out are integrals of the same linear model.
     """
     power, power_slope, cooling, surroundings = heat

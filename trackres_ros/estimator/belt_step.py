@@ -1,11 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Advances one belt by a step: its temperature, and the departure that each uncertain input makes, through the same dynamics.
+"""Advances one belt by a step: its temperature, and the departures due to uncertain inputs, by the same dynamics.
 
-The belt state is an array (2, BELT_COLUMNS): its mean, and its surface where that has a temperature of its own. Column 0 is
-the temperature. The others are departures [K] that one standard deviation of an uncertain input makes: they obey the model's
-linearisation, forced by that input.
+The belt state is an array (2, BELT_COLUMNS): its mean, and its surface where that has its own temperature. Column 0 is
+the temperature. The others are the departures [K] due to one standard deviation of an uncertain input. They obey the
+linearised model, forced by that input.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 LONGEST_SUBSTEP = 0.5  # s while rolling
 MOST_SUBSTEPS = 20000
-# Behind what effects use of the work space: a belt before a gap and after a rest.
+# Offset in the work space, after the effects' entries: a belt before a gap and after a rest.
 BEFORE = WORK
 RESTED = BEFORE + 2 * BELT_COLUMNS
 BEHIND_BELTS = RESTED + 2 * BELT_COLUMNS
@@ -47,13 +47,15 @@ def advance_belt(
     ambient_std: float,
     dt: float,
 ) -> tuple[float, float]:
-    """Advance one belt by dt [s] at constant speed [m/s]; changes `belt`, returns heat in and out [J] over the step, which are
-    not a number where only the temperatures are wanted.
+    """Advance one belt by dt [s] at constant speed [m/s]; change `belt`, return heat in and out [J] over the step.
+
+    Both are nan where only the temperatures are wanted.
 
     Notes
     -----
-    T += dt phi_1(J dt) f, exponential Rosenbrock-Euler [5]: the model linearised at the start of the step is solved exactly, to
-    second order in dt for the true one, without a limit on dt where nothing rolls. Heat in and out are integrals of the same
+    T += dt phi_1(J dt) f, exponential Rosenbrock-Euler [5]: the model linearised at the start of the step is solved exactly. It
+    is
+    of second order in dt for the nonlinear model, without a limit on dt at rest. Heat in and out are integrals of the same
     linear model, so their difference is the heat stored to rounding.
     """
     heat = heat_of(k, assembly, belt[0, TEMPERATURE], speed, log10_speed, log_load, drive_torque, ambient)
@@ -76,9 +78,9 @@ def roll(
     ambient_std: float,
     dt: float,
 ) -> tuple[float, float]:
-    """Advance one belt by dt [s] while the speed goes straight from one value to the other; heat in and out [J].
+    """Advance one belt by dt [s] with the speed linear between two values; return heat in and out [J].
 
-    `log10_middle` is log10 of the speed in the middle, which serves a short step of every belt.
+    `log10_middle` is log10 of the middle speed, shared by all belts in a short step.
     """
     steps = 1
     if dt > LONGEST_SUBSTEP and not speed_from == speed_to == 0.0:
@@ -105,9 +107,9 @@ def pass_gap(
     ambient_std: float,
     dt: float,
 ) -> None:
-    """Pass a gap too long to bridge (ours): the mean of resting and of driving on all the while, as uncertain as the two differ.
+    """Pass a gap too long to bridge (ours): the mean of a rest and of a drive throughout, as uncertain as the two differ.
 
-    A temperature that may lie anywhere between two has their difference over sqrt(12) as its standard deviation.
+    A temperature anywhere between the two has their difference over sqrt(12) as its standard deviation.
     """
     before, rested = k.work[BEFORE:RESTED], k.work[RESTED:BEHIND_BELTS]
     for node in range(2):

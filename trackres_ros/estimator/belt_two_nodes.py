@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Advances a belt with a mean temperature and that of its surface, see `model.thermal`."""
+"""Advances a belt with a mean and a surface temperature, see `model.thermal`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 def advance_two_nodes(
     k: Constants, assembly: Assembly, belt: Array, heat: Heat, ambient_std: float, dt: float
 ) -> tuple[float, float]:
-    """`belt_step.advance_belt` of a belt with two nodes (ours), f their rates and J the derivatives of these.
+    """Advance a belt with two nodes, as `belt_step.advance_belt` (ours); f are their rates and J the derivatives of these.
 
     Notes
     -----
@@ -35,7 +35,7 @@ def advance_two_nodes(
     mean, skin, per_capacity = Belt(belt[0]), Belt(belt[1]), 1.0 / assembly.capacity
     share, between, above = assembly.surface_share, mean.temperature - skin.temperature, skin.temperature - surroundings
     per_skin, inner = per_capacity / share, (1.0 - share) * assembly.inner_conductance
-    gained, slope = power * per_capacity, power_slope * per_capacity  # alike all through the rubber
+    gained, slope = power * per_capacity, power_slope * per_capacity  # uniform in the rubber
     lost = cooling * above
     j11, j12 = slope, -cooling * per_capacity
     j21, j22 = slope + inner * per_skin, -(inner + cooling) * per_skin

@@ -1,11 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Propagates the uncertainty of a belt's temperature: its variance, process noise, and what a measurement takes away.
+"""Propagates the uncertainty of a belt's temperature: variance, process noise, and the correction by a measurement.
 
-A belt state has the shape (2, BELT_COLUMNS): the mean and its surface. Every column but the temperature is the departure [K] that
-one standard deviation of an uncertain input makes. Their squares sum to the variance, and an input that moves heat and torque
-together stays one.
+A belt state has the shape (2, BELT_COLUMNS): the mean and its surface. Every column but the temperature is the departure [K]
+due to one standard deviation of an uncertain input. Their squares sum to the variance. An input that affects heat and torque
+keeps their correlation.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def belt_variance(belt: Array, of_mean: float, of_surface: float) -> float:
 
 @compiled
 def add_noise(belt: Array, first: float, second: float) -> None:
-    """Fold one more independent departure [K] of the two nodes into the random part: the factor of N N' + w w' (Cholesky)."""
+    """Add an independent departure [K] of the two nodes to the random part: the factor of N N' + w w' (Cholesky)."""
     mean, skin = Belt(belt[0]), Belt(belt[1])
     c11 = squared(mean.noise_1) + squared(mean.noise_2) + first * first
     c21 = mean.noise_1 * skin.noise_1 + mean.noise_2 * skin.noise_2 + first * second
@@ -45,13 +45,13 @@ def add_noise(belt: Array, first: float, second: float) -> None:
 
 @compiled
 def correct_belt(belt: Array, measured: float, variance: float, expected: float, of_mean: float, of_surface: float) -> None:
-    """Correct a belt by a measured temperature z [degC] of a variance r [K^2]: the Kalman update, changes `belt`.
+    """Correct a belt by a measured temperature z [degC] of variance r [K^2], by the Kalman update; change `belt`.
 
     Notes
     -----
     With h = (of_mean, of_surface): k = sum d_c (h'd_c) / (sum (h'd_c)^2 + r), T += k (z - h'T), d_c -= k h'd_c; k sqrt(r) joins
-    the random part. The uncertainty of parameters is considered, not estimated (Schmidt's filter [6]): the update takes its
-    share of the departures away, but as the parameters stay wrong they grow back with time.
+    the random part. The uncertainty of parameters is considered, not estimated (Schmidt's filter [6]). The update reduces the
+    departures, but they grow back with time, as the parameters stay wrong.
     """
     innovation = measured - expected
     total = belt_variance(belt, of_mean, of_surface) + variance

@@ -27,7 +27,7 @@ IntArray = NDArray[np.int64]
 
 @inlined
 def has_route(k: Constants) -> bool:
-    """Whether the surroundings say anything by place."""
+    """Whether the surroundings have data by place."""
     return k.number.slopes_by_place or k.number.torques_by_place
 
 
@@ -52,18 +52,18 @@ def position_at(k: Constants, followed: Array, latitude: float, longitude: float
 
 @inlined
 def ground_now(k: Constants, times: IntArray, followed: Array, speed: float, elapsed: int) -> tuple[float, float, float, bool]:
-    """What is known of the ground at an accepted speed [m/s], so long after the one before [ns].
+    """Ground at an accepted speed [m/s], given the time since the last one [ns].
 
     Returns
     -------
     slope, torque, torque_std, known
-        Slope the way it points, torque against travel [Nm] and its standard deviation, nan where nothing is known; and whether
-        it is known where on the route it is.
+        Slope in the vehicle's direction, torque against travel [Nm] and its standard deviation, nan where unknown; and whether
+        the position on the route is known.
     """
     if not has_route(k):
         return math.nan, math.nan, math.nan, True
     now, latitude, longitude = Times(times[at.SPEED]), Times(times[at.LATITUDE]), Times(times[at.LONGITUDE])
-    # Where one half of a position was refused, it is that of the other half before.
+    # If half of a position was refused, the earlier half is used.
     since_position = now.last_stamp - min(latitude.last_stamp, longitude.last_stamp)
     drive_on(followed, speed, min(elapsed, k.number.position_hold_ns) * NANOSECOND, since_position * NANOSECOND)
     is_old = now.last_arrival - min(latitude.last_arrival, longitude.last_arrival) > k.number.position_hold_ns
@@ -73,7 +73,7 @@ def ground_now(k: Constants, times: IntArray, followed: Array, speed: float, ela
 
 @inlined
 def is_missing(k: Constants, grade: float, slope: float, torque: float) -> bool:
-    """Whether the surroundings say something by place, and not of this one. A slope that is measured comes before theirs."""
+    """Whether the surroundings have data by place, but not for this one. A measured slope has priority over theirs."""
     no_slope = k.number.slopes_by_place and math.isnan(grade) and math.isnan(slope)
     return no_slope or (k.number.torques_by_place and math.isnan(torque))
 
@@ -82,7 +82,7 @@ def is_missing(k: Constants, grade: float, slope: float, torque: float) -> bool:
 def follow_along(
     k: Constants, followed: Array, times: Array, speeds: Array, latitudes: Array, longitudes: Array, out: Array
 ) -> None:
-    """Follow a drive; fills one row of `out` a time, as `records.GroundSeries`. A position is nan where there is none."""
+    """Follow a drive; fill one row of `out` per time, as `records.GroundSeries`. A missing position is nan."""
     at_s = -math.inf
     for i in range(times.shape[0]):
         if not (math.isnan(latitudes[i]) or math.isnan(longitudes[i])):

@@ -11,7 +11,7 @@ from trackres_ros.jit.rows import Real, Reals, Row, Whole
 from trackres_ros.recording.roles import GROUND, POSITION
 from trackres_ros.vehicle import AnyVehicle
 
-# Channels: what can arrive. Loads by axle and assembly, belt temperatures by assembly, and wheel speeds follow these.
+# Channels of messages. Loads by axle and assembly, belt temperatures by assembly, and wheel speeds follow these.
 (
     SPEED,
     LOAD,
@@ -47,8 +47,8 @@ class Assembly(Row):
     radius = Real()  # R_1 [m]
     capacity = Real()  # C [J/K]
     surface_share = Real()  # xi
-    inner_conductance = Real()  # K [W/K], between the mean and the surface where these are two nodes
-    skin_conductance = Real()  # W/K, between the last node and what a sensor sees; infinite where they are one
+    inner_conductance = Real()  # K [W/K], between the mean and the surface of two nodes
+    skin_conductance = Real()  # W/K, between the last node and the sensor; infinite where they coincide
     area = Real()  # A_h [m^2]
     film_offset = Real()  # U_0 [W/m^2/K]
     film_slope = Real()  # U_1 [W/m^2/K per m/s]
@@ -62,8 +62,9 @@ class Assembly(Row):
     consider_cooling = Reals(4)
     consider_capacity = Reals(4)
     consider_radius = Reals(4)
-    # Inverse of Lambda's first three rows and columns: how much of each cause makes a loss, a cooling or a capacity that is
-    # larger by its whole, and moves no other of the three.
+    # Inverse of Lambda's first three rows and columns: the causes that make up a relative departure of the loss, the cooling or
+    # the
+    # capacity, with the other two unchanged.
     causes_of = Reals(9)
 
 
@@ -71,7 +72,7 @@ CONSIDER_FACTOR, CAUSES_OF = Assembly.consider_loss.start, Assembly.causes_of.st
 
 
 class Part(Row):
-    """What an assembly adds to the totals of a step."""
+    """Contribution of an assembly to the totals of a step."""
 
     hysteresis = Real()  # Nm
     bearing = Real()
@@ -81,11 +82,11 @@ class Part(Row):
     heat = Real()  # W
     cooling = Real()
     consider_ambient = Real()  # Nm, by the uncertainty of the ambient temperature
-    noise = Real()  # Nm^2, variance by the random part of the temperature
-    arm = Real()  # m, of a force on the whole vehicle
-    unsigned = Real()  # Nm, what resists without its sign
+    noise = Real()  # Nm^2, variance due to the random part of the temperature
+    arm = Real()  # m, arm of a force on the whole vehicle
+    unsigned = Real()  # Nm, resistance without its sign
     twin = Real()  # the assembly that it is computed as
-    by = Reals(4)  # Nm, what a larger loss, cooling and capacity would add by their whole, and a belt warmer by a kelvin
+    by = Reals(4)  # Nm per relative departure of loss, cooling and capacity, and per kelvin of belt temperature
     consider = Reals(4)  # Nm, by each of the four causes of uncertainty
 
 
@@ -93,14 +94,14 @@ PARTS = Part.columns
 
 
 class Belt(Row):
-    """State of one node of a belt: its temperature, and the departures d_c [K] that the causes of uncertainty make of it, as
-    consider parameters of a Schmidt-Kalman filter. The radius moves no temperature: of the four causes three make one.
+    """State of one node of a belt: its temperature, and the departures d_c [K] by cause of uncertainty, the consider parameters
+    of a Schmidt-Kalman filter. Three of the four causes have one: the radius affects no temperature.
     """
 
     temperature = Real()  # T [degC]
     consider = Reals(3)
     consider_ambient = Real()
-    noise_1 = Real()  # the random part, a lower factor
+    noise_1 = Real()  # random part, a lower factor
     noise_2 = Real()
 
 
@@ -115,14 +116,14 @@ class Motion(Row):
     cov_speed = Real()  # of the two, as of the next two
     cov_both = Real()
     cov_accel = Real()
-    quantum = Real()  # m/s, the smallest step seen in the speed
-    last_speed = Real()  # m/s, as what is called last is of the last step
+    quantum = Real()  # m/s, smallest step observed in the speed
+    last_speed = Real()  # m/s; "last" values are those of the last step
     feedforward = Real()  # Nm, of the last step
     last_drive = Real()  # Nm
     started = Real()  # 0 before the first speed; START_ANEW
     feedforward_target = Real()  # Nm, which the feed-forward is on its way to
-    rolls = Real()  # 1, or 0 while the vehicle stands
-    last_others = Real()  # Nm, what of the last drive torque was not the belts' or the effects'
+    rolls = Real()  # 1, or 0 at standstill
+    last_others = Real()  # Nm, last drive torque without belts and effects
 
 
 # What can be learned of a vehicle while it drives, as departures from its file: of the loss, the cooling and the heat capacity of
@@ -133,21 +134,21 @@ LEARNABLE = 7
 
 
 class Learned(Row):
-    """The memory of what was learned."""
+    """Memory of the learning."""
 
     on = Real()  # whether it acts (1) or not (0)
     departures = Reals(LEARNABLE)  # from the file
-    torque = Real()  # Nm against travel that goes on
-    slow = Real()  # Nm, standard deviation of what wanders
+    torque = Real()  # Nm against travel, persistent
+    slow = Real()  # Nm, standard deviation of the slow disturbance
     factor = Reals(LEARNABLE * LEARNABLE)  # lower one of the departures' covariance, row by row
-    sensitivities = Reals(LEARNABLE)  # Nm of driving torque in the last step, by a departure's whole or per kelvin
+    sensitivities = Reals(LEARNABLE)  # Nm of driving torque in the last step, per relative departure or per kelvin
 
 
-START_ANEW = -1.0  # in Motion.started: time went back, the next speed starts cold and says so
+START_ANEW = -1.0  # in Motion.started: time went back, the next speed starts cold and reports it
 
 
 class Times(Row):
-    """What the guards remember of a channel; times in ns. From `doubts` on only of the speed, see `plausible_speed`."""
+    """Memory of the guards for one channel; times in ns. The fields from `doubts` on are for the speed, see `plausible_speed`."""
 
     seen = Whole()  # whether a message was accepted yet
     last_stamp = Whole()
@@ -164,11 +165,11 @@ class Times(Row):
 
 
 class Tracked(Row):
-    """What is remembered of the speed, see `plausible_speed`, and of the odometer, see `speed_witnesses`."""
+    """Memory for the checks of the speed, see `plausible_speed`, and of the odometer, see `speed_witnesses`."""
 
     reference = Real()  # m/s, of the accepted speeds
     run = Real()  # m/s, of the speeds in doubt
-    began = Real()  # m, the odometer where a comparison began
+    began = Real()  # m, odometer at the start of a comparison
     last = Real()  # m, its last value
     way = Real()  # m by the speed since the comparison began, unsigned
     net = Real()  # m, the same with its sign
@@ -197,7 +198,7 @@ REFUSALS = (*(Count(i) for i in range(Count.NON_FINITE, Count.BACKWARD + 1)), Co
 
 
 class Reason(IntFlag):
-    """Why the status is not plainly good; several may hold."""
+    """Reasons why the status is not plainly good; several may apply."""
 
     NONE = 0
     LOAD_HELD = 1 << 0
@@ -255,7 +256,7 @@ HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDG
 
 
 class Results(Row):
-    """One row of results for the whole vehicle; those of each assembly follow. The names say the units."""
+    """One row of results for the whole vehicle; those of each assembly follow. Names include units."""
 
     speed_mps = Real()
     accel_mps2 = Real()

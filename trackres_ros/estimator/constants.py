@@ -32,7 +32,7 @@ from trackres_ros.vehicle.reading import FITTED
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Limits outside of which a measurement is refused, where the vehicle file does not say: [low, high] in SI, degC.
+# Limits outside of which a measurement is refused, unless the vehicle file gives others: [low, high] in SI, degC.
 PLAUSIBLE = {
     "torque": (-1e6, 1e6),
     "ambient": (-60.0, 60.0),
@@ -51,7 +51,7 @@ PLAUSIBLE = {
 }
 LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
-LATEST_S = 0.1  # a speed may show what was so long ago: buses repeat values, and stamps are off
+LATEST_S = 0.1  # a speed may show a value this old: buses repeat values, and stamps are inexact
 LEAST_RESISTANCE = 1e-6  # K/W: below it mean and surface of a belt are one
 
 
@@ -65,7 +65,7 @@ class Numbers(NamedTuple):
     wlf_c2: float
     hottest: float  # degC: the rubber data end here
     fastest_x: float  # log10(a_T v): the rubber data end here
-    with_uncertainty: bool  # whether standard deviations and heat are computed besides temperatures and torques
+    with_uncertainty: bool  # whether to compute standard deviations and heat, too
     surroundings: bool  # whether effects of the surroundings are among the effects
     slopes_by_place: bool  # whether slopes, or torques, by place are among the surroundings
     torques_by_place: bool
@@ -73,7 +73,7 @@ class Numbers(NamedTuple):
     route_longitude: float
     two_nodes: bool
     belt_shows_surface: bool
-    bearing_friction: float  # what rolls over the weight, at a crawl
+    bearing_friction: float  # bearing friction over weight, at a crawl
     bearing_relative_std: float
     rolling_rise: float  # s/m, its growth with speed; 0 of tracks
     rolling_rise_std: float
@@ -81,12 +81,12 @@ class Numbers(NamedTuple):
     drag_relative_std: float
     air_density: float
     rotating_mass_factor: float
-    motor_gain: float  # motor torque per sprocket torque; not a number where the vehicle file gives none
+    motor_gain: float  # motor torque per sprocket torque; nan where the vehicle file gives none
     torque_scale: float  # shown over true torque; 1 of tracks
     torque_offset: float  # shown at no torque, over that scale
     nominal_ambient: float
     axles: int
-    first_wheel: int  # channel of the wheel speeds, those of single axles and assemblies behind it
+    first_wheel: int  # channel of the wheel speeds; those of single axles and assemblies follow it
     initial_belt_std: float
     process_noise: float
     ambient_std: float
@@ -104,10 +104,10 @@ class Numbers(NamedTuple):
     torque_hold_ns: int
     position_hold_ns: int
     stuck_ns: int
-    enable_hold_ns: int  # 0 where none is needed
+    enable_hold_ns: int  # 0: not required
     disagreeing_ns: int
     max_acceleration: float
-    speed_slack: float  # m/s: by so much a speed may be off what the greatest acceleration reaches
+    speed_slack: float  # m/s: tolerance beyond the greatest acceleration
     speed_variance: float
     acceleration_variance: float
     acceleration_time: float
@@ -124,7 +124,7 @@ class Numbers(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """What the kernel reads. Inside compiled code `number` is a record with the fields of `Numbers`."""
+    """Constants of the kernel. Inside compiled code `number` is a record with the fields of `Numbers`."""
 
     number: Numbers
     assembly: Array  # (assemblies, constants), see columns
@@ -135,18 +135,18 @@ class Constants(NamedTuple):
     effect_values: Array  # (rows, most parameters of one)
     route_cells: IntArray  # see route.lookup
     route_places: Array
-    work: Array  # what effects look at and do in a step, see effects.stepping; the only part that changes
+    work: Array  # inputs and outputs of effects in a step, see effects.stepping; the only part that changes
 
 
 def work_space(facts: VehicleConstants, assemblies: int) -> Array:
-    """Where a step puts what it needs meanwhile: no step asks for memory."""
+    """Work space of a step: no step allocates memory."""
     parts_and_belts = at.PARTS * (1 + assemblies) + 2 * 2 * at.BELT_COLUMNS
     return np.concatenate([new_work(facts), np.empty(parts_and_belts)])
 
 
 def kernel_arguments(constants: Constants, for_compiled: bool) -> tuple[Any, ...]:
-    """The constants as the kernel's entries take them: the numbers as one record of an array, which costs a call a tenth of
-    what fifty separate ones do.
+    """Constants as the kernel's entries take them: the numbers as one record of an array. A call costs a tenth of that with
+    fifty separate numbers.
     """
     if not for_compiled:
         return ([constants.number], *constants[1:])
@@ -161,7 +161,7 @@ def _record() -> np.dtype[Any]:
 
 
 class Running(NamedTuple):
-    """What a vehicle runs on, tracks or wheels: constants of assemblies, tables, and the numbers that only it can say."""
+    """Constants that depend on the running gear, tracks or wheels: assemblies, tables and numbers."""
 
     assembly: Array
     loss: Array
@@ -229,7 +229,7 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
 
 
 def _times_ns(settings: Settings) -> dict[str, Any]:
-    """Times of the settings that are compared with those of messages [ns]."""
+    """Times of the settings that are compared with message times [ns]."""
     seconds = {
         "clock_jump": settings.clock_jump_s,
         "load_hold": settings.load_hold_s,
@@ -279,7 +279,7 @@ def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
         else (1.0 / (chassis.motor_ratio * chassis.motor_efficiency))
     )
 
-    # What was fitted is the drag of the whole area; the air is another on another day.
+    # The fit gave the drag of the whole area; the air density differs from day to day.
     area = () if vehicle.parameters["chassis.drag_coefficient"].flag == FITTED else ("chassis.frontal_area",)
     return Running(
         np.concatenate([constants, factors, causes], axis=1),
@@ -306,7 +306,7 @@ def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
 
 
 def wheels(vehicle: RoadVehicle) -> Running:
-    """All wheels as one, without a belt: nothing reads the tables."""
+    """All wheels as one, without a belt; the tables are unused."""
     row = np.zeros((1, at.Assembly.columns))
     both = at.Assembly(row[0])
     both.nominal_load, both.radius = vehicle.weight, vehicle.values["wheel_radius"]
@@ -344,9 +344,10 @@ def relative_std(vehicle: AnyVehicle, *paths: str) -> float:
 
 
 def parting_resistance(effects: Sequence[Active], facts: VehicleConstants) -> float:
-    """What effects put between the mean of a belt and its surface [K/W]: with it the belt has two nodes, whatever the file says.
+    """Resistance of effects between the mean of a belt and its surface [K/W]. With it the belt has two nodes, whatever the file
+    says.
 
-    It depends on the parameters alone. An effect that fails, as a user's own may, puts nothing there.
+    It depends on the parameters alone. An effect that fails, such as a user's own, adds nothing.
     """
     total = 0.0
     for active in effects:
@@ -360,10 +361,10 @@ def parting_resistance(effects: Sequence[Active], facts: VehicleConstants) -> fl
 
 
 def conductances(network: ThermalNetwork, thermal: str, resistance: float) -> tuple[float, float]:
-    """Between the two nodes of a belt, and from its last node to the skin that a sensor sees [W/K].
+    """Conductance between the two nodes of a belt, and from its last node to the skin that a sensor measures [W/K].
 
-    The rubber's own resistance lies between the nodes where the file has two; an effect's adds to that. Of a file with one node,
-    what an effect leaves of it lies between the last node and the skin.
+    With two nodes in the file, the rubber's own resistance is between them and an effect's adds to it. With one node in the
+    file, the rest of the resistance is between the last node and the skin.
     """
     own = 1.0 / network.inner_conductance
     between = resistance + (own if thermal == "core_surface" else 0.0)

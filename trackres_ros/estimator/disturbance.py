@@ -1,11 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Watches for an unpredictable torque in the measurement: its probability, or its size.
+"""Watches the measurement for an unpredictable torque: the probability of a spell, or the size of a drift.
 
-The steps of both filters are here once: a diagnosis takes them over blocks of a residual, the live node block by block as they
-come. Spells are a Markov chain of two levels (forward algorithm; Rabiner 1989, Proc. IEEE 77, 257), a drift is a process of
-Ornstein and Uhlenbeck (scalar Kalman filter). Nothing here enters the estimate or the feed-forward.
+The diagnosis runs these filter steps over blocks of a residual, the live node runs them block by block.
+Spells are a Markov chain of two levels (forward algorithm; Rabiner 1989, Proc. IEEE 77, 257). A drift is an
+Ornstein-Uhlenbeck process (scalar Kalman filter). Nothing here enters the estimate or the feed-forward.
 """
 
 from __future__ import annotations
@@ -19,36 +19,36 @@ from trackres_ros.vehicle import Disturbance, Drift, Spells
 
 BLOCK_S = 5.0
 STEADY_MPS, STEADY_MPS2 = 1.0, 0.3  # slower, or with a larger acceleration, measured and expected torque are not compared
-LEAST_COMPARED_S = 1.0  # of a block: less says next to nothing
-LONGEST_STEP_S = 2.0  # between two residuals: over more it is not known to have rolled
+LEAST_COMPARED_S = 1.0  # per block: less carries almost no information
+LONGEST_STEP_S = 2.0  # between two residuals: over a longer pause it may not have rolled
 LATE_S = 30.0  # a stamp from further back: the clock was set back
-BEGINS, ENDS = 0.9, 0.1  # probability from which on a spell is said to be there, or over
+BEGINS, ENDS = 0.9, 0.1  # probability from which a spell is reported as present or as over
 LONGEST_MEANS = 7.0  # mean lengths: of spells that end by chance one in a thousand is longer
-MOST_DRIFT = 2.0  # standard deviations of a drift: more is none
-LARGEST_NM = 1e100  # a larger number is left out like one that is not finite: its square would not be
-OUTLIER = 5.0  # standard deviations: beyond, a block counts as this far from a drift
+MOST_DRIFT = 2.0  # standard deviations of a drift: larger values are outliers
+LARGEST_NM = 1e100  # larger numbers are ignored like those that are not finite: the square would overflow
+OUTLIER = 5.0  # standard deviations: limit of a block's distance from a drift
 BLOCK_NS, LATE_NS = int(BLOCK_S / NANOSECOND), int(LATE_S / NANOSECOND)
 MOST_LOG = 500.0  # of a ratio of likelihoods: its exponential is finite
 
 
 def later_there(there: float, comes: float, goes: float, blocks: float = 1.0) -> float:
-    """The probability that it is there some blocks later, with nothing seen.
+    """Predict the probability of a spell some blocks later, without a measurement.
 
     Parameters
     ----------
     there
         The probability now.
     comes, goes
-        Probabilities that it comes, or goes, from one block to the next; together at most 1 where `blocks` is no whole number.
+        Probabilities that it begins, or ends, from one block to the next; their sum is at most 1 for fractional `blocks`.
     blocks
-        How many later.
+        Number of blocks.
     """
     share = comes / (comes + goes)
     return share + (there - share) * math.pow(1.0 - comes - goes, blocks)
 
 
 def seen_there(there: float, mean: float, levels: tuple[float, float], variance: float) -> float:
-    """The probability that it is there once the mean of a block is seen.
+    """Update the probability of a spell by the mean of a block.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def seen_there(there: float, mean: float, levels: tuple[float, float], variance:
     mean, variance
         Mean of the block [Nm], and the variance of its noise [Nm^2].
     levels
-        Torque while it is away and while it is there [Nm].
+        Torque outside and inside a spell [Nm].
     """
     away, present = levels
     log_ratio = 0.5 * ((mean - away) ** 2 - (mean - present) ** 2) / variance
@@ -67,23 +67,23 @@ def seen_there(there: float, mean: float, levels: tuple[float, float], variance:
 
 @inlined
 def later_level(level: float, variance: float, keep: float, size: float) -> tuple[float, float]:
-    """Mean [Nm] and variance [Nm^2] of a drifting level, some time later.
+    """Predict mean [Nm] and variance [Nm^2] of a drifting level.
 
     Parameters
     ----------
     level, variance
-        The same now.
+        The present values.
     keep
-        Share of the level that is left by then.
+        Share of the level that remains by then.
     size
-        Standard deviation of the level where nothing is known of it [Nm].
+        Stationary standard deviation of the level [Nm].
     """
     return keep * level, keep**2 * variance + size**2 * (1.0 - keep**2)
 
 
 @inlined
 def seen_level(level: float, variance: float, mean: float, noise_variance: float) -> tuple[float, float]:
-    """Mean [Nm] and variance [Nm^2] of a level once the mean of a block is seen, which has noise of some variance [Nm^2]."""
+    """Update mean [Nm] and variance [Nm^2] of a level by the mean of a block, given its noise variance [Nm^2]."""
     gain = variance / (variance + noise_variance)
     return level + gain * (mean - level), variance * (1.0 - gain)
 
@@ -97,15 +97,15 @@ class Belief:
     form
         `spells` or `drift`.
     there
-        Probability that a spell is there; nan of a drift.
+        Probability of a spell; nan for a drift.
     torque_nm, std_nm
         Expected torque against travel and its standard deviation [Nm].
     since_ns
-        Stamp at which the present spell began, or the last one ended, as far as can be told; None before either, and of a drift.
+        Stamp at which the present spell began or the last one ended, if known; None before either, and for a drift.
     present
-        Whether a spell is said to be there.
+        Whether a spell is reported.
     overdue
-        Whether that has been for longer than spells last: then it is something else that stays.
+        Whether it lasts longer than spells do: then it is a different, lasting change.
     """
 
     form: str
@@ -175,8 +175,8 @@ class _DriftFilter:
 class DisturbanceWatch:
     """Filters residuals one by one; `belief` is the result.
 
-    Means are taken over blocks of `BLOCK_S`, of the time for which residuals count. Over standstills, pauses and while no torque
-    is measured the belief ages towards what is known without any.
+    Blocks last `BLOCK_S` of valid residuals. During standstills, pauses and dropouts of the torque, the belief decays
+    towards its prior.
     """
 
     def __init__(self, disturbance: Disturbance) -> None:
@@ -197,14 +197,14 @@ class DisturbanceWatch:
         self._since_ns: int | None = None
 
     def take(self, stamp_ns: int, residual_nm: float, speed_mps: float) -> Belief:
-        """Take a residual.
+        """Process a residual.
 
         Parameters
         ----------
         stamp_ns
             Its time [ns].
         residual_nm
-            Measured less expected torque [Nm]; nan where it does not count.
+            Measured less expected torque [Nm]; nan where it is invalid.
         speed_mps
             Speed [m/s]; its sign is the direction of travel.
 
@@ -234,7 +234,7 @@ class DisturbanceWatch:
         return self.belief(stamp_ns)
 
     def belief(self, stamp_ns: int) -> Belief:
-        """What is known at a time [ns], by the blocks before it."""
+        """Belief at a time [ns], from the blocks before it."""
         seconds = 0.0 if self._block_ns is None else max(0, stamp_ns - self._known_ns) * NANOSECOND
         there, torque, std = self._filter.after(seconds)
         overdue = self._present and self._since_ns is not None and (stamp_ns - self._since_ns) * NANOSECOND > self._longest_s
@@ -248,7 +248,7 @@ class DisturbanceWatch:
         self._sum, self._seconds = 0.0, 0.0
 
     def _turn(self, there: float, began_ns: int) -> None:
-        """Say that a spell has begun or ended, once that is sure; of a drift neither ever is."""
+        """Report that a spell has begun or ended, once that is certain; never for a drift."""
         if there > BEGINS and not self._present:
             self._present, self._since_ns = True, began_ns
         elif there < ENDS and self._present:

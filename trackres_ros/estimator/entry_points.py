@@ -129,7 +129,7 @@ def predict_along(k: Constants, carried: Carried, count: Array, series: DriveSer
 
 @inlined
 def rest(k: Constants, carried: Carried, ambient: float, ambient_std: float, seconds: float) -> None:
-    """Let the vehicle stand for a while [s] at an ambient temperature [degC]: belts and effects cool."""
+    """Let the vehicle stand for some time [s] at an ambient temperature [degC]: belts and effects cool."""
     motion = Motion(carried.motion)
     motion.filtered_speed = motion.filtered_accel = motion.last_speed = motion.rolls = 0.0
     motion.feedforward = motion.feedforward_target = motion.last_drive = motion.last_others = 0.0
@@ -141,7 +141,7 @@ def rest(k: Constants, carried: Carried, ambient: float, ambient_std: float, sec
 
 @dataclass(frozen=True)
 class Entries:
-    """The functions an estimator runs, compiled where numba is there or in plain Python; equal numbers either way.
+    """Functions that an estimator runs, compiled by numba or in plain Python, with equal results.
 
     Each takes the fields of `Constants`, `Memory`, `Carried`, `Inputs`, `Messages` and `DriveSeries`, see `jit.entries`.
     """

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds the results of the estimator: those of one step by name, and those of many steps as rows."""
+"""Holds the results of the estimator: one step by name, or many steps as rows."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Estimate:
 
     @property
     def status(self) -> str:
-        """`ok`, or `warn` where a reason matters to who uses the torque."""
+        """`ok`, or `warn` where a reason matters to users of the torque."""
         return "warn" if self.reasons & ~at.HARMLESS else "ok"
 
     def reason_texts(self) -> list[str]:

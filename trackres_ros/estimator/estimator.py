@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The estimator has a pure step from state to state, and a session that takes messages as they come."""
+"""Provides a pure step from state to state, and a session that processes messages in order of arrival."""
 
 from __future__ import annotations
 
@@ -34,16 +34,15 @@ IntArray = NDArray[np.int64]
 
 
 class Estimator:
-    """Estimate resistance torque [Nm] and belt temperatures [degC] of one vehicle; holds constants only, so one serves many
-    sessions.
+    """Estimate resistance torque [Nm] and belt temperatures [degC] of one vehicle; one estimator serves many sessions.
 
-    `step` is pure: state and inputs in, state and estimate out. `run` does it along a series; `session` takes messages in
+    `step` is pure: state and inputs in, state and estimate out. `run` repeats it along a series; `session` takes messages in
     order of arrival, with guards against invalid ones.
 
     Parameters
     ----------
     vehicle
-        As `trackres_ros.load_vehicle` gives it.
+        From `trackres_ros.load_vehicle`.
     settings
         See docs/settings.md for the defaults.
     cache
@@ -54,7 +53,7 @@ class Estimator:
     Attributes
     ----------
     assemblies, columns, channels
-        Names of the track assemblies (none without belts), of the results in a row, and of the messages that a session takes.
+        Names of the track assemblies (none without belts), of the results in a row, and of a session's message channels.
 
     Examples
     --------
@@ -114,15 +113,15 @@ class Estimator:
         ambient
             [degC].
         belt_measured
-            New belt temperatures [degC], nan where there is none.
+            New belt temperatures [degC], nan without one.
         acceleration, grade, yaw_rate, heading, distance, measured_torque
-            [m/s^2], rise over run, [rad/s], [rad], [m] and [Nm]; nan where not known. A distance that is not known is counted
-            from the speed. The last four serve effects and the residual.
+            [m/s^2], rise over run, [rad/s], [rad], [m] and [Nm]; nan where unknown. An unknown distance is integrated
+            from the speed. The last four are for effects and the residual.
 
         Returns
         -------
         Inputs
-            With nominal values for what is None.
+            With nominal values for None.
         """
         k = self.constants
         loads = k.assembly[:, at.Assembly.nominal_load].copy() if load is None else np.asarray(load, dtype=float)
@@ -148,7 +147,7 @@ class Estimator:
         Parameters
         ----------
         inputs
-            As `inputs` gives them; the ambient temperature counts.
+            From `inputs`; only the ambient temperature is used.
         belt_degc
             Temperature of all belts [degC]; by default the ambient temperature.
         belt_std_k
@@ -157,7 +156,7 @@ class Estimator:
         Returns
         -------
         State
-            To begin with.
+            Initial state.
         """
         belts = np.empty((len(self.assemblies), 2, at.BELT_COLUMNS))
         state = State(belts, np.empty(at.Motion.columns), new_effects_memory(len(self.vehicle.active)))
@@ -177,7 +176,7 @@ class Estimator:
         state
             State before the step.
         inputs
-            As `inputs` gives them, at the end of the step.
+            From `inputs`, at the end of the step.
         dt
             Length of the step [s].
 
@@ -191,12 +190,12 @@ class Estimator:
         return after, Estimate(row, self.column_index)
 
     def own_arguments(self) -> tuple[Any, ...]:
-        """The kernel's arguments with a work space of the caller's own, so that threads do not share one.
+        """The kernel's arguments with a new work space, so that threads do not share one.
 
         Returns
         -------
         tuple
-            What the entry points are called with first.
+            First arguments of the entry points.
         """
         return (*self.kernel_arguments[:-1], self.kernel_arguments[-1].copy())
 
@@ -223,10 +222,10 @@ class Estimator:
         time_s, speed
             Rising times [s] and speeds [m/s], shape (times,).
         weight, ambient, acceleration, grade, yaw_rate, heading, distance
-            Whole weight [N], ambient temperature [degC], and as in `inputs`; each a number or shape (times,), all but the first
-            two nan where unknown.
+            Whole weight [N], ambient temperature [degC], and the others of `inputs`; each a number or shape (times,), all but the
+            first two nan where unknown.
         ground
-            What the surroundings say of the ground, see `along_route`; nothing without.
+            Ground from the surroundings, see `along_route`; by default none.
 
         Returns
         -------
@@ -251,19 +250,19 @@ class Estimator:
         return after, rows
 
     def along_route(self, time_s: Array, speed: Array, latitude: Array, longitude: Array) -> GroundSeries:
-        """What the surroundings say of the ground along a drive, as live: by the positions until then.
+        """Look up the ground along a drive in the surroundings, as live: only from positions up to each time.
 
         Parameters
         ----------
         time_s, speed
             Rising times [s] and speeds [m/s], shape (times,).
         latitude, longitude
-            Positions [rad], nan where there is none; shape (times,).
+            Positions [rad], nan where missing; shape (times,).
 
         Returns
         -------
         GroundSeries
-            Series for `run`; nan beside the route, and where the vehicle has none.
+            Series for `run`; nan off the route, and for a vehicle without one.
         """
         given = (np.ascontiguousarray(a, dtype=float) for a in (time_s, speed, latitude, longitude))
         found = np.empty((len(time_s), len(GroundSeries._fields)))
@@ -276,7 +275,7 @@ class Estimator:
         Parameters
         ----------
         state
-            State before; it is left as it was.
+            State before; it is not changed.
         ambient
             Ambient temperature [degC].
         seconds
@@ -285,7 +284,7 @@ class Estimator:
         Returns
         -------
         State
-            Belts that have cooled.
+            With cooled belts.
         """
         after = _copy(state)
         self.entries.rest_vehicle(
@@ -333,7 +332,7 @@ class Session:
         self._arguments = self._gathered()
 
     def _gathered(self) -> tuple[Any, ...]:
-        """What the entry points take before a message."""
+        """Arguments of the entry points before a message."""
         of_session = self.belts, self.motion, self.effects, self.learned, self._loads, self._belt_measured
         return (*self.estimator.own_arguments(), *self.memory, *of_session)
 
@@ -361,7 +360,7 @@ class Session:
         self.motion[at.Motion.started] = 0.5
 
     def adopt(self, other: Session) -> None:
-        """Go on where another session of the same vehicle is: all it remembers, under this one's settings."""
+        """Continue from another session of the same vehicle, with its whole memory and this one's settings."""
         self.belts[:], self.motion[:], self._loads[:] = other.belts, other.motion, other._loads
         self.effects[:], self.learned[:] = other.effects, other.learned
         for mine, its in zip(self.memory, other.memory, strict=True):
@@ -375,17 +374,17 @@ class Session:
         self.motion[at.Motion.started] = at.START_ANEW if time_went_back else 0.0
 
     def channel(self, name: str) -> int:
-        """Index of a channel by its name, such as `speed` or `load/front`; KeyError if the vehicle has none of that name."""
+        """Index of a channel by its name, such as `speed` or `load/front`; KeyError for an unknown name."""
         return self._channel[name]
 
     def handle(self, channel: int, stamp_ns: int, arrival_ns: int, value: float) -> Estimate | None:
-        """Take in one message; an estimate if it was an accepted speed, else None."""
+        """Process one message; return an estimate if it was an accepted speed, else None."""
         row = np.empty(len(self.estimator.columns))
         stepped = self.estimator.entries.feed_one(*self._arguments, channel, stamp_ns, arrival_ns, value, row)
         return Estimate(row, self.estimator.column_index) if stepped else None
 
     def handle_block(self, channel: NDArray[np.int16], stamp_ns: IntArray, arrival_ns: IntArray, value: Array) -> Steps:
-        """Take in many messages, arrays of shape (messages,) in the order they arrived."""
+        """Process many messages, arrays of shape (messages,) in the order of arrival."""
         most = int(np.count_nonzero(channel == at.SPEED))
         rows = np.empty((most + 1, len(self.estimator.columns)))
         stamps, arrivals = np.empty((2, most + 1), dtype=np.int64)
@@ -400,5 +399,5 @@ class Session:
                     yield name, count, int(self.memory.counters[i, count])
 
     def reason_counts(self) -> dict[at.Reason, int]:
-        """Each reason that held, and at how many steps."""
+        """Each reason that occurred, and its number of steps."""
         return {reason: int(number) for reason, number in zip(at.REASON_TEXT, self.memory.reasons, strict=True) if number}

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes the feed-forward torque: chosen parts, limited in size and rate, faded where the speed pauses."""
+"""Makes the feed-forward torque: chosen parts, limited in size and rate, faded during a dropout of the speed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CLAMPED, LIMITED = int(at.Reason.FEEDFORWARD_CLAMPED), int(at.Reason.FEEDFORWARD
 
 @inlined
 def fade(age: float, max_age: float, fade_s: float) -> float:
-    """Share of the feed-forward that is left when the speed is so old [s]: 1 until `max_age`, 0 `fade_s` later, a line between
+    """Share of the feed-forward at an age of the speed [s]: 1 until `max_age`, 0 `fade_s` later, linear between
     (ours).
     """
     return min(1.0, max(0.0, 1.0 - (age - max_age) / fade_s))
@@ -39,7 +39,7 @@ def towards(here: float, there: float, room: float) -> float:
 
 @inlined
 def followed(value: float, target: float, rate: float, age: float) -> float:
-    """Where the feed-forward [Nm] of a step is so long after it [s], on its way to the target; the first output is the step's."""
+    """Feed-forward [Nm] some time [s] after a step, on its way to the target; the first output is the step's."""
     return towards(value, target, rate * max(0.0, age - FEEDFORWARD_STEP_S))
 
 
@@ -47,11 +47,10 @@ def followed(value: float, target: float, rate: float, age: float) -> float:
 def feedforward(
     k: Constants, motion: Motion, total: Part, of_effects: float, given_grade: bool, given_accel: bool, fed: float, dt: float
 ) -> tuple[float, int]:
-    """Chosen parts [Nm], limited in size and rate, and the reasons that gives; keeps what it is on its way to in `motion` (ours).
+    """Chosen parts [Nm], limited in size and rate, and the reasons for limits; store the target in `motion` (ours).
 
-    It begins where the outputs are by now, which have followed their last target, and faded if the speed has paused. From there
-    it moves by as much as one output may. A vehicle that stands is fed nothing of what rolling takes; with `fed` 0
-    nothing is fed at all.
+    It starts from the present output, which followed the last target and faded during a dropout of the speed. It moves by at
+    most the change allowed per output. At standstill no rolling resistance is fed forward; with `fed` 0 nothing is.
     """
     number, reasons = k.number, 0
     wanted = number.feed_grade * total.grade if given_grade else 0.0  # a slope by place is of the surroundings

@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Checks each message before it is used: order, age and plausibility. The policy is docs/robustness.md.
+"""Checks each message before use: order, age and plausibility. The policy is docs/robustness.md.
 
-A message is one number with its channel, its own stamp and its arrival. It is accepted or refused, and counted in exactly
-one counter for that. Time is counted by stamps; the arrival only tells whether they can be right.
+A message is one number with its channel, its stamp and its arrival. It is accepted or refused, and increments
+exactly one counter. Times are stamps; the arrival only checks whether stamps can be right.
 """
 
 from __future__ import annotations
@@ -41,28 +41,28 @@ SPEED_IMPLAUSIBLE, SPEED_DISAGREES = int(at.Reason.SPEED_IMPLAUSIBLE), int(at.Re
 DISABLED, ENABLE_OLD = int(at.Reason.DISABLED), int(at.Reason.ENABLE_OLD)
 
 SEEN, LAST_ARRIVAL, FRESH = Times.seen, Times.last_arrival, Times.fresh  # of one channel among many
-FRESH_LOAD_NS = 2_000_000_000  # a load older than this is reported as held, as long as it holds
+FRESH_LOAD_NS = 2_000_000_000  # an older load is reported as held, while it is valid
 STANDING = 1e-3  # m/s: slower is no movement that could be stuck
 QUANTISED = (0.05, 1.0)  # m/s: a smallest step between these is a bus's resolution, not noise
-QUANTISED_PATIENCE = 10  # a steady drive holds one value of such a bus for minutes
+QUANTISED_PATIENCE = 10  # in a steady drive such a bus repeats one value for minutes
 
-# What admit() returns of an accepted message; a refusal is a negative counter.
+# Results of admit() for an accepted message; a refusal is a negative counter.
 ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET, ACCEPTED_AFTER_DOUBT = 0, 1, 2, 3
 
 
 class Memory(NamedTuple):
-    """What the guards remember; a row a channel. All arrays are changed in place."""
+    """Memory of the guards, one row per channel. All arrays are changed in place."""
 
     times: IntArray  # (channels, numbers of `columns.Times`)
     values: Array  # (channels,) last accepted value
     counters: IntArray  # (channels, counters)
-    reasons: IntArray  # (reasons,) steps at which each held
-    followed: Array  # (FOLLOWED,) where on a route it is, see `route.follower`
+    reasons: IntArray  # (reasons,) steps with each reason
+    followed: Array  # (FOLLOWED,) position on a route, see `route.follower`
     tracked: Array  # numbers of `columns.Tracked`
 
 
 def new_memory(channels: int) -> Memory:
-    """Memory of a session that has received nothing yet."""
+    """Memory of a new session."""
     return Memory(
         np.zeros((channels, at.Times.columns), dtype=np.int64),
         np.full(channels, np.nan),
@@ -75,7 +75,7 @@ def new_memory(channels: int) -> Memory:
 
 @inlined
 def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, value: float, quantum: float) -> tuple[int, int]:
-    """Accept or refuse one message, count it, and keep its value. `quantum` is the smallest step seen in the speed [m/s].
+    """Accept or refuse one message, count it, and keep its value. `quantum` is the smallest step observed in the speed [m/s].
 
     Returns
     -------
@@ -121,7 +121,7 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
             counters[CLOCK_JUMP] += 1
             outcome, elapsed = ACCEPTED_AFTER_JUMP, max(waited, 0)
     if channel == at.SPEED:
-        if not times.seen or outcome != ACCEPTED_IN_ORDER:  # nothing before it to compare with, or at no known time
+        if not times.seen or outcome != ACCEPTED_IN_ORDER:  # no earlier value to compare with, or its time is unknown
             trust(times, tracked, value)
         else:
             in_doubt = times.doubts > 0
@@ -156,7 +156,7 @@ def forget_others(memory: Memory, kept: int) -> None:
 
 @inlined
 def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
-    """The last value of a channel if it arrived no longer ago than `hold_ns`, else nan."""
+    """The last value of a channel if it arrived within `hold_ns`, else nan."""
     if memory.times[channel, SEEN] == 0 or now - memory.times[channel, LAST_ARRIVAL] > hold_ns:
         return math.nan
     return float(memory.values[channel])
@@ -164,9 +164,9 @@ def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
 
 @inlined
 def not_enabled(k: Constants, memory: Memory, now: int) -> int:
-    """The reason why nothing is to be fed forward at an arrival [ns], else 0.
+    """Reason why the feed-forward is zero at an arrival [ns], else 0.
 
-    It is not enabled, or nobody says so any more, or the vehicle may stand: nothing may push it then, not even in doubt.
+    It is not enabled, or the enable has expired, or the vehicle may stand: even then nothing may push it.
     """
     if Times(memory.times[at.SPEED]).doubts > 0 and seems_to_stand(k, Tracked(memory.tracked)):
         return SPEED_IMPLAUSIBLE
@@ -180,10 +180,10 @@ def not_enabled(k: Constants, memory: Memory, now: int) -> int:
 
 @inlined
 def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> int:
-    """Load of each assembly [N] by the finest source there is; fills `loads`, returns the reasons to report.
+    """Load of each assembly [N] from the finest source available; fill `loads`, return the reasons to report.
 
-    A load of the assembly comes before one of its axle, and that before the total; each is shared in proportion to nominal loads.
-    Where none is given, passengers come on top of the nominal loads.
+    A load of the assembly has priority over one of its axle, and that over the total; each is shared in proportion to nominal
+    loads. Without any, passengers add to the nominal loads.
     """
     first_axle = at.FIRST_AXLE
     first_assembly = first_axle + k.number.axles
@@ -217,9 +217,9 @@ def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> int:
 def gather(
     k: Constants, memory: Memory, outcome: int, elapsed: int, motion: Motion, loads: Array, belt_measured: Array
 ) -> Inputs:
-    """The inputs of the step that an accepted speed makes; fills `loads` and `belt_measured`, one entry an assembly.
+    """Inputs of the step at an accepted speed; fill `loads` and `belt_measured`, one entry per assembly.
 
-    `motion` tells whether time was reset, by whichever channel, and the smallest step seen in the speed.
+    `motion` holds whether any channel reset the time, and the smallest step observed in the speed.
     """
     times, tracked = Times(memory.times[at.SPEED]), Tracked(memory.tracked)
     now, stamp = times.last_arrival, times.last_stamp
@@ -229,7 +229,7 @@ def gather(
         reasons |= CLOCK_JUMPED
     elif outcome == ACCEPTED_AFTER_DOUBT:
         reasons |= SPEED_IMPLAUSIBLE
-        if abs(speed) <= k.number.speed_slack:  # the outputs have gone to zero meanwhile, see `not_enabled`
+        if abs(speed) <= k.number.speed_slack:  # the outputs have reached zero by now, see `not_enabled`
             motion.feedforward_target = 0.0
     if motion.started == at.START_ANEW:
         reasons |= TIME_RESET
@@ -270,7 +270,7 @@ def gather(
         grade,
         held(memory, at.YAW_RATE, now, k.number.motion_hold_ns),
         held(memory, at.HEADING, now, k.number.motion_hold_ns),
-        math.nan,  # an odometer begins anywhere; the distance is counted from the speed, as in a fit
+        math.nan,  # an odometer starts at any value; the distance is integrated from the speed, as in a fit
         held(memory, at.TORQUE, now, k.number.torque_hold_ns),
         slope,
         torque,

@@ -1,8 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes one step of the estimate: belts, motion, torque by part, its standard deviation and the feed-forward. It is compiled,
-and has no I/O and no clock.
+"""Computes one step of the estimate: belts, motion, torque by part, its standard deviation and the feed-forward. It is
+compiled, and has no I/O and no clock.
 """
 
 from __future__ import annotations
@@ -84,23 +84,23 @@ def act(
     belt: float,
     dt: float,
 ) -> int:
-    """Fill the terms of all effects of a step; how that went.
+    """Fill the terms of all effects in a step; return the effects' reasons.
 
-    Some effects look at the torque that drives, and are a part of it. They get that of the last step, moved by what is known
-    already of this one: `others` [Nm], all but belts and effects. `turning` is yaw rate, heading and distance; `belt` is the
-    mean temperature of the belts [degC], as the last step left it.
+    Some effects depend on the driving torque, and contribute to it. They get the last step's torque, corrected by the known
+    parts of this one: `others` [Nm], all but belts and effects. `turning` is yaw rate, heading and distance; `belt` is the
+    mean temperature of the belts [degC] after the last step.
     """
     if k.effects.shape[0] == 0:
         return ALL_WELL
     drive = motion.last_drive + others - motion.last_others
     look(k.work, speed, accel, weight, ambient, *turning, drive, belt)
-    # Of a gap too long to bridge it is not known how it went: no state of an effect moves, no distance is driven.
+    # The drive during a gap too long to bridge is unknown: effects keep their states, and the distance stays.
     return step_effects(k.effects, k.effect_values, effects, k.work, dt if dt <= k.number.bridge else 0.0)
 
 
 @inlined
 def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Array) -> None:
-    """Advance the whole estimate by dt [s] to the time of `inputs`; changes what it is carried in, fills one row of results.
+    """Advance the whole estimate by dt [s] to the time of `inputs`; change the carried state, fill one row of results.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     Notes
     -----
     M = R_1 [sign(v) sum F_h + sign(v) f_b G_v + 1/2 rho_a C_d A_f v|v| + G_v sin(gamma) + delta_m G_v/g dv/dt] (32 to 36; the
-    grade is ours). Effects and what was learned are added (ours).
+    grade is ours). Effects and learned terms are added (ours).
     """
     number, work = k.number, k.work
     belts, motion, effects, learned = carried.belts, Motion(carried.motion), carried.effects, Learned(carried.learned)
@@ -165,9 +165,9 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     driving, of_effects = driving_torque(work, resisting + lasting, of_place, total.grade, total.inertia)
     of_effects += lasting
     resistance = resisting + of_effects
-    for i in range(belts.shape[0]):  # effects are of the whole vehicle, and shared as the load is
+    for i in range(belts.shape[0]):  # effects act on the whole vehicle, shared by load
         out[FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH + RESISTANCE_OF_ONE] += of_effects * (inputs.load[i] / weight)
-    # What resists motion is fed forward, so of effects nothing where nothing moves: friction holds a standing vehicle by itself,
+    # Only resistance to motion is fed forward, so no effects at standstill: friction holds a standing vehicle by itself,
     # and any other torque of an effect at rest would push it.
     fed_effects = (work[TERM_FED] + lasting) * abs(direction(speed))
     wanted, of_feedforward = feedforward(k, motion, total, fed_effects, given_grade, given_accel, inputs.fed, dt)
@@ -192,8 +192,8 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
 def torque_variance(k: Constants, total: Part, learned: Learned, road: Road, driving: float, of_place_std: float) -> float:
     """Variance of the resistance [Nm^2]: var M of docs/model.md, with those of effects and of a torque by place (ours).
 
-    Causes of all assemblies are added before they are squared: what heats every belt stays one cause. What was learned comes in
-    the place of what the file says.
+    Each cause is summed over the assemblies before squaring: heating of all belts stays one cause. Learned variances replace
+    those of the file.
     """
     number, work = k.number, k.work
     variance: float = (
@@ -222,16 +222,16 @@ def predict(
     k: Constants, carried: Carried, count: Array, speed: float, accel: float, grade: float, torque_by_place: float, weight: float,
     ambient: float, turning: tuple[float, float, float], dt: float, out: Array,
 ) -> None:  # fmt: skip
-    """The step of `advance` without uncertainty, feed-forward and shares: what a fit needs, thousands of times.
+    """Advance as `advance` does, without uncertainty, feed-forward and shares: for a fit, which needs thousands of runs.
 
     Parameters
     ----------
     carried
-        With one belt of each kind, as the rows of `k.assembly`; none of wheels without belts.
+        With one belt per kind, as the rows of `k.assembly`; none for wheels without belts.
     count
-        How many assemblies there are of each kind, shape (kinds,).
+        Number of assemblies of each kind, shape (kinds,).
     out
-        `PREDICTED`: driving torque [Nm], mean of the belts' temperatures and of their skins [degC], how the effects went.
+        `PREDICTED`: driving torque [Nm], mean of the belts' temperatures and of their skins [degC], the effects' reasons.
     """  # fmt: skip
     belts, effects, motion = carried.belts, carried.effects, Motion(carried.motion)
     arm = belts_in_all = before = 0.0

@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Moves the torque of a step by what was learned of the vehicle, and keeps how much each thing that can be learned would move it.
+"""Moves the torque of a step by the learned departures, and keeps the sensitivity to each of them.
 
-A departure d from the file moves the torque by d times its sensitivity, which for the belts has the warmth in it that a departure
-has made so far. It is first order: at a departure of a fifth the rest is less than a hundredth of the torque. All of it is ours.
+A departure d from the file moves the torque by d times its sensitivity, which for belts includes the warming due to the
+departure. This is first order: at a departure of a fifth the error is less than a hundredth of the torque. All of it is ours.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from trackres_ros.estimator.columns import LEARNABLE, OF_BEARING, OF_BELT, OF_DR
 from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import inlined
 
-BELTS = OF_BELT + 1  # the first of what can be learned act through hysteresis
+BELTS = OF_BELT + 1  # the first departures act through hysteresis
 
 
 @inlined
 def learned_hysteresis(part: Part, learned: Learned) -> float:
-    """What was learned adds to the hysteresis [Nm], without its sign: the sum of d dM/dd."""
+    """Learned change of the hysteresis [Nm], without its sign: the sum of d dM/dd."""
     more, departures, by = 0.0, learned.departures, part.by
     for which in range(BELTS):
         more += departures[which] * by[which]
@@ -27,23 +27,23 @@ def learned_hysteresis(part: Part, learned: Learned) -> float:
 
 @inlined
 def learned_elsewhere(part: Part, learned: Learned) -> float:
-    """What was learned adds to bearings and wind [Nm]."""
+    """Learned change of bearings and wind [Nm]."""
     departures = learned.departures
     return float((departures[OF_BEARING] * part.bearing + departures[OF_DRAG] * part.wind) * learned.on)
 
 
 @inlined
 def learn_from(total: Part, learned: Learned, sign: float, drive_gain: float) -> float:
-    """Keep the sensitivities of a step, and move its parts by what was learned; a torque that goes on besides [Nm].
+    """Keep the sensitivities of a step, and move its parts by the learned departures; return the slow disturbance [Nm].
 
     Parameters
     ----------
     total
-        Parts of all assemblies, as the file has them; they are moved.
+        Parts of all assemblies by the file; they are changed.
     sign
-        Direction of travel, smooth through zero: at rest nothing pushes.
+        Direction of travel, smooth through zero: nothing pushes at rest.
     drive_gain
-        What effects make of a torque at the sprockets.
+        Effects' gain of a torque at the sprockets.
     """
     departures, sensitivities, by = learned.departures, learned.sensitivities, total.by
     for which in range(BELTS):
@@ -62,9 +62,9 @@ def learn_from(total: Part, learned: Learned, sign: float, drive_gain: float) ->
 
 @inlined
 def learned_variance(learned: Learned) -> float:
-    """Variance of the resistance by all that can be learned, and by what wanders [Nm^2]: s'FF's + slow^2.
+    """Variance of the resistance due to the learned departures and the slow disturbance [Nm^2]: s'FF's + slow^2.
 
-    s are the sensitivities, F the factor of the departures' covariance. Inertia is no resistance, so its s does not count.
+    s are the sensitivities, F the factor of the departures' covariance. Inertia is no resistance, so its s is excluded.
     """
     variance, factor, sensitivities = squared(learned.slow), learned.factor, learned.sensitivities
     for column in range(LEARNABLE):

@@ -1,11 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Estimates the acceleration from a speed that may be quantised, as many buses send it, to 1 km/h.
+"""Estimates the acceleration from a speed, which may be quantised: many buses send it in steps of up to 1 km/h.
 
-It is a Kalman filter on speed and acceleration, the acceleration returning to zero over a while (Singer's model). A quantised
-speed says only that the true one lies within half a step: while the prediction does too, it is not corrected, so a staircase of
-repeated values does not become a staircase of accelerations.
+A Kalman filter estimates speed and acceleration, with an acceleration that decays to zero (Singer's model). A quantised
+speed only bounds the true one to half a step. While the prediction is within these bounds, it is not corrected, so a
+staircase of repeated values does not become a staircase of accelerations.
 
 R. A. Singer, Estimating optimal tracking filter performance for manned maneuvering targets, IEEE Trans. Aerosp. Electron.
 Syst. AES-6 (1970) 473-483.
@@ -20,8 +20,8 @@ from trackres_ros.jit.compiled import inlined
 
 LARGEST_QUANTUM = 1.0  # m/s: a greater smallest step is not a quantum
 SAME_VALUE = 1e-6  # m/s: rounding of a scaled bus value
-# Standard deviations of the speed's noise, besides half a quantum: one sample in 5e8 of a speed at rest is further off than six,
-# at 50 Hz one in four months. Once it rolls the half of that will do, and keeps a crawl from going on and off.
+# Standard deviations of the speed's noise, added to half a quantum: at rest one sample in 5e8 is more than six off, at 50 Hz
+# one in four months. Half of it applies once the vehicle rolls, so that a crawl does not switch on and off.
 ROLLS_FROM, ROLLS_UNTIL = 6.0, 3.0
 
 
@@ -35,13 +35,13 @@ def start_motion(motion: Motion, speed: float, speed_variance: float, accelerati
 
 @inlined
 def known_quantum(motion: Motion) -> float:
-    """Step of a quantised speed [m/s]; 0 of one that is not."""
+    """Step of a quantised speed [m/s]; 0 for a continuous one."""
     return motion.quantum if motion.quantum < LARGEST_QUANTUM else 0.0
 
 
 @inlined
 def rolls(motion: Motion, speed: float, speed_variance: float) -> float:
-    """1 while the speed [m/s] is more than the noise that its sensor has at rest, else 0: |v| > n std + quantum/2 (ours)."""
+    """1 while the speed [m/s] exceeds its sensor's noise at rest, else 0: |v| > n std + quantum/2 (ours)."""
     noise = ROLLS_UNTIL if motion.rolls > 0.0 else ROLLS_FROM
     return 1.0 if abs(speed) > noise * math.sqrt(speed_variance) + 0.5 * known_quantum(motion) else 0.0
 
@@ -50,13 +50,13 @@ def rolls(motion: Motion, speed: float, speed_variance: float) -> float:
 def advance_motion(
     motion: Motion, speed: float, last_speed: float, dt: float, speed_variance: float, acceleration_variance: float, time: float
 ) -> None:
-    """Take in one more speed [m/s] after dt [s] > 0, where an acceleration lasts for a `time` [s]; changes `motion`.
+    """Process a speed [m/s] after dt [s] > 0, with a correlation `time` of the acceleration [s]; change `motion`.
 
     Notes
     -----
     Singer [7]: with k = exp(-dt/time) and r = time (1 - k), speed and acceleration are predicted by v + r a and k a, and their
-    covariance P by F P F' + Q. The gain is the Kalman filter's. Ours: quantum^2/12 adds to the noise, and the innovation is what
-    exceeds half a quantum.
+    covariance P by F P F' + Q. The gain is the Kalman filter's. Ours: quantum^2/12 adds to the noise, and the innovation is its
+    excess over half a quantum.
     """
     step = abs(speed - last_speed)
     if SAME_VALUE < step < motion.quantum:

@@ -3,8 +3,8 @@
 
 """Checks that the numbers of a stored state are within the range that the estimate can reach.
 
-A seal shows that a file is as it was written; these checks show that what was written is a state. Both are needed: nothing that
-is read again may move a vehicle by a number that no drive could have left.
+The seal shows that a file is unchanged; these checks show that its content is a valid state. Both are needed, so that no
+restored number moves a vehicle unless a drive could have produced it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from trackres_ros.route.follower import NOTHING_YET
 Array = NDArray[np.float64]
 
 BELT_DEGC = (-100.0, 400.0)  # wider than any rubber lives through
-MOST_DEPARTURE = 10.0  # of a value over that of the file
+MOST_DEPARTURE = 10.0  # relative to the file's value
 LARGEST_DEPARTURE = 1000.0  # K, of a standard deviation of any cause
 SPEED_REACH = 3.0  # of the greatest speed: the filter may overshoot, and effects scale the speed
 LARGEST_ACCEL = 1e4  # m/s^2, by a filter on stamps that differ by a few microseconds
@@ -38,7 +38,7 @@ LARGEST_EFFECT = 1e12  # distance [m], time constant [s], or the state of an eff
 
 
 def check_state(estimator: Estimator, belts: Array, motion: Array) -> None:
-    """Raise ValueError for belts or a motion that no drive leaves."""
+    """Raise ValueError for belts or a motion that no drive can produce."""
     _within("belt temperatures", belts[:, :, at.Belt.temperature], *BELT_DEGC)
     _within("departures of belt temperatures", belts[:, :, at.FIRST_DEPARTURE :], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
     speed = SPEED_REACH * estimator.vehicle.chassis.max_speed
@@ -65,12 +65,12 @@ def check_state(estimator: Estimator, belts: Array, motion: Array) -> None:
 
 
 def check_effects(memory: Array) -> None:
-    """Raise ValueError for a memory of effects that none leaves; one that has not acted yet is nan."""
+    """Raise ValueError for an impossible memory of effects; nan is an effect that has not acted yet."""
     _within("memory of effects", memory[~np.isnan(memory)], -LARGEST_EFFECT, LARGEST_EFFECT)
 
 
 def check_learned(estimator: Estimator, learned: Array) -> None:
-    """Raise ValueError for what nothing that is learned can be."""
+    """Raise ValueError for impossible learned values."""
     k = estimator.constants.assembly
     torque = TORQUE_REACH * float(k[:, at.Assembly.nominal_load] @ k[:, at.Assembly.radius])
     departures = learned[at.Learned.departures]
@@ -83,7 +83,7 @@ def check_learned(estimator: Estimator, learned: Array) -> None:
 
 
 def check_memory(memory: Memory, limits: Array) -> None:
-    """Raise ValueError for a memory of the guards that no stream of messages leaves."""
+    """Raise ValueError for a memory of the guards that no stream of messages can produce."""
     known = ~np.isnan(memory.values)
     if ((memory.values < limits[:, 0]) | (memory.values > limits[:, 1]))[known].any():
         raise ValueError("last values outside of the plausible range of their channels")

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 class Road(NamedTuple):
-    """What all assemblies share in a step: speeds [m/s], forces on the whole vehicle [N], surroundings, time [s]."""
+    """Shared quantities of all assemblies in a step: speeds [m/s], forces on the whole vehicle [N], surroundings, time [s]."""
 
     last_speed: float
     speed: float
@@ -30,7 +30,7 @@ class Road(NamedTuple):
     sign: float
     weight: float
     bearing: float
-    rolling_bearing: float  # what `bearing` is forward, also at a crawl, where it is not yet small by its sign
+    rolling_bearing: float  # `bearing` in forward travel, also at a crawl, where the smooth sign does not reduce it yet
     wind: float
     uphill: float
     inertia: float
@@ -53,12 +53,12 @@ def road_now(
     ambient_std: float,
     dt: float,
 ) -> Road:
-    """Forces on the whole vehicle at the end of a step; without a grade the ground is level.
+    """Forces on the whole vehicle at the end of a step; an unknown grade is level.
 
     Notes
     -----
-    Bearing sign(v) f_b G_v (34), wind 1/2 rho_a C_d A_f v|v| (35), inertia delta_m G_v/g dv/dt (36), put right as
-    `model.resistance` says. Ours: the grade G_v sin(gamma), f_b that grows with the speed, and tanh(v/v_0) for sign(v).
+    Bearing sign(v) f_b G_v (34), wind 1/2 rho_a C_d A_f v|v| (35), inertia delta_m G_v/g dv/dt (36), corrected as in
+    `model.resistance`. Ours: the grade G_v sin(gamma), f_b that grows with the speed, and tanh(v/v_0) for sign(v).
     """
     number = k.number
     rolling = number.bearing_friction + number.rolling_rise * abs(speed)
@@ -83,14 +83,14 @@ def road_now(
 
 @inlined
 def torque_of_place(against: float, speed: float) -> float:
-    """Torque by place [Nm], sign(v) times what it is against travel (ours); 0 where it is not known, and at a standstill."""
+    """Torque by place [Nm]: sign(v) times the torque against travel (ours); 0 where unknown, and at standstill."""
     return 0.0 if math.isnan(against) else against * direction(speed)
 
 
 @inlined
 def driving_torque(work: Array, resisting: float, of_place: float, uphill: float, inertia: float) -> tuple[float, float]:
-    """Torque M at the sprockets [Nm]: the sum of its parts (32) and effects, times the effects' gain (ours); and what of it
-    is the effects' and the place's.
+    """Torque M at the sprockets [Nm]: the sum of its parts (32) and effects, times the effects' gain (ours). Also return the
+    effects' and the place's share.
     """
     without_gain = resisting + work[TERM_TORQUE] + of_place + uphill + inertia
     driving = without_gain * work[TERM_DRIVE_GAIN]

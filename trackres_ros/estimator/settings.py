@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds the settings of the estimator: one table with unit, limits and meaning, which also makes docs and parameters."""
+"""Holds the settings of the estimator: one table of units, limits and meanings, from which docs and parameters are made."""
 
 from __future__ import annotations
 

@@ -3,8 +3,8 @@
 
 """Saves a session and resumes it: versioned, keyed to the vehicle, written atomically.
 
-Resumed in the same stream of messages, a session gives the same bits as one that never stopped. After time switched off, the
-belts have cooled and the guards start anew, as stamps and clocks may be others.
+Resumed in the same stream of messages, a session gives the same bits as an uninterrupted one. After time switched off, the
+belts have cooled. The guards restart, as stamps and clocks may differ.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ from trackres_ros.vehicle import Vehicle
 FORMAT = "trackres-state"
 VERSION = 9
 REMEDY = "delete the file to start cold"
-LARGEST = 4 << 20  # bytes; that of a vehicle with four assemblies has 10 thousand
+LARGEST = 4 << 20  # bytes; a vehicle with four assemblies has 10 thousand
 FARTHEST_SAVED_AT = 1e10  # s: the year 2286, and as far before 1970
-LONGEST_OFF = 7 * 86400.0  # s: by then any belt has the temperature of the air, and is as uncertain as at a cold start
+LONGEST_OFF = 7 * 86400.0  # s: by then any belt is at the temperature of the air, and as uncertain as at a cold start
 SEAL = re.compile(rb', "sha256": "([0-9a-f]{64})"\}\Z')
 
-# What a state file holds of a session, in the order of `_arrays`.
+# Session arrays in a state file, in the order of `_arrays`.
 FLOATS = ("belts", "motion", "effects", "learned", "values", "followed", "tracked")
 INTEGERS = ("times", "counters", "reasons")
-BESIDE = "learning"  # what is learned beside a session, in its own terms
+BESIDE = "learning"  # learned values, in their own format
 
 
 def key(estimator: Estimator) -> str:
-    """Hash of all that a state's meaning depends on: the vehicle's values and the arrays' layout."""
+    """Hash of everything that defines a state's meaning: the vehicle's values and the arrays' layout."""
     vehicle = estimator.vehicle
     values = {path: q.value for path, q in vehicle.parameters.items()}
     parts = [
@@ -65,12 +65,12 @@ def key(estimator: Estimator) -> str:
 
 
 def save(session: Session, path: Path, saved_at: float, beside: Mapping[str, Any] | None = None) -> None:
-    """Write a session, and plain values beside it. From the wall-clock time `saved_at` [s since 1970] on the time off counts.
+    """Write a session, and plain values with it. Time off begins at the wall-clock time `saved_at` [s since 1970].
 
     Raises
     ------
     OSError
-        If the file cannot be written; an older one is then left whole.
+        If the file cannot be written; an older one is then unchanged.
     """
     own_files.write(path, content(session, saved_at, beside))
 
@@ -94,13 +94,13 @@ def content(session: Session, saved_at: float, beside: Mapping[str, Any] | None 
 
 
 def seal(content: dict[str, Any]) -> bytes:
-    """The content as JSON that ends in a digest of all before it."""
+    """The content as JSON, ending in a digest of the rest."""
     body = json.dumps({name: value for name, value in content.items() if name != "sha256"})[:-1].encode()
     return body + f', "sha256": "{hashlib.sha256(body).hexdigest()}"}}'.encode()
 
 
 def read_beside(estimator: Estimator, path: Path) -> Any:
-    """What was saved beside a session; None where nothing was.
+    """Plain values saved with a session; None without any.
 
     Raises
     ------
@@ -111,17 +111,17 @@ def read_beside(estimator: Estimator, path: Path) -> Any:
 
 
 def leftovers(path: Path) -> list[Path]:
-    """Parts of a state file whose writing was cut off."""
+    """Partial state files of interrupted writes."""
     return list(path.parent.glob(f"{glob.escape(path.name)}*{own_files.PART}"))
 
 
 def resume(estimator: Estimator, path: Path) -> Session:
-    """Resume a session just where it stopped, for the same stream of messages.
+    """Resume a session exactly where it stopped, for the same stream of messages.
 
     Raises
     ------
     InputError
-        If the file is missing, damaged, of another version or of another vehicle; says which.
+        If the file is missing, damaged, of another version or of another vehicle; the message says which.
     """
     session = estimator.session()
     _take(session, path)
@@ -129,12 +129,12 @@ def resume(estimator: Estimator, path: Path) -> Session:
 
 
 def after_time_off(estimator: Estimator, path: Path, now: float, ambient: float | None = None) -> tuple[Session, float]:
-    """Begin a new session with belts that have cooled since the file was written; returns it and the time off [s].
+    """Begin a new session with belts that have cooled since the file was written; return it and the time off [s].
 
     Parameters
     ----------
     now
-        Wall-clock time [s since 1970]. A clock that stands before `saved_at` counts as no time off.
+        Wall-clock time [s since 1970]. A clock before `saved_at` means no time off.
     ambient
         Ambient temperature while off [degC]; by default the vehicle file's.
 
@@ -203,7 +203,7 @@ def _integer(given: Any) -> int:
 
 
 def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
-    """The one way into a state file: nothing of it counts before its seal was found whole."""
+    """Read a state file: nothing of it is used unless its seal is intact."""
     where, whole = f"state file {path}", "a complete file written by this program"
     try:
         data = own_files.read(path, LARGEST)

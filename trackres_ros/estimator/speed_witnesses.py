@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Compares the speed with wheel speeds and with the odometer. Both serve only this check."""
+"""Compares the speed with wheel speeds and with the odometer. Both are used only for this check."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ IntArray = NDArray[np.int64]
 SEEN, LAST_ARRIVAL = Times.seen, Times.last_arrival
 NOTHING_TRACKED = (math.nan, math.nan, math.nan, math.nan, 0.0, 0.0, 0.0, 0.0)
 SHARE = 0.25  # wheels slip, and their radii are nominal ones
-SLOW_MPS = 1.0  # pulses of a slow wheel come too seldom: those of the ZTBus show nothing up to 0.6 m/s
+SLOW_MPS = 1.0  # pulses of a slow wheel are too rare: those of the ZTBus show nothing up to 0.6 m/s
 COMPARED_M, COMPARED_STEPS = 50.0, 8.0  # a comparison takes so far, and so many steps of the odometer
-FARTHEST_M = 1000.0  # more at once is an odometer that begins anew
+FARTHEST_M = 1000.0  # a greater jump is a restarted odometer
 
 
 @inlined
 def forget_way(tracked: Tracked) -> None:
-    """Begin the comparison with the odometer anew."""
+    """Restart the comparison with the odometer."""
     tracked.began, tracked.way, tracked.net = math.nan, 0.0, 0.0
     tracked.apart = 0.0
 
 
 @inlined
 def odometer_came(tracked: Tracked, distance: float) -> None:
-    """Take in a distance [m]; compares it with the way by the speed where both are long enough."""
+    """Process a distance [m]; compare it with the integrated speed where both are long enough."""
     moved = abs(distance - tracked.last)
     if moved > FARTHEST_M:
         forget_way(tracked)
@@ -55,7 +55,7 @@ def odometer_came(tracked: Tracked, distance: float) -> None:
 
 @inlined
 def drive_on(k: Constants, tracked: Tracked, speed: float, elapsed: int) -> None:
-    """Count the way by a speed [m/s] that held for so long [ns]; over a gap that nobody knows it begins anew."""
+    """Integrate a speed [m/s] over its duration [ns]; restart after an unknown gap."""
     seconds = elapsed * NANOSECOND
     if seconds > k.number.bridge:
         forget_way(tracked)
@@ -66,7 +66,7 @@ def drive_on(k: Constants, tracked: Tracked, speed: float, elapsed: int) -> None
 
 @inlined
 def disagrees(k: Constants, times: IntArray, values: Array, speed: float, stamp: int, now: int) -> bool:
-    """Whether the speed [m/s] has been out of the range of all fresh wheel speeds for longer than a pause may last."""
+    """Whether the speed [m/s] has been outside the range of all fresh wheel speeds for longer than the longest pause."""
     size, low, high = abs(speed), math.inf, 0.0
     for channel in range(k.number.first_wheel, times.shape[0]):
         if times[channel, SEEN] and now - times[channel, LAST_ARRIVAL] <= k.number.motion_hold_ns:

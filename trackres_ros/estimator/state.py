@@ -19,18 +19,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class State:
-    """What is carried from step to step; not to be changed.
+    """State carried from one step to the next; not to be changed.
 
     Attributes
     ----------
     belts : ndarray, shape (assemblies, 2, BELT_COLUMNS)
         Temperature [degC] and its departures [K], of the mean and of the surface; see `columns` and `belt_step`.
     motion : ndarray, shape (MOTION_COLUMNS,)
-        Filtered speed and what the last step left; see `columns`.
+        Filtered speed and values of the last step; see `columns`.
     effects : ndarray, shape (effects, columns)
         Memory of the effects; see `effects.stepping`.
     learned : ndarray, shape (LEARNED_COLUMNS,)
-        What was learned of the vehicle; see `columns`.
+        Learned departures of the vehicle; see `columns`.
     """
 
     belts: Array

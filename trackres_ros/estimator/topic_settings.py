@@ -26,18 +26,18 @@ AGE_LIMITS = {
     "longitude": "position_hold_s",
     "enable": "enable_hold_s",
 }
-"""The setting that `max_age_s` of a role means; the smallest counts where several share one."""
+"""Setting behind `max_age_s` of a role; several roles may share one, then the smallest applies."""
 ENABLE_HOLD_S = 0.5
-"""How long an enable holds where nobody says; as the age of a speed that is still trusted."""
+"""Default duration of an enable [s]; as the age limit of a trusted speed."""
 
 
 def settings_for(settings: Settings, topics: Topics | None, roles: Collection[str] = ()) -> Settings:
-    """Settings, with those that a topics file gives, and an enable that holds for `ENABLE_HOLD_S` where `roles` have one.
+    """Settings with the values of a topics file, and an enable that lasts `ENABLE_HOLD_S` where `roles` have one.
 
     Raises
     ------
     InputError
-        For an age limit out of range, one on a role that has none, or belts with different sensors.
+        For an age limit out of range or for a role without one, or for belts with different sensors.
     """
     changes: dict[str, Any] = {}
     if settings.enable_hold_s == 0.0 and "enable" in (*(topics or ()), *roles):

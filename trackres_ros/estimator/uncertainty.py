@@ -31,7 +31,7 @@ STEP = 0.1  # of a standard deviation, for the differences
 REFERENCE_BELT_DEGC = (10.0, 60.0)
 REFERENCE_SPEED_SHARE = 0.5  # of the greatest speed
 HARMONICS = 512
-LOSS, CAPACITY = "rubber.loss_modulus_scale", "rubber.heat_capacity"  # factors of the whole that a fit finds; and the film
+LOSS, CAPACITY = "rubber.loss_modulus_scale", "rubber.heat_capacity"  # overall factors of a fit, and the film
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,15 +47,15 @@ class ParameterUncertainty:
 
 
 def spread(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> ParameterUncertainty:
-    """Propagate every range of the file to first order; parameters count as independent of each other.
+    """Propagate every range of the file to first order; parameters are independent of each other.
 
     Notes
     -----
-    A wider belt loses more, cools better and holds more heat: such ties are what the covariance keeps.
+    A wider belt loses more, cools better and holds more heat: the covariance keeps such correlations.
 
-    Where a factor of the whole was fitted to recordings, its own range says how well the whole is known, and other ranges say
-    nothing more about it: what they may be off by, the factor has made good. The torque was measured at the sprockets, so with
-    the loss their radius is known too. Film offset and slope are fitted by one factor, and are off together.
+    Where recordings fitted an overall factor, its own range replaces all other ranges of that quantity: the fit compensates
+    their errors. The torque was measured at the sprockets, so with the loss their radius is known too. One factor fits film
+    offset and slope, so their errors are fully correlated.
     """
     ranges = {path: (q.low, q.high, q.flag == FITTED) for path, q in vehicle.parameters.items()}
     key = hashlib.sha256(
@@ -75,7 +75,7 @@ def _factor(vehicle: Vehicle, track_name: str) -> Array:
 
 
 def slopes(vehicle: Vehicle, track_name: str, logarithms: Callable[[Vehicle], Array]) -> dict[str, Array]:
-    """By how much one standard deviation of each value moves loss, cooling, heat capacity and sprocket radius.
+    """Sensitivity of loss, cooling, heat capacity and sprocket radius to one standard deviation of each value.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def slopes(vehicle: Vehicle, track_name: str, logarithms: Callable[[Vehicle], Ar
             step = sign * STEP * quantity.standard_deviation
             try:
                 moved = variant({path: quantity.value + step})
-            except InputError:  # the geometry allows no such step; the other way it does
+            except InputError:  # the geometry does not allow this step, but it allows the opposite one
                 continue
             rows[path] = (logarithms(moved) - base) / (sign * STEP)
             break

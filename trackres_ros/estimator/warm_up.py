@@ -26,14 +26,14 @@ from trackres_ros.vehicle import AnyVehicle, load_any, with_surroundings
 NICENESS = 10
 LOCK = "compiling.lock"
 START_NS = 1_700_000_000_000_000_000
-MOST_IN_PYTHON = 50_000  # steps: about what plain Python makes while they are compiled
-ANY_VEHICLE = "xgd24d"  # what is compiled is the same for all, but for their effects
+MOST_IN_PYTHON = 50_000  # steps: about as many as plain Python makes during compilation
+ANY_VEHICLE = "xgd24d"  # compiled code is shared by all, except for effects
 
 LIVE, BLOCKS, SERIES = "live", "blocks", "series"
 
 
 def exercise(estimator: Estimator) -> None:
-    """Run once each function that the live node runs, so that it is loaded, or compiled and kept."""
+    """Run every function of the live node once, so that it is loaded, or compiled and cached."""
     session = estimator.session()
     session.handle(session.channel("speed"), START_NS, START_NS, 1.0)
     estimator.rest(session.state, 0.0, 1.0)
@@ -54,32 +54,32 @@ WORK: dict[str, tuple[Callable[[Estimator], None], tuple[Callable[..., object], 
     BLOCKS: (_replay_one, (COMPILED.feed_many,)),
     SERIES: (_run_one, (COMPILED.run_series, COMPILED.start_belts)),
 }
-"""What a node, a replay and a simulation run, and which functions that needs."""
+"""Functions that a node, a replay and a simulation need."""
 
 
 def is_warm(work: str) -> bool:
-    """Whether what some work runs is compiled already, or cannot be."""
+    """Whether the functions for some work are compiled already, or cannot be."""
     return all(map(is_cached, WORK[work][1]))
 
 
 def same_in_python(vehicle: AnyVehicle) -> bool:
-    """Whether steps in plain Python give the same bits: our own effects are written so, which is not known of a user's."""
+    """Whether steps in plain Python give the same bits: true of our own effects, unknown for a user's."""
     ours = f"{__package__.split('.')[0]}."
     return all(type(active.effect).__module__.startswith(ours) for active in (*vehicle.effects, *vehicle.surroundings))
 
 
 @contextmanager
 def first_run(work: str, vehicle: AnyVehicle, steps: int = 0) -> Iterator[CompilerWarmUp]:
-    """A warm-up for some work off line, which goes on for the next run where this one is through before.
+    """Warm-up for some work offline; it goes on for the next run if this one ends earlier.
 
     Parameters
     ----------
     work
         See `WORK`.
     vehicle
-        What it is done with.
+        Vehicle of the work.
     steps
-        How many there are of work that does not change over; with more than `MOST_IN_PYTHON` it waits for compiled ones.
+        Number of steps for work that does not change over; above `MOST_IN_PYTHON` it waits for compiled functions.
     """
     warm_up = CompilerWarmUp(work, lasting=True, meanwhile=steps <= MOST_IN_PYTHON and same_in_python(vehicle))
     try:
@@ -89,18 +89,18 @@ def first_run(work: str, vehicle: AnyVehicle, steps: int = 0) -> Iterator[Compil
 
 
 class CompilerWarmUp:
-    """Chooses the functions to begin with; `finished` gives the compiled ones once they are ready.
+    """Chooses the initial functions; `finished` gives the compiled ones once they are ready.
 
     Parameters
     ----------
     work
-        Which are needed, see `WORK`.
+        Kind of work, see `WORK`.
     vehicle_file, surroundings_file
         Vehicle whose effects are compiled too.
     lasting
-        Whether to go on compiling after `close`, for the next run.
+        Whether to continue compiling after `close`, for the next run.
     meanwhile
-        Whether plain Python will do until then; else the work itself compiles, and waits.
+        Whether to use plain Python until then; else the work itself compiles, and waits.
     """
 
     def __init__(
@@ -132,12 +132,12 @@ class CompilerWarmUp:
             self._thread.start()
 
     def _environment(self) -> dict[str, str]:
-        """That of the compiling process: without a cache that can be used both meet in a folder of this run."""
+        """Cache of the compiling process: if no cache is usable, both processes share a folder of this run."""
         if code_folder() is not None:
             return dict(os.environ)
         try:
             self._folder = tempfile.TemporaryDirectory(prefix="trackres")
-        except OSError:  # nowhere at all: then this process compiles once more by itself
+        except OSError:  # nowhere at all: then this process compiles again
             return dict(os.environ)
         keep_code_in(Path(self._folder.name))
         return {**os.environ, "NUMBA_CACHE_DIR": self._folder.name}
@@ -155,8 +155,8 @@ class CompilerWarmUp:
         return COMPILED
 
     def close(self) -> None:
-        """End the compiling process if it still runs and is not to last; what it has left is loaded to the end, as that cannot
-        be broken off.
+        """End the compiling process if it still runs and may not outlast this one; finish loading its results, as loading
+        cannot be interrupted.
         """
         if self._process is None:
             return
@@ -180,7 +180,7 @@ def _exercise(work: str, vehicle_file: str, surroundings_file: str) -> None:
 
 @contextmanager
 def one_at_a_time() -> Iterator[None]:
-    """Hold off other processes that would compile the same meanwhile, and find it done after; where no lock can be had, go on."""
+    """Keep other processes from compiling the same functions meanwhile; go on if no lock is available."""
     folder = code_folder()
     try:
         lock = (folder / LOCK).open("a") if folder else None
@@ -190,13 +190,13 @@ def one_at_a_time() -> Iterator[None]:
         yield
         return
     with lock:
-        with suppress(OSError):  # of a file system that has none
+        with suppress(OSError):  # of a file system without locks
             fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 
 
 def main() -> None:
-    """Compile, as the other process, what some work runs, for a vehicle file and one of its surroundings; all work without."""
+    """Compile, in a separate process, the functions for some work, for a vehicle file with its surroundings, or for all work."""
     os.nice(NICENESS)
     with one_at_a_time():
         for given in [sys.argv[1:]] if sys.argv[1:] else [[work, ANY_VEHICLE, ""] for work in WORK]:

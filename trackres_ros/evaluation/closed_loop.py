@@ -29,7 +29,7 @@ HIDDEN = {"warmup": {"torque": 600.0, "seconds": 400.0}, "turning_scrub": {"fric
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """A drive kept back: time [s], measured torque less inertia [Nm], and the feed-forward without and with what was found."""
+    """A hold-out drive: time [s], measured torque less inertia [Nm], and the feed-forward without and with the found physics."""
 
     sentence: str
     time: Array
@@ -39,13 +39,13 @@ class ClosedLoop:
     turning: NDArray[np.bool_]
 
     def error(self, feedforward: Array, where: NDArray[np.bool_]) -> float:
-        """Mean size of what the feed-forward leaves to the controller [Nm]."""
+        """Mean absolute error of the feed-forward [Nm]."""
         return float(np.abs(_smooth(self.torque - feedforward))[where & np.isfinite(self.torque)].mean())
 
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisFiles:
-    """Vehicle files before and after a diagnosis, a drive that it never saw, and what it found."""
+    """Vehicle files before and after a diagnosis, a hold-out drive, and the findings."""
 
     before: Path
     after: Path
@@ -90,7 +90,7 @@ def _replayed(recording: Path, vehicle: Path, out: Path) -> NDArray[np.void]:
 
 
 def _smooth(series: Array) -> Array:
-    """Mean over `SMOOTHED_S` of samples at 10 Hz: what the acceleration's own noise adds is no error of the feed-forward."""
+    """Mean over `SMOOTHED_S` of samples at 10 Hz: the acceleration's noise is no error of the feed-forward."""
     n = int(SMOOTHED_S * 10.0)
     known = np.isfinite(series)
     count = np.convolve(known.astype(float), np.ones(n), mode="same")

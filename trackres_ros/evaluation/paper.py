@@ -77,7 +77,7 @@ def _diagnosed(folder: Path, sheet: Path, drives: list[SealedDrive], rng: np.ran
 
 
 def page(cases: list[PaperCase]) -> str:
-    """What was found, beside what is true."""
+    """Findings, and the truth."""
     lines = [
         f"True: turning scrub (friction {HIDDEN['turning_scrub']['friction']:g}), "
         f"a site tilted by {HIDDEN['grade_profile']['rise']:.0%}, "

@@ -1,4 +1,4 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A vehicle and the compiled step come in; C99 and an FMU that give the same numbers go out. Begin at `exporting`."""
+"""Translates a vehicle and the compiled step to C99 and an FMU with the same numbers. Begin at `exporting`."""

@@ -24,9 +24,9 @@ LARGEST_WHOLE = 9.2e18  # inside of 64 bits
 CHECKED_BYTES = 8  # version and checksum, before the arrays
 
 SCALES = {role: {name: UNITS[about.unit][unit].scale for name, unit in about.columns.items()} for role, about in ROLES.items()}
-"""Of each role the columns of a table that hold it, and the scale to its own unit."""
+"""Columns of a table for each role, and the scale to its own unit."""
 UNIT_OF = {role: next(name for name, scale in names.items() if scale == 1.0) for role, names in SCALES.items()}
-"""The column of a table that is a role in its own unit: inputs have these names."""
+"""The column of a table in the role's own unit: inputs have these names."""
 
 
 def input_names(channels: tuple[str, ...]) -> dict[str, str]:
@@ -45,11 +45,11 @@ class CSource:
     Parameters
     ----------
     parts
-        What is translated.
+        Translated parts.
     title
         Of the vehicle.
     made
-        Lines that say what this was made of, for the head of each file.
+        Lines on the origin of the export, for the head of each file.
     """
 
     def __init__(self, parts: Parts, title: str, made: tuple[str, ...]) -> None:
@@ -74,7 +74,7 @@ class CSource:
         return {name: filled((TEMPLATES / name).read_text(encoding="utf-8"), common | of) for name, of in values.items()}
 
     def version(self) -> str:
-        """Number of the state's version: of all that the numbers in a state depend on."""
+        """Version number of the state: a digest of everything that defines the numbers in a state."""
         start = "\n".join(line for array in self.parts.arrays for line in self._initial(array))
         digest = hashlib.sha256("\n".join([*self._body.values(), self._state(), start]).encode()).hexdigest()
         return f"0x{digest[:8]}"
@@ -107,7 +107,7 @@ class CSource:
         )
 
     def _length(self, array: StateArray) -> int:
-        """How many numbers an array of the state has in C; of `float` there is in all an even number, so that none is a gap."""
+        """Number of elements of a state array in C; with `float` the total is even, so that there is no gap."""
         reals = sum(int(one.start.size) for one in self.parts.arrays if one.kind.of == REAL)
         return int(array.start.size) + (reals % 2 if self.translator.single and array is self.parts.arrays[-1] else 0)
 
@@ -198,7 +198,7 @@ class CSource:
         return "\n".join(lines)
 
     def _call(self, one: Instance, **given: str) -> str:
-        """The call of an entry: records by their names, arrays of the state, and the rest as given."""
+        """The call of an entry: records by their names, arrays of the state, and other arguments as given."""
         codes = []
         for name, kind in one.given:
             codes.append(f"&{name}" if isinstance(kind, Record) else given.get(name, f"state->{name}"))

@@ -21,7 +21,7 @@ SAME_IN_C = (
     "sqrt", "exp", "expm1", "log", "log1p", "log2", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh",
     "asinh", "acosh", "atanh", "erf", "erfc", "fabs", "hypot", "atan2", "pow", "fmod", "copysign", "cbrt",
 )  # fmt: skip
-"""Functions of `math` that C has under their names, all of real numbers."""
+"""Functions of `math` with the same name in C, all of real numbers."""
 OF_NUMPY = {"abs": "fabs", "absolute": "fabs", "arctan": "atan", "arctan2": "atan2", "arcsin": "asin", "arccos": "acos"}
 
 
@@ -63,7 +63,7 @@ class Calls(Expressions):
         return self.tuple_of(ordered, Record(words(cls.__name__), tuple(zip(cls._fields, kinds, strict=True))))
 
     def call_of(self, node: ast.Call, function: FunctionType, values: list[Value]) -> Value:
-        """A call of a function that is translated too."""
+        """A call of another translated function."""
         names = [a.arg for a in self.translator.source(function).tree.args.args]
         given = dict(zip(names, values, strict=False)) | {str(k.arg): self.value(k.value) for k in node.keywords}
         defaults = dict(zip(names[::-1], (function.__defaults__ or ())[::-1], strict=False))
@@ -99,7 +99,7 @@ class Calls(Expressions):
         return f"&{value.code if is_place else self.hoisted(value, kind)}"
 
     def hoisted(self, value: Value, kind: Kind) -> str:
-        """The name of a variable that holds a value from before the statement on."""
+        """The name of a variable that holds a value from before the statement."""
         raise NotImplementedError
 
     def _of_library(self, node: ast.Call, function: Any, values: list[Value]) -> Value:

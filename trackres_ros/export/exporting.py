@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes the exported files of a vehicle into a folder, with a list of what they were made of, and checks such a folder."""
+"""Writes the exported files of a vehicle into a folder, with a list of their inputs, and checks such a folder."""
 
 from __future__ import annotations
 
@@ -46,16 +46,16 @@ def sources() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What to export.
+    """Inputs of an export.
 
     Attributes
     ----------
     vehicle
         Path of a vehicle file, or the name of a shipped one.
     surroundings, params, state
-        Files as `trackres replay` takes them; of the state counts what was learned.
+        Files as for `trackres replay`; of the state only learned values are used.
     method, thermal
-        Other models than the vehicle file names.
+        Models instead of those of the vehicle file.
     single
         Whether numbers are `float` instead of `double`.
     """
@@ -74,7 +74,7 @@ class Request:
 
 
 def translated(request: Request, tuned: tuple[str, ...] = ()) -> CSource:
-    """The C of a vehicle, with numbers of the kernel that are to be tuned in its state.
+    """The C of a vehicle, with tunable numbers of the kernel in its state.
 
     Raises
     ------
@@ -107,12 +107,12 @@ def _learned(estimator: Estimator, path: Path) -> Any:
 
 
 def export_c(request: Request, folder: Path) -> list[Path]:
-    """Write header, source, replay program and CMake file, and the list of what they were made of; their paths.
+    """Write header, source, replay program and CMake file, and the list of their inputs; return their paths.
 
     Raises
     ------
     InputError
-        See `translated`, and if the folder cannot be one.
+        See `translated`, and if the folder cannot be created.
     """
     output_folder(folder)
     source = translated(request)
@@ -143,25 +143,25 @@ def write_files(request: Request, estimator: Estimator, files: dict[str, str], f
 
 
 def values_key(estimator: Estimator) -> str:
-    """Hash of all that a vehicle's files say, and of the files of its own effects."""
+    """Hash of the content of a vehicle's files, and of the files of its own effects."""
     own = sorted({str(a.effect.source) for a in estimator.vehicle.active if a.effect.source is not None})
     return hashlib.sha256("".join([snapshot.key(estimator), *map(_digest, map(Path, own))]).encode()).hexdigest()
 
 
 def check(folder: Path, vehicle: str | None = None) -> list[str]:
-    """What shows that the C in a folder does not belong to its vehicle file, or to this version; nothing if it does.
+    """Evidence that the C in a folder does not belong to its vehicle file, or to this version; empty if it does.
 
     Parameters
     ----------
     folder
-        As `export_c` wrote it.
+        From `export_c`.
     vehicle
-        Another vehicle file than the one it was made of, or its new place.
+        Another vehicle file than that of the export, or its new place.
 
     Raises
     ------
     InputError
-        If the folder holds no export, or the vehicle file is not there.
+        If the folder holds no export, or the vehicle file is missing.
     """
     listed = _read_list(folder / LIST)
     found = []
@@ -207,7 +207,7 @@ def _read_list(path: Path) -> dict[str, Any]:
 
 
 def _relative(path: Path, folder: Path) -> str:
-    """A path as seen from the folder, or the name of what is shipped."""
+    """A path relative to the folder, or the name of a shipped file."""
     resolved, shipped = path.resolve(), config_dir().resolve()
     if resolved.is_relative_to(shipped):
         return SHIPPED + resolved.relative_to(shipped).as_posix()

@@ -20,7 +20,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.export.functions import Instance, Translator, refused
 from trackres_ros.export.kinds import BOOL, INT, REAL, ArrayOf, Const, Kind, Record, Scalar, joined, safe, widened
 
-# How tightly C binds: a part that binds less tightly than what it stands in gets parentheses.
+# Precedence in C: a part with a lower one than its expression gets parentheses.
 TERNARY, OR, AND, BITS, COMPARED, SHIFTED, SUM, PRODUCT, UNARY, ATOM = range(10)
 OPERATORS: dict[type, tuple[str, int, Callable[..., Any]]] = {
     ast.Add: ("+", SUM, operator.add),
@@ -49,8 +49,8 @@ COMPARISONS: dict[type, tuple[str, Callable[..., Any]]] = {
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """What an expression gives: kind and code; of an array or record the parameter or variable that it is a part of; of a tuple
-    that stands there the parts.
+    """Result of an expression: kind and code; of an array or record the parameter or variable it belongs to; of a literal tuple
+    its parts.
     """
 
     kind: Kind
@@ -62,12 +62,12 @@ class Value:
 
     @property
     def is_const(self) -> bool:
-        """Whether it is known now."""
+        """Whether it is known at translation."""
         return isinstance(self.kind, Const)
 
     @property
     def const(self) -> Any:
-        """What it is, if it is known now."""
+        """Its value, if known at translation."""
         return self.kind.value if isinstance(self.kind, Const) else None
 
 
@@ -82,7 +82,7 @@ class Expressions:
         self.parents: dict[str, str | None] = {}
         self.calls: list[Instance] = []
 
-    # What is refused
+    # Refusals
 
     def refuse(self, node: ast.AST, given: str, allowed: str) -> InputError:
         """The refusal of a part of the source."""
@@ -99,7 +99,7 @@ class Expressions:
         return found
 
     def const(self, value: Any) -> Value:
-        """A value that is known now."""
+        """A value known at translation."""
         known = isinstance(value, bool | int | float | np.number | np.bool_)
         if isinstance(value, np.generic):
             value = value.item()
@@ -130,7 +130,7 @@ class Expressions:
         raise self.refuse(node, f"the name {name}", "a name that has a value here")
 
     def note_place(self, name: str) -> None:
-        """A variable is looked at in the block that is translated now."""
+        """Record that a variable is used in the present block."""
 
     def _attribute(self, node: ast.Attribute) -> Value:
         of = self.value(node.value)
@@ -169,7 +169,7 @@ class Expressions:
         return self.tuple_of(self.spread(node.elts))
 
     def spread(self, nodes: Sequence[ast.expr]) -> list[Value]:
-        """Values one by one, those of a starred tuple too."""
+        """Values one by one, including those of a starred tuple."""
         found: list[Value] = []
         for node in nodes:
             found += self.parts(node, self.value(node.value)) if isinstance(node, ast.Starred) else [self.value(node)]
@@ -192,7 +192,7 @@ class Expressions:
         record = kind or Record("", tuple((f"f{i}", v.kind) for i, v in enumerate(values)))
         for v in values:
             if isinstance(v.kind, ArrayOf):
-                self.note_written(v)  # who has the pointer may change what it points to
+                self.note_written(v)  # the owner of the pointer may change its target
         code = f"({self.translator.struct(record)}){{{self.initial(values, record)}}}"
         return Value(record, code, ATOM, None, False, tuple(values) if kind is None else ())
 
@@ -202,7 +202,7 @@ class Expressions:
         return ", ".join(stored)
 
     def as_kind(self, value: Value, kind: Kind) -> str:
-        """The code of a value where another kind is wanted."""
+        """The code of a value, converted to another kind."""
         if isinstance(kind, Record):
             if value.is_const and isinstance(value.const, tuple):
                 inner = self.initial([self.const(one) for one in value.const], kind)
@@ -261,7 +261,7 @@ class Expressions:
         raise self.refuse(node, ast.unparse(node)[:80], "an array or a tuple")
 
     def offset(self, node: ast.AST, array: ArrayOf, places: Sequence[Value], nodes: Sequence[ast.expr]) -> str:
-        """Where an entry stands in an array in C order."""
+        """Index of an entry of an array in C order."""
         known, terms = 0, []
         for axis, place in enumerate(places):
             inner = array.shape[axis + 1 :]
@@ -292,7 +292,7 @@ class Expressions:
         return Value(ArrayOf(array.of, (length,)), f"&{name}[{offset}]", UNARY, of.root)
 
     def note_written(self, value: Value) -> None:
-        """What an array or record is a part of is changed here."""
+        """Record that the owner of an array or record is changed here."""
         if value.root is not None:
             self.written.add(value.root)
 
@@ -346,7 +346,7 @@ class Expressions:
         return Value(kind, code, binds)
 
     def _real_pair(self, left: Value, right: Value) -> tuple[Value, Value]:
-        """Constants of both as real numbers, and of a `float` no part that is wider."""
+        """Convert constants of both to real numbers, none wider than a `float`."""
         both = []
         for v in (left, right):
             code = self.as_kind(v, REAL)

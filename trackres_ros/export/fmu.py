@@ -53,7 +53,7 @@ BY_SUFFIX = {
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A variable of the FMU: its place in an instance as C writes it, and what the model description says of it."""
+    """A variable of the FMU: its place in an instance as C expression, and its attributes in the model description."""
 
     name: str
     place: str
@@ -101,7 +101,7 @@ def export_fmu(request: Request, path: Path) -> Path:
 
 
 def _variables(source: CSource) -> Iterator[Variable]:
-    """All variables, the time first; the place in this order is their value reference."""
+    """All variables, the time first; the index in this order is their value reference."""
     yield Variable("time", "offsetof(struct instance, time)", "independent", "s")
     for name in source.inputs.values():
         start = 0.0 if name == "speed_mps" else float("nan")
@@ -115,7 +115,7 @@ def _variables(source: CSource) -> Iterator[Variable]:
 
 
 def _of_effects(source: CSource) -> Iterator[Variable]:
-    """Parameters of effects: each stands in the effect's row and in those behind it that are a standard deviation off."""
+    """Parameters of effects: each is in the effect's row and in the following shifted rows for its variance."""
     k = source.estimator.constants
     width = k.effect_values.shape[1] if k.effect_values.ndim > 1 else 0
     states = k.effects[:, stepping.STATE].tolist()

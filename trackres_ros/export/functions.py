@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Functions in the restricted Python of the kernels come in, and all that they call; functions in C99 go out.
+"""Translates functions in the restricted Python of the kernels, and all that they call, to C99.
 
-A function is translated once for each set of kinds that it is called with. What is constant in a vehicle, as its tables and the
-shapes of its arrays, is no argument in C: branches that it closes and arguments that nobody reads are left out.
+A function is translated once for each set of kinds of its arguments. Constants of a vehicle, such as its tables and the
+shapes of its arrays, are no arguments in C: branches that they exclude and unused arguments are omitted.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ REMEDY = "write it with numbers, if, for, while and math, as docs/own-effect.md 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Where a function stands: its tree, the file and the first line of the tree in it."""
+    """Source of a function: its tree, the file and the first line of the tree in it."""
 
     tree: ast.FunctionDef
     file: str
@@ -44,14 +44,14 @@ class Source:
 
 @dataclass(eq=False)
 class Instance:
-    """A function for the kinds that it is called with.
+    """A function for given kinds of its arguments.
 
     Attributes
     ----------
     arguments
-        Name and kind of each parameter, constants among them.
+        Name and kind of each parameter, including constants.
     returns
-        Kind of what it gives; None of nothing.
+        Kind of its result; None without one.
     text
         Its body in C.
     reads, writes
@@ -73,17 +73,17 @@ class Instance:
 
     @property
     def given(self) -> list[tuple[str, Kind]]:
-        """The parameters that it has in C."""
+        """Its parameters in C."""
         return [(n, k) for n, k in self.arguments.items() if n in self.reads and not isinstance(k, Const)]
 
     @property
     def changes_something(self) -> bool:
-        """Whether a call does more than give a value."""
+        """Whether a call has side effects."""
         return bool(self.writes)
 
 
 class Translator:
-    """Keeps what was translated, and what of structs and tables it needs.
+    """Keeps translated functions with their structs and tables.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class Translator:
         Raises
         ------
         InputError
-            With file and line, of what cannot be written in C.
+            With file and line, if it cannot be written in C.
         """
         key = (id(function), tuple(kinds))
         if key not in self.instances:
@@ -144,11 +144,11 @@ class Translator:
         return self.sources[function]
 
     def add_text(self, function: FunctionType, text: str) -> None:
-        """Say what the source of a function is that stands in no file."""
+        """Register the source of a function that is in no file."""
         self.sources[function] = Source(cast(ast.FunctionDef, ast.parse(text).body[0]), "<export>", 1)
 
     def unused(self, name: str) -> str:
-        """A name in C that nothing else has."""
+        """A unique name in C."""
         found, number = name, 1
         while found in self._names:
             number += 1
@@ -229,7 +229,7 @@ class Translator:
         return "\n".join(lines)
 
     def text_of_functions(self, roots: Sequence[Instance]) -> str:
-        """All functions that the roots call, and they themselves, each behind those that it calls."""
+        """The root functions and all that they call, each after those it calls."""
         ordered: dict[int, Instance] = {}
 
         def visit(one: Instance) -> None:
@@ -261,7 +261,7 @@ class Translator:
 
 
 def _short(line: str) -> str:
-    """A line of C over several, where it is too long for one."""
+    """Break a line of C that is too long."""
     if len(line) <= MOST_COLUMNS:
         return line
     indent = " " * (len(line) - len(line.lstrip()))
@@ -269,6 +269,6 @@ def _short(line: str) -> str:
 
 
 def refused(source: Source, node: ast.AST, given: str, allowed: str) -> InputError:
-    """The refusal of what cannot be written in C, with its line."""
+    """The refusal of source that cannot be written in C, with its line."""
     line = source.line + int(getattr(node, "lineno", 1)) - 1
     return InputError(f"{source.file}:{line}", given, allowed, REMEDY)

@@ -34,7 +34,7 @@ WIDTHS = {BOOL: 0, INT: 1, REAL: 2}
 
 @dataclass(frozen=True, slots=True)
 class ArrayOf:
-    """A pointer to numbers in C order. A length is None where it is not known; `names` of entries, where they have names."""
+    """A pointer to numbers in C order. A length is None if unknown; `names` are those of entries, if any."""
 
     of: Scalar
     shape: tuple[int | None, ...]
@@ -43,23 +43,23 @@ class ArrayOf:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """A tuple, named or not: a struct of those parts that are not constants."""
+    """A tuple, named or not: a struct of its parts without constants."""
 
     name: str
     fields: tuple[tuple[str, Kind], ...]
 
     def kind_of(self, name: str) -> Kind | None:
-        """Kind of a part; None without one of that name."""
+        """Kind of a part; None for an unknown name."""
         return dict(self.fields).get(name)
 
     def stored(self) -> Iterator[tuple[str, Kind]]:
-        """The parts that the struct has."""
+        """The parts in the struct."""
         return ((name, kind) for name, kind in self.fields if not isinstance(kind, Const))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Const:
-    """A value that is known when the code is written; arrays, functions and modules are so by their identity."""
+    """A value known at translation; arrays, functions and modules are compared by identity."""
 
     value: Any
     key: Any = field(init=False, repr=False)
@@ -98,7 +98,7 @@ def words(name: str) -> str:
 
 
 def widened(kind: Kind) -> Kind:
-    """The kind of a variable that holds such a value; of what no variable can hold, the constant itself."""
+    """The kind of a variable for such a value; the constant itself, if no variable can hold it."""
     if isinstance(kind, Record):
         return Record(kind.name, tuple((name, widened(part)) for name, part in kind.fields))
     if not isinstance(kind, Const):
@@ -113,7 +113,7 @@ def widened(kind: Kind) -> Kind:
 
 
 def joined(one: Kind | None, other: Kind) -> Kind | None:
-    """The kind of a variable that holds either; None where C has none."""
+    """The common kind of a variable for both; None if C has none."""
     if one is None or one == other:
         return other
     one, other = widened(one), widened(other)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What of an estimator becomes C: constants that are written into the code, arrays that are the state, effects by number."""
+"""Divides an estimator for C: constants in the code, arrays of the state, effects by number."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NAMES_OF_CONSTANTS = {"assembly": "assemblies", "loss": "loss", "drive": "drive"
 
 @dataclass(frozen=True, eq=False)
 class StateArray:
-    """An array of the state: its name, what it begins with, and what its axes are."""
+    """An array of the state: its name, initial values, and the meaning of its axes."""
 
     name: str
     start: Any
@@ -46,11 +46,11 @@ class Parts:
     estimator
         Of the vehicle, with its settings.
     learned
-        What was learned, as `State.learned`; None for nothing.
+        Learned values, as `State.learned`; None for none.
     single
         Whether numbers are `float`.
     tuned
-        Numbers of the kernel that stand in the state, to be changed while it runs, instead of in the code.
+        Numbers of the kernel in the state instead of the code, to be changed while it runs.
     """
 
     def __init__(self, estimator: Estimator, learned: Any = None, single: bool = False, tuned: Sequence[str] = ()) -> None:
@@ -72,7 +72,7 @@ class Parts:
 
     @property
     def active(self) -> list[Active]:
-        """All effects that act, in the order of their rows."""
+        """All active effects, in the order of their rows."""
         return [*self.estimator.vehicle.own, *self.estimator.vehicle.surroundings]
 
     # Effects
@@ -126,7 +126,7 @@ class Parts:
         return f"tr_call_effect({', '.join(v.code for v in (number, looked_at, parameters, answer))})"
 
     def text_of_dispatch(self) -> str:
-        """The function that calls an effect by its number; nothing without effects."""
+        """The function that calls an effect by its number; empty without effects."""
         if not self.effects:
             return ""
         real = self.translator.number(REAL)
@@ -153,7 +153,7 @@ class Parts:
         return array.kind if array.start.size else Const(array.start)
 
     def records(self) -> dict[str, Record]:
-        """The records that the entries take: constants, memory of the guards, and what is carried."""
+        """The records for the entries: constants, memory of the guards, and carried state."""
         k, session = self.estimator.constants, self.estimator.session()
         changed = {"effects": self._rows, "number": _scaled(k.number)}
         numbers = [(name, REAL if name in self.tuned else Const(value)) for name, value in changed["number"]._asdict().items()]
@@ -195,12 +195,12 @@ class Parts:
 
 
 def _scaled(number: Any) -> Any:
-    """Numbers of the kernel as plain Python has them."""
+    """Numbers of the kernel as plain Python numbers."""
     return type(number)(*(value.item() if isinstance(value, np.generic) else value for value in number))
 
 
 def _state_arrays(session: Session) -> list[StateArray]:
-    """All that changes from step to step, whole numbers first; as a new session has it."""
+    """The whole state that changes from step to step, integers first; as in a new session."""
     memory, k = session.memory, session.estimator.constants
     return [
         StateArray("clock", np.zeros(1, dtype=np.int64), "[ns]"),
@@ -222,7 +222,7 @@ def _state_arrays(session: Session) -> list[StateArray]:
 
 
 def _begun(work: Any) -> Any:
-    """A work space before its first step: what no step has left yet is 0."""
+    """A work space before its first step: unset values are 0."""
     found = work.copy()
     found[stepping.WORK :] = 0.0
     return found

@@ -1,15 +1,15 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds where C must declare the variables of a function, which in Python live in all of it: in the smallest blocks that do."""
+"""Finds the smallest blocks in which C can declare the variables of a function, which in Python are valid in all of it."""
 
 from __future__ import annotations
 
-Path = tuple[int, ...]  # a block, within those that it stands in
+Path = tuple[int, ...]  # a block, within its parents
 
 
 class Scopes:
-    """Sees each use of each variable in the order of the text; says on the next pass in which blocks each is declared."""
+    """Records the uses of each variable in the order of the text; the next pass knows the blocks of its declarations."""
 
     def __init__(self) -> None:
         self._uses: dict[str, list[tuple[Path, bool]]] = {}
@@ -17,7 +17,7 @@ class Scopes:
         self._declared: set[tuple[str, Path]] = set()
 
     def begin(self) -> None:
-        """Begin a pass, with what the one before has seen."""
+        """Begin a pass, with the records of the one before."""
         self._blocks = {name: _smallest(uses) for name, uses in self._uses.items()}
         self._uses, self._declared = {}, set()
 
@@ -31,7 +31,7 @@ class Scopes:
         self._uses.setdefault(name, []).append((block, stored))
 
     def declares(self, name: str, block: Path) -> bool:
-        """Whether a value that is stored now is the first in its block, where the variable is to be declared."""
+        """Whether a value stored now is the first in its block, where the variable is declared."""
         if block not in self._blocks.get(name, [block]) or (name, block) in self._declared:
             return False
         self._declared.add((name, block))
@@ -39,7 +39,7 @@ class Scopes:
 
 
 def _smallest(uses: list[tuple[Path, bool]]) -> list[Path]:
-    """The outermost blocks that store a variable, if each begins with that and no use lies outside; else none."""
+    """The outermost blocks that store a variable, if each begins with that and there is no use outside; else none."""
     stores = {block for block, stored in uses if stored}
     outermost = [block for block in stores if not any(block != other and block[: len(other)] == other for other in stores)]
     if any(not any(block[: len(outer)] == outer for outer in outermost) for block, _ in uses):

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Translates the statements of a function, again and again until the kinds of its variables stay as they are."""
+"""Translates the statements of a function, repeatedly until the kinds of its variables are stable."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NAME = re.compile(r"(?<![\w.])(?<!->)[A-Za-z_]\w*")
 
 
 def translate_body(translator: Translator, one: Instance) -> None:
-    """Fill in the text, the returned kind and what else is known of an instance."""
+    """Fill in the text, the returned kind and other attributes of an instance."""
     body = Body(translator, one)
     before: Any = None
     for _ in range(MOST_PASSES):
@@ -84,7 +84,7 @@ class Body(Calls):
         self.found = dict(self.kinds), set(self._read_before), set(self.written), self.one.returns, self.text
 
     def _read_names(self) -> set[str]:
-        """Names whose value some line needs: not those that only get one."""
+        """Names whose value is used: not those that are only assigned."""
         found: set[str] = set()
         for line in self._lines:
             needed = ONLY_STORED.sub("", COMMENT.sub("", line))
@@ -92,7 +92,7 @@ class Body(Calls):
         return {name for name in (*self.kinds, *self._parameters) if safe(name) in found}
 
     def _close_over_parents(self) -> None:
-        """What is changed by way of a view is changed in the array."""
+        """Record that a change of a view changes its array."""
         for name in [*self.written]:
             parent = self.parents.get(name)
             while parent is not None and parent not in self.written:
@@ -124,7 +124,7 @@ class Body(Calls):
             self._scopes.see(name, self._path, False)
 
     def block(self, statements: Sequence[ast.stmt], depth: int) -> bool:
-        """Statements in a row; whether none of them lets the next one run."""
+        """Statements in a row; return whether none of them lets the next one run."""
         for statement in statements:
             self._depth = depth
             method = getattr(self, f"_{type(statement).__name__.lower()}_statement", None)
@@ -145,7 +145,7 @@ class Body(Calls):
     # Variables
 
     def _is_stored(self, name: str) -> bool:
-        """Whether a variable has a place in C."""
+        """Whether a variable has storage in C."""
         kind = self.kinds.get(name)
         return not isinstance(kind, Const) and not (isinstance(kind, Record) and not list(kind.stored()))
 
@@ -224,7 +224,7 @@ class Body(Calls):
         self.line("}", depth)
 
     def _unpack(self, node: ast.Assign, target: ast.Tuple, depth: int) -> None:
-        """Several values at once: each is computed before the first is stored, where that makes a difference."""
+        """Several values at once: each is computed before the first is stored, if that makes a difference."""
         if isinstance(node.value, ast.Tuple):
             values = self.spread(node.value.elts)
             if len(values) == len(node.value.elts) == len(target.elts):
@@ -242,7 +242,7 @@ class Body(Calls):
             self.store(node, one, value, depth)
 
     def _kept_apart(self, given: ast.Tuple, target: ast.Tuple, values: list[Value], depth: int) -> list[Value]:
-        """Values in variables of their own where an earlier target is a part of a later value."""
+        """Values in temporary variables if an earlier target is a part of a later value."""
         stored: set[str] = set()
         entries = False  # whether one was stored: another name may be that of the same array
         kept = []
@@ -376,7 +376,7 @@ class Body(Calls):
         return False
 
     def _range(self, node: ast.For, depth: int) -> tuple[str, Value] | None:
-        """The head of a loop over whole numbers; None of one that never runs."""
+        """The head of a loop over integers; None if it never runs."""
         assert isinstance(node.iter, ast.Call)
         assert isinstance(node.target, ast.Name)
         given = self.spread(node.iter.args)
@@ -438,7 +438,7 @@ def _is_range(node: ast.expr) -> bool:
 
 
 def _stored_names(tree: ast.AST) -> Iterator[str]:
-    """Each name as often as it gets a value."""
+    """Each assigned name, as often as it is assigned."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             yield node.id

@@ -1,9 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a controller calls, in the restricted Python of the kernels: inputs of one moment, or one message, into the live step.
+"""Interface of a controller, in the restricted Python of the kernels: inputs of one moment, or one message, into the live step.
 
-These functions are only translated; the guards and the step that they call are those that run live.
+These functions are only translated; they call the guards and the step of the live node.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ def step(
     k: Constants, memory: Memory, carried: Carried, loads: Array, belt_measured: Array, clock: IntArray, given: Array, dt: float,
     out: Array,
 ) -> int:  # fmt: skip
-    """Take in what is given at a moment, `dt` [s] after the last one: the speed last, so that it meets all the others.
+    """Process the inputs of a moment, `dt` [s] after the last one: the speed last, so that its step has all the others.
 
     Parameters
     ----------
     clock
         Time of the last step [ns], shape (1,).
     given
-        A value of each channel, nan where there is no new one; shape (channels,).
+        A value of each channel, nan without a new one; shape (channels,).
     out
         Row of results; filled if there is an accepted speed.
 
     Returns
     -------
     int
-        `STEPPED` with an accepted speed; `WAITED` without; `WRONG_TIME` if `dt` is no time.
+        `STEPPED` with an accepted speed; `WAITED` without; `WRONG_TIME` if `dt` is invalid.
     """  # fmt: skip
     if not abs(dt) < FARTHEST_S:
         return WRONG_TIME
@@ -67,7 +67,7 @@ def take_message(
     k: Constants, memory: Memory, carried: Carried, loads: Array, belt_measured: Array, clock: IntArray, channel: int, stamp: int,
     arrival: int, value: float, out: Array,
 ) -> int:  # fmt: skip
-    """Take in one message with its own stamp and its arrival [ns], as the live node does."""
+    """Process one message with its own stamp and its arrival [ns], as the live node does."""
     clock[0] = arrival
     if channel < 0 or channel >= memory.values.shape[0]:
         return WAITED
@@ -95,7 +95,7 @@ def is_stale(k: Constants, memory: Memory, now: int) -> bool:
 
 
 def rest_after(k: Constants, memory: Memory, carried: Carried, ambient: float, seconds: float) -> None:
-    """Begin again after the vehicle stood, or was switched off: belts and effects have cooled, messages are forgotten."""
+    """Restart after the vehicle stood, or was switched off: belts and effects have cooled, messages are forgotten."""
     there = ambient if math.isfinite(ambient) else k.number.nominal_ambient
     motion = Motion(carried.motion)
     if motion.started > 0.0:

@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Keeps the cache folder, used only where no other user can write; a file in it is used only if its seal is intact.
+"""Keeps the cache folder, used only if no other user can write to it; a file in it is used only if its seal is intact.
 
-A cache of compiled code is code. Whoever can write there can run what he likes as whoever starts the program, so a folder that
-others can write to, or could exchange for one of theirs, is not used at all. Everything in it can be computed again.
+A cache of compiled code is code: another user who can write there can run anything as the user of the program. So a folder that
+others can write to, or could replace by one of theirs, is not used at all. All of its content can be computed again.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _log = logging.getLogger("trackres")
 
 
 def usable(folder: Path | None) -> Path | None:
-    """The folder, made if need be, if it may serve as a cache; None if not, which is logged once."""
+    """The folder, created if needed, if it is safe as a cache; None if not, which is logged once."""
     if folder is None:
         _say("there is no home folder")
         return None
@@ -39,7 +39,7 @@ def usable(folder: Path | None) -> Path | None:
 
 
 def fetched(folder: Path | None, name: str, most: int) -> bytes | None:
-    """What is kept under a name, if it is whole and our own; a damaged file is removed."""
+    """Content kept under a name, if it is intact and our own; a damaged file is removed."""
     if folder is None:
         return None
     path = folder / name
@@ -55,7 +55,7 @@ def fetched(folder: Path | None, name: str, most: int) -> bytes | None:
 
 
 def keep(folder: Path | None, name: str, payload: bytes) -> None:
-    """Keep something under a name. Where that fails the next start computes it again."""
+    """Keep content under a name. If that fails the next start computes it again."""
     if folder is None:
         return
     try:
@@ -65,7 +65,7 @@ def keep(folder: Path | None, name: str, payload: bytes) -> None:
 
 
 def drop(folder: Path, name: str) -> None:
-    """Remove what is kept under a name, if it can be removed."""
+    """Remove the content under a name, if possible."""
     try:
         (folder / name).unlink(missing_ok=True)
     except OSError:
@@ -73,7 +73,7 @@ def drop(folder: Path, name: str) -> None:
 
 
 def why_not(folder: Path) -> str:
-    """Why another user could write what is read from a folder; empty if none could."""
+    """Why another user could write to files in a folder; empty if none could."""
     real = folder.resolve()
     for place in (real, *real.parents):
         try:
@@ -84,7 +84,7 @@ def why_not(folder: Path) -> str:
             return f"{place} belongs to another user"
         by_group = found.st_mode & stat.S_IWGRP and not _group_of_one(found.st_gid)
         by_all = found.st_mode & stat.S_IWOTH
-        # In a sticky folder such as /tmp others can add files, and not exchange ours: good above the cache, not as the cache.
+        # In a sticky folder such as /tmp others can add files, but not replace ours: good above the cache, not as the cache.
         if (by_group or by_all) and not (found.st_mode & stat.S_ISVTX and place != real):
             return f"other users can write to {place}"
     return ""
@@ -111,7 +111,7 @@ def _ours() -> tuple[int, int]:
 
 @cache
 def _group_of_one(group: int) -> bool:
-    """Whether a group is the user's private one, as many systems give everybody."""
+    """Whether a group is the user's private one, the default of many systems."""
     try:
         user, found = pwd.getpwuid(os.geteuid()).pw_name, grp.getgrgid(group)
     except KeyError:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Keeps arrays that take a second to compute in the cache folder, under a key of all they depend on."""
+"""Keeps arrays that take a second to compute in the cache folder, under a key of all their inputs."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ STORED = np.dtype("<f8")
 def cached_arrays(
     key: str, shapes: Mapping[str, tuple[int, ...]], compute: Callable[[], Mapping[str, Array]], cache: Path | None = None
 ) -> dict[str, Array]:
-    """Arrays by name, from the cache if it holds them whole, else computed and stored.
+    """Arrays by name, from the cache if intact, else computed and stored.
 
     Parameters
     ----------
     key
-        File name without suffix; must change with everything the arrays depend on.
+        File name without suffix; must change with all inputs of the arrays.
     shapes
-        Names and shapes: they are stored one after the other, so the shapes say the size of the file.
+        Names and shapes: they are stored one after the other, so the shapes define the size of the file.
     cache
-        Folder; by default `trackres_ros.files.resources.cache_dir`. Where it cannot be used the next start computes again.
+        Folder; by default `trackres_ros.files.resources.cache_dir`. If it cannot be used the next start computes again.
     """
     folder, name = usable(cache or cache_dir()), f"{key}.arrays"
     sizes = [math.prod(shape) for shape in shapes.values()]

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads all JSON: whatever a file holds, it is plain data with finite numbers, or a `ValueError` says why not."""
+"""Reads all JSON: it is plain data with finite numbers, or a `ValueError` gives the reason."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import json
 import math
 from typing import Any
 
-MOST_DIGITS = 300  # of a whole number: a longer one fits into no float
+MOST_DIGITS = 300  # of an integer: a longer one fits into no float
 
 
 def parse_json(data: bytes | str) -> Any:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Checks where results may be written, before any work is done for them."""
+"""Checks the places of results before any work is done for them."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ WRITTEN_WITH = {
 
 
 def output_file(path: str | PathLike[str], suffixes: Sequence[str] = OUTPUT_SUFFIXES, where: str = "output") -> Path:
-    """The path, if its suffix says how to write it, what writes it is installed, and its folder is there.
+    """The path, if its suffix is a known format, the library for it is installed, and its folder exists.
 
     Raises
     ------
     InputError
-        Otherwise; `where` names the argument that was given.
+        Otherwise; `where` names the argument.
     """
     file = Path(path)
     if not file.name.lower().endswith(tuple(suffixes)):
@@ -45,12 +45,12 @@ def output_file(path: str | PathLike[str], suffixes: Sequence[str] = OUTPUT_SUFF
 
 
 def output_folder(path: str | PathLike[str], where: str = "output") -> Path:
-    """The path, if it is a folder or may become one.
+    """The path, if it is a folder or can be created.
 
     Raises
     ------
     InputError
-        Where a file is in its place.
+        If it is a file.
     """
     folder = Path(path)
     if folder.exists() and not folder.is_dir():
@@ -59,7 +59,7 @@ def output_folder(path: str | PathLike[str], where: str = "output") -> Path:
 
 
 def state_file(path: str | PathLike[str], where: str) -> Path:
-    """The path, if a state may be saved there.
+    """The path, if a state can be saved there.
 
     Raises
     ------

@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads and writes the files that this program makes for itself: none of them is trusted for its name alone.
+"""Reads and writes the program's own files: none of them is trusted for its name alone.
 
-A disk fills up, power fails, another program writes there, another user does. So what is read is a regular file of a bounded
-size, what is written replaces the old one in one step, and a seal over the content shows whether it is what was written.
+A disk may fill up, power may fail, another program or user may write there. So only regular files of a bounded
+size are read, a new file replaces the old one in one step, and a seal over the content shows whether it is unchanged.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ KINDS = {
 
 
 class NotOurFileError(OSError):
-    """What stands in the place of a file of our own is something else; the text says what."""
+    """The path is not a file of our own; the text says what it is."""
 
 
 def read(path: Path, most: int) -> bytes:
-    """All bytes of a regular file of at most `most` bytes; never waits, whatever stands there.
+    """All bytes of a regular file of at most `most` bytes; never blocks.
 
     Raises
     ------
@@ -60,12 +60,12 @@ def _check(path: Path, found: os.stat_result, most: int) -> None:
 
 
 def write(path: Path, data: bytes) -> None:
-    """Write a file beside its place and move it there, on the disk before it counts.
+    """Write a temporary file in the same folder, flush it to the disk and move it in place.
 
     Raises
     ------
     OSError
-        If it cannot be written; an older file is then left whole. Also if something other than a file stands there, as moving
+        If it cannot be written; an older file is then unchanged. Also if something other than a file is there, as moving
         there would destroy a device or a pipe.
     """
     if path.exists():
@@ -78,7 +78,7 @@ def write(path: Path, data: bytes) -> None:
             Path(file.name).replace(path)
         except BaseException as error:
             Path(file.name).unlink(missing_ok=True)
-            if isinstance(error, OSError) and error.filename is None:  # a disk that is full does not say of which file
+            if isinstance(error, OSError) and error.filename is None:  # the error of a full disk does not name the file
                 error.filename = str(path)
             raise
 
@@ -89,7 +89,7 @@ def sealed(name: str, payload: bytes) -> bytes:
 
 
 def unsealed(name: str, data: bytes) -> bytes | None:
-    """The payload, if it is what was sealed under this name; else None."""
+    """The payload, if its seal under this name is intact; else None."""
     size = SEAL().digest_size
     payload = data[size:]
     return payload if len(data) >= size and data[:size] == _digest(name, payload) else None

@@ -69,16 +69,16 @@ def find_topics(path_or_name: str | os.PathLike[str]) -> Path:
 
 
 def cache_dir() -> Path | None:
-    """Folder for what can be computed again: $XDG_CACHE_HOME/trackres or ~/.cache/trackres; None without a home."""
+    """Folder for data that can be computed again: $XDG_CACHE_HOME/trackres or ~/.cache/trackres; None without a home."""
     base = os.environ.get("XDG_CACHE_HOME")
     try:
         return (Path(base) if base else Path.home() / ".cache") / "trackres"
-    except RuntimeError:  # no HOME, and a user the system does not know
+    except RuntimeError:  # no HOME, and a user unknown to the system
         return None
 
 
 def _find(what: str, path_or_name: str | os.PathLike[str], shipped: dict[str, Path]) -> Path:
-    """A path where a file is, else the shipped file of that name."""
+    """The path if a file exists there, else the shipped file of that name."""
     path, name = Path(path_or_name), str(path_or_name)
     try:
         if path.is_file():

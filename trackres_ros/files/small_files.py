@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads small text files of the user: whole, or refused in one line; it never waits and never reads without end."""
+"""Reads small text files of the user: completely, or refuses them in one line; it never blocks."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from trackres_ros.errors import InputError
 
 
 def read_text(path: Path, what: str, most_bytes: int) -> str:
-    """The text of a file in UTF-8, whatever editor wrote it: without a byte order mark, each line ended by a line feed.
+    """The text of a file in UTF-8, from any editor: without a byte order mark, each line ended by a line feed.
 
     Parameters
     ----------
     what
-        What it is to be, such as "YAML file", for messages.
+        Expected kind, such as "YAML file", for messages.
     most_bytes
         A longer one is refused.
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads all YAML: whatever a file holds, it is plain data of bounded size, or one line says why not."""
+"""Reads all YAML: it is plain data of bounded size, or one line gives the reason."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ else:  # ten times slower
 
 
 class _Refused(yaml.MarkedYAMLError):
-    """What is YAML, and refused all the same."""
+    """Valid YAML that is refused."""
 
     def __init__(self, problem: str, node: Node) -> None:
         super().__init__(problem=problem, problem_mark=node.start_mark)
 
 
 class _Loader(Composer, _Events, SafeConstructor, Resolver):
-    """Safe YAML in which a key given twice is an error instead of a silent loss, and which a few bytes cannot make large."""
+    """Safe YAML with an error for duplicate keys instead of a silent loss, and with bounded size."""
 
     def __init__(self, text: str) -> None:
         _Events.__init__(self, text)
@@ -55,7 +55,7 @@ class _Loader(Composer, _Events, SafeConstructor, Resolver):
         SafeConstructor.__init__(self)
         Resolver.__init__(self)
         self._depth = 0
-        self._sizes: dict[int, int] = {}  # of what is composed, aliases written out, by identity of the node
+        self._sizes: dict[int, int] = {}  # size of composed nodes, with aliases written out, by identity of the node
 
     def compose_node(self, parent: Node | None, index: Any) -> Node | None:
         """One node; the composer of the library calls this for each."""
@@ -63,7 +63,7 @@ class _Loader(Composer, _Events, SafeConstructor, Resolver):
         node = super().compose_node(parent, index)
         self._depth -= 1
         if node is not None and id(node) not in self._sizes:
-            if node.__class__ is not ScalarNode:  # an alias to what is not composed yet stands in itself
+            if node.__class__ is not ScalarNode:  # an alias to an unfinished node is inside itself
                 raise _Refused("an alias to its own parent", node)
             self._sizes[id(node)] = 1
         return node
@@ -97,7 +97,7 @@ class _Loader(Composer, _Events, SafeConstructor, Resolver):
         seen: set[Hashable] = set()
         for key_node, _ in node.value:
             if not isinstance(key_node, ScalarNode) or key_node.tag == MERGE:
-                continue  # lists and mappings cannot be keys: the library says so
+                continue  # lists and mappings cannot be keys: the library reports it
             key = self.construct_object(key_node, deep=True)
             if key in seen:
                 raise _Refused(f"given twice: {key_node.value} (one of the values would be lost)", key_node)
@@ -127,7 +127,7 @@ def parse_yaml(text: str, where: str) -> object:
     Raises
     ------
     InputError
-        It is no YAML, gives a key twice, refers to itself, or is larger than anything that is read here.
+        It is no YAML, has a duplicate key, refers to itself, or exceeds the limit of size.
     """
     if len(text) > MOST_BYTES:
         raise InputError(where, f"{len(text)} characters", f"YAML of at most {MOST_BYTES}")
@@ -147,17 +147,17 @@ def parse_yaml(text: str, where: str) -> object:
 
 
 def read_yaml(path: Path, allowed: str = "a YAML mapping at the top", remedy: str = "") -> dict[str, Any]:
-    """Read the mapping that a YAML file holds.
+    """Read the mapping in a YAML file.
 
     Parameters
     ----------
     allowed, remedy
-        What the file is to hold, for messages.
+        Expected content and remedy, for messages.
 
     Raises
     ------
     InputError
-        There is no such file, it is none that can be read at once, or what `parse_yaml` says.
+        There is no such file, it cannot be read at once, or an error of `parse_yaml`.
     """
     found = parse_yaml(read_text(path, "YAML file", MOST_BYTES), str(path))
     if not isinstance(found, dict):

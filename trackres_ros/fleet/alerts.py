@@ -31,12 +31,12 @@ COLUMNS = ("vehicle", *OF_CHANGE, "alike", *OF_LIMIT, "text")
 
 
 def alerts(found: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """One row for each change of each vehicle, with the columns `COLUMNS`; None where there is no value.
+    """One row for each change of each vehicle, with the columns `COLUMNS`; None for a missing value.
 
     Parameters
     ----------
     found
-        What `trends.trends` gives.
+        From `trends.trends`.
     """
     rows = []
     for name, vehicle in found["vehicles"].items():
@@ -62,7 +62,7 @@ class _NoRedirect(HTTPRedirectHandler):
     """A redirected POST would lose its content."""
 
     def redirect_request(self, *_args: Any, **_kwargs: Any) -> None:
-        """Follow none; see `HTTPRedirectHandler`."""
+        """Follow no redirect; see `HTTPRedirectHandler`."""
 
 
 def checked_url(url: str) -> str:
@@ -89,7 +89,7 @@ def post_alerts(url: str, folder: Path, rows: Sequence[Mapping[str, Any]]) -> st
     Returns
     -------
     str
-        Why it failed; empty where the address answered with 2xx. The path of the address is not shown: it may be secret.
+        Reason of a failure; empty if the address answered with 2xx. The path of the address is not shown: it may be secret.
     """
     content = {"program": "trackres", "version": __version__, "results": str(folder), "alerts": list(rows)}
     data = json.dumps(content, allow_nan=False).encode()

@@ -37,7 +37,7 @@ def alone(folder: Path) -> Iterator[None]:
         except OSError:  # a file system without locks
             yield
             return
-        with suppress(OSError):  # a full disk: who holds the lock is only for the message
+        with suppress(OSError):  # a full disk: the owner is only for the message
             lock.truncate(0)
             lock.write(f"process {os.getpid()} on {socket.gethostname()}\n")
             lock.flush()

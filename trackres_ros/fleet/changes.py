@@ -3,8 +3,8 @@
 
 """Finds changes of a vehicle's parameter: steps and trends.
 
-Each recording is compared with what the vehicle is like by all its recordings and by its type. A change counts where the
-recordings are likelier with it by more than chance brings within as many recordings, whenever one looks, but at a stated rate.
+Each recording is compared with the estimate from all recordings of the vehicle and from its type. A change is reported if it
+raises the likelihood more than chance does. The rate of false alarms is given, however often one looks.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from trackres_ros.fleet.pooling import Pooled, softened
 Array = NDArray[np.float64]
 
 STEP, RAMP = "step", "ramp"
-FALSE_ALARMS = 0.2  # per vehicle and year, one in 60 vehicle-months: at what rate chance alone raises one
+FALSE_ALARMS = 0.2  # per vehicle and year, one in 60 vehicle-months: rate of false alarms
 DRAWS = 400
-MOST_DRAWN_FOR = 120  # recordings of a vehicle that chance is drawn for; of more, thresholds are those of so many
+MOST_DRAWN_FOR = 120  # recordings of a vehicle in a draw of chance; more have the same thresholds
 FEWEST = 2  # recordings on either side of a change
 FEWEST_OF_RAMP = 5  # recordings that rise
 MOST_CHANGES = 3
@@ -36,7 +36,7 @@ SUFFER_CHANGE = (
     "torque_gain.error",
     "torque_offset.offset",
 )
-"""Parameters in which a change is looked for, as far as a base has them."""
+"""Parameters to check for a change, if the base has them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,17 +46,17 @@ class VehicleChange:
     Attributes
     ----------
     parameter, alike
-        What changed, and what else would explain it nearly as well.
+        The changed parameter, and others that would explain it nearly as well.
     kind
-        ``step``, or ``ramp``: more and more.
+        ``step``, or ``ramp``: a trend.
     since_s, known_s
-        Begin of the first recording after it, and of the one with which it was first sure [s since 1970].
+        Begin of the first recording after it, and of the one with which it was first significant [s since 1970].
     recordings
-        How many it took until then.
+        Number of recordings until then.
     before, size, size_std
-        The value before, and by how much it changed to the last recording, in the parameter's unit.
+        The value before, and its change up to the last recording, in the parameter's unit.
     relative
-        Its size over the value before; nan of what the vehicle file says is 0, as an error of an instrument.
+        Its size over the value before; nan for a value of 0 in the vehicle file, such as an error of an instrument.
     gain
         In log-likelihood.
     """
@@ -76,18 +76,18 @@ class VehicleChange:
 
 @dataclass(frozen=True, eq=False)
 class VehicleHistory:
-    """Recordings of one vehicle in the order of time, with what is asked of each, see `Pooled`.
+    """Recordings of one vehicle in the order of time, with their likelihoods, see `Pooled`.
 
     Attributes
     ----------
     precision, linear
-        Softened by how recordings scatter, and without what follows the air.
+        Reduced by the scatter of recordings, and without the dependence on the air.
     prior, right
-        What the type says of the vehicle: precision and precision times mean.
+        Prior of the vehicle from its type: precision and precision times mean.
     time_s
-        When each began.
+        Begin of each.
     looked_for
-        Numbers of the parameters in which a change is looked for.
+        Indices of the parameters to check for a change.
     """
 
     precision: Array
@@ -100,7 +100,7 @@ class VehicleHistory:
 
 @dataclass(frozen=True, slots=True)
 class Best:
-    """The best change: its gain, recording from which on, parameter, kind, size and its standard deviation; gains of all."""
+    """The best change: its gain, first recording, parameter, kind, size and its standard deviation; gains of all."""
 
     gain: float
     at: int
@@ -123,7 +123,7 @@ def course(pooled: Pooled, vehicle: str) -> VehicleHistory:
 
 
 def shapes(time_s: Array, first: int, kind: str) -> Array:
-    """How far a change has come at each recording: 1 from one on, or days since the one before it."""
+    """Shape of a change over the recordings: 1 from one on, or days since the one before it."""
     after = np.arange(len(time_s)) >= first
     if kind == STEP:
         return after.astype(float)
@@ -132,8 +132,8 @@ def shapes(time_s: Array, first: int, kind: str) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """What changes would gain: candidates (first recording and kind), and of each draw, candidate and parameter the score and the
-    gain, shapes (draws, candidates, parameters), and the information (candidates, parameters).
+    """Gains of changes: candidates (first recording and kind); of each draw, candidate and parameter the score and the
+    gain, shapes (draws, candidates, parameters); and the information (candidates, parameters).
     """
 
     candidates: tuple[tuple[int, str], ...]
@@ -147,7 +147,7 @@ class Gains:
 
 
 def gains(of: VehicleHistory, known: Sequence[tuple[int, Array]], draws: Array) -> Gains:
-    """What each possible change gains beside those that are known.
+    """Gain of each possible change in addition to the known ones.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def gains(of: VehicleHistory, known: Sequence[tuple[int, Array]], draws: Array) 
     design, whole, right = _model(of, known, draws)
     weighted = of.precision @ design
     mean = np.linalg.solve(whole, right.T).T
-    left = draws - np.einsum("nij,dj->dni", weighted, mean)  # the slope of each log-likelihood where all are as they are
+    left = draws - np.einsum("nij,dj->dni", weighted, mean)  # the slope of each log-likelihood at the present parameters
     looked = list(of.looked_for)
     candidates = [(first, STEP) for first in range(FEWEST, n - FEWEST + 1)]
     candidates += [(first, RAMP) for first in range(1, n - FEWEST_OF_RAMP + 1)]
@@ -188,7 +188,7 @@ def _model(of: VehicleHistory, known: Sequence[tuple[int, Array]], draws: Array)
 
 
 def best_change(of: VehicleHistory, known: Sequence[tuple[int, Array]] = ()) -> Best | None:
-    """The change that makes the recordings likeliest beside those that are known; None where there are too few."""
+    """The change with the greatest likelihood in addition to the known ones; None with too few recordings."""
     if len(of.linear) < 2 * FEWEST:
         return None
     found = gains(of, known, of.linear[np.newaxis])
@@ -200,9 +200,9 @@ def best_change(of: VehicleHistory, known: Sequence[tuple[int, Array]] = ()) -> 
 
 
 def threshold(of: VehicleHistory, rate: float = FALSE_ALARMS, seed: int = 1) -> float:
-    """Gain that chance alone passes, looked at after each recording, at a rate per year [log-likelihood].
+    """Threshold of the gain that chance alone exceeds, after any recording, at a rate per year [log-likelihood].
 
-    Recordings are drawn as the pool says that they scatter where nothing changes.
+    Recordings are drawn with the scatter of the pool, without a change.
     """
     rng, n = np.random.default_rng(seed), min(len(of.linear), MOST_DRAWN_FOR)
     if n < 2 * FEWEST:
@@ -227,8 +227,8 @@ def threshold(of: VehicleHistory, rate: float = FALSE_ALARMS, seed: int = 1) -> 
 
 
 def exceeded(highest: Array, share: float) -> float:
-    """What a share of the largest values passes, by the Gumbel distribution through them: a share too small to be seen in as
-    many draws has a threshold too.
+    """Quantile of the largest values for a share above it, by a fitted Gumbel distribution. It covers shares too small for the
+    number of draws.
     """
     scale = float(np.std(highest)) * np.sqrt(6.0) / np.pi
     by_gumbel = float(np.mean(highest)) - 0.5772156649 * scale - scale * float(np.log(-np.log1p(-share)))
@@ -236,7 +236,7 @@ def exceeded(highest: Array, share: float) -> float:
 
 
 def vehicle_changes(pooled: Pooled, vehicle: str, rate: float = FALSE_ALARMS) -> tuple[list[VehicleChange], float]:
-    """Changes of a vehicle, in the order in which they stand out; and the gain that counts."""
+    """Changes of a vehicle, by significance; and the threshold of the gain."""
     of, names, std, nominal = course(pooled, vehicle), pooled.of.names, pooled.of.std, pooled.of.nominal
     least = threshold(of, rate)
     known: list[tuple[int, Array]] = []
@@ -280,13 +280,13 @@ def _first_seen(of: VehicleHistory, known: Sequence[tuple[int, Array]], best: Be
 
 
 def _before(of: VehicleHistory, known: Sequence[tuple[int, Array]]) -> Array:
-    """What the vehicle was like before all changes, in standard deviations."""
+    """Parameters of the vehicle before all changes, in standard deviations."""
     _, whole, right = _model(of, known, of.linear[np.newaxis])
     return np.asarray(np.linalg.solve(whole, right[0])[: of.linear.shape[1]])
 
 
 def levels(pooled: Pooled, vehicle: str, name: str) -> tuple[Array, Array, Array]:
-    """Of each recording of a vehicle: when, and a parameter's value with its standard deviation, all others being as pooled."""
+    """For each recording of a vehicle: time, and a parameter's value with its standard deviation, all others as pooled."""
     of, mean = course(pooled, vehicle), pooled.by_vehicle[vehicle][0]
     i = pooled.of.names.index(name)
     own = np.maximum(of.precision[:, i, i], 1e-12)

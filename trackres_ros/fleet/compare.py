@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Compares two days, vehicles, reports or designs: what differs beyond its uncertainty."""
+"""Compares two days, vehicles, reports or designs: differences beyond their uncertainty."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from trackres_ros.text.table import table
 
 Array = NDArray[np.float64]
 
-SURE = 0.05  # probability that any of the parameters is said to differ by chance
+SURE = 0.05  # probability of any false difference by chance
 REPORT, MOST_BYTES = "report.json", 1 << 26
 TWO_SIDED_95 = 1.96
 ALLOWED = "a folder of trackres fleet, with :VEHICLE or @DAY if need be, one of trackres diagnose, or a vehicle file"
@@ -50,7 +50,7 @@ def compare(one: str, other: str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If one is nothing that can be compared, or both have nothing in common.
+        If one cannot be compared, or both have nothing in common.
     """
     sides = side(one), side(other)
     names = [name for name in sides[0].names if name in sides[1].names]
@@ -60,7 +60,7 @@ def compare(one: str, other: str) -> dict[str, Any]:
     change = sides[1].value[at[1]] - sides[0].value[at[0]]
     parts = [s.covariance[np.ix_(i, i)] for s, i in zip(sides, at, strict=True)]
     covariance = parts[0] + parts[1]
-    if all(s.design for s in sides):  # what both files have alike is off in both alike
+    if all(s.design for s in sides):  # equal values of both files have equal errors
         covariance[change == 0.0, :] = covariance[:, change == 0.0] = 0.0
     std = np.sqrt(np.diag(covariance))
     most = float(norm.isf(0.5 * SURE / len(names)))
@@ -86,7 +86,7 @@ def compare(one: str, other: str) -> dict[str, Any]:
 
 
 def compare_text(found: Mapping[str, Any]) -> str:
-    """The table, and what it comes to."""
+    """The table, and its conclusion."""
     rows = []
     for q in found["parameters"]:
         spread = max(q["difference_std"], 1e-3 * abs(q["difference"]), 1e-12)
@@ -108,7 +108,7 @@ def compare_text(found: Mapping[str, Any]) -> str:
 
 
 def side(given: str) -> Side:
-    """What was named: see `ALLOWED`.
+    """Result of a name: see `ALLOWED`.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def _of_fleet(folder: Path, vehicle: str, day: str, given: str) -> Side:
     wanted = {row["url"] for row in chosen}
     own = np.array([url in wanted for url in whole.of.urls])
     of = whole.of.some(own)
-    # How recordings differ is learned of all; what the parameters are of those chosen alone, with the vehicle file's ranges.
+    # The scatter of recordings is estimated from all, the parameters from those chosen alone, with the vehicle file's ranges.
     linear = of.linear - np.einsum("nij,j,n->ni", of.precision, whole.follows, of.air)
     precision, linear = softened(of.precision, linear, whole.scatter(own))
     covariance = np.linalg.inv(np.eye(len(of.names)) + precision.sum(axis=0))

@@ -3,8 +3,8 @@
 
 """The results of a fleet: a Parquet dataset with a row for each recording, partitioned by vehicle and day.
 
-Each row is a file of its own, which comes into its place whole and in one step: whatever dies meanwhile, a row is there or it is
-not. Its name is a digest of the recording's place and of all that the row hangs on.
+Each row is a separate file, put in place complete and in one step, so an interruption leaves no partial row.
+Its name is a digest of the recording's place and of all inputs of the row.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ BATCH = 4096  # rows that are in memory at a time
 
 @dataclass(frozen=True, slots=True)
 class CachedRow:
-    """What is remembered of a row to know whether it is still what would be computed."""
+    """Record of a row, to decide whether it is up to date."""
 
     file: Path
     stamp: str
@@ -80,15 +80,15 @@ class FleetDataset:
         return cls(folder)
 
     def prepare(self) -> None:
-        """Make the folder; what a killed run had begun to write goes."""
+        """Make the folder; remove partial files of a killed run."""
         rows = self.folder / ROWS
         rows.mkdir(parents=True, exist_ok=True)
         for left in rows.rglob(f"*{PART}"):
             left.unlink(missing_ok=True)
 
     def index(self) -> dict[str, CachedRow]:
-        """What is there, by the recording's URL. Of two rows of one recording, which a run leaves that was killed
-        between writing one and taking away the other, the older goes.
+        """Present rows, by the recording's URL. A run killed between writing a row and removing the old one leaves two:
+        the older is removed.
         """
         found: dict[str, CachedRow] = {}
         for file in sorted(self._files(), key=lambda path: path.stat().st_mtime_ns):
@@ -120,7 +120,7 @@ class FleetDataset:
         return path
 
     def of(self, kept: CachedRow) -> dict[str, Any]:
-        """One whole row."""
+        """One complete row."""
         row = self._whole(kept.file)
         if row is None:
             raise InputError(str(kept.file), "a damaged row", "one that trackres fleet wrote", "run trackres fleet again")
@@ -141,7 +141,7 @@ class FleetDataset:
             yield self._read(files[first : first + BATCH], columns)
 
     def _read(self, files: Sequence[Path], columns: Sequence[str] | None = None) -> list[dict[str, Any]]:
-        """Rows of files. What a damaged file or row is left out for is a warning."""
+        """Rows of files. A damaged file or row is skipped with a warning."""
         try:
             found = self._table(files, columns)
         except _unreadable() as error:
@@ -174,7 +174,7 @@ class FleetDataset:
 
 
 def unsound(row: Mapping[str, Any]) -> str:
-    """What is wrong with a row, of the columns that were read; empty where nothing is."""
+    """Defect of a row, in the columns that were read; empty without one."""
     for name in ("url", "status", *OF_PATH):
         if name in row and not isinstance(row[name], str):
             return f"it has no {name}"

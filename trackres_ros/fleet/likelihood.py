@@ -28,12 +28,12 @@ from trackres_ros.recording.recording import Recording
 
 Array = NDArray[np.float64]
 
-WIND_MPS, STRONGEST_WIND_MPS = 3.0, 12.0  # standard deviation of either part of a day's wind before it is seen, and its bound
+WIND_MPS, STRONGEST_WIND_MPS = 3.0, 12.0  # prior standard deviation of either component of a day's wind, and its bound
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What a recording says.
+    """Likelihood and summary of a recording.
 
     Attributes
     ----------
@@ -42,23 +42,23 @@ class Evidence:
     nominal, std
         Of the vehicle file, shape (p,).
     point, covariance
-        Where the fit came to lie, and how sure that is with the file's ranges, shapes (p,) and (p, p).
+        Estimate of the fit and its covariance with the file's ranges, shapes (p,) and (p, p).
     precision, linear
         The log-likelihood alone is ``linear @ x - x @ precision @ x / 2`` for x the parameters less `nominal`, over `std`.
     compared_s
-        Seconds that count.
+        Valid seconds.
     residual_mean, residual_std
-        Of what the fit leaves of all that counts [Nm].
+        Of the fit's residual in all valid seconds [Nm].
     mismatch
-        Mean absolute error of the vehicle file as it is over the mean absolute torque.
+        Mean absolute error of the unchanged vehicle file over the mean absolute torque.
     held_out_file, held_out_refit
-        Mean absolute error on the laps held out, of the file and of the fit [Nm]; nan where none could be.
+        Mean absolute error on the hold-out laps, of the file and of the fit [Nm]; nan without any.
     mean_torque, mean_speed, mean_weight, mean_ambient
-        Over what counts: absolute torque [Nm], [m/s], [N], [degC].
+        Over valid seconds: absolute torque [Nm], [m/s], [N], [degC].
     load_recorded
         Whether loads or passengers were recorded; else the vehicle file's weight is assumed.
     notes
-        What the gate assumed.
+        Assumptions of the gate.
     """
 
     names: tuple[str, ...]
@@ -84,12 +84,12 @@ class Evidence:
 
 
 def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = ()) -> Evidence:
-    """Fit the base to one recording, and expand its likelihood about that.
+    """Fit the base to one recording, and expand its likelihood about the fit.
 
     Raises
     ------
     InputError
-        If the recording cannot be compared; says why.
+        If the recording cannot be compared, with the reason.
     """
     gated = gate([recording], loaded.known, hide)
     (session,) = gated.sessions
@@ -134,21 +134,21 @@ def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = (
 
 
 def weather(session: DriveSession, base: Base) -> list[Effect]:
-    """What differs from day to day and says nothing of the vehicle: wind, where headings show which way it blows."""
+    """Nuisance that differs from day to day: wind, if headings show its direction."""
     if "heading" not in session.given or Headwind.name in base.includes:
         return []
     return [narrowed(Headwind(), WIND_MPS, STRONGEST_WIND_MPS)]
 
 
 def whatever_others(precision: Array, linear: Array, kept: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """A quadratic log-likelihood of some parameters, whatever the others are, each with a standard deviation of 1 beforehand.
+    """A marginal quadratic log-likelihood of some parameters; the others have a prior standard deviation of 1.
 
     Parameters
     ----------
     precision, linear
         Of all p parameters, shapes (p, p) and (p,).
     kept
-        Which are asked for, shape (p,).
+        Which are kept, shape (p,).
     """
     across = precision[np.ix_(kept, ~kept)]
     by = np.linalg.solve(precision[np.ix_(~kept, ~kept)] + np.eye(int((~kept).sum())), across.T).T
@@ -177,7 +177,7 @@ def quadratic(problem: Problem, fitted: Fit) -> tuple[Array, Array, Array]:
 
 
 def _training(session: DriveSession) -> NDArray[np.bool_]:
-    """What is fitted: without the last laps, unless there is but one."""
+    """Data of the fit: without the last laps, unless there is only one."""
     if len(np.unique(session.block[session.used])) < 2:
         return session.used
     chosen = split((session,)).training_mask(session)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Diagnoses each vehicle by month, on a few recordings that stand for it, with the engine that analysed them."""
+"""Diagnoses each vehicle by month, on a few representative recordings, with the engine of the analysis."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Bar = Callable[[str, float | None], AbstractContextManager[Callable[[float], Non
 
 @dataclass(frozen=True, slots=True)
 class Period:
-    """What is to be diagnosed: recordings of one vehicle and month, and a digest of all that the result hangs on."""
+    """A diagnosis to do: recordings of one vehicle and month, and a digest of all inputs."""
 
     vehicle: FleetVehicle
     month: str
@@ -52,7 +52,7 @@ class Period:
 def diagnose_periods(
     dataset: FleetDataset, fleet: Fleet, address: str, workers: int | None, hide: tuple[str, ...], bar: Bar
 ) -> None:
-    """Diagnose what has no diagnosis yet, or has new recordings; one that cannot be has a reason instead of a report."""
+    """Make missing or outdated diagnoses; an impossible one has a reason instead of a report."""
     new = [period for period in periods(dataset, fleet, hide) if not _is_kept(dataset.folder, period)]
     if not new:
         return
@@ -66,7 +66,7 @@ def diagnose_periods(
 
 
 def periods(dataset: FleetDataset, fleet: Fleet, hide: tuple[str, ...]) -> list[Period]:
-    """All vehicles and months of which there are recordings."""
+    """All vehicles and months with recordings."""
     rows, _ = without_overlaps(dataset.rows(["url", "vehicle", "day", "status", "start_s", "duration_s", "content", "inputs"]))
     found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for row in rows:
@@ -81,7 +81,7 @@ def periods(dataset: FleetDataset, fleet: Fleet, hide: tuple[str, ...]) -> list[
 
 
 def diagnose_period(period: Period) -> dict[str, bytes]:
-    """The files of a report by their places in its folder, or the reason why there is none."""
+    """The files of a report by their places in its folder, or the reason for none."""
     import trackres_ros as tr
     from trackres_ros.fleet.task import fetched
 
@@ -92,7 +92,7 @@ def diagnose_period(period: Period) -> dict[str, bytes]:
         except InputError as error:
             return {REASON: str(error).encode()}
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a page that cannot be drawn: the command asked before
+            warnings.simplefilter("ignore")  # of a page that cannot be drawn: the command checked earlier
             found.report(Path(folder) / "report")
         written = Path(folder) / "report"
         return {path.relative_to(written).as_posix(): path.read_bytes() for path in written.rglob("*") if path.is_file()}
@@ -128,7 +128,7 @@ def _is_kept(folder: Path, period: Period) -> bool:
 
 
 def _put(folder: Path, period: Period, files: Mapping[str, bytes]) -> None:
-    """Write a report beside its place, and move it there whole."""
+    """Write a report in a temporary folder, and move it in place."""
     place = folder / DIAGNOSES / period.place
     part = place.with_name(place.name + PART)
     shutil.rmtree(part, ignore_errors=True)

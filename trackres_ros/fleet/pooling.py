@@ -3,9 +3,9 @@
 
 """Pools recordings of many vehicles of one type: parameters of the type, and each vehicle's deviation.
 
-Each recording gives a quadratic log-likelihood of the parameters (`likelihood.Evidence`), which here has three causes to differ:
-the type, the vehicle, and the recording itself (weather, load, what the model lacks). Parameters are those of the vehicle file
-less its values, over its standard deviations. They follow the air's temperature alike in all vehicles of a type.
+Each recording gives a quadratic log-likelihood of the parameters (`likelihood.Evidence`), with three sources of variance:
+the type, the vehicle, and the recording itself (weather, load, model error). Parameters are departures from the vehicle file's
+values, over its standard deviations. Their dependence on the air temperature is common to all vehicles of a type.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from trackres_ros.errors import InputError
 
 Array = NDArray[np.float64]
 
-AMBIENT_DEGC, AMBIENT_STEP_K = 15.0, 10.0  # about which, and over how much, parameters are said to follow the air's temperature
-FOLLOWS_STD = 0.3  # by how much they may, in standard deviations of the vehicle file [1/AMBIENT_STEP_K]
-VEHICLES_STD, RECORDINGS_STD = 0.3, 0.1  # of how vehicles of a type differ, and recordings of one vehicle, before any is seen,
+AMBIENT_DEGC, AMBIENT_STEP_K = 15.0, 10.0  # reference and unit of the dependence on the air temperature
+FOLLOWS_STD = 0.3  # prior of the dependence, in standard deviations of the vehicle file [1/AMBIENT_STEP_K]
+VEHICLES_STD, RECORDINGS_STD = 0.3, 0.1  # prior scatter of vehicles of a type, and of recordings of one vehicle,
 WORTH = 3.0  # as if that many had been
 ROUNDS, SETTLED = 100, 1e-3  # of learning how they differ; relative change of a variance at which it ends
 DEGREES = 4.0  # of freedom: weather scatters as Student's t, most days little and some a lot
-TURNS = 10  # of weights and means, the covariances being known
-MOST_ROWS = 5_000  # of which it is learned; means are of all
+TURNS = 10  # of weights and means, given the covariances
+MOST_ROWS = 5_000  # used for the covariances; means use all
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Vehicles:
     names, units, nominal, std
         Of the p parameters.
     vehicle, time_s, air
-        Of each recording: whose it is, when it began, and how warm it was, about `AMBIENT_DEGC`, over `AMBIENT_STEP_K`.
+        Of each recording: vehicle, begin, and air temperature, about `AMBIENT_DEGC`, over `AMBIENT_STEP_K`.
     precision, linear
         See `likelihood.Evidence`.
     urls
@@ -60,7 +60,7 @@ class Vehicles:
 
     @classmethod
     def of(cls, rows: Iterable[Mapping[str, Any]]) -> list[Vehicles]:
-        """Those of each type among good rows; of one type are vehicles whose files have the same values."""
+        """Those of each type among good rows; vehicles with equal file values are of one type."""
         types: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
         for row in rows:
             if row["status"] == "good":
@@ -106,18 +106,18 @@ class Vehicles:
 
 @dataclass(frozen=True, eq=False)
 class Pooled:
-    """What a type is like, in standard deviations of its vehicle file about its values.
+    """Parameters of a type, in standard deviations of its vehicle file about its values.
 
     Attributes
     ----------
     mean, covariance
         Of the type, shapes (p,) and (p, p).
     follows
-        What `AMBIENT_STEP_K` more add, shape (p,).
+        Change per `AMBIENT_STEP_K` of air temperature, shape (p,).
     between, within
         Covariances among vehicles, and among recordings of one, shape (p, p).
     weight
-        Of each recording, shape (n,): one that is far from its vehicle scatters as `within` over its weight.
+        Of each recording, shape (n,): an outlier of its vehicle scatters as `within` over its weight.
     by_vehicle
         Mean and covariance of each vehicle.
     """
@@ -143,12 +143,12 @@ class Pooled:
 
 
 def softened(precision: Array, linear: Array, spread: Array) -> tuple[Array, Array]:
-    """Likelihoods of a mean about which parameters scatter.
+    """Likelihoods of the mean of scattered parameters.
 
     Parameters
     ----------
     precision, linear
-        Of what scatters, shapes (..., p, p) and (..., p).
+        Of the scattered parameters, shapes (..., p, p) and (..., p).
     spread
         Covariance of the scatter, shape (p, p), or of each (..., p, p).
     """
@@ -164,7 +164,7 @@ def _scatter(within: Array, weight: Array) -> Array:
 
 
 def with_air(precision: Array, linear: Array, air: Array) -> tuple[Array, Array]:
-    """The same likelihoods, of the parameters at `AMBIENT_DEGC` and of what they follow the air by, twice as many."""
+    """The same likelihoods, of the parameters at `AMBIENT_DEGC` and of their dependence on the air, twice as many."""
     one = np.stack((np.ones_like(air), air), axis=1)
     n, p = linear.shape
     both = np.einsum("na,nb,nij->naibj", one, one, precision).reshape(n, 2 * p, 2 * p)
@@ -172,10 +172,10 @@ def with_air(precision: Array, linear: Array, air: Array) -> tuple[Array, Array]
 
 
 def pool(data: Vehicles) -> Pooled:
-    """Fit type, vehicles and scatter together: the covariances by what is most probable, the means given those.
+    """Fit type, vehicles and scatter together: the most probable covariances, and the means given those.
 
-    Recordings of one vehicle scatter by weather and load, which move several parameters at once: what tells them apart least
-    scatters most. So the scatter has correlations.
+    Recordings of one vehicle scatter due to weather and load, which affect several parameters at once, mostly the
+    poorly separable ones. So the scatter has correlations.
 
     Raises
     ------
@@ -194,14 +194,14 @@ def pool(data: Vehicles) -> Pooled:
 
 
 class Known(NamedTuple):
-    """Mean and covariance of the parameters at `AMBIENT_DEGC` and of what they follow the air by, shapes (2p,) and (2p, 2p)."""
+    """Mean and covariance of the parameters at `AMBIENT_DEGC` and of their dependence on the air, shapes (2p,) and (2p, 2p)."""
 
     mean: Array
     covariance: Array
 
 
 class KnownVehicle(NamedTuple):
-    """A vehicle, and how far it is from its type."""
+    """A vehicle, and its deviation from its type."""
 
     itself: Known
     off: Known
@@ -228,8 +228,9 @@ def _spreads(data: Vehicles) -> tuple[Array, Array]:
 
 
 class Scatter(NamedTuple):
-    """Expected squares of how far vehicles are from their type, their sum, shape (p, p), and recordings from their vehicle, shape
-    (n, p, p), each by all that is known; and the weights that follow, shape (n,).
+    """Expected squares of the deviations, given all data: vehicles from their type, their sum, shape (p, p); recordings from
+    their
+    vehicle, shape (n, p, p); and the resulting weights, shape (n,).
     """
 
     vehicles: Array
@@ -243,11 +244,11 @@ def _off(data: Vehicles, between: Array, within: Array, weight: Array) -> Scatte
     vehicles = _means(data, between, within, weight)[1]
     known, apart = zip(*(vehicles[str(name)] for name in names), strict=True)
     one = np.stack((np.ones_like(data.air), data.air), axis=1)
-    # Where the mean of each recording lies, by what is known of its vehicle, and how sure that is.
+    # The mean of each recording, given its vehicle, and its covariance.
     means, covariances = np.array([k.mean for k in known])[of], np.array([k.covariance for k in known])[of]
     mean = np.einsum("na,nai->ni", one, means.reshape(-1, 2, p))
     unsure = np.einsum("na,nb,naibj->nij", one, one, covariances.reshape(-1, 2, p, 2, p))
-    # What each recording is off that: its own likelihood, and the scatter as it is known so far.
+    # The deviation of each recording: its own likelihood, and the present scatter.
     spread = _scatter(within, weight)
     narrowed = np.linalg.solve(np.eye(p) + spread @ data.precision, spread)
     off = np.einsum("nij,nj->ni", narrowed, data.linear - np.einsum("nij,nj->ni", data.precision, mean))
@@ -259,7 +260,7 @@ def _off(data: Vehicles, between: Array, within: Array, weight: Array) -> Scatte
 
 
 def _means(data: Vehicles, between: Array, within: Array, weight: Array) -> tuple[Known, dict[str, KnownVehicle]]:
-    """What is known of the type, and of each vehicle by all, given how they scatter."""
+    """Estimate of the type, and of each vehicle from all data, given their scatter."""
     p = len(data.names)
     softer, moved = softened(data.precision, data.linear, _scatter(within, weight))
     both, linear = with_air(softer, moved, data.air)

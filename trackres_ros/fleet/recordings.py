@@ -15,24 +15,24 @@ from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.recording.opening import AMBIGUOUS, suffixes
 
 SUFFIXES = tuple(suffix for suffix in suffixes() if suffix not in AMBIGUOUS)
-OF_A_BAG = "metadata.yaml"  # makes of a folder one recording, a rosbag2
+OF_A_BAG = "metadata.yaml"  # marks a folder as one recording, a rosbag2
 WILD = "*?["
 CHANGED = ("ETag", "etag", "mtime", "LastModified", "last_modified")
-"""What file systems call that which changes with the content; the first that is there counts."""
+"""Names of a change marker in file systems; the first present one is used."""
 
 
 @dataclass(frozen=True, slots=True)
 class FoundRecording:
-    """A recording that is there, or a place that cannot be looked into.
+    """A recording, or a place that cannot be read.
 
     Attributes
     ----------
     url
         As it is opened: an absolute path, or a URL.
     stamp
-        Size and time of change, or what the file system has instead: it tells that a recording changed without reading it.
+        Size and time of change, or the file system's equivalent: it detects a change without reading.
     problem
-        Why it cannot be used; empty where it can.
+        Why it cannot be used; empty if it can.
     """
 
     url: str
@@ -46,7 +46,7 @@ def find_recordings(given: Sequence[str]) -> Iterator[FoundRecording]:
     Raises
     ------
     MissingExtraError
-        Without fsspec, or without what opens such a URL.
+        Without fsspec, or its library for such a URL.
     """
     seen: set[str] = set()
     for place in given:
@@ -71,7 +71,7 @@ def _at(place: str) -> Iterator[FoundRecording]:
         raise InputError(place, f"{protocol}://", f"a path, or a URL that fsspec knows ({error})") from None
     try:
         yield from _listed(system, path, place)
-    except (OSError, ValueError) as error:  # a bucket that denies, a network that is down: told, and the others go on
+    except (OSError, ValueError) as error:  # a bucket without access, a network failure: reported, and the others continue
         yield FoundRecording(place, "", one_line(f"{type(error).__name__}: {getattr(error, 'strerror', None) or error}"))
 
 
@@ -94,7 +94,7 @@ def _listed(system: Any, path: str, place: str) -> Iterator[FoundRecording]:
 
 
 def _one(system: Any, path: str, sought: bool) -> Iterator[FoundRecording]:
-    """What a path leads to; a file of another kind counts only if it was `sought` by name."""
+    """Recordings at a path; a file of another kind only if it was `sought` by name."""
     if system.isdir(path):
         yield from _inside(system, path)
     elif sought or path.lower().endswith(SUFFIXES):
@@ -106,7 +106,7 @@ def _inside(system: Any, top: str) -> Iterator[FoundRecording]:
     for folder, folders, files in system.walk(top, detail=True):
         folders_here = sorted(folders)
         if isinstance(folders, dict):
-            for name in folders_here:  # in the order of names, which a walk that goes down reads from here
+            for name in folders_here:  # in the order of names, which a top-down walk uses
                 folders[name] = folders.pop(name)
         if any(folder.startswith(f"{bag}/") for bag in bags):
             continue
@@ -120,7 +120,7 @@ def _inside(system: Any, top: str) -> Iterator[FoundRecording]:
 
 
 def _url(system: Any, path: str) -> str:
-    """A local path as it is, else with the protocol before it."""
+    """A local path unchanged, else with its protocol."""
     protocol = system.protocol if isinstance(system.protocol, str) else system.protocol[0]
     return path if protocol in ("file", "local") else str(system.unstrip_protocol(path))
 

@@ -19,7 +19,7 @@ from trackres_ros.fleet.task import AGAIN, BROKEN, NO_VEHICLE, SAME, Task, analy
 from trackres_ros.fleet.vehicles import Fleet
 from trackres_ros.recording.roles import ROLES, base_role
 
-UNKNOWN = "unknown"  # instead of a digest where no vehicle was found
+UNKNOWN = "unknown"  # instead of a digest without a vehicle
 
 
 @dataclass(slots=True)
@@ -51,7 +51,7 @@ def run(
     on_begin: Callable[[int], Callable[[float], None]] = lambda _: lambda _: None,
     on_dashboard: Callable[[str], None] = lambda _: None,
 ) -> RunCounts:
-    """Make a row of each recording that has none yet, or that changed.
+    """Make a row for each recording that is new or has changed.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def run(
     hide
         Roles that are not read.
     on_begin
-        Takes how many are to be done, and gives what takes that one more is.
+        Takes the number of tasks, and returns a function to call after each.
     on_dashboard
         Takes the address of the engine's own page, if it has one.
 
@@ -94,21 +94,21 @@ def run(
 
 
 class _Run:
-    """What is to be done in one run, and what became of it."""
+    """Tasks of one run, and their results."""
 
     def __init__(self, recordings: Sequence[str], fleet: Fleet, dataset: FleetDataset, hide: tuple[str, ...]) -> None:
         self._recordings, self._fleet, self._dataset, self._hide = recordings, fleet, dataset, hide
         self._index, self.counts = dataset.index(), RunCounts()
 
     def forget_unread(self) -> None:
-        """What could not be looked into may be otherwise now."""
+        """A place that could not be read may be readable now."""
         for place in self._recordings:
             before = self._index.get(place)
             if before is not None and not before.stamp:
                 self._index.pop(place).file.unlink(missing_ok=True)
 
     def tasks(self) -> Iterator[Task]:
-        """The recordings that have no row yet, or that changed; rows of what no vehicle is known for are put at once."""
+        """New and changed recordings; rows of those without a known vehicle are written at once."""
         for found in find_recordings(self._recordings):
             self.counts.found += 1
             task = _task(found, self._fleet, self._hide)
@@ -122,7 +122,7 @@ class _Run:
                 self.put(broken(found, NO_VEHICLE, UNKNOWN, task))
 
     def how_many(self) -> int:
-        """How many tasks there will be, for the time that is left."""
+        """Number of tasks, to estimate the remaining time."""
         count = 0
         for found in find_recordings(self._recordings):
             task = _task(found, self._fleet, self._hide)
@@ -146,7 +146,7 @@ class _Run:
 
 
 def rows(results: Iterable[tuple[Task, Any]]) -> Iterator[dict[str, Any]]:
-    """Rows of what the engine gives."""
+    """Rows from the engine's results."""
     for task, result in results:
         if isinstance(result, BaseException):
             yield broken(FoundRecording(task.url, task.stamp), task.vehicle.name, AGAIN, f"{task.url}: {why(result)}")
@@ -155,7 +155,7 @@ def rows(results: Iterable[tuple[Task, Any]]) -> Iterator[dict[str, Any]]:
 
 
 def _task(found: FoundRecording, fleet: Fleet, hide: tuple[str, ...]) -> Task | str:
-    """What is to be done with a recording, or why nothing can be."""
+    """Task of a recording, or why there is none."""
     if found.problem:
         return f"{found.url}: {found.problem}"
     try:

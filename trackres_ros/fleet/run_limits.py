@@ -25,7 +25,7 @@ def keep(folder: Path, fleet: Fleet) -> None:
 
 
 def limits_of(folder: Path, given: Mapping[str, float]) -> dict[str, float]:
-    """Those of the last run, and those given instead."""
+    """Limits of the last run, and the given ones in their place."""
     try:
         kept = {str(name): float(of) for name, of in parse_json(read(folder / FILE, MOST_BYTES))["limits"].items()}
         return {**{name: limit for name, limit in kept.items() if 0.0 <= limit <= HIGHEST_LIMIT}, **given}

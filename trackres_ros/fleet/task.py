@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""One recording, whole: inspected, replayed, and compared with its vehicle; what runs on a worker of the engine."""
+"""Processes one recording on a worker of the engine: inspects it, replays it, and compares it with its vehicle."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from trackres_ros.fleet.recordings import FoundRecording
 from trackres_ros.fleet.vehicles import FleetVehicle, digest
 from trackres_ros.version import __version__
 
-ROW_VERSION = 2  # raised with any change of what a row holds or how it is computed: rows of before are computed anew
+ROW_VERSION = 2  # raised with any change of a row's content or computation: older rows are computed again
 GOOD, BROKEN, SAME = "good", "broken", "same"
-AGAIN = "again"  # instead of a digest of what a row hangs on: what failed may be otherwise the next time
+AGAIN = "again"  # instead of a digest of a row's inputs: a failure may not repeat
 NO_VEHICLE = NO_DAY = "none"
 END_OF_DAYS_S = 253402300800.0  # the year 10000, which dates do not reach
 ENERGIES = ("resistance", "hysteresis", "bearing", "wind", "effects", "drive")
@@ -34,7 +34,7 @@ MEGA = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What is to be done with one recording; `known` is the digest of a content of which there is a row that holds."""
+    """Task of one recording; `known` is the digest of the content of a valid row."""
 
     url: str
     stamp: str
@@ -79,7 +79,7 @@ def analyse(task: Task) -> dict[str, Any]:
         row["reason"] = str(error).replace(here, task.url)
     except OSError as error:
         row |= {"reason": one_line(f"{task.url}: {error.strerror or error}"), "inputs": AGAIN}
-    except Exception as error:  # one recording is never the end of a run; what it was is in its row
+    except Exception as error:  # no recording may end a run; its error is in its row
         row["reason"] = one_line(f"{type(error).__name__}: {error} (a bug: please report it, with the file)")
     return {**row, "took_s": time.perf_counter() - began}
 
@@ -105,7 +105,7 @@ def _analysed(path: Path, task: Task, row: dict[str, Any]) -> dict[str, Any]:
 
 @lru_cache(maxsize=4)
 def _vehicle(file: Path, _sha: str, topics: Path | None) -> tuple[Any, Any]:
-    """The base model of a vehicle, and the vehicle itself; a worker has it for all recordings."""
+    """The base model of a vehicle, and the vehicle itself; a worker reuses it for all recordings."""
     import trackres_ros as tr
     from trackres_ros.api.arguments import as_topics
     from trackres_ros.diagnosis.base.loading import load_base
@@ -115,7 +115,7 @@ def _vehicle(file: Path, _sha: str, topics: Path | None) -> tuple[Any, Any]:
 
 
 def _replayed(recording: Any, vehicle: Any) -> dict[str, Any]:
-    """Way, energies and, where there are belts, the warmest, as the live node would have had them."""
+    """Distance, energies and, if there are belts, the warmest temperature, as from the live node."""
     import trackres_ros as tr
     from trackres_ros.model.vehicle_constants import vehicle_constants
     from trackres_ros.offline.energy import energy_j, steps_of
@@ -137,13 +137,13 @@ def _column(part: str) -> str:
 
 
 def _day(start_s: float) -> str:
-    """The day it began [UTC]; `NO_DAY` where its clock does not say."""
+    """The day it began [UTC]; `NO_DAY` without a valid clock."""
     return datetime.fromtimestamp(start_s, UTC).strftime("%Y-%m-%d") if 86400.0 * 365.0 < start_s < END_OF_DAYS_S else NO_DAY
 
 
 @contextmanager
 def fetched(urls: Sequence[str]) -> Iterator[list[Path]]:
-    """Recordings as local paths; those that are elsewhere are fetched, and gone afterwards."""
+    """Recordings as local paths; remote ones are fetched, and removed afterwards."""
     with tempfile.TemporaryDirectory(prefix="trackres-") as folder:
         found = []
         for i, url in enumerate(urls):
@@ -161,7 +161,7 @@ def fetched(urls: Sequence[str]) -> Iterator[list[Path]]:
 
 
 def _content(path: Path) -> str:
-    """Digest of what is in a recording, whatever it is called."""
+    """Digest of a recording's content, independent of its name."""
     found = hashlib.sha256()
     for file in sorted(path.iterdir()) if path.is_dir() else [path]:
         if file.is_file():

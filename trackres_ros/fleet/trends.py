@@ -21,9 +21,9 @@ from trackres_ros.text.numbers import figures
 
 TWO_SIDED_95 = 1.96
 SHOWN = "bearing_friction", "loss_modulus_scale"  # over time, changed or not
-OVERLAP_S = 1.0  # by which a recording may begin before the one before it ends: clocks are read one after the other
+OVERLAP_S = 1.0  # allowed overlap of two recordings: their clocks differ
 MOST_NAMES = 8  # in a message
-FARTHEST_YEARS = 20.0  # a forecast beyond is none
+FARTHEST_YEARS = 20.0  # limit of a forecast
 TEXTS = ("url", "vehicle", "day", "status", "reason", "names", "units", "findings")
 NUMBERS = (
     "start_s", "duration_s", "distance_m", "mismatch", "mean_torque", "mean_ambient", "residual_std", "held_out_file",
@@ -43,7 +43,7 @@ def some_of(names: Sequence[str]) -> str:
 
 
 def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
-    """Rows of which no two of one vehicle are of the same time, and those left out, with the reason."""
+    """Rows without overlapping times of a vehicle, and the excluded ones, with the reason."""
     kept: list[Mapping[str, Any]] = []
     left_out: list[dict[str, str]] = []
     for row in sorted(rows, key=lambda row: (row["vehicle"], row["start_s"] or 0.0, row["url"])):
@@ -63,16 +63,16 @@ def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[st
 def trends(
     dataset: FleetDataset, limits: Mapping[str, float], rate: float = FALSE_ALARMS, vehicle: str | None = None
 ) -> dict[str, Any]:
-    """All that is found in a dataset.
+    """All findings in a dataset.
 
     Parameters
     ----------
     limits
-        By parameter, where it must be looked after: for forecasts.
+        By parameter, value for maintenance: for forecasts.
     rate
         Of false alarms, per vehicle and year.
     vehicle
-        Of which alone changes are looked for; of all without.
+        The only one to check for changes; by default all.
 
     Raises
     ------
@@ -181,10 +181,10 @@ def _change(found: VehicleChange, last_s: float, limit: float | None) -> dict[st
 
 
 def forecast(found: VehicleChange, last_s: float, limit: float | None) -> dict[str, Any] | None:
-    """When a parameter that changes more and more reaches a limit: the day, and the first and last that are likely at 95 %; None
-    where nothing is asked, or nothing moves towards it.
+    """When a trend reaches its limit: the day, and its 95 % interval; None without a limit,
+    or without a trend towards it.
 
-    The time until then is taken to be as sure as the size of the change so far, and the change to go on as it did.
+    The remaining time has the relative uncertainty of the change so far, which is assumed to continue.
     """
     if limit is None or found.kind != RAMP or last_s <= found.since_s:
         return None
@@ -206,7 +206,7 @@ def without_load(row: Mapping[str, Any]) -> bool:
 
 
 def _months(rows: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
-    """By vehicle and month: how many recordings, and their mean mismatch; that of recordings without a load by itself."""
+    """By vehicle and month: number of recordings, and their mean mismatch; separately for those without a load."""
     found: dict[str, dict[str, list[Mapping[str, Any]]]] = {}
     for row in rows:
         found.setdefault(row["vehicle"], {}).setdefault(row["day"][:7], []).append(row)

@@ -31,19 +31,19 @@ class FleetVehicle:
     Attributes
     ----------
     name
-        Of this very vehicle; `file` describes its type.
+        Of the individual vehicle; `file` describes its type.
     file
         Its vehicle file.
     sha
         Digest of that file, and of the files it names.
     patterns
-        Globs of which its recordings' paths match one; without any a folder of the path must have its name.
+        Globs for the paths of its recordings; by default a folder of the path must have its name.
     topics
-        Which topic or column feeds which role; None where that is guessed.
+        Topic or column of each role; None to guess.
     topics_sha
         Digest of the topics file; empty without one.
     limits
-        By parameter: where it must be looked after.
+        By parameter: value for maintenance.
     """
 
     name: str
@@ -69,12 +69,12 @@ class Fleet:
     vehicles: Mapping[str, FleetVehicle]
 
     def vehicle_of(self, url: str) -> FleetVehicle:
-        """Whose recording it is.
+        """Vehicle of a recording.
 
         Raises
         ------
         InputError
-            If it is nobody's, or that of several.
+            If it belongs to none, or to several.
         """
         of = [vehicle for vehicle in self.vehicles.values() if vehicle.owns(url)]
         if len(of) == 1:
@@ -91,7 +91,7 @@ class Fleet:
 
 
 def one_vehicle(path_or_name: str, topics_path_or_name: str | None) -> Fleet:
-    """A fleet of one vehicle, of which all recordings are."""
+    """A fleet of one vehicle for all recordings."""
     file = find_vehicle(path_or_name)
     topics = None if topics_path_or_name is None else find_topics(topics_path_or_name)
     return Fleet({file.stem: FleetVehicle(file.stem, file, digest(file), ("*",), topics, digest(topics) if topics else "")})

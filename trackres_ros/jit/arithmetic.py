@@ -1,9 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Operations that Python and machine code round each in its own way, written so that both give the same bits.
+"""Operations that Python and machine code round differently, written so that both give the same bits.
 
-Python takes `x ** 2` to the C library's `pow` and has a `hypot` of its own; compiled code multiplies, and takes the C library's.
+Python computes `x ** 2` by the C library's `pow` and has its own `hypot`; compiled code multiplies, and uses the C library's.
 """
 
 from __future__ import annotations

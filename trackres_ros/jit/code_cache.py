@@ -1,11 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Keeps the machine code of one compiled function over starts, in the place of numba's own cache.
+"""Keeps the machine code of one compiled function between runs, instead of numba's own cache.
 
-numba's trusts its files: an index that is empty or cut ends the program, and both index and code are pickles, which run what
-they hold. Here every specialisation is a file of its own under a seal, written in one step, so two processes at once leave
-each other's files whole; one that is not what was written is removed and compiled again.
+numba's trusts its files: an index that is empty or cut ends the program, and both index and code are pickles, which can run
+any code. Here every specialisation is a separate file under a seal, written in one step, so concurrent processes do not damage
+each other's files. A file with a broken seal is removed and compiled again.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LARGEST = 64 << 20  # bytes; the largest of ours has less than one million
 
 
 class CodeCache:
-    """What a numba dispatcher asks of its cache (numba 0.57 to 0.68 ask the same)."""
+    """Interface of a numba dispatcher's cache (numba 0.57 to 0.68 have the same)."""
 
     def __init__(self, function: FunctionType, folder: Callable[[], Path | None]) -> None:
         self._function, self._folder = function, folder
@@ -42,13 +42,13 @@ class CodeCache:
         """Never is."""
 
     def flush(self) -> None:
-        """Remove what is kept of this function."""
+        """Remove the cached code of this function."""
         folder = self._folder()
         for path in folder.glob(f"{self._stem}-*") if folder else ():
             drop(path.parent, path.name)
 
     def any(self) -> bool:
-        """Whether whole code of this function lies in the cache."""
+        """Whether intact code of this function is in the cache."""
         folder = self._folder()
         found = folder.glob(f"{self._stem}-*.code") if folder else ()
         return any(fetched(folder, path.name, LARGEST) is not None for path in found)
@@ -65,8 +65,8 @@ class CodeCache:
             return None
         try:
             rebuild: Callable[..., Any] = compiler.CompileResult._rebuild
-            return rebuild(target, *pickle.loads(payload))  # sealed, in a folder where only we can write
-        except Exception:  # whatever it is, compiling anew mends it
+            return rebuild(target, *pickle.loads(payload))  # sealed, in a folder writable only by us
+        except Exception:  # compiling again repairs any error
             drop(folder, name)
             return None
 

@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The decorators of the kernels use numba where it is installed, plain Python where it is not.
+"""The decorators of the kernels use numba if it is installed, else plain Python.
 
-The numerical kernels are written once, in the subset both run; the environment variable TRACKRES_INTERPRETED=1 leaves
-numba out, which the tests use to show that both give the same numbers.
+The numerical kernels are written once, in the subset that both run. The environment variable TRACKRES_INTERPRETED=1 disables
+numba, which the tests use to show that both give the same numbers.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from trackres_ros.files.resources import cache_dir
 from trackres_ros.jit.code_cache import CodeCache
 
 COMPILED_ROOMS = ("model", "estimator", "effects", "jit", "route", "diagnosis/prepare", "diagnosis/described")
-"""Where the sources of compiled code lie."""
+"""Sources of compiled code."""
 CONSTANTS = "units.py"
-"""What they take constants from besides: those become part of the code."""
+"""Other sources of constants, which become part of the code."""
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -43,7 +43,7 @@ else:
     _library = numba
 
     class _Part(CPUDispatcher):
-        """A function that only compiled code calls as compiled: from Python it runs as Python.
+        """A function that is called compiled only from compiled code: from Python it runs as Python.
 
         So it needs no entry from Python or C, which took a third of the time to compile.
         """
@@ -62,9 +62,9 @@ def sources_digest() -> str:
 
 
 def _cache_name() -> str:
-    """Name of the folder of compiled code: it says which sources, which numba and which processor it is for.
+    """Name of the folder of compiled code: it contains a digest of sources, numba and processor.
 
-    numba itself looks only at the file of the function, not at those it calls: after a change in one of them it would run the
+    numba itself checks only the file of the function, not those it calls: after a change in one of them it would run the
     old machine code.
     """
     parts = [sources_digest(), sys.implementation.cache_tag]
@@ -87,7 +87,7 @@ def _folder(base: Path | None) -> Path | None:
 
 
 def code_folder() -> Path | None:
-    """Where compiled code is kept; None where it cannot be."""
+    """Folder of compiled code, or None."""
     return _folder(_base())
 
 
@@ -97,24 +97,24 @@ def keep_code_in(base: Path) -> None:
 
 
 def compiled(function: Function) -> Function:
-    """Compile `function` with numba (cached on disk) where numba is there."""
+    """Compile `function` with numba (cached on disk) if it is installed."""
     return _compile(function, False)
 
 
 def inlined(function: Function) -> Function:
-    """The same as a part of each of its callers: a call that hands over all constants costs as much as a step's arithmetic."""
+    """The same as a part of each of its callers: passing all constants costs as much as a step's arithmetic."""
     return _compile(function, True)
 
 
 def compiled_anew(function: Function) -> Function:
-    """Compile `function` in each process: for what becomes part of other code that is cached, or makes arrays."""
+    """Compile `function` in each process: for functions that become part of other cached code, or make arrays."""
     return cast(Function, _library.njit(nogil=True, error_model="numpy")(function)) if HAVE_NUMBA else function
 
 
 def _compile(function: Function, into_callers: bool) -> Function:
     if not HAVE_NUMBA:
         return function
-    # No kernel makes an array, so nothing has to count who holds one: that cost a third of a step.
+    # No kernel makes an array, so reference counting is disabled: it cost a third of a step.
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
     dispatcher: Any
     if into_callers:
@@ -127,7 +127,7 @@ def _compile(function: Function, into_callers: bool) -> Function:
 
 
 def is_cached(function: Callable[..., Any]) -> bool:
-    """Whether whole machine code of a compiled function lies in the cache; true without numba, as then nothing is compiled."""
+    """Whether intact machine code of a compiled function is in the cache; true without numba, which compiles nothing."""
     return not hasattr(function, "py_func") or CodeCache(function.py_func, code_folder).any()
 
 

@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes entries into compiled code: from Python come arrays and numbers one by one, inside they are named records.
+"""Makes entries into compiled code: from Python they take single arrays and numbers, inside they use named records.
 
-A call from Python pays more for a named tuple than for its arrays one by one: with those of a message as much as for all the rest
-of it (benchmarks/bench_ways.py).
+A call from Python costs more for a named tuple than for its arrays one by one. For those of a message it doubles the
+cost of the call (benchmarks/bench_ways.py).
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from trackres_ros.jit.compiled import compiled
 
 
 def entry(function: Callable[..., Any]) -> Callable[..., Any]:
-    """An entry to a compiled function whose parameters are records: it takes the fields of each in the place of the record.
+    """An entry to a compiled function whose parameters are records: it takes the fields of each instead of the record.
 
     Parameters
     ----------
     function
-        Compiled as `inlined`. Where a parameter is a `NamedTuple`, the entry takes its fields; where one of these is a
+        Compiled as `inlined`. For a parameter that is a `NamedTuple`, the entry takes its fields; for a field that is a
         `NamedTuple` itself, it takes an array of one numpy record with the same fields, or a list with it.
     """
     python = cast(FunctionType, getattr(function, "py_func", function))

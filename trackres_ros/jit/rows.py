@@ -3,7 +3,7 @@
 
 """Names the numbers of an array: `Motion(motion).last_speed` is an entry of `motion`, to read and to change.
 
-In compiled code a row is a record that lies where the array lies, so a name costs nothing. The array keeps its layout.
+In compiled code a row is a record at the address of the array, so a name costs nothing. The array keeps its layout.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 class Real:
-    """A real number of a row; of the class, its place in the array. `Row` puts a property where one is declared."""
+    """A real number of a row; on the class, its index in the array. `Row` replaces the declaration by a property."""
 
     kind: Any = np.float64
     shape: tuple[int, ...] = ()
@@ -38,7 +38,7 @@ class Real:
 
 
 class Whole:
-    """A whole number of a row, else as `Real`."""
+    """An integer of a row, else as `Real`."""
 
     kind: Any = np.int64
     shape: tuple[int, ...] = ()
@@ -51,7 +51,7 @@ class Whole:
 
 
 class Reals:
-    """Several real numbers of a row, which are an array; of the class, the slice where they lie."""
+    """Several real numbers of a row as an array; on the class, their slice."""
 
     kind: Any = np.float64
 
@@ -67,7 +67,7 @@ class Reals:
 
 
 class _Number(property):
-    """What stands in the place of a `Real`, `Whole` or `Reals`."""
+    """Replacement of a `Real`, `Whole` or `Reals`."""
 
     place: int | slice
 
@@ -83,7 +83,7 @@ class Row(metaclass=_Places):
 
     __slots__ = ("numbers",)
     columns: int
-    names: tuple[str, ...]  # one a number: those of several are alike
+    names: tuple[str, ...]  # one per number: those of several are equal
 
     def __init__(self, numbers: NDArray[Any]) -> None:
         self.numbers = numbers
@@ -100,7 +100,7 @@ class Row(metaclass=_Places):
 
 
 def _number(place: int | slice) -> _Number:
-    """The property of a place, which stands in the code as a constant: Python is a tenth faster so."""
+    """The property of an index, which is a constant in the code: Python is a tenth faster so."""
     where, known = f"{place.start}:{place.stop}" if isinstance(place, slice) else place, dict[str, Any]()
     exec(f"def get(row):\n    return row.numbers[{where}]\ndef change(row, value):\n    row.numbers[{where}] = value", known)
     number = _Number(known["get"], known["change"])

@@ -20,16 +20,16 @@ Array = NDArray[np.float64]
 
 BLOCK_S = 20  # seconds that count
 MEMORY = 45.0  # blocks: a quarter of an hour
-CONTEST_MEMORY, SURELY = 90.0, 2.0  # blocks; standard errors by which what was learned has to be better before it acts
+CONTEST_MEMORY, SURELY = 90.0, 2.0  # blocks; standard errors by which learned values must be better before they act
 LEAST_BLOCKS = 6
 OUTLIER = 4.0  # typical differences of blocks
-STEP_SHARE = 0.03  # of what rolling takes: less is no step
+STEP_SHARE = 0.03  # of the rolling resistance: less is no step
 STEP_STDS = 5.0  # typical differences of blocks
 PAST = 90  # blocks that are kept
 LAGS = (2, 3)  # blocks
 LEAST_PAIRS = 6
 LATE = 3  # blocks: a minute
-PAST_OUTLIER = 3.0  # typical levels: at first not much is known
+PAST_OUTLIER = 3.0  # typical levels: a wide prior
 CONFIRMED = 0.6  # of a step is still there a block later
 
 
@@ -39,13 +39,13 @@ class ResidualBlock:
 
     seconds: int = 0
     weight: float = 0.0
-    residual: float = 0.0  # measured less what the file expects [Nm]
-    gain: float = 0.0  # by how much less of a second is left with what was learned by then than with the file [Nm]
+    residual: float = 0.0  # measured less the file's expectation [Nm]
+    gain: float = 0.0  # how much smaller a second's residual is with values learned by then than with the file [Nm]
     sign: float = 0.0
     looks: Array = field(default_factory=lambda: np.zeros(STATES))
 
     def add(self, residual: float, learned: float, sign: float, looks: Array, weight: float) -> None:
-        """Take in a second with a weight; `learned` is what was learned by then explains of it [Nm]."""
+        """Add a second with a weight; `learned` is its residual explained by learned values [Nm]."""
         self.seconds += 1
         self.weight += weight
         share = weight / self.weight
@@ -57,13 +57,13 @@ class ResidualBlock:
 
 @dataclass
 class Wandering:
-    """How much what is left differs from block to block: mean of the squares, outliers in part."""
+    """Scatter of residuals from block to block: mean of the squares, outliers with reduced weight."""
 
     blocks: int = 0
     variance: float = 0.0  # of a difference [Nm^2]
 
     def see(self, difference: float, least: float) -> None:
-        """Take in a difference of two blocks [Nm], which at first are thought to differ by so much as is assumed."""
+        """Add a difference of two blocks [Nm]; the assumed scatter is its prior."""
         if not self.blocks:
             self.variance = least
         bound = OUTLIER * OUTLIER * max(self.variance, least)
@@ -78,22 +78,22 @@ class Wandering:
 
 @dataclass
 class Past:
-    """What the blocks of half an hour have left, and how much of it goes on.
+    """Residuals of the blocks of half an hour, and the lasting part.
 
-    What comes and goes within a block, as bumps of the road do, is no more two blocks later; what wanders slowly is. So the
-    products of levels that far apart tell the one from the other.
+    Short disturbances within a block, such as bumps of the road, are over two blocks later; slow ones are not. So the
+    products of levels that far apart separate the two.
 
     Attributes
     ----------
     numbers
-        Of each block; those that follow each other are neighbours. Negative: none yet.
+        Of each block; neighbours have consecutive ones. Negative: none yet.
     levels
-        Measured less what was known when the block was full, but for disturbances, against travel [Nm].
+        Measured less the estimate when the block was full, without disturbances, against travel [Nm].
     """
 
     last: int = 0  # number of the last block
-    slow: float = math.nan  # variance of what wanders [Nm^2]
-    white: float = math.nan  # of what comes and goes, over a block [Nm^2]
+    slow: float = math.nan  # variance of the slow disturbance [Nm^2]
+    white: float = math.nan  # variance of the short disturbances, over a block [Nm^2]
     numbers: Array = field(default_factory=lambda: np.full(PAST, -1.0))
     levels: Array = field(default_factory=lambda: np.zeros(PAST))
 
@@ -102,7 +102,7 @@ class Past:
         self.last += 1 + LAGS[-1]
 
     def see(self, level: float, keep: float) -> None:
-        """Take in a block; tell what wanders, of which a share is kept from a block to the next."""
+        """Add a block; estimate the slow disturbance, of which a share is kept from block to block."""
         self.numbers[self.last % PAST], self.levels[self.last % PAST] = self.last, level
         self.last += 1
         order = np.argsort(self.numbers, kind="stable")
@@ -126,7 +126,7 @@ class Past:
         self.white = max(differs - self.slow * (1.0 - keep), 0.0)
 
     def of_late(self) -> tuple[float, float]:
-        """Mean of the last blocks [Nm] and its standard deviation by what comes and goes; nan where they are too few."""
+        """Mean of the last blocks [Nm] and its standard deviation due to short disturbances; nan with too few blocks."""
         if math.isnan(self.white):
             return math.nan, math.nan
         late = [(self.last - 1 - back) % PAST for back in range(LATE)]
@@ -137,7 +137,7 @@ class Past:
 
 @dataclass
 class Contest:
-    """By how much less is left with what was learned than with the file, over blocks that neither has seen: running mean [Nm]."""
+    """How much smaller the residual is with learned values than with the file, over blocks unused by both: running mean [Nm]."""
 
     blocks: int = 0
     gain: float = 0.0
@@ -145,7 +145,7 @@ class Contest:
     better: bool = False
 
     def see(self, gain: float) -> None:
-        """Take in a block: what the file leaves less what is left with what was learned, in size [Nm]."""
+        """Add a block: size of the file's residual less that of the learned one [Nm]."""
         self.blocks += 1
         share = max(1.0 / self.blocks, 1.0 / CONTEST_MEMORY)
         departure = gain - self.gain

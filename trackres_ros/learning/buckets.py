@@ -17,7 +17,7 @@ BELT_DEGC = (15.0, 30.0, 45.0)
 LOAD_SHARES = (0.9, 1.1)  # of the nominal weight
 SHAPE = (len(SPEED_SHARES) + 1, len(BELT_DEGC) + 1, len(LOAD_SHARES) + 1)
 FILLED_S = 20.0
-LEAST_S = 240.0  # of driving compared, in all
+LEAST_S = 240.0  # of compared driving, in total
 LEAST_FILLED, LEAST_WITHOUT_BELTS = 4, 2  # buckets
 ACCELERATES_MPS2, LEAST_ACCELERATING_S = 0.15, 60.0
 
@@ -40,7 +40,7 @@ class Buckets:
         self.seconds, self.accelerating = np.zeros(SHAPE), np.zeros(1)
 
     def clear(self) -> None:
-        """Nothing was driven yet."""
+        """Empty buckets."""
         self.seconds[:], self.accelerating[:] = 0.0, 0.0
 
     def count(self, speed: float, belt_degc: float, weight: float, accel: float) -> None:
@@ -55,7 +55,7 @@ class Buckets:
         return np.asarray(self.seconds >= FILLED_S)
 
     def covered(self) -> NDArray[np.bool_]:
-        """Whether enough was seen of what shows each departure, shape (LEARNABLE,)."""
+        """Whether each departure was excited enough, shape (LEARNABLE,)."""
         filled: NDArray[np.bool_] = self.filled
         if self.seconds.sum() < LEAST_S or filled.sum() < self._least:
             return np.zeros(at.LEARNABLE, dtype=bool)
@@ -68,7 +68,7 @@ class Buckets:
 
     @property
     def share(self) -> float:
-        """How much of what is asked for has been driven, 0 to 1."""
+        """Share of the required driving, 0 to 1."""
         return float(min(self.seconds.sum() / LEAST_S, self.filled.sum() / self._least, 1.0))
 
 

@@ -22,13 +22,13 @@ TEXTS = ("the vehicle file is used", "the learned parameters fit better than the
 
 
 class LearningColumns:
-    """The columns of a learner, behind those of the estimate.
+    """The columns of a learner, after those of the estimate.
 
     Attributes
     ----------
     names
-        Resistance with what was learned [Nm], whatever acts; share of what is asked for that has been driven; whether what was
-        learned is used, or would be; and of each thing that is learned its value, standard deviation and state.
+        Learned resistance [Nm], whether it acts or not; share of the required driving; whether learned values are used, or would
+        be; and value, standard deviation and state of each learned parameter.
     """
 
     def __init__(self, learner: Learner) -> None:
@@ -38,7 +38,7 @@ class LearningColumns:
         self.names = column_names(learner.learnables)
 
     def of(self, row: Sequence[float], session: Session) -> list[float]:
-        """The columns of a step, once it was taken."""
+        """The columns of a finished step."""
         learner, learned = self._learner, session.learned
         second = learner.gate.second.number
         if second != self._second:
@@ -57,7 +57,7 @@ def column_names(learnables: Sequence[Learnable]) -> tuple[str, ...]:
 
 
 def columns_of(one: Learnable) -> tuple[str, str, str]:
-    """Value, standard deviation and state of one thing that is learned."""
+    """Value, standard deviation and state of one learned parameter."""
     unit = "" if one.unit == "1" else f"_{one.unit.lower()}"
     return f"learned_{one.name}{unit}", f"learned_{one.name}_std{unit}", f"learned_{one.name}_state"
 
@@ -81,7 +81,7 @@ Line = tuple[str, str, tuple[tuple[str, str], ...]]
 
 
 def lines(learnables: Sequence[Learnable], ranges: Sequence[tuple[float, float]], values: Sequence[float]) -> list[Line]:
-    """Name, message and values of a status for each thing that is learned, out of the columns but for the torque."""
+    """Name, message and values of a status for each learned parameter, from its columns without the torque."""
     coverage, acts = values[:2]
     found: list[Line] = []
     for i, (one, (low, high)) in enumerate(zip(learnables, ranges, strict=True)):
@@ -116,7 +116,7 @@ class LearnedTopic:
         self.names = column_names(learner.learnables)
 
     def lines(self, row: Sequence[float]) -> list[Line]:
-        """The lines of a row, whose last columns are those of a learner."""
+        """The lines of a row that ends in a learner's columns."""
         return lines(self._learnables, self._ranges, row[len(row) - len(self.names) + 1 :])
 
 

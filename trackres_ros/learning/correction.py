@@ -18,15 +18,15 @@ from trackres_ros.learning.parameters import STEP, Prior
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-RATE_PER_HOUR = 1.0  # of the file's value: what acts follows no faster
+RATE_PER_HOUR = 1.0  # of the file's value: limit on the rate of acting values
 FASTEST = np.full(at.LEARNABLE, RATE_PER_HOUR / 3600.0)  # in a second
 FASTEST[at.OF_BELT] = 1.0  # K
-BELT_S = 900.0  # of a belt's temperature: its heat capacity over what cools it
+BELT_S = 900.0  # of a belt's temperature: heat capacity over cooling
 ACCEL_DOUBT = 0.04  # of an acceleration filtered out of a speed; of simulated drives a right mass comes out by so much too large
 
 
 def std_of(s: LearnerState, state: int) -> float:
-    """Standard deviation of a state as it is told; of a mass with what accelerations are off by themselves."""
+    """Reported standard deviation of a state; for a mass with the acceleration's own error."""
     return told_std(state, float(s.covariance[state, state]))
 
 
@@ -43,7 +43,7 @@ def sure(s: LearnerState, prior: Prior) -> Mask:
 
 
 def aim(s: LearnerState, prior: Prior, counted: Mask) -> None:
-    """What is to act: all that counts, with the rest as the file has it."""
+    """Target of the acting departures: all accepted ones, with the file's values for the rest."""
     s.aim[:] = 0.0
     if not counted.any():
         return
@@ -54,19 +54,19 @@ def aim(s: LearnerState, prior: Prior, counted: Mask) -> None:
 
 
 def follow(s: LearnerState) -> None:
-    """What acts follows what is to act, no faster than it may."""
+    """Move acting departures towards their target within the rate limit."""
     s.applied += np.minimum(np.maximum(s.aim - s.applied, -FASTEST), FASTEST)
 
 
 def move(s: LearnerState, acts: bool, learned: Array, now: int, belt_variance: float) -> None:
-    """Write what acts into the memory of a session, see `estimator.columns`.
+    """Write the acting departures into the memory of a session, see `estimator.columns`.
 
     Parameters
     ----------
     now
-        The second it is: since the last that was learned from, belts have become less sure.
+        The present second: belts have become less certain since the last second used.
     belt_variance
-        Of the belts' temperature where no torque tells of it [K^2].
+        Variance of the belts' temperature without a torque measurement [K^2].
     """
     if not (acts and s.applied.any()):
         learned[: at.Learned.slow] = 0.0
@@ -80,12 +80,12 @@ def move(s: LearnerState, acts: bool, learned: Array, now: int, belt_variance: f
 
 
 def belt_keeps(seconds: float) -> float:
-    """What is left of a belt's departure after so long."""
+    """Remaining share of a belt's departure after some time."""
     return math.exp(-seconds / BELT_S)
 
 
 def factor(s: LearnerState, unseen_s: float, belt_variance: float) -> Array:
-    """Lower factor of the covariance about what acts, shape (LEARNABLE, LEARNABLE); see `move`."""
+    """Lower factor of the covariance about the acting departures, shape (LEARNABLE, LEARNABLE); see `move`."""
     off = s.mean[: at.LEARNABLE] - s.applied
     covariance = s.covariance[: at.LEARNABLE, : at.LEARNABLE] + off[:, None] * off[None, :]
     covariance[np.diag_indices_from(covariance)] += 1e-12

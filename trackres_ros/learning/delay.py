@@ -3,7 +3,7 @@
 
 """Estimates the delay of the measured torque behind the speed [s], with its standard deviation.
 
-Each window of 20 s with changes of speed tells a delay. The delays of the last windows give the mean, and what they differ by its
+Each window of 20 s with changes of speed gives a delay. The delays of the last windows give the mean, and their scatter its
 standard deviation.
 
 References
@@ -24,14 +24,14 @@ from trackres_ros.units import NANOSECOND, SECOND_NS
 
 Array = NDArray[np.float64]
 
-APART_NS = 9_000_000  # between two samples that are kept: at 100 Hz all are
+APART_NS = 9_000_000  # between two kept samples: at 100 Hz all are kept
 PAST = 40  # windows that are kept
 LEAST_WINDOW_STD_S = 0.01  # assumed: no window is better, as a filter delays slow changes more than fast ones
-LEAST_STD_S = 0.003  # assumed: the same of all windows together
-FIRST_STD_S = 0.3  # assumed: what is known before anything was driven
-OUTLIER = 3.0  # standard deviations: a window that is further off weighs less
-AS_SAID = 4.0  # windows that differ as much as they say, assumed beside those that were seen
-LATE = 3  # last windows that can tell of another delay
+LEAST_STD_S = 0.003  # assumed: common to all windows
+FIRST_STD_S = 0.3  # assumed: prior
+OUTLIER = 3.0  # standard deviations: a window further off has a lower weight
+AS_SAID = 4.0  # assumed number of prior windows whose scatter agrees with their variances
+LATE = 3  # last windows that can reveal a changed delay
 CHANGED_STDS, CHANGED_S = 4.0, 0.015  # by which their mean is then off
 LEAST_WINDOWS = 6
 KNOWN_STD_S = 0.01  # so that 95 % are within 20 ms
@@ -44,11 +44,11 @@ class KeptDelays:
     Attributes
     ----------
     count
-        Windows that told of a delay so far.
+        Windows with a delay so far.
     fresh
-        Of them since the last start: another topics file may have moved the torque since.
+        Those since the last start: another topics file may have moved the torque since.
     delays, variances
-        Of the last windows [s] and [s^2]; number n stands at n modulo their length. A variance of 0: none.
+        Of the last windows [s] and [s^2]; number n is at n modulo their length. A variance of 0: none.
     """
 
     count: int = 0
@@ -57,7 +57,7 @@ class KeptDelays:
     variances: Array = field(default_factory=lambda: np.zeros(PAST))
 
     def see(self, delay: float, variance: float) -> None:
-        """Take in the delay of a window; forget those before where the last ones agree on another."""
+        """Add the delay of a window; forget the earlier ones if the last ones agree on another."""
         place = self.count % PAST
         self.delays[place], self.variances[place] = delay, max(variance, LEAST_WINDOW_STD_S**2)
         self.count += 1
@@ -81,13 +81,13 @@ class KeptDelays:
 
     @property
     def known(self) -> bool:
-        """Whether the delay is known: by enough windows, some of them since the start, that agree."""
+        """Whether the delay is known: from enough consistent windows, some of them since the start."""
         enough = np.count_nonzero(self.variances) >= LEAST_WINDOWS and self.fresh >= LATE
         return bool(enough) and self.value[1] < KNOWN_STD_S
 
 
 def _together(delays: Array, variances: Array) -> tuple[float, float]:
-    """Robust weighted mean of windows and its standard deviation [s], by what they differ by if that is more than they say."""
+    """Robust weighted mean of windows and its standard deviation [s], from their scatter if that exceeds their variances."""
     some = variances > 0.0
     n = int(np.count_nonzero(some))
     if n == 0:
@@ -104,7 +104,7 @@ def _together(delays: Array, variances: Array) -> tuple[float, float]:
         if n > 1:
             free = AS_SAID + n - 1.0
             scale = math.sqrt(max((AS_SAID + float((used * (x - mean) ** 2).sum())) / free, 1.0))
-    few = (AS_SAID + n - 1.0) / (AS_SAID + n - 3.0)  # Student's t: what few differ by is not known well
+    few = (AS_SAID + n - 1.0) / (AS_SAID + n - 3.0)  # Student's t: the scatter of few is uncertain
     variance = scale * scale * few / float((weights * trust).sum())
     known = 1.0 / (1.0 / variance + FIRST_STD_S**-2)
     return mean * known / variance, math.hypot(math.sqrt(known), LEAST_STD_S)
@@ -112,19 +112,19 @@ def _together(delays: Array, variances: Array) -> tuple[float, float]:
 
 @dataclass
 class DelaySamples:
-    """Samples of a window with its margins: times [s] since its beginning, and what was seen."""
+    """Samples of a window with its margins: times [s] since its beginning, and values."""
 
     speed: list[tuple[float, float, float, float]] = field(default_factory=list)  # time, speed, resistance, inertia by m/s^2
     torque: list[tuple[float, float]] = field(default_factory=list)
 
 
 class DelayEstimator:
-    """Takes steps one by one; a window of them at a time tells of the delay.
+    """Takes steps one by one; each window of them gives a delay.
 
     Parameters
     ----------
     rolling_nm
-        Size of the torque that rolling takes [Nm].
+        Size of the rolling resistance torque [Nm].
     """
 
     def __init__(self, rolling_nm: float) -> None:
@@ -138,7 +138,7 @@ class DelayEstimator:
         self._begin(0)
 
     def restart(self) -> None:
-        """Time begins anew: what other windows told stays, and has to be confirmed."""
+        """Restart the time; delays of earlier windows stay, but need confirmation."""
         self.kept.fresh = 0
         self._begin(0)
 
@@ -156,18 +156,18 @@ class DelayEstimator:
         torque_nm: float,
         usable: bool = True,
     ) -> None:
-        """Take in a speed and the last torque that was measured.
+        """Add a speed and the last measured torque.
 
         Parameters
         ----------
         stamp_ns, speed
             Of the speed [ns] and [m/s].
         resisting_nm, inertia
-            What driving takes after the model but for inertia [Nm], and torque of the inertia by m/s^2 [Nm s^2/m].
+            Modelled drive torque without inertia [Nm], and torque of the inertia per m/s^2 [Nm s^2/m].
         torque_ns, torque_nm
             Stamp [ns] and measured torque [Nm].
         usable
-            Whether speed and estimate may be trusted now; where not, all of the window is left out.
+            Whether speed and estimate can be trusted now; if not, the whole window is discarded.
         """
         samples, origin = self._samples, self._origin_ns
         passed_ns = stamp_ns - self._seen_ns
@@ -192,7 +192,7 @@ class DelayEstimator:
             self.kept.see(*found)
 
     def _advance(self) -> None:
-        """The next window begins where this one ends."""
+        """Begin the next window at the end of this one."""
         self._origin_ns += round(WINDOW_S * SECOND_NS)
         self._samples = DelaySamples(
             [(time - WINDOW_S, v, r, i) for time, v, r, i in self._samples.speed if time >= WINDOW_S - LONGEST_GAP_S],

@@ -21,11 +21,11 @@ from trackres_ros.learning.gate import AGAINST_SHARE, BRAKING_MPS2, SLOWEST_MPS
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-EARLIEST_S, LATEST_S = -0.5, 1.0  # delays that are searched: a delay up to 0.5 s needs both flanks of its peak
+EARLIEST_S, LATEST_S = -0.5, 1.0  # delays searched: a delay up to 0.5 s needs both flanks of its peak
 GRID_S = 0.05
 WINDOW_S = 20.0
 SMOOTH_S = 0.3  # least standard deviation of the kernel: an acceleration in less time is mostly noise of the speed
-SMOOTH_SPACINGS = 0.7  # least standard deviation over the time between two samples: what lies between them is not known
+SMOOTH_SPACINGS = 0.7  # minimum standard deviation over the time between two samples: values between them are unknown
 REACH = 3.0  # of the kernel, in standard deviations
 SLOWEST_RATE_HZ = 1.0
 MARGIN_S = REACH * SMOOTH_SPACINGS / SLOWEST_RATE_HZ
@@ -33,17 +33,17 @@ SPAN_S = LATEST_S - EARLIEST_S + WINDOW_S + 2.0 * MARGIN_S
 LONGEST_GAP_S = 2.5  # at 1 Hz one sample may be missing
 GAP_SPACINGS, LEAST_GAP_S = 3.5, 0.5  # a longer pause than this, over the typical spacing and at least, is a gap
 LEAST_SAMPLES = 8
-BESIDE_BRAKES_S = 1.0  # left out on either side of braking: the torque may be so late
+BESIDE_BRAKES_S = 1.0  # excluded on either side of braking: the delay of the torque may be as long
 LEAST_SHARE = 0.25  # of a window that must be usable
-LEAST_EXPLAINED, LEAST_EXPLAINED_BRAKING = 0.6, 0.9  # of the expected changes: else something other drives or brakes
+LEAST_EXPLAINED, LEAST_EXPLAINED_BRAKING = 0.6, 0.9  # share of the expected changes: below, another cause drives or brakes
 GAINS = (0.6, 1.5)  # expected over measured changes: beyond, the torque is not the one that moves this vehicle
-GAIN_STD = 0.1  # assumed: what load, mass and torque sensor leave open
-SPEED_SHARE = 0.02  # assumed: of the rolling torque, by which a resistance may change with a m/s other than the model says
+GAIN_STD = 0.1  # assumed: uncertainty of load, mass and torque sensor
+SPEED_SHARE = 0.02  # assumed: unmodelled change of the resistance per m/s, of the rolling torque
 ALIKE_S = 1.5  # points of a window further apart than this are independent
 LEAST_ALIKE = 0.1  # assumed: no noise alternates so well that it counts for less than a tenth of white noise
 FITTED = 5.0  # values of a window: level, trend, resistance over speed, gain, delay
 ROUNDING = 1e-9
-WORST_STD_S = 0.1  # a window that is less sure has no excitation
+WORST_STD_S = 0.1  # a window with a larger uncertainty has no excitation
 
 _TIMES = np.arange(round(SPAN_S / GRID_S) + 1) * GRID_S
 _DELAYS = np.arange(round(EARLIEST_S / GRID_S), round(LATEST_S / GRID_S) + 1)
@@ -51,28 +51,28 @@ _INNER = round((MARGIN_S - EARLIEST_S) / GRID_S) + np.arange(round(WINDOW_S / GR
 
 
 def window_delay(speeds: Array, torques: Array, rolling_nm: float) -> tuple[float, float] | None:
-    """The delay that the samples of one window tell of, and its variance.
+    """Delay from the samples of one window, and its variance.
 
     Parameters
     ----------
     speeds
-        Time [s], speed [m/s], resistance [Nm] and inertia by m/s^2 [Nm s^2/m]; shape (samples, 4).
+        Time [s], speed [m/s], resistance [Nm] and inertia per m/s^2 [Nm s^2/m]; shape (samples, 4).
     torques
         Time [s] and measured torque [Nm]; shape (samples, 2).
     rolling_nm
-        Size of the torque that rolling takes [Nm]: while it brakes with less, friction brakes may be at work.
+        Size of the rolling resistance torque [Nm]: during stronger braking, friction brakes may act.
 
     Returns
     -------
     tuple or None
-        Delay [s] and variance [s^2]; None where nothing tells of it.
+        Delay [s] and variance [s^2]; None without excitation.
 
     Notes
     -----
-    All series are smoothed alike. Then expected(t) = gain * measured(t + delay) + a + b t + c speed(t): level, warming and a
-    resistance that grows otherwise with the speed are no delay. Gain and c have priors, as an acceleration that decays
-    exponentially looks the same with another gain as with another delay. The expected torque is on the left as its noise, out of
-    the differentiated speed, is the larger one. The sum of squares is smallest at the delay, between points of the grid by a
+    All series are smoothed equally. Then expected(t) = gain * measured(t + delay) + a + b t + c speed(t): level, warming and an
+    unmodelled growth of the resistance with speed are no delay. Gain and c have priors, since under an exponentially decaying
+    acceleration another gain looks like another delay. The expected torque is on the left, as its noise, from the
+    differentiated speed, is larger. The sum of squares is smallest at the delay, interpolated between points of the grid by a
     parabola.
     """
     if min(len(speeds), len(torques)) < LEAST_SAMPLES:
@@ -91,7 +91,7 @@ def window_delay(speeds: Array, torques: Array, rolling_nm: float) -> tuple[floa
     reach = REACH * smooth
     there = _reached(_clear(kept_torque, reach))
     series = np.stack([expected, measured, smooth_speed])
-    # Where the torque follows what braking takes too, no friction brakes are at work; else braking is left out.
+    # If the torque follows the braking too, no friction brakes act; else braking is excluded.
     least = LEAST_EXPLAINED_BRAKING if brakes.any() else LEAST_EXPLAINED
     found = _fitted(series, there & _clear(usable, reach), smooth, rolling_nm, least)
     if found is None and brakes.any():
@@ -119,7 +119,7 @@ def _fitted(series: Array, usable: Mask, smooth: float, rolling_nm: float, least
     by_delay = np.vstack([measured[inner[None, :] + _DELAYS[:, None]], speed[inner], expected[inner]])
     by_delay -= (by_delay @ base) @ base.T
     (over_speed, left), by_delay = by_delay[-2:], by_delay[:-2]
-    alike = 2.0 * math.sqrt(math.pi) * smooth / GRID_S  # points of the grid that tell as much as one, so smoothed
+    alike = 2.0 * math.sqrt(math.pi) * smooth / GRID_S  # smoothed points of the grid per independent one
     free = max(len(inner) - FITTED * alike, alike)
     products = (
         (by_delay**2).sum(axis=1),
@@ -129,7 +129,7 @@ def _fitted(series: Array, usable: Mask, smooth: float, rolling_nm: float, least
         float(over_speed @ left),
     )
     whole, tied = float(left @ left), (0.0, 0.0)
-    for _ in range(2):  # a fit without priors tells the noise, by which the priors count
+    for _ in range(2):  # a fit without priors gives the noise, which sets the weight of the priors
         unexplained, gains, slopes = _least_squares(*products, *tied)
         best = int(np.argmin(unexplained))
         noise = max(whole + float(unexplained[best]), ROUNDING * whole) / free
@@ -142,10 +142,10 @@ def _fitted(series: Array, usable: Mask, smooth: float, rolling_nm: float, least
     if bend <= 0.0 or float(residual @ residual) > (1.0 - least_explained) * whole:
         return None
     delay = (_DELAYS[best] + 0.5 * (before - after) / bend) * GRID_S
-    moved = gains[best] * (by_delay[best + 1] - by_delay[best - 1]) / (2.0 * GRID_S)  # by a delay that is a second longer
+    moved = gains[best] * (by_delay[best + 1] - by_delay[best - 1]) / (2.0 * GRID_S)  # per second of delay
     fitted = np.stack([by_delay[best], over_speed])
     alone = moved - np.linalg.solve(fitted @ fitted.T + np.diag(tied), fitted @ moved) @ fitted
-    spread = np.zeros((2, len(expected)))  # nothing between the usable points
+    spread = np.zeros((2, len(expected)))  # no data between the usable points
     spread[:, inner] = alone, residual
     variance = float(residual @ residual) / free * _alike(*spread) / max(float(moved @ alone), 1e-300)
     return (float(delay), variance) if variance < WORST_STD_S**2 else None
@@ -154,7 +154,7 @@ def _fitted(series: Array, usable: Mask, smooth: float, rolling_nm: float, least
 def _least_squares(
     uu: Array, uv: Array, vv: float, um: Array, vm: float, of_gain: float, of_slope: float
 ) -> tuple[Array, Array, Array]:
-    """Fit m = gain * u + slope * v for each delay out of the products of u, v and m, with ties to a gain of 1 and a slope of 0.
+    """Fit m = gain * u + slope * v for each delay from the products of u, v and m, with priors at a gain of 1 and a slope of 0.
 
     Returns the sum of squares less that of m, gain and slope, each of shape (delays,).
     """
@@ -166,9 +166,9 @@ def _least_squares(
 
 
 def _alike(slope: Array, noise: Array) -> float:
-    """How many times as far as white noise of its size the noise moves what a slope is fitted by.
+    """Effect of the noise on a fitted slope, relative to white noise of the same size.
 
-    What noise of the speed makes of an acceleration goes to and fro, and moves the delay much less than other noise would.
+    An acceleration from a noisy speed has alternating noise, which moves the delay much less than other noise would.
     """
     reach = round(ALIKE_S / GRID_S)
     of_slope, of_noise = (np.correlate(np.pad(one, reach), one, "valid")[reach:] for one in (slope, noise))
@@ -178,7 +178,7 @@ def _alike(slope: Array, noise: Array) -> float:
 
 
 def _near(times: Array) -> tuple[Mask, float]:
-    """Where the grid lies in no gap of the samples, shape of `_TIMES`; the typical spacing of the samples [s]."""
+    """Points of the grid outside gaps of the samples, shape of `_TIMES`; and the typical spacing of the samples [s]."""
     spacing = np.diff(times)
     typical = float(np.median(spacing))
     longest = min(max(GAP_SPACINGS * typical, LEAST_GAP_S), LONGEST_GAP_S)
@@ -190,7 +190,7 @@ def _near(times: Array) -> tuple[Mask, float]:
 
 
 def _reached(good: Mask) -> Mask:
-    """Where all points are good that any delay looks at; only of `_INNER`."""
+    """Points of `_INNER` where all points used by any delay are good."""
     bad = np.concatenate([[0], np.cumsum(~good)])
     found = np.zeros(len(good), dtype=bool)
     found[_INNER] = bad[_INNER + _DELAYS[-1] + 1] == bad[_INNER + _DELAYS[0]]
@@ -198,7 +198,7 @@ def _reached(good: Mask) -> Mask:
 
 
 def _clear(good: Mask, reach_s: float) -> Mask:
-    """Where all within a reach is good; beyond the ends all is."""
+    """Points where all within a reach are good; beyond the ends all are."""
     reach = round(reach_s / GRID_S)
     bad = np.concatenate([[0], np.cumsum(~good)])
     at = np.arange(len(good))

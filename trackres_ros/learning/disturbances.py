@@ -15,19 +15,19 @@ from trackres_ros.learning.learned import SLOW_KEEPS, LearnerState
 from trackres_ros.learning.parameters import GAIN, SLOW, STEP
 from trackres_ros.vehicle import Disturbance, Spells
 
-FIRST_SHARE = 0.015  # of what rolling takes: by so much blocks are thought to differ at first
-STEP_HOLDS_S = 600.0  # driving after a step in which nothing is learned of the vehicle
+FIRST_SHARE = 0.015  # of the rolling resistance: prior difference of blocks
+STEP_HOLDS_S = 600.0  # driving after a step during which no vehicle parameter is learned
 GAIN_STEP_STD = 0.05  # of a sensor that was replaced
 DISAGREES_SHARE, DISAGREES_S = 0.08, 60.0  # of the samples of a minute that disagree with the others
-ALIKE_SHARE = 0.3  # by which a step may differ from a spell that the vehicle file tells of
+ALIKE_SHARE = 0.3  # allowed difference of a step from a spell in the vehicle file
 LASTS_S = 60.0  # before a disturbance is fed forward
-LASTING_SHARE = 0.02  # of what rolling takes: no more of it is, whatever it is
-SAID_SHARE, SAID_STDS = 0.02, 3.0  # of what rolling takes, and of a minute's mean: more beside the vehicle is told of
-FADES = 0.5  # of it is left a second later where no torque comes
+LASTING_SHARE = 0.02  # of the rolling resistance: limit on the feed-forward of a disturbance
+SAID_SHARE, SAID_STDS = 0.02, 3.0  # of the rolling resistance, and of a minute's mean: a larger unmodelled torque is reported
+FADES = 0.5  # remaining share a second later without a torque
 
 
 def close_block(s: LearnerState) -> None:
-    """A block is full: whether what is left came at once, and whether what was learned explains more than the file."""
+    """Finish a block: check for a step, and whether learned values explain more than the file."""
     s.blocks += 1
     block, before = s.block, s.last_block
     if before.seconds:
@@ -40,7 +40,7 @@ def close_block(s: LearnerState) -> None:
 
 
 def _level(s: LearnerState, block: ResidualBlock) -> float:
-    """What a block has left of what is known by now, but for disturbances; against travel [Nm]."""
+    """Residual of a block by present knowledge, without disturbances; against travel [Nm]."""
     return (block.residual - expected(s.mean[:SLOW], block.looks[:SLOW])) * block.sign
 
 
@@ -75,7 +75,7 @@ def _step_found(s: LearnerState, size: float) -> None:
 
 
 def _tell(s: LearnerState) -> None:
-    """Whether what is left of a minute is more than what comes and goes."""
+    """Whether the mean residual of a minute exceeds the short disturbances."""
     beside, std = s.past.of_late()
     least = SAID_SHARE * s.rolling
     if not abs(beside) > 0.5 * least:
@@ -86,7 +86,7 @@ def _tell(s: LearnerState) -> None:
 
 
 def let_last(s: LearnerState, compared: bool) -> None:
-    """Feed forward what has lasted, within a bound; it fades where no torque is compared."""
+    """Feed a lasting disturbance forward, within a bound; it fades without a compared torque."""
     if not compared:
         s.lasting_nm *= FADES
         s.lasting_s = 0.0
@@ -106,9 +106,9 @@ def why_frozen(s: LearnerState, now: int, known: Disturbance | None) -> str:
     Parameters
     ----------
     now
-        The second it is.
+        The present second.
     known
-        The disturbance that the vehicle file tells of.
+        The disturbance of the vehicle file.
     """
     if s.disagrees > DISAGREES_SHARE:
         return f"{100.0 * s.disagrees:.0f} % of the measured torques disagree with the others"
@@ -121,7 +121,7 @@ def why_frozen(s: LearnerState, now: int, known: Disturbance | None) -> str:
 
 
 def beside(s: LearnerState, now: int, known: Disturbance | None) -> str:
-    """Unmodelled torque besides the vehicle's parameters, in words; empty without one. See `why_frozen`."""
+    """Text on an unmodelled torque outside the vehicle's parameters; empty without one. See `why_frozen`."""
     return "" if s.beside_since < 0 else said(s.beside_nm, max(now - s.beside_since, 0), known)
 
 

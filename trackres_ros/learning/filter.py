@@ -1,8 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The step of an extended Kalman filter with one measurement a step, in Joseph's form. Only sums and products of elements, in an
-order that is always the same: the same numbers to the bit.
+"""The step of an extended Kalman filter with one measurement, in Joseph's form. It only uses sums and products of elements, in a
+fixed order, so results are equal to the bit.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ Mask = NDArray[np.bool_]
 
 
 def aged(mean: Array, covariance: Array, keep: Array, gained: Array) -> None:
-    """Let states decay and become less sure; changes both.
+    """Predict states with decay and process noise; changes both.
 
     Parameters
     ----------
     mean, covariance
         Shapes (states,) and (states, states).
     keep
-        Share of each state that is left, shape (states,).
+        Remaining share of each state, shape (states,).
     gained
-        Variance that each gains, shape (states,).
+        Process noise of each, shape (states,).
     """
     mean *= keep
     covariance *= keep[:, None]
@@ -33,29 +33,29 @@ def aged(mean: Array, covariance: Array, keep: Array, gained: Array) -> None:
 
 
 def expected(mean: Array, looks: Array) -> float:
-    """What is to be measured: the sum of states times what each adds, shape (states,)."""
+    """Expected measurement: the sum of states times their sensitivities, shape (states,)."""
     return float((mean * looks).sum())
 
 
 def spread(covariance: Array, looks: Array) -> tuple[Array, float]:
-    """Covariance of the states with what is to be measured, shape (states,), and its variance."""
+    """Covariance of the states with the expected measurement, shape (states,), and its variance."""
     tied = (covariance * looks[None, :]).sum(axis=1)
     return tied, float((tied * looks).sum())
 
 
 def corrected(mean: Array, covariance: Array, looks: Array, departure: float, variance: float, free: Mask) -> None:
-    """Take in a measurement; changes mean and covariance.
+    """Update by a measurement; changes mean and covariance.
 
     Parameters
     ----------
     looks
-        What each state adds to the measurement, shape (states,).
+        Sensitivity of the measurement to each state, shape (states,).
     departure
         Measured less expected.
     variance
         Of the measurement's noise.
     free
-        States that may move, shape (states,); the others are considered with what they may be off by (Schmidt's filter).
+        States to update, shape (states,); the others are considered with their uncertainty (Schmidt's filter).
 
     Notes
     -----
@@ -72,10 +72,10 @@ def corrected(mean: Array, covariance: Array, looks: Array, departure: float, va
 
 
 def given_others(mean: Array, covariance: Array, learned: Mask) -> Array:
-    """Departures of what counts as learned, where all else is as the file has it; zero elsewhere, shape (states,).
+    """Departures of accepted parameters, given the file's values for all others; zero elsewhere, shape (states,).
 
-    What is known of a sum is known of it with the others as they are estimated. Where these are not to count, what they were
-    thought to add goes to those that do.
+    The estimates are correlated. If some are not accepted, their estimated contributions are conditionally assigned to the
+    accepted ones.
     """
     found = np.zeros_like(mean)
     left = ~learned
@@ -90,7 +90,7 @@ def given_others(mean: Array, covariance: Array, learned: Mask) -> Array:
 
 
 def known_of_others(covariance: Array, learned: Mask) -> Array:
-    """Covariance of what counts as learned, where all else is as the file has it, shape (states, states)."""
+    """Covariance of accepted parameters, given the file's values for all others, shape (states, states)."""
     left = ~learned & (np.diag(covariance) > 0.0)
     found = covariance.copy()
     if left.any():

@@ -19,23 +19,23 @@ Array = NDArray[np.float64]
 Row = list[float]
 
 SLOWEST_MPS = 1.0  # slower, friction may be static
-HARDEST_MPS2 = 2.0  # a larger acceleration is known too roughly
-BRAKING_MPS2 = -0.3  # with a torque that does not drive: friction brakes may be at work
+HARDEST_MPS2 = 2.0  # a larger acceleration is too inaccurate
+BRAKING_MPS2 = -0.3  # with a torque that does not drive: friction brakes may act
 TURNS_M = 0.02  # 1/m: a bend of less than 50 m makes a belt slide sideways
 STUCK_S = 3.0  # one torque for longer while rolling
-DRIVES_SHARE = 0.3  # of what rolling is thought to take at first: a torque beyond drives
+DRIVES_SHARE = 0.3  # of the prior rolling resistance: a greater torque drives
 AGAINST_SHARE = 1.0  # of the same: neither noise nor a hill of one in a hundred makes a torque so large in the other sense
 OUTLIER = 5.0  # typical deviations of a sample
 FOLLOWS_S = 2.0  # in which the level of samples follows
 SPREAD_S = 30.0  # in which their typical deviation does
-LOST_S = 3.0  # of nothing but outliers
-FIRST_SPREAD = 0.05  # of what rolling takes
+LOST_S = 3.0  # consecutive outliers only
+FIRST_SPREAD = 0.05  # of the rolling resistance
 LEAST_SPREAD = 0.1  # of the same: the slope of a road changes by half a percent within moments
 INERTIA_DOUBT = 0.3  # of the inertia: an acceleration that is filtered from a speed lags
 FOLLOWED = 1.5  # typical deviations: by no more does one sample move the level
-LEAST_SHARE = 0.5  # of a second's samples that count: else the second does not
+LEAST_SHARE = 0.5  # of a second's samples that are valid: else the second is discarded
 LONGEST_HOLD_NS = 10 * SECOND_NS
-APART_NS = 45_000_000  # between two samples of a second: more of them make its mean no better known
+APART_NS = 45_000_000  # between two samples of a second: more of them do not improve its mean
 
 UNSURE = int(
     at.Reason.SPEED_STUCK
@@ -61,7 +61,7 @@ TEXTS = (
     "the estimate itself is uncertain",
 )
 COUNTED, TAKEN = len(TEXTS), -1
-OF_SENSOR = (NO_TORQUE, STUCK, AGAINST, OUTLYING)  # what is wrong with a measured torque, whatever is driven
+OF_SENSOR = (NO_TORQUE, STUCK, AGAINST, OUTLYING)  # fault of a measured torque, whatever the drive
 LATE_S = 60.0  # for which it is remembered
 
 
@@ -72,7 +72,7 @@ class Second:
     number: int = -1  # seconds since 1970 by the stamps; -1 before the first
     taken: int = 0
     refused: Array = field(default_factory=lambda: np.zeros(COUNTED))
-    residual: float = 0.0  # measured less what the file expects [Nm]
+    residual: float = 0.0  # measured less the file's expectation [Nm]
     drive: float = 0.0
     resisting: float = 0.0
     speed: float = 0.0
@@ -80,7 +80,7 @@ class Second:
     belt_degc: float = 0.0
     weight: float = 0.0
     inertia: float = 0.0
-    felt: float = 0.0  # by an IMU [m/s^2]; nan where a sample lacks it
+    felt: float = 0.0  # from an IMU [m/s^2]; nan if a sample lacks it
     by: Array = field(default_factory=lambda: np.zeros(at.LEARNABLE))
 
     @property
@@ -96,27 +96,27 @@ class Second:
 
 @dataclass
 class SampleHistory:
-    """What is remembered from sample to sample: their level, their typical deviation from it, and since when one torque stays."""
+    """Memory between samples: their level, their typical deviation from it, and since when one torque is constant."""
 
     level: float = 0.0
     deviation: float = 0.0
     known: bool = False
     seen_ns: int = 0
     last_ns: int = 0
-    outlying_s: float = 0.0  # for so long all have been far from the level
+    outlying_s: float = 0.0  # time since all samples have been far from the level
     torque: float = math.nan
     since_ns: int = 0
 
 
 class Gate:
-    """Takes steps one by one and sums up those that count.
+    """Takes steps one by one and averages the valid ones.
 
     Parameters
     ----------
     belts
-        Columns of a row in which their belts' temperatures stand.
+        Columns of the belts' temperatures in a row.
     rolling_nm
-        Size of the torque that rolling takes [Nm].
+        Size of the rolling resistance torque [Nm].
     """
 
     def __init__(self, belts: list[int], rolling_nm: float) -> None:
@@ -130,7 +130,7 @@ class Gate:
         self.of_late = np.zeros(COUNTED)  # share of the samples of each reason
 
     def next_second(self, number: int) -> None:
-        """Begin another second; what was left out of the last, while it rolled, is remembered for a while."""
+        """Begin another second; reasons for discarded samples, while rolling, are kept for some time."""
         refused = self.second.refused
         everything = self.second.taken + float(refused.sum())
         if everything > 0.0 and not refused[SLOW]:
@@ -143,7 +143,7 @@ class Gate:
         return TEXTS[worst], float(self.of_late[worst])
 
     def take(self, stamp_ns: int, row: Row, session: Session) -> None:
-        """Take a step into the second that is open; of steps that come fast, some are enough for its mean."""
+        """Add a step to the present second; of frequent steps, only some are used for the mean."""
         if 0 <= stamp_ns - self.samples.seen_ns < APART_NS:
             return
         self.samples.seen_ns = stamp_ns
@@ -199,7 +199,7 @@ class Gate:
         return self._outlying(stamp_ns, residual, INERTIA_DOUBT * abs(row[at.Results.inertia_nm]))
 
     def _outlying(self, stamp_ns: int, residual: float, doubt: float) -> int:
-        """Whether a sample is far from those of late, by more than a doubt [Nm]; follows their level by as much as one counts."""
+        """Whether a sample is far from recent ones, by more than a doubt [Nm]; the level follows valid samples."""
         samples = self.samples
         passed_ns = stamp_ns - samples.last_ns
         samples.last_ns = stamp_ns
@@ -207,7 +207,7 @@ class Gate:
         if not samples.known:
             samples.known, samples.level, samples.deviation = True, residual, FIRST_SPREAD * self.rolling_nm
             return TAKEN
-        if not 0 <= passed_ns <= LONGEST_HOLD_NS:  # where it goes on after a pause is known less well
+        if not 0 <= passed_ns <= LONGEST_HOLD_NS:  # after a pause the level is less certain
             samples.deviation = max(samples.deviation, FIRST_SPREAD * self.rolling_nm)
             passed_ns = 0
         far = residual - samples.level
@@ -226,12 +226,12 @@ class Gate:
 
 
 def row_lasting(row: Row, learned: Array) -> float:
-    """What of a step's torque is one that goes on besides [Nm]."""
+    """Persistent disturbance within a step's torque [Nm]."""
     return float(learned[at.Learned.torque]) * math.tanh(row[at.Results.speed_mps] / STANDSTILL_MPS)
 
 
 def _felt(stamp_ns: int, session: Session) -> float:
-    """What an IMU feels along the track [m/s^2]; nan where there is none, or an old one."""
+    """IMU acceleration along the track [m/s^2]; nan without one, or if it is old."""
     times = session.memory.times[at.SPECIFIC_FORCE]
     fresh = (
         times[at.Times.seen] and abs(stamp_ns - times[at.Times.last_stamp]) <= session.estimator.constants.number.motion_hold_ns

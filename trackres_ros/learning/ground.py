@@ -3,8 +3,8 @@
 
 """Follows the slope of the ground from an altitude or an IMU, in parallel to the vehicle's parameters.
 
-The slope is a state that is forgotten with the way; the height is its sum over the way, and what an altimeter shows is that
-height, with an error that wanders. Where neither is measured both stay zero, and hills are part of what comes and goes.
+The slope is a state that decays with distance, and the height is its integral over the distance. An altimeter shows that
+height with a slowly varying error. Without either both stay zero, and hills are part of the short disturbances.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from trackres_ros.units import GRAVITY, SECOND_NS
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SLOPE_STD, REACH_M = 0.02, 200.0  # assumed: of roads at first, and after which way one tells little of the next
+SLOPE_STD, REACH_M = 0.02, 200.0  # assumed: prior of roads, and their correlation length
 LEAST_SLOPE_STD, SLOPE_MEMORY_M = 0.003, 10e3
 ALTITUDE_STD_M = 3.0  # of single samples, at first
 LEAST_ALTITUDE_STD_M = 0.3
@@ -32,29 +32,29 @@ DRIFT = 0.05  # m^2/s: variance that the error of an altitude gains; 7 m in a qu
 DRIFT_MEMORY_S = 120.0  # for which an altitude that ran away while standing is trusted less
 MEMORY = 60.0  # samples
 STANDS_M = 0.05  # in a second
-TILT_STD = 0.03  # of an IMU against the vehicle's axis, and what its zero is off by
+TILT_STD = 0.03  # of an IMU against the vehicle's axis, and its bias
 FELT_STD, LEAST_FELT_STD = 0.02, 0.003  # of a slope by an IMU over a second: springs, bumps
-FELT_TO_MPS2 = 0.5  # a larger acceleration is known too roughly, and pitches the vehicle
+FELT_TO_MPS2 = 0.5  # a larger acceleration is too inaccurate, and pitches the vehicle
 LONGEST_STEP_NS = 10 * SECOND_NS
 OUTLIER = 4.0
 
 
 @dataclass
 class Ground:
-    """What is remembered of altitude and IMU; the slope itself is in the filter.
+    """Memory of altitude and IMU; the slope itself is in the filter.
 
     Attributes
     ----------
     way_m, rise_m
-        Driven since the last second, and by how much the ground rises there as far as the step knows it.
+        Distance since the last second, and rise of the ground over it, as known to the step.
     known_slope
-        That rise over the way, of the last second.
+        That rise over the distance, of the last second.
     altitude_ns, stood_ns, stood_m
-        When the last altitude came; since when it stands, or the last altitude that came while it moved, and that altitude.
+        Time of the last altitude; start of a standstill, or the last altitude in motion, and that altitude.
     zero_m
         The altitude at which the filter's height is 0.
     follows, feels
-        Whether an altitude is followed, and whether an IMU is.
+        Whether an altitude is used, and whether an IMU is.
     """
 
     way_m: float = 0.0
@@ -73,17 +73,17 @@ class Ground:
     slope_variance: float = SLOPE_STD**2  # of this ground
 
     def restart(self) -> None:
-        """Another drive: where it begins is not known, what an IMU is tilted by is."""
+        """Begin another drive: its starting height is unknown; the tilt of an IMU is kept."""
         self.way_m = self.rise_m = 0.0
         self.step_ns = self.stood_ns = 0
         self.lost()
 
     def lost(self) -> None:
-        """How far it has risen since the last altitude is not known: the next one begins anew."""
+        """Restart at the next altitude, as the rise since the last one is unknown."""
         self.follows = False
 
     def drive(self, stamp_ns: int, speed: float, slope: float) -> None:
-        """A step at a speed [m/s], on ground of which the step knows so much slope."""
+        """Process a step at a speed [m/s], on ground with a slope known to the step."""
         passed_ns = stamp_ns - self.step_ns
         self.step_ns = stamp_ns
         if 0 < passed_ns <= LONGEST_STEP_NS:
@@ -94,18 +94,18 @@ class Ground:
             self.lost()
 
     def close(self, mean: Array, covariance: Array, session: Session, free: Mask) -> None:
-        """A second is over: the ground rose by the slope, and an altitude that came says by how much; changes both."""
+        """Finish a second: predict the rise from the slope, and update by a new altitude; changes both."""
         way, rise, (self.way_m, self.rise_m) = self.way_m, self.rise_m, (0.0, 0.0)
         self.known_slope = rise / way if way else 0.0
         stamp = int(session.memory.times[at.ALTITUDE, at.Times.last_stamp])
         came = bool(session.memory.times[at.ALTITUDE, at.Times.seen]) and stamp != self.altitude_ns
         if self.follows or self.feels:
-            # What it comes to on the whole, as an expectation over what is known of it (the step of an EM algorithm).
+            # Expected total, given the present estimate (the step of an EM algorithm).
             now = float(mean[SLOPE] ** 2 + covariance[SLOPE, SLOPE])
             self.slope_variance += min(abs(way) / SLOPE_MEMORY_M, 1.0) * (max(now, LEAST_SLOPE_STD**2) - self.slope_variance)
             self._drive_on(mean, covariance, way, rise)
             self.drift = DRIFT + (self.drift - DRIFT) * math.exp(-1.0 / DRIFT_MEMORY_S)
-        elif covariance[SLOPE, SLOPE] > 0.0:  # nothing shows it any more
+        elif covariance[SLOPE, SLOPE] > 0.0:  # no longer observable
             _begin(mean, covariance, SLOPE, 0.0)
         if not came:
             return
@@ -116,7 +116,7 @@ class Ground:
                 _begin(mean, covariance, SLOPE, self.slope_variance)
             self.zero_m, self.follows = altitude, True
         else:
-            if abs(way) < STANDS_M:  # what an altitude does while standing is none of the ground's
+            if abs(way) < STANDS_M:  # changes of the altitude at standstill are not the ground's
                 moved = abs(altitude - self.stood_m) - 2.0 * math.sqrt(self.altitude_variance)
                 self.drift = max(self.drift, max(moved, 0.0) ** 2 * SECOND_NS / (stamp - self.stood_ns))
             self.altitude_variance = _measured(
@@ -127,7 +127,7 @@ class Ground:
             self.stood_ns, self.stood_m = stamp, altitude
 
     def feel(self, mean: Array, covariance: Array, felt: float, accel: float, free: Mask) -> None:
-        """What an IMU felt in the mean of the second that was closed [m/s^2]; changes both."""
+        """Mean IMU acceleration of the finished second [m/s^2]; changes both."""
         if not math.isfinite(felt) or abs(accel) > FELT_TO_MPS2:
             return
         if not self.feels:
@@ -139,7 +139,7 @@ class Ground:
         self.felt_variance = _measured(mean, covariance, (SLOPE, TILT), shown, self.felt_variance, LEAST_FELT_STD, free)
 
     def _drive_on(self, mean: Array, covariance: Array, way: float, rise: float) -> None:
-        """The ground rises along a way [m] by its slope; then that is another."""
+        """Predict the rise of the ground along a distance [m] by its slope; then change the slope."""
         mean[HEIGHT] += way * mean[SLOPE] + rise
         covariance[HEIGHT, :] += way * covariance[SLOPE, :]
         covariance[:, HEIGHT] += way * covariance[:, SLOPE]
@@ -152,7 +152,7 @@ class Ground:
 
 
 def _begin(mean: Array, covariance: Array, state: int, variance: float) -> None:
-    """A state of which nothing is known but its variance."""
+    """Reset a state to zero mean with a variance."""
     mean[state] = 0.0
     covariance[state, :] = covariance[:, state] = 0.0
     covariance[state, state] = variance
@@ -161,7 +161,7 @@ def _begin(mean: Array, covariance: Array, state: int, variance: float) -> None:
 def _measured(
     mean: Array, covariance: Array, states: tuple[int, ...], value: float, variance: float, least_std: float, free: Mask
 ) -> float:
-    """Take in what shows the sum of some states; how unsure such a measurement is from now on."""
+    """Update by a measurement of a sum of states; return the new noise variance of such measurements."""
     looks = np.zeros(STATES)
     looks[list(states)] = 1.0
     off = value - float(mean[list(states)].sum())

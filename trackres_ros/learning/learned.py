@@ -18,12 +18,12 @@ from trackres_ros.learning.parameters import HEIGHT, SLOPE, SLOW, STATES, WANDER
 
 Array = NDArray[np.float64]
 
-SLOW_S = 180.0  # memory of what wanders
+SLOW_S = 180.0  # time constant of the slow disturbance
 SLOW_KEEPS = math.exp(-BLOCK_S / SLOW_S)  # of it from one block to the next
-FIRST_NOISE_SHARE = 0.03  # of what rolling takes, of the mean over a second
+FIRST_NOISE_SHARE = 0.03  # of the rolling resistance, of the mean over a second
 LEAST_NOISE_SHARE = 0.005
-BUMPS_SHARE = 0.06  # of what rolling takes: what blocks differ by beyond it are hills
-LEAST_WANDERING_SHARE = 0.003  # assumed: of what rolling takes; no model is better
+BUMPS_SHARE = 0.06  # of the rolling resistance: a larger scatter of blocks comes from hills
+LEAST_WANDERING_SHARE = 0.003  # assumed: of the rolling resistance; no model is better
 
 
 @dataclass
@@ -38,7 +38,7 @@ class LearnerState:
         The same at the end of the last block without a suspicion, and of the one before it: a step is found a block late, and may
         have come within one.
     aim, applied
-        Departures that are to act, and those that do or would, shape (LEARNABLE,).
+        Target departures, and those that act or would, shape (LEARNABLE,).
     """
 
     mean: Array
@@ -53,18 +53,18 @@ class LearnerState:
     seconds: float = 0.0  # driven and learned from
     rolling: float = 0.0  # size of the torque that rolling takes [Nm]
     noise: float = 0.0  # variance of a second's mean [Nm^2]
-    last_left: float = math.nan  # what the last second left [Nm]
+    last_left: float = math.nan  # residual of the last second [Nm]
     disagrees: float = 0.0  # share of samples of late that disagree with the others
     suspect: float = 0.0  # a step that is not yet confirmed [Nm]
     suspect_level: float = 0.0  # from which [Nm]
     step_s: float = math.inf  # driving since a step
     step_nm: float = 0.0
     step_second: int = -1
-    beside_nm: float = 0.0  # torque beside the vehicle that is told of
-    beside_since: int = -1  # second; -1 where there is none
+    beside_nm: float = 0.0  # reported torque outside the vehicle's parameters
+    beside_since: int = -1  # second; -1 for none
     lasting_s: float = 0.0
     lasting_nm: float = 0.0
-    blocks: int = 0  # since the estimate began: while belts warm up at first, what is left changes without a step
+    blocks: int = 0  # since the estimate began: during warm-up the residual changes without a step
     block: ResidualBlock = field(default_factory=ResidualBlock)
     last_block: ResidualBlock = field(default_factory=ResidualBlock)
     past: Past = field(default_factory=Past)
@@ -73,14 +73,14 @@ class LearnerState:
     ground: Ground = field(default_factory=Ground)
 
     def keep_before(self) -> None:
-        """What is known now is what a step that is found later goes back to."""
+        """Store the present estimate, to which a later step detection returns."""
         if self.suspect:
             return
         self.before_mean[:], self.before_covariance[:] = self.recent_mean, self.recent_covariance
         self.recent_mean[:], self.recent_covariance[:] = self.mean, self.covariance
 
     def begin_anew(self, prior: Prior) -> None:
-        """Belts and what wanders are as unknown as at the beginning, the vehicle stays known."""
+        """Reset belts and slow disturbance to their priors; keep the vehicle's parameters."""
         self.second, self.last_left, self.suspect, self.disagrees, self.blocks = -1, math.nan, 0.0, 0.0, 0
         self.lasting_s = self.lasting_nm = 0.0
         self.beside_nm, self.beside_since = 0.0, -1
@@ -98,26 +98,26 @@ class LearnerState:
 
     @property
     def least_variance(self) -> float:
-        """No mean over a second or a block is known better [Nm^2]."""
+        """Bound of the variance of a mean over a second or a block [Nm^2]."""
         return (LEAST_NOISE_SHARE * self.rolling) ** 2
 
     @property
     def slow_std(self) -> float:
-        """Standard deviation of what wanders [Nm]."""
+        """Standard deviation of the slow disturbance [Nm]."""
         if math.isnan(self.past.slow):
             return WANDERING_SHARE * self.rolling
         return min(max(math.sqrt(self.past.slow), LEAST_WANDERING_SHARE * self.rolling), 0.5 * self.rolling)
 
     @property
     def hills_variance(self) -> float:
-        """Of what comes and goes from block to block and is more than bumps of a road make [Nm^2]."""
+        """Variance of short disturbances beyond bumps of a road [Nm^2]."""
         if math.isnan(self.past.white):
             return 0.0
         return max(self.past.white - (BUMPS_SHARE * self.rolling) ** 2, 0.0)
 
     @property
     def second_variance(self) -> float:
-        """Variance of a second's mean, as large as makes means over blocks as unsure as they are [Nm^2]."""
+        """Variance of a second's mean, scaled to the uncertainty of means over blocks [Nm^2]."""
         return self.noise if math.isnan(self.past.white) else max(BLOCK_S * self.past.white, self.least_variance)
 
 

@@ -3,8 +3,8 @@
 
 """Learns vehicle parameters while driving: rows of results come in; departures from the vehicle file with covariance go out.
 
-Once a second of driving that counts, a Kalman filter takes in the mean of what measured and expected torque differ by. What is
-learned acts on the step only where it is covered, sure, and better than the file.
+Once a second of valid driving, a Kalman filter processes the mean difference of measured and expected torque. Learned
+values act on the step only where they are covered, certain, and better than the file.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from trackres_ros.units import GRAVITY, SECOND_NS
 Mask = NDArray[np.bool_]
 
 MODES = ("off", "watch", "on")
-STEP_S = 4 * 3600.0  # memory of what came at once, in driving
+STEP_S = 4 * 3600.0  # memory of sudden steps, in driving
 LEAST_BELT_STD_K = 0.1
-AIR_S = 3600.0  # in which what a thermometer of the air is off by changes: sun, exhaust
+AIR_S = 3600.0  # time constant of a thermometer's error in air: sun, exhaust
 WALK_PER_HOUR = 0.01  # of a prior standard deviation, per root of an hour of driving: rubber wears
-AGES_S = 365 * 86400.0  # assumed: time off in which what was learned is half forgotten
+AGES_S = 365 * 86400.0  # assumed: time off after which learned values are half forgotten
 AIMS_EVERY_S = 5.0
 DEGREES_OF_FREEDOM = 4.0  # of Student's t
 NOISE_MEMORY_S = 120.0
@@ -48,13 +48,13 @@ SPEED_UNSURE = TIME_RESET | int(
     | at.Reason.GAP_UNKNOWN
     | at.Reason.CLOCK_JUMPED
 )
-LEFT_OUT_SHARE = 0.1  # of the samples of a minute that cannot be learned from, by what is wrong with the torque: more is said
+LEFT_OUT_SHARE = 0.1  # of the invalid samples of a minute, by fault of the torque: more are reported
 
 
 def belt_variances(session: Session) -> tuple[float, float]:
-    """Of the belts' temperature as the estimate has it: by the air's alone, and in all [K^2].
+    """Variance of the belts' temperature in the estimate: due to the air alone, and in all [K^2].
 
-    The torque tells of it, whatever it is that makes a belt warmer or colder, so it counts as one thing that is learned.
+    The torque measures it, whatever warms or cools a belt, so it is one learned state.
     """
     if not len(session.belts):
         return 0.0, 0.0
@@ -71,7 +71,7 @@ class Learner:
     estimator
         Of the session.
     mode
-        `watch` learns and moves nothing; `on` moves the session's steps by what was learned.
+        `watch` learns and changes nothing; `on` applies learned values to the session's steps.
     """
 
     def __init__(self, estimator: Estimator, mode: str = "watch") -> None:
@@ -91,24 +91,24 @@ class Learner:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was learned."""
+        """Forget all learned values."""
         self.gate = Gate(self._belts, self.prior.rolling_nm)
         self.buckets.clear()
         self.delay.reset()
         self.learned = nothing_learned(self.prior)
 
     def restart(self) -> None:
-        """The estimate starts anew: belts and what wanders are as unknown as at the beginning, the vehicle stays known."""
+        """Restart the estimate: reset belts and slow disturbance to their priors, keep the vehicle's parameters."""
         self.gate.restart()
         self.delay.restart()
         self.learned.begin_anew(self.prior)
 
     def age(self, seconds: float) -> None:
-        """Some time passed unseen [s]: what was learned is less sure."""
+        """Account for time off [s]: learned values are less certain."""
         forgotten = 1.0 - 0.5 ** (max(seconds, 0.0) / AGES_S)
         s = self.learned
         variances, prior = np.diag(s.covariance), np.diag(self.prior.covariance)
-        # Wear goes one way: what it may have changed grows with the time, not with its root.
+        # Wear goes one way: its possible change grows with time, not with its root.
         gained = np.minimum(forgotten**2 * prior, np.maximum(prior - variances, 0.0))
         aged(s.mean, s.covariance, np.ones(STATES), gained)
         self.restart()
@@ -189,7 +189,7 @@ class Learner:
             close_block(s)
 
     def _pass(self, seconds: float, session: Session) -> None:
-        """Time passes: what wanders decays, what wears is less sure, a belt is as unsure as the estimate says."""
+        """Predict: the slow disturbance decays, wear adds uncertainty, a belt is as uncertain as the estimate says."""
         s = self.learned
         keep, gained = np.ones(STATES), np.zeros(STATES)
         slow, step = math.exp(-seconds / SLOW_S), math.exp(-seconds / STEP_S)
@@ -205,13 +205,13 @@ class Learner:
             gained[at.OF_BELT] += (1.0 - math.exp(-2.0 * seconds / AIR_S)) * by_air
         aged(s.mean, s.covariance, keep, gained)
         over = s.covariance[at.OF_BELT, at.OF_BELT]
-        if over > known:  # what was measured of a belt is in the estimate already
+        if over > known:  # measurements of a belt are in the estimate already
             share = math.sqrt(known / over)
             s.covariance[at.OF_BELT, :] *= share
             s.covariance[:, at.OF_BELT] *= share
 
     def _hear(self, left: float, passed: float) -> None:
-        """Noise of a second's mean, by what differs from one to the next."""
+        """Noise of a second's mean, from the scatter between seconds."""
         s = self.learned
         if passed <= 2.0 and math.isfinite(s.last_left):
             least = s.least_variance
@@ -220,7 +220,7 @@ class Learner:
             s.noise = max(s.noise, least)
         s.last_left = left
 
-    # What counts
+    # Acceptance
 
     @property
     def frozen(self) -> str:
@@ -229,7 +229,7 @@ class Learner:
 
     @property
     def disturbance(self) -> str:
-        """Unmodelled torque besides the vehicle's parameters, in words; empty without one."""
+        """Text on an unmodelled torque outside the vehicle's parameters; empty without one."""
         return beside(self.learned, self.gate.second.number, self._known)
 
     @property
@@ -244,25 +244,25 @@ class Learner:
             free[list(VEHICLES_OWN)] = False
         if self.learned.step_s == math.inf:
             free[STEP] = False
-        if abs(accel) < ACCELERATES_MPS2:  # a small one is noise for the most part, which makes a mass look less
+        if abs(accel) < ACCELERATES_MPS2:  # a small one is mostly noise, which biases a mass low
             free[at.OF_MASS] = False
         return free
 
     @property
     def counted(self) -> Mask:
-        """Which departures of the vehicle count as learned: covered, and known twice as well as by its file; (LEARNABLE,)."""
+        """Accepted departures of the vehicle: covered, and known twice as well as by its file; (LEARNABLE,)."""
         return np.asarray(self.buckets.covered() & correction.sure(self.learned, self.prior))
 
     def counts(self, state: int) -> bool:
-        """Whether one departure of the vehicle counts as learned."""
+        """Whether one departure of the vehicle is accepted."""
         return bool(self.counted[state])
 
     @property
     def acts(self) -> bool:
-        """Whether what was learned is used, or would be: something counts, and it fits better than the file."""
+        """Whether learned values are used, or would be: some are accepted, and they fit better than the file."""
         return self.learned.contest.better
 
-    # What is shown
+    # Output
 
     @property
     def text(self) -> str:

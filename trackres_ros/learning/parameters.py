@@ -28,25 +28,25 @@ BELT_ROWS = {at.OF_LOSS: (0, 3), at.OF_COOLING: (1,), at.OF_CAPACITY: (2,)}  # r
 RADIUS_ROW = 3
 VEHICLES_OWN = (at.OF_LOSS, at.OF_COOLING, at.OF_CAPACITY, at.OF_BEARING, at.OF_DRAG, at.OF_MASS)
 
-LEAST_STD = 0.02  # assumed: rubber wears and oil ages, so that no value of a file is known better for the whole of its life
-REACH_STD = 2.0  # the ranges of a vehicle file are read as +-2 standard deviations: nothing is learned beyond
+LEAST_STD = 0.02  # assumed: rubber wears and oil ages, so that no value of a file stays exact
+REACH_STD = 2.0  # the ranges of a vehicle file are +-2 standard deviations: bounds of learned values
 LEAST_FACTOR = 0.2  # of the file's value, whatever the ranges say
 OFFSET_SHARE = 0.005  # assumed: of the torque that rolling takes, standard deviation of a transducer's zero
 GAIN_STD = 0.003  # assumed: class 0.5 is off by half a percent at most; a motor's current is no torque of its own, and worse
-ROLLING_SHARE = 0.01  # assumed: what rolling takes, over weight times sprocket radius; only where nothing was seen yet
-WANDERING_SHARE = 0.03  # assumed: of what rolling takes, standard deviation of what no model has
+ROLLING_SHARE = 0.01  # assumed: prior rolling resistance over weight times sprocket radius
+WANDERING_SHARE = 0.03  # assumed: standard deviation of the model error, of the rolling resistance
 
 
 @dataclass(frozen=True)
 class Learnable:
-    """One thing that is learned.
+    """One learned parameter.
 
     Attributes
     ----------
     name, unit, meaning
-        As it is published; the name is that of a re-fit by `trackres diagnose`.
+        As published; the name is that of a re-fit by `trackres diagnose`.
     state
-        Which state of the filter it is; or `DELAY`.
+        Index of the filter's state; or `DELAY`.
     nominal
         Value of the vehicle file in that unit. States are departures over it; offset and torques are themselves.
     """
@@ -75,9 +75,9 @@ class Prior:
     covariance
         Of all states, shape (STATES, STATES).
     low, high
-        Bounds of the departures, shape (STATES,); infinite where there are none.
+        Bounds of the departures, shape (STATES,); infinite without one.
     rolling_nm
-        Size of the torque that rolling takes [Nm], until it is seen.
+        Prior size of the rolling resistance torque [Nm].
     """
 
     covariance: Array
@@ -121,9 +121,9 @@ def _of_wheels(vehicle: RoadVehicle) -> tuple[Learnable, ...]:
 
 
 def make_prior(estimator: Estimator) -> Prior:
-    """What the ranges of the vehicle file leave open; what they tie together stays tied.
+    """Prior from the ranges of the vehicle file, with their correlations.
 
-    The sprockets' radius moves every torque alike. It is no state: what it is off by is part of all departures, which makes them
+    The sprockets' radius scales all torques. It is no state: its error is part of all departures, which makes them
     correlated. So are mass and scale of the torque of a vehicle on wheels.
     """
     k = estimator.constants
@@ -161,7 +161,7 @@ def _tied(estimator: Estimator, own: Sequence[int], factor: Array) -> Array:
         causes[state, :4] = factor[list(BELT_ROWS.get(state, (RADIUS_ROW,)))].sum(axis=0)
         if wheels:
             causes[state, 4:] = relative_std(vehicle, "road_load.mass"), relative_std(vehicle, "road_load.torque_scale")
-    causes[at.OF_DRAG, 4] = 0.0  # drag knows no mass
+    causes[at.OF_DRAG, 4] = 0.0  # drag is independent of the mass
     mass = relative_std(vehicle, "road_load.rotating_mass_factor" if wheels else "chassis.rotating_mass_factor")
     covariance = causes @ causes.T
     covariance[at.OF_BEARING, at.OF_BEARING] += number.bearing_relative_std**2

@@ -17,24 +17,24 @@ from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
 
-LARGEST = 1e12  # of any number; times in ns are whole numbers and apart
+LARGEST = 1e12  # for any number; times in ns are integers and stored separately
 FARTHEST = 1 << 62
 NOT_YET = {"last_left": "nan", "felt": "nan", "torque": "nan", "step_s": "inf", "slow": "nan", "white": "nan"}  # unseen
 REACH = 1.0 + 1e-9  # of the bounds: rounding
 
 
 def stored(learner: Learner) -> dict[str, Any]:
-    """All that a learner remembers, ready for JSON."""
+    """Full memory of a learner, ready for JSON."""
     return {name: _plain(part) for name, part in _parts(learner).items()}
 
 
 def take(learner: Learner, given: object) -> None:
-    """Fill a new learner with what `stored` gave.
+    """Fill a new learner from the result of `stored`.
 
     Raises
     ------
     ValueError
-        If it is not what a learner of this vehicle leaves; the learner is then as new.
+        If it is not from a learner of this vehicle; the learner is then new.
     """
     try:
         if not isinstance(given, Mapping):
@@ -53,7 +53,7 @@ def take_learned(learner: Learner, given: object, path: Path) -> None:
     Raises
     ------
     InputError
-        If it is not what a learner of this vehicle leaves.
+        If it is not from a learner of this vehicle.
     """
     try:
         take(learner, given)

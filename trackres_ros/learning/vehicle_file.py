@@ -54,7 +54,7 @@ def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> list[str
 
 
 def _stds(learner: Learner, counts: list[int]) -> dict[int, float]:
-    """Standard deviations of what counts, where all else is as the file has it."""
+    """Standard deviations of accepted parameters, given the file's values for all others."""
     learned = np.zeros(at.LEARNABLE, dtype=bool)
     learned[counts] = True
     covariance = known_of_others(learner.learned.covariance[: at.LEARNABLE, : at.LEARNABLE], learned)
@@ -83,11 +83,11 @@ def _set(document: Document, vehicle: AnyVehicle, state: int, departure: float, 
 
 
 Places = Mapping[int, tuple[tuple[str, ...], float]]
-"""Of each departure the values of the file, and by how much these differ for a departure of 1."""
+"""Values of the file behind each departure, and their change for a departure of 1."""
 
 
 def _of_tracks(vehicle: Vehicle) -> Places:
-    share = rubber_share(vehicle)  # of the heat that a belt holds: cords hold the rest
+    share = rubber_share(vehicle)  # of a belt's heat: cords hold the rest
     of_track = [f"tracks.{name}.belt.{film}" for name in vehicle.tracks for film in ("film_offset", "film_slope")]
     return {
         at.OF_LOSS: (("rubber.loss_modulus_scale",), 1.0),

@@ -73,7 +73,7 @@ def tension_by_search(sag: float, mass: float, half_span: float, stiffness: floa
 
 
 def belt_tension(belt: Belt, rubber: Rubber, rubber_modulus: float) -> float:
-    """Steady belt tension [N]: the spring's, or what holds the sag under half a tooth height if that is more.
+    """Steady belt tension [N]: the spring's, or the greater one that limits the sag to half a tooth height.
 
     A steady tension dissipates nothing, equations (16) to (18): only its range round the loop does.
     """

@@ -1,12 +1,12 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Says what the rubber data cover of a vehicle's temperatures and speeds, and where its belts settle.
+"""Compares the range of the rubber data with a vehicle's temperatures and speeds, and with the steady temperatures of its belts.
 
 By time-temperature superposition a sweep at one frequency covers a range of the reduced frequency a_T f. The passage of a road
-wheel, which makes most of the loss, has the frequency v / (2a); so the cold end of the sweep is a reduced speed a_T v, and
-colder or faster than that the moduli are held at their last values. Slower and warmer than the warm end they are held too, where
-rubber hardly changes any more with frequency; a belt hotter than the sweep ever was is still outside of the data.
+wheel, which causes most of the loss, has the frequency v / (2a). So the cold end of the sweep is a reduced speed a_T v. Colder or
+faster, the moduli keep their last values. Slower and warmer than the warm end they do too, where
+rubber hardly changes with frequency; a belt hotter than the sweep is still outside of the data.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ OVERSPEED = 1.2  # of the vehicle file's greatest speed
 
 @dataclass(frozen=True)
 class Coverage:
-    """Where the data of a kind of track end."""
+    """Ends of the data for a kind of track."""
 
     hottest: float  # degC
     log_reduced_speed: float  # log10(a_T v [m/s]) at the cold end of the sweep
@@ -54,7 +54,7 @@ class Coverage:
 
 
 def coverage(vehicle: Vehicle, track_name: str) -> Coverage:
-    """What the sweep covers for a kind of track at nominal load."""
+    """Range of the sweep for a kind of track at nominal load."""
     track, rubber = vehicle.tracks[track_name], RubberModel(vehicle.rubber)
     wheels, sweep = track.road_wheels, vehicle.rubber.sweep_degc
     loads = wheel_loads(track, load_range(vehicle, track_name).nominal)
@@ -65,7 +65,7 @@ def coverage(vehicle: Vehicle, track_name: str) -> Coverage:
 
 
 def beyond_data(vehicle: AnyVehicle, speed: ArrayLike, belt_degc: Mapping[str, ArrayLike]) -> list[str]:
-    """Say where belts were hotter or colder than the rubber data cover; nothing where none was.
+    """Sentences on belts hotter or colder than the rubber data; empty without any.
 
     Parameters
     ----------
@@ -104,12 +104,12 @@ def beyond_data(vehicle: AnyVehicle, speed: ArrayLike, belt_degc: Mapping[str, A
 
 
 def check_speed(vehicle: AnyVehicle, speed: float) -> None:
-    """See that a vehicle may be that fast [m/s], either way.
+    """Check a speed [m/s] of a vehicle, in either direction.
 
     Raises
     ------
     InputError
-        Beyond what a live estimate takes for a speed.
+        Beyond the limit of a live estimate.
     """
     most = OVERSPEED * vehicle.chassis.max_speed
     if not abs(speed) <= most:

@@ -50,7 +50,7 @@ class Contact(NamedTuple):
 
 
 class PassageCycle(NamedTuple):
-    """A counted cycle and the length of belt [m] that one passage of its cause strains."""
+    """A counted cycle and the length of belt [m] strained by one passage of its cause."""
 
     cycle: rainflow.Cycle
     passage: float
@@ -202,7 +202,7 @@ class RainflowCount(LossMethod):
 
     @staticmethod
     def _energy(cycles: list[PassageCycle]) -> tuple[Array, Array]:
-        """Passage [m] of each cycle, and what it loses in a loop per loss modulus: pi N (range/2)^2."""
+        """Passage [m] of each cycle, and its loss in a loop per loss modulus: pi N (range/2)^2."""
         passages = np.array([c.passage for c in cycles])
         return passages, np.array([np.pi * c.cycle.number * (c.cycle.range / 2.0) ** 2 for c in cycles])
 

@@ -92,7 +92,7 @@ def look_up_drive(drive: Array, table: int, first_x: float, step_x: float, x: fl
 
 
 def loss_table(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> LossTable:
-    """Table of one kind of track, from the cache where it holds the very same description, else built and cached.
+    """Table of one kind of track, from the cache if the description is identical, else built and cached.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def loss_table(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> 
 
 
 def fingerprint(vehicle: Vehicle, track_name: str) -> str:
-    """Hash of all that the table depends on: the values of the vehicle file and of its rubber file, not their comments."""
+    """Hash of all inputs of the table: the values of the vehicle file and of its rubber file, not their comments."""
     content = {
         "version": VERSION,
         "method": vehicle.hysteresis,
@@ -127,7 +127,7 @@ def fingerprint(vehicle: Vehicle, track_name: str) -> str:
 
 def build(method: LossMethod, loads: LoadRange) -> dict[str, Array]:
     """Evaluate the exact method on a coarse grid and refine it by splines in the logarithm: the arrays of a `LossTable`."""
-    reference = method.rubber.rubber.glass_transition + REFERENCE_ABOVE_TG  # where a_T = 1: reduced speed is speed
+    reference = method.rubber.rubber.glass_transition + REFERENCE_ABOVE_TG  # at a_T = 1 reduced speed is speed
     x = np.linspace(*LOG_SPEED, EXACT_LOG_SPEEDS)
     log_load = np.linspace(np.log(loads.low), np.log(loads.high), EXACT_LOADS)
     exact = method.loss_force(10.0 ** x[:, np.newaxis], reference, np.exp(log_load))
@@ -158,18 +158,18 @@ def interpolation_error(
 
 
 def drive_share(table: LossTable, loads: LoadRange, sprocket_radius: float) -> float:
-    """Largest share of the loss that the drive torque adds or takes, over all reduced speeds at nominal load."""
+    """Largest share of the loss that the drive torque adds or removes, over all reduced speeds at nominal load."""
     return _largest_share(table, loads, sprocket_radius, np.abs(table.drive[:, 0]) + np.abs(table.drive[:, 1]))
 
 
 def reverse_share(table: LossTable, loads: LoadRange, sprocket_radius: float) -> float:
-    """Largest share of the loss by which forward and reverse differ.
+    """Largest relative difference of the loss between forward and reverse.
 
     Notes
     -----
-    Driven backwards a sprocket slackens the run of the belt that it pulls taut forward, so where the drive's strain meets the
-    bending over a wheel, the one adds to the other or takes from it. It is the torque's sign that counts, not that of the
-    travel: on its own, to drive or to brake backwards is as forward.
+    In reverse a sprocket slackens the run of the belt that it tightens forward. So where the drive's strain meets the
+    bending over a wheel, it adds to the bending or reduces it. The torque's sign matters, not that of the
+    travel: without the torque, reverse equals forward.
     """
     return _largest_share(table, loads, sprocket_radius, 2.0 * np.abs(table.drive[:, 0]))
 

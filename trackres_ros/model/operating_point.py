@@ -24,14 +24,14 @@ from trackres_ros.model.track import TrackModel, steady_tension, track_model
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 
-UNKNOWN = {"yaw_rate", "heading", "distance"}  # needs of an effect that an operating point does not give
-DRIVE_PASSES = 4  # the torque strains the belt by 1e-4 of what the wheels do; a second pass already settles it
+UNKNOWN = {"yaw_rate", "heading", "distance"}  # inputs of effects that an operating point lacks
+DRIVE_PASSES = 4  # the torque strains the belt by 1e-4 of the wheels' strain; a second pass already converges
 
 
 def explain(
     vehicle: Vehicle, speed: float, belt_degc: float, ambient_degc: float | None = None, weight_n: float | None = None
 ) -> dict[str, Any]:
-    """Compute everything that the model gives for one steady state.
+    """Compute all results of the model for one steady state.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ def explain(
     -------
     dict
         Ready for JSON. Torques, heat and cooling are for the whole vehicle; contacts, tension, loss forces and the rainflow
-        matrix for the first assembly, with the loss forces of the others beside it. The effects of the vehicle file are part
-        of it all but for those that need more than this state (`effects_left_out`): turning, a heading, a distance.
+        matrix for the first assembly, followed by the loss forces of the others. The effects of the vehicle file are included,
+        except for those that need more than this state (`effects_left_out`): turning, a heading, a distance.
 
     Raises
     ------
@@ -121,7 +121,7 @@ class _AssemblyState:
 
 @dataclass(frozen=True, eq=False)
 class _SteadyState:
-    """Speed [m/s], temperatures [degC], weight [N] and what effects do."""
+    """Speed [m/s], temperatures [degC], weight [N] and terms of effects."""
 
     vehicle: Vehicle
     speed: float
@@ -131,7 +131,7 @@ class _SteadyState:
     effects: Terms
 
     def assembly(self, model: TrackModel, load: float) -> _AssemblyState:
-        """What an assembly does under a load [N]."""
+        """Results of an assembly under a load [N]."""
         speed, belt_degc, effects = self.speed, self.belt_degc, self.effects
         chassis, direction = self.vehicle.chassis, float(resistance.direction(speed))
         wind = float(resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density))
@@ -199,13 +199,13 @@ def _effects(vehicle: AnyVehicle) -> tuple[list[Active], list[str]]:
 
 
 def _together(effects: Sequence[Active], at: Conditions) -> Terms:
-    """What effects do in a steady state, with states of their own where those tend to."""
+    """Terms of effects in a steady state, with their own states at the targets."""
     lags = [active.lag(at) for active in effects]
     return together([a.terms(at, 0.0 if lag is None else lag.target) for a, lag in zip(effects, lags, strict=True)])
 
 
 def _effects_torque(effects: Sequence[Active], at: Conditions, others: float) -> float:
-    """What effects add to the other parts [Nm]; some of them go by what driving takes in all."""
+    """Torque of effects added to the other parts [Nm]; some depend on the total drive torque."""
     added = 0.0
     for _ in range(DRIVE_PASSES):
         terms = _together(effects, at._replace(drive_torque=others + added))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 
 class Cycle(NamedTuple):
-    """One row of the matrix: the range (not the amplitude), mean, number (1 or 1/2), and where in the series it lies."""
+    """One row of the matrix: range (not amplitude), mean, number (1 or 1/2), and position in the series."""
 
     range: float
     mean: float
@@ -35,7 +35,7 @@ def turning_points(series: Sequence[float]) -> list[int]:
 
 
 def count_cycles(series: Sequence[float]) -> list[Cycle]:
-    """Count the cycles of a series of strains; what is left over at the end counts as half cycles.
+    """Count the cycles of a series of strains; the residue at the end gives half cycles.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Computes torque at the sprockets from loss and from everything else that resists, equations (32) to (36), part by part.
+"""Computes torque at the sprockets from loss and all other resistances, equations (32) to (36), part by part.
 
 Forces [N] along the travel; a torque is a force times the sprocket pitch radius R1. Positive resists forward travel.
 """
@@ -14,13 +14,13 @@ from trackres_ros.jit.compiled import inlined
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 
 RESISTANCE_PARTS = {"hysteresis": "hysteresis_nm", "bearing": "bearing_nm", "wind": "wind_nm", "effects": "effects_nm"}
-"""What resists motion, and the column of results that each part stands in."""
+"""Parts of the resistance, and their columns in the results."""
 ON_WHEELS = {"rolling": "bearing_nm", "wind": "wind_nm", "effects": "effects_nm"}
-"""The same of a vehicle without belts: what rolls there is tyres and bearings together."""
+"""The same for a vehicle without belts: its rolling resistance is that of tyres and bearings together."""
 
 
 def resistance_parts(has_belts: bool) -> dict[str, str]:
-    """What resists the motion of a vehicle with belts, or of one without, and the column of each part."""
+    """Parts of the resistance of a vehicle with or without belts, and their columns."""
     return RESISTANCE_PARTS if has_belts else ON_WHEELS
 
 

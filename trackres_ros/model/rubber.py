@@ -57,7 +57,7 @@ class RubberModel:
         return np.asarray(wlf + slope * np.minimum(above, 0.0))
 
     def equivalent_temperature(self, log_reduced_frequency: ArrayLike) -> Array:
-        """Temperature [degC] at which the sweep shows what a reduced frequency log10(a_T f / Hz) shows."""
+        """Temperature [degC] of the sweep's point with a reduced frequency log10(a_T f / Hz)."""
         r = self.rubber
         y = np.asarray(log_reduced_frequency, dtype=float) - np.log10(r.sweep_frequency)
         span = r.wlf_c2 - REFERENCE_ABOVE_TG

@@ -48,7 +48,7 @@ class Profile:
 
 @dataclass(frozen=True)
 class Loop:
-    """Where things are on the loop of one track assembly."""
+    """Positions on the loop of one track assembly."""
 
     track: Track
     wheel_positions: Array  # road wheels [m]

@@ -1,13 +1,13 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Models the belt temperature, equations (26), (30) and (31): two networks behind one interface.
+"""Models the belt temperature, equations (26), (30) and (31): two networks with one interface.
 
 `lumped` is the paper's: one mean temperature T, C dT/dt = P - U A (T - Ta). `core_surface` has a core and a surface layer
-that holds the share x of the heat capacity, and rubber that heats itself in both. Written with the mean temperature, at which
-the loss is that of the whole belt, C dT/dt = P - h A (Ts - Ta) and x C dTs/dt = x P + (1 - x) K (T - Ts) - h A (Ts - Ta), with
-K = 6 k A / H, which is the conductance between the mean and the surface of a slab heated evenly: in balance the belt is that
-slab, whatever x. The Biot number is about 4, so the mean is not what an infrared sensor sees.
+with the share x of the heat capacity; the rubber of both generates heat. The loss of the whole belt is that at the mean
+temperature, so it is C dT/dt = P - h A (Ts - Ta) and x C dTs/dt = x P + (1 - x) K (T - Ts) - h A (Ts - Ta). The conductance
+K = 6 k A / H is that between the mean and the surface of an evenly heated slab: in steady state the belt is that
+slab, whatever x. The Biot number is about 4, so an infrared sensor does not measure the mean.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def film_coefficient(speed: float, film_offset: float, film_slope: float) -> flo
 
 @inlined
 def surface_temperature(mean: float, ambient: float, film: float, area: float, inner_conductance: float) -> float:
-    """Surface temperature [degC] that goes with a mean one in the lumped model: the flux through layer and film is one."""
+    """Surface temperature [degC] of a mean one in the lumped model: layer and film have the same flux."""
     return (inner_conductance * mean + film * area * ambient) / (inner_conductance + film * area)
 
 
@@ -83,7 +83,7 @@ def phi_2(z: float) -> float:
 
 @compiled
 def phi_series(z11: float, z12: float, z21: float, z22: float, order: int) -> tuple[float, float, float, float]:
-    """The same by its series, for a matrix of which no term is much above 1."""
+    """The same by its series, for a matrix with no term much above 1."""
     s11, s12, s21, s22 = 1.0, 0.0, 0.0, 1.0
     for n in range(SERIES_TERMS, 0, -1):
         by = 1.0 / (n + order)
@@ -104,7 +104,7 @@ def phi_matrix(z11: float, z12: float, z21: float, z22: float, order: int) -> tu
     Notes
     -----
     Newton's divided difference on the eigenvalues: phi(Z) = phi(l1) I + phi[l1, l2] (Z - l1 I). At rest those of a belt are
-    real and distinct. Where the loss falls so steeply with temperature that they are not, the step is short: the series
+    real and distinct. If a steep fall of the loss with temperature makes them complex or equal, the step is short: the series
     is used.
     """
     middle = 0.5 * (z11 + z22)

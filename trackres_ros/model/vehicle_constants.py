@@ -11,7 +11,7 @@ from trackres_ros.vehicle import AnyVehicle, RoadVehicle
 
 
 def vehicle_constants(vehicle: AnyVehicle) -> VehicleConstants:
-    """The constants of a vehicle; of its first kind of track where there are several."""
+    """The constants of a vehicle; of its first kind of track if there are several."""
     if isinstance(vehicle, RoadVehicle):
         return vehicle.constants
     chassis, first = vehicle.chassis, vehicle.track_of(vehicle.assemblies[0])

@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The running application: takes messages, keeps the estimate, publishes at its rate, and says when not to trust it.
+"""The running application: receives messages, keeps the estimate, publishes at its rate, and reports when not to trust it.
 
-It knows neither ROS nor DDS. A transport hands it messages and calls `tick` every `period_s`; it answers the same way. All
-calls come from one thread.
+It depends on neither ROS nor DDS. A transport passes it messages and calls `tick` every `period_s`; it publishes through the
+transport. All calls come from one thread.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ from trackres_ros.units import SECOND_NS
 
 ACCEPTED, IMPLAUSIBLE = int(at.Count.ACCEPTED), int(at.Count.IMPLAUSIBLE)
 SPEED_IMPLAUSIBLE = int(at.Reason.SPEED_IMPLAUSIBLE)
-NOT_ENABLED = interpreted(not_enabled)  # as live asks between two steps too
+NOT_ENABLED = interpreted(not_enabled)  # as live also processes messages between two steps
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
 MOST_BEFORE_CLOCK = 10000
 SAVING_ON_REQUEST_S, SAVING_AT_THE_END_S = 0.1, 10.0  # longest wait for a disk
-REASONS_KEPT_NS = 200_000_000  # looking at all takes longer than publishing; an old speed and what is new are seen at once
+REASONS_KEPT_NS = 200_000_000  # a full check takes longer than publishing; an old speed and new reasons are handled at once
 MUST_BE_FINITE = (at.Results.resistance_torque_nm, at.Results.resistance_std_nm, at.Results.feedforward_torque_nm)
 
 
@@ -60,11 +60,11 @@ class Application:
     parameters
         Checked parameters; `vehicle` must be given.
     transport
-        The middleware; nothing but names of topics is asked of it before the first call of `tick` or `receive`.
+        The middleware; before the first call of `tick` or `receive` only its topic names are used.
     node, namespace
         Name of the node, for the state file and the statuses.
     steady_ns
-        A clock that never jumps [ns].
+        A monotonic clock [ns].
 
     Raises
     ------
@@ -86,7 +86,7 @@ class Application:
         self.topics, self.vehicle = setup.topics, setup.vehicle
         self._warm_up = CompilerWarmUp(LIVE, str(setup.vehicle_file), setup.surroundings_file)
         self.estimator = Estimator(self.vehicle, setup.settings, entries=self._warm_up.first)
-        exercise(self.estimator)  # loading what is compiled takes a third of a second, which the first message need not wait
+        exercise(self.estimator)  # loading compiled functions takes a third of a second; the first message does not wait for it
         self.inputs = input_topics(self.topics, bool(self.vehicle.route), self.estimator.channels)
         self.outputs = live_topics(self.vehicle, self.topics)
         measured = any("torque" in given.roles for given in self.inputs)
@@ -113,7 +113,7 @@ class Application:
         self._topic_names = [transport.topic_name(given.name) for given in self.inputs]
         named = [replace(given, name=name) for given, name in zip(self.inputs, self._topic_names, strict=True)]
         self._watch = Watch(self.estimator, named)
-        self._reasons_seen: tuple[int, bool, Reasons] | None = None  # when, whether the speed was old, what held
+        self._reasons_seen: tuple[int, bool, Reasons] | None = None  # time, whether the speed was old, reasons
         now = steady_ns()
         self._next_second_ns, self._next_output_ns, self._next_save_ns = now, now, now + self._save_period_ns()
 
@@ -123,7 +123,7 @@ class Application:
 
     @property
     def period_s(self) -> float:
-        """How often `tick` is to be called [s]."""
+        """Period of `tick` [s]."""
         between_s = self._between_outputs_s
         return between_s / math.ceil(between_s / LONGEST_PERIOD_S - 1e-9)
 
@@ -132,7 +132,7 @@ class Application:
         """Longest time between two outputs."""
         return LONGEST_PERIOD_S if self._on_speed else 1.0 / self.parameters.number("output_rate_hz")
 
-    # What arrives
+    # Inputs
 
     def arrival(self) -> Arrival:
         """The arrival of a message that comes now."""
@@ -140,7 +140,7 @@ class Application:
         return steady, self._now_ns(steady)
 
     def record(self, keep: KeepMessage) -> list[tuple[InputTopic, str]]:
-        """Have every message kept that comes, of all topics of the topics file; which, and the texts that define their types.
+        """Record every message on all topics of the topics file; return these topics and the texts that define their types.
 
         Messages come with their place in that list.
         """
@@ -157,7 +157,7 @@ class Application:
         return known
 
     def keep(self, index: int, raw: bytes, arrived: Arrival) -> None:
-        """Take note of a message as it came, where all are recorded."""
+        """Record a raw message, where all are recorded."""
         if self._keep:
             steady, now = arrived
             arrival = now if self.parameters.sim_time else steady + self._arrival_offset_ns
@@ -168,7 +168,7 @@ class Application:
         self._reader.dropped[index] += 1
 
     def receive(self, index: int, message: object, sent_ns: int = 0, arrived: Arrival | None = None) -> None:
-        """Take a decoded message of an input topic, sent at a time [ns] of its publisher's machine, 0 where that is not known."""
+        """Process a decoded message of an input topic, sent at a time [ns] of its publisher's machine, 0 if unknown."""
         read = self.guard.essential("reading a message", self._reader.read, index, message)
         if read is not None:
             self.receive_values(index, *read, sent_ns, arrived)
@@ -185,10 +185,11 @@ class Application:
         sent_ns: int = 0,
         arrived: Arrival | None = None,
     ) -> None:
-        """Take what a transport has read from a message of an input topic; see `InputReader.samples`. By default it arrives now.
+        """Process values that a transport has read from a message of an input topic; see `InputReader.samples`. By default it
+        arrives now.
 
-        Messages are handled in the order they were sent, see `SendingOrder`. What comes before the simulated clock waits for it:
-        without a time its age is not known.
+        Messages are handled in sending order, see `SendingOrder`. Those before the first simulated clock wait for it:
+        without a time their age is unknown.
         """
         self.guard.essential("taking a message", self._receive, index, stamp_ns, values, sent_ns, arrived or self.arrival())
 
@@ -261,16 +262,16 @@ class Application:
             self._transport.log(level, text)
         except KeyboardInterrupt:
             raise
-        except BaseException:  # nobody to tell that nobody can be told
+        except BaseException:  # the failure to report cannot be reported
             pass
 
     def _now_ns(self, steady: int) -> int:
-        """The node's time; where a clock cannot be read the machine's, and of a simulated one none."""
+        """The node's time: the machine's where a clock cannot be read, none for a simulated one."""
         now = self.guard("the clock", self._transport.now_ns)
         return now if now is not None else 0 if self.parameters.sim_time else steady + self._arrival_offset_ns
 
     def _pace(self, steady: int) -> int:
-        """Time by which the feed-forward moves: that of the controller, the simulated one where there is one [ns]."""
+        """Time of the feed-forward's motion: the controller's, or the simulated one [ns]."""
         return nearest_usable(self._now_ns(steady)) if self.parameters.sim_time else steady
 
     def _publish(self, steady: int) -> None:
@@ -285,14 +286,14 @@ class Application:
         return (("PART_FAILED", Level.WARN),) if hold is None else hold
 
     def _show(self, reasons: int) -> None:
-        """Show reasons that hold between two estimates, at once where they are new."""
+        """Publish reasons between two estimates, at once where they are new."""
         if self.guard("watching the reasons", self._watch.note, reasons):
             self._reasons_seen = None
             if self.active:
                 self._publish_status(self._steady_ns())
 
     def _reasons(self, steady: int) -> Reasons:
-        """All that is to be noticed now, each name once."""
+        """All present notices, each name once."""
         old = self._publisher.age_s(steady) > self.estimator.settings.speed_max_age_s
         seen = self._reasons_seen
         if seen is None or old is not seen[1] or not 0 <= steady - seen[0] < REASONS_KEPT_NS:
@@ -300,7 +301,7 @@ class Application:
             self._reasons_seen = seen = steady, old, hold
         return seen[2]
 
-    # What leaves
+    # Outputs
 
     def activate(self) -> None:
         """Begin to publish. The estimate runs whether it is published or not."""
@@ -312,9 +313,9 @@ class Application:
         self.active = False
 
     def fade_out(self, error: BaseException | None = None) -> None:
-        """Take the feed-forward to zero, as fast as it may move, before the node ends; what ends it, if it is a fault.
+        """Ramp the feed-forward to zero at its rate limit before the node ends; return the fault that ends it, if any.
 
-        It takes `feedforward_fade_s` at most. It never raises: where nothing can be published there is nothing to be done.
+        It takes `feedforward_fade_s` at most. It never raises: where nothing can be published, nothing can be done.
         """
         if error is not None:
             self.guard.failed("the main loop", error, essential=True)
@@ -328,9 +329,9 @@ class Application:
                 time.sleep(self.period_s)
 
     def tick(self) -> None:
-        """Publish what is due, look at ages and peers, save the state; to be called every `period_s`.
+        """Publish, check ages and peers, and save the state, each when due; to be called every `period_s`.
 
-        It never raises: a part that fails is named on the status, and the others are carried out.
+        It never raises: a part that fails is named on the status, and the others run.
         """
         steady = self._steady_ns()
         age_s, max_age_s = self._publisher.age_s(steady), self.estimator.settings.speed_max_age_s
@@ -400,7 +401,7 @@ class Application:
         self._publisher.publish_statuses(found or bare, self._now_ns(steady), diagnostics, learned or ())
 
     def notices(self, steady: int | None = None) -> list[Notice]:
-        """All that is to be noticed now, heaviest first."""
+        """All present notices, most severe first."""
         steady = self._steady_ns() if steady is None else steady
         found = [
             *(self.guard("watching the inputs", self._watched, steady) or []),
@@ -429,19 +430,19 @@ class Application:
         return []
 
     def diagnose_command(self) -> str:
-        """The command that finds out where measured and expected torque differ, and why."""
+        """Command that explains where and why measured and expected torque differ."""
         given = [f" --{name} {self.parameters.text(name)}" for name in ("surroundings", "topics") if self.parameters.text(name)]
         return f"trackres diagnose RECORDING --vehicle {self.parameters.text('vehicle')}{''.join(given)} -o report"
 
     def overview(self, steady: int | None = None) -> Overview:
-        """All there is to see now, for statuses and the terminal."""
+        """Snapshot for statuses and the terminal."""
         steady = self._steady_ns() if steady is None else steady
         notices = self.notices(steady)
         return overview(
             level_of(notices), notices, self._publisher, self._watch, self.comparison, self.keeper, self.learning, steady
         )
 
-    # What a transport or a signal requests
+    # Requests of a transport or a signal
 
     def change(self, given: Mapping[str, object]) -> None:
         """Change parameters while running; the temperatures stay.
@@ -529,7 +530,7 @@ class Application:
         self._publisher.estimator = estimator
 
     def _rest_unused_belts(self) -> None:
-        """Belts taken from a state file go on cooling until the first speed comes."""
+        """Belts from a state file keep cooling until the first speed arrives."""
         now = time.time()
         if self._publisher.stamp_ns is None and self.session.started:
             cooled = self.estimator.rest(self.session.state, self.vehicle.chassis.ambient, max(0.0, now - self._rested_at))

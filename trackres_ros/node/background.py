@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Runs what waits for a disk or a terminal on a thread of its own: the loop that publishes the torque never waits for it."""
+"""Runs work that waits for a disk or a terminal on its own thread: the loop that publishes the torque never waits for it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Background:
 
 
 class ErrorLines:
-    """Writes lines to standard error. If nothing reads them, the oldest are dropped, and a line says how many."""
+    """Writes lines to standard error. If nothing reads them, the oldest are dropped, and a line reports how many."""
 
     def __init__(self) -> None:
         self._lines: deque[str] = deque(maxlen=MOST_LINES)
@@ -55,11 +55,11 @@ class ErrorLines:
         self._news.set()
 
     def close(self, patience_s: float) -> None:
-        """Write what is left, as far as somebody takes it."""
+        """Write the remaining lines, as far as they are read."""
         self._over = True
         self._news.set()
         self._thread.join(patience_s)
-        if self._thread.is_alive():  # what the interpreter writes as it ends must not wait either
+        if self._thread.is_alive():  # output of the interpreter as it ends must not wait either
             _to_nowhere()
 
     def _run(self) -> None:
@@ -78,15 +78,16 @@ class ErrorLines:
     def _write(self, line: str) -> None:
         try:
             _write_to_error(f"{line}\n")
-        except BrokenPipeError:  # nobody reads the log any more, which must end neither the node nor its exit code
+        except BrokenPipeError:  # the log has no reader any more, which must end neither the node nor its exit code
             _to_nowhere()
-        except (OSError, ValueError):  # a full disk loses this line alone; a stream that is closed loses all
+        except (OSError, ValueError):  # a full disk loses this line alone; a closed stream loses all
             pass
 
 
 def _write_to_error(text: str) -> None:
-    """Write on standard error. Its buffer has a lock, which a write that nobody takes would hold: the interpreter waits for it as
-    it ends. So the text goes past the buffer, if there is a file behind it.
+    """Write on standard error, past its buffer, if it is a file. A blocked write would hold the buffer's lock, and the
+    interpreter
+    waits for that lock as it ends.
     """
     try:
         number = sys.stderr.fileno()

@@ -3,7 +3,7 @@
 
 """Compares measured and expected torque, row by row: lasting differences and disturbances.
 
-It looks at the estimate and changes nothing of it: nothing of a disturbance is in an expected torque or in the feed-forward.
+It only reads the estimate: no disturbance enters an expected torque or the feed-forward.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ class Comparison:
     Parameters
     ----------
     settings
-        Of the detector; what it does not compare is not watched either.
+        Of the detector; rows that it does not compare are not watched for disturbances either.
     disturbance
-        Of the vehicle file; None where it has none, or no torque is measured.
+        From the vehicle file; None without one, or without a measured torque.
     """
 
     def __init__(self, settings: MismatchSettings, disturbance: Disturbance | None) -> None:
@@ -69,7 +69,7 @@ class Comparison:
         return _turned(before, self.belief)
 
     def notices(self, command: str) -> list[Notice]:
-        """What is to be noticed; `command` looks into a mismatch."""
+        """Present notices; `command` explains a mismatch."""
         verdict, belief = self.verdict, self.belief
         return [
             *([Notice("MISMATCH", f"{verdict.text}; investigate with: {command}")] if verdict.parted else []),
@@ -78,7 +78,7 @@ class Comparison:
 
 
 def _turned(before: Belief | None, now: Belief | None) -> str:
-    """That a spell begins or is over, in words; empty where neither is."""
+    """Text that a spell begins or is over; empty if neither."""
     if before is None or now is None or before.present is now.present:
         return ""
     return f"{'the disturbance begins' if now.present else 'the disturbance is over'}: {now.text}"

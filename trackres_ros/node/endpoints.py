@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Topics that the live node takes and gives, with quality of service: the one table that both transports are made from."""
+"""Defines input and output topics of the live node with their quality of service: one table for both transports."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DIAGNOSTICS = OutputTopic(
     "status",
     "once a second: the estimate, each input, the comparison with a measured torque, the disturbance, the state file",
 )
-WIRE_DEPTH = 5000  # that a middleware drops nothing while this process is held up for a few seconds at 1 kHz: it would not say so
+WIRE_DEPTH = 5000  # enough for a few seconds' delay of this process at 1 kHz: a middleware drops messages silently
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +42,13 @@ class InputTopic:
     Attributes
     ----------
     name
-        As the topics file has it: absolute, or relative to the node's namespace.
+        From the topics file: absolute, or relative to the node's namespace.
     type
         ``package/msg/Name``.
     roles, bindings
-        Which roles, and which field gives each.
+        Its roles, and the field for each.
     parts
-        Of a role that is a sum the place of the field among its parts; else None.
+        For a role that is a sum, the field's place among its parts; else None.
     """
 
     name: str
@@ -59,12 +59,12 @@ class InputTopic:
 
 
 def input_topics(topics: Topics, on_route: bool = False, channels: Collection[str] = CHANNELS) -> tuple[InputTopic, ...]:
-    """All topics to subscribe to, those that feed a speed last; of roles that the estimate does not need none, a position only
-    for a vehicle that is followed on a route, what shows the ground only where a torque is measured to learn from, and wheel
-    speeds only of the axles and assemblies in its `channels`.
+    """All topics to subscribe to, those that feed a speed last. Roles that the estimate does not need have none.
 
-    Where messages wait on several topics, a transport hands them over in this order: what a speed is to be computed with comes
-    first.
+    A position is needed only to follow a route, and signs of the ground only with a measured torque to learn from. Wheel speeds
+    are needed only for the axles and assemblies in `channels`. Where messages wait on several topics, a transport passes them on
+    in
+    this order: inputs of a step come before its speed.
     """
     needed = [
         role
@@ -77,7 +77,7 @@ def input_topics(topics: Topics, on_route: bool = False, channels: Collection[st
 
 
 def other_topics(topics: Topics, inputs: Sequence[InputTopic]) -> tuple[InputTopic, ...]:
-    """The topics of a topics file that the estimate does not need: of use to who replays or diagnoses a recording."""
+    """Topics of a topics file that the estimate does not need, but a replay or diagnosis of the recording may."""
     needed = {given.name for given in inputs}
     others = [role for role in topics if topics[role].of_topics]
     return tuple(given for given in _by_topic(topics, others) if given.name not in needed)
@@ -103,7 +103,7 @@ def measures_torque(topics: Topics) -> bool:
 
 
 def live_topics(vehicle: AnyVehicle, topics: Topics) -> tuple[OutputTopic, ...]:
-    """All topics to publish, most urgent first; the residual and what is learned only where a torque is measured."""
+    """All topics to publish, most urgent first; the residual and learned values only with a measured torque."""
     feedforward, number, *others = output_topics(vehicle)
     given = (topic for topic in others if topic.name != "torque_residual" or "torque" in topics)
     learned = (PARAMETERS_TOPIC,) if measures_torque(topics) else ()
@@ -111,7 +111,7 @@ def live_topics(vehicle: AnyVehicle, topics: Topics) -> tuple[OutputTopic, ...]:
 
 
 def input_quality(parameters: Parameters) -> Quality:
-    """Quality of service of every input; `input_depth` bounds what waits in this process, where it is counted."""
+    """Quality of service of every input; `input_depth` limits the queue in this process, which counts dropped messages."""
     return Quality(
         parameters.text("input_reliability") == "reliable",
         max(parameters.count("input_depth"), WIRE_DEPTH),
@@ -130,10 +130,10 @@ def output_quality(parameters: Parameters, topic: OutputTopic) -> Quality:
 
 
 def full_name(name: str, node: str, namespace: str) -> str:
-    """Name of an output topic or a service of a node: absolute names stay, others stand below the node's own."""
+    """Name of an output topic or a service of a node: absolute names stay, others are below the node's own."""
     return name if name.startswith("/") else f"{namespace.rstrip('/')}/{node}/{name}"
 
 
 def input_name(name: str, namespace: str) -> str:
-    """Name of an input topic: absolute names stay, others stand in the node's namespace."""
+    """Name of an input topic: absolute names stay, others are in the node's namespace."""
     return name if name.startswith("/") else f"{namespace.rstrip('/')}/{name}"

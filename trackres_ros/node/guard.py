@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 @dataclass(slots=True)
 class _Failure:
-    """How a part failed last."""
+    """The last failure of a part."""
 
     text: str
     at_ns: int
@@ -28,17 +28,17 @@ class _Failure:
 
 
 class Guard:
-    """Calls the parts of the node, and keeps what one of them raises from ending or silencing another.
+    """Calls the parts of the node, and keeps an exception in one of them from ending or silencing another.
 
-    Without an essential part (reading a message, a step, publishing) there is no estimate to be used: its failure is an error. Of
+    The failure of an essential part (reading a message, a step, publishing) is an error: there is no usable estimate. For
     any other part (the disk, the log, other nodes, learning, recording, the statuses) it is a warning.
 
     Parameters
     ----------
     report
-        Logs a failure: the text, once for each while it goes on.
+        Logs a failure, once for each text while it lasts.
     steady_ns
-        A clock that never jumps [ns].
+        A monotonic clock [ns].
     """
 
     def __init__(self, report: Callable[[str], None], steady_ns: Callable[[], int]) -> None:
@@ -46,7 +46,7 @@ class Guard:
         self._failures: dict[str, _Failure] = {}
 
     def __call__(self, part: str, do: Callable[P, T], *args: P.args, **named: P.kwargs) -> T | None:
-        """Call a part; what it gives, None where it fails."""
+        """Call a part; return its result, or None if it fails."""
         try:
             return do(*args, **named)
         except KeyboardInterrupt:
@@ -56,7 +56,7 @@ class Guard:
         return None
 
     def essential(self, part: str, do: Callable[P, T], *args: P.args, **named: P.kwargs) -> T | None:
-        """Call a part without which there is no estimate."""
+        """Call a part that the estimate needs."""
         try:
             return do(*args, **named)
         except KeyboardInterrupt:
@@ -66,7 +66,7 @@ class Guard:
         return None
 
     def taking(self, part: str, take: Callable[[], Iterable[T]]) -> Callable[[], Sequence[T]]:
-        """A function that takes what waits at an input; nothing where it fails."""
+        """A function that takes the waiting messages of an input; none if it fails."""
         return lambda: self.essential(part, lambda: list(take())) or ()
 
     def failed(self, part: str, error: BaseException, essential: bool) -> None:
@@ -78,7 +78,7 @@ class Guard:
             self._report(f"{part} failed because of a bug: {''.join(traceback.format_exception(error))}")
 
     def notices(self, steady: int) -> list[Notice]:
-        """The parts that have failed of late."""
+        """The parts that have failed recently."""
         return [
             Notice("INTERNAL_ERROR", f"{part} failed because of a bug: {failure.text}")
             if failure.essential

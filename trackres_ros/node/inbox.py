@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds messages between middleware and application, with the time at which each came, whatever the estimate is busy with.
+"""Holds messages between middleware and application, with their arrival times, however busy the estimate is.
 
-A middleware keeps so many messages of a topic and then drops the oldest, without a word; and what waits there has no time of
-arrival. So messages are taken off it between the steps too, and wait here: bounded, and counted where one is dropped.
+A middleware silently drops the oldest messages of a full queue, and queued messages have no time of arrival.
+So messages are also fetched between the steps, and wait here: bounded, with a count of those dropped.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Arrival = tuple[int, int]
 """When a message came, by the steady clock and by the node's time [ns]."""
 Take = Callable[[], Iterable[Any]]
 
-COLLECT_EVERY_NS = 2_000_000  # so exactly is an arrival known; at 1 kHz two messages
+COLLECT_EVERY_NS = 2_000_000  # accuracy of an arrival; at 1 kHz two messages
 
 
 class Inbox:
@@ -27,15 +27,15 @@ class Inbox:
     Parameters
     ----------
     inputs
-        A function for each input that takes what has come off the middleware.
+        For each input a function that fetches new messages from the middleware.
     hand
-        Hands one message to the application: input, message, arrival.
+        Passes one message to the application: input, message, arrival.
     now
-        The arrival of what comes now.
+        Arrival time of a new message.
     dropped
-        Is told the input of each message that is dropped.
+        Called with the input of each dropped message.
     depth
-        Messages of one input that may wait.
+        Limit of waiting messages per input.
     """
 
     def __init__(
@@ -51,11 +51,12 @@ class Inbox:
         self._collected_ns = 0
 
     def collect(self) -> None:
-        """Take what has come off the middleware.
+        """Fetch new messages from the middleware.
 
-        The topics are looked at from the last to the first and handed over from the first to the last. The last feeds the speed,
-        so whatever was sent before a speed is there when the speed is handed over. Looked at in turn, a load could come just
-        after its topic was found empty, and the speed sent after it just before its own was.
+        Topics are polled from the last to the first and passed on from the first to the last. The last feeds the speed,
+        so everything sent before a speed is present when the speed is passed on. With polling in the same order, a load could
+        arrive
+        just after its topic was found empty, and a later speed just before its own was.
         """
         self._collected_ns = time.monotonic_ns()
         for index in reversed(range(len(self._inputs))):
@@ -71,7 +72,7 @@ class Inbox:
         waiting.append((message, self._now()))
 
     def work_off(self, meanwhile: Callable[[], None], collecting: bool) -> None:
-        """Hand over what waits; `meanwhile` is called after each message, and if `collecting`, new messages are collected too."""
+        """Pass on waiting messages; call `meanwhile` after each, and if `collecting`, fetch new messages too."""
         handed, self._waiting = self._waiting, self._empty()
         for index, messages in enumerate(handed):
             for message, arrived in messages:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Turns decoded messages into samples: which channel, which stamp, which value. The rules are those of reading a bag."""
+"""Turns decoded messages into samples of channel, stamp and value, by the rules of reading a bag."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class InputReader:
     channels
         Names of the estimator's channels, in their order.
     bindings
-        By role; of those that are sums, how the parts are added.
+        By role; those of sums define how to add the parts.
 
     Raises
     ------
@@ -57,22 +57,22 @@ class InputReader:
         self._same_clock = [0] * len(channels)
 
     def read(self, index: int, message: object) -> tuple[int | None, list[float | None]]:
-        """Stamp and values in a message whose attributes are its fields, as `samples` takes them."""
+        """Stamp and values of a message with fields as attributes, for `samples`."""
         return _stamp(message), [_value(read, message) for _, read, *_ in self._readers[index]]
 
     def samples(self, index: int, stamp_ns: int | None, values: Sequence[float | None], now_ns: int) -> list[Sample]:
-        """Samples out of what was read from a message.
+        """Samples from the values of a message.
 
         Parameters
         ----------
         index
-            Which input topic.
+            Index of the input topic.
         stamp_ns
-            Stamp of the message [ns], None where its type has none; one that was never set is 0 and stays so. What has no stamp
-            gets the node's time. One that no message can carry gives no sample: it could not be published again.
+            Stamp of the message [ns], None where its type has none; one that was never set is 0 and stays so. Without a stamp
+            the node's time is used. A stamp out of a message's range gives no sample: it could not be published again.
         values
-            One for each binding of the topic, scaled: nan where it is no number, None where the message has no such element,
-            which gives no sample.
+            One for each binding of the topic, scaled: nan where it is no number; None, and no sample, where the message has no
+            such element.
         now_ns
             The node's time [ns].
         """
@@ -97,7 +97,7 @@ class InputReader:
         return found
 
     def _own_stamp(self, channel: int, now_ns: int) -> int:
-        """The node's time; a simulated clock stands between its ticks, so each message meanwhile is a nanosecond later."""
+        """The node's time; a simulated clock stands still between its ticks, so each message adds a nanosecond."""
         if now_ns == self._last_clock[channel]:
             self._same_clock[channel] += 1
         else:

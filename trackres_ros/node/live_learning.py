@@ -20,14 +20,14 @@ OFF, ON = "off", "on"
 
 
 class LiveLearning:
-    """A learner where a torque is measured; else nothing is learned, and nothing changes.
+    """A learner for a node with a measured torque; without one it does nothing.
 
     Parameters
     ----------
     estimator
         Of the node.
     mode
-        `off`, `watch` or `on`. What was learned is kept while it is off.
+        `off`, `watch` or `on`. Learned values are kept while it is off.
     measured
         Whether a torque is measured at all.
     """
@@ -39,7 +39,7 @@ class LiveLearning:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of what stands behind the columns of the estimate."""
+        """Names of the columns after those of the estimate."""
         return () if self._columns is None else self._columns.names
 
     def take(self, stamp_ns: int, row: list[float], session: Session) -> None:
@@ -50,16 +50,16 @@ class LiveLearning:
                 self.learner.take(stamp_ns, row, session)
                 if not np.isfinite(session.learned).all():
                     raise ArithmeticError("a learned parameter is not finite")
-            except BaseException:  # what acts on the next step stays as it was
+            except BaseException:  # learned values for the next step stay unchanged
                 session.learned[:] = before
                 raise
 
     def columns(self, row: list[float], session: Session) -> list[float]:
-        """The columns behind those of a step that was taken, as `names` has them."""
+        """Values of the columns after those of an estimate, in the order of `names`."""
         return [] if self._columns is None else self._columns.of(row, session)
 
     def change(self, mode: str, session: Session) -> None:
-        """Go on in another way; what was learned stays, and acts only where it is on."""
+        """Change the mode; learned values stay, and act only in mode `on`."""
         if self.learner is None or mode == self.mode:
             self.mode = mode
             return
@@ -70,7 +70,7 @@ class LiveLearning:
             session.learned[: at.Learned.sensitivities.start] = 0.0
 
     def restart(self) -> None:
-        """The estimate starts anew; what was learned of the vehicle stays."""
+        """Restart the estimate; values learned of the vehicle stay."""
         if self.learner is not None:
             self.learner.restart()
 
@@ -90,7 +90,7 @@ class LiveLearning:
         return "off" if self.mode == OFF else self.learner.text
 
     def statuses(self, node: str, vehicle: str) -> Sequence[Status]:
-        """A status of each thing that is learned, as they are published."""
+        """A status of each learned value, as published."""
         if self.learner is None or self.mode == OFF:
             return ()
         level = Level.WARN if self.learner.frozen else Level.OK
@@ -111,7 +111,7 @@ class LiveLearning:
         ]
 
     def notices(self) -> list[Notice]:
-        """What is to be noticed of it."""
+        """Present notices of the learning."""
         if self.learner is None or self.mode == OFF or not self.learner.frozen:
             return []
         return [Notice("LEARNING_FROZEN", f"learning is paused: {self.learner.frozen}")]

@@ -1,20 +1,20 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Detects a lasting difference between measured and expected torque. A change detector on the whitened residual, a few
-operations a message.
+"""Detects a lasting difference between measured and expected torque, by a change detector on the whitened residual. It needs a
+few operations per message.
 
-The residual r is averaged over bins while the vehicle rolls steadily. Its noise is taken for a first-order autoregression; its
-coefficient phi and scale sigma are those of the deviations from a running mean, which soon follows a lasting offset, so that this
-is not taken for noise. The whitened residual (r - phi r_before) / sigma, less what a tolerated offset would make of it, is summed
-as in Page's test (Biometrika 41, 1954, 100), once for each sign. The sum of the n bins since it last was zero has the standard
-deviation sqrt(n): the two have parted when it is `mismatch_evidence` (h) times as large and the offset has lasted for
-`mismatch_hold_s` (N bins), so that a grade that comes round each lap is none.
+The residual r is averaged over bins while the vehicle rolls steadily. Its noise is modelled as a first-order autoregression with
+coefficient phi and scale sigma, of the deviations from a running mean. That mean soon follows a lasting offset, so the offset
+does not enter the noise. Page's test (Biometrika 41, 1954, 100) sums the whitened residual (r - phi r_before) / sigma, less the
+tolerated offset's share, once for each sign. The sum of the n bins since it last was zero has the standard deviation sqrt(n). A
+mismatch is detected when the sum is `mismatch_evidence` (h) times as large and the offset has lasted for `mismatch_hold_s`
+(N bins). So a grade that recurs each lap causes none.
 
-False alarms: standardised sums over at least N independent terms pass h, with either sign, less often than h^3 exp(-h^2/2) /
-(2 N sqrt(2 pi)) times a bin (Siegmund and Venkatraman, Annals of Statistics 23, 1995, 255, with windows no shorter than N).
-By default that is once in 100 000 h of driving where nothing is tolerated, and rarer where something is. Noise that is no such
-autoregression, or stays on one side for longer than `mismatch_hold_s`, as on long hills, alarms more often.
+False alarms: standardised sums over at least N independent terms exceed h, with either sign, less often than h^3 exp(-h^2/2) /
+(2 N sqrt(2 pi)) per bin (Siegmund and Venkatraman, Annals of Statistics 23, 1995, 255, with windows no shorter than N).
+By default that is once in 100 000 h of driving with zero tolerance, and rarer with a positive one. Other noise, or noise that
+stays on one side for longer than `mismatch_hold_s`, as on long hills, alarms more often.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from trackres_ros.estimator.disturbance import LARGEST_NM, STEADY_MPS, STEADY_MP
 from trackres_ros.units import NANOSECOND
 
 SETTLING_BINS = 30  # before the noise is believed
-KNOWN_AFTER = 2.0  # times the holding time: sooner slow noise, as of hills, cannot be told from an offset
+KNOWN_AFTER = 2.0  # times the holding time: earlier, slow noise such as hills cannot be distinguished from an offset
 MEAN_BINS = 150  # memory of the running mean
 TYPICAL_OF = 5  # bins: their median is free of a spike that lasts for two
-RELATED_S = 30.0  # bins further apart say nothing of each other's noise
+RELATED_S = 30.0  # bins further apart have uncorrelated noise
 MOST_PHI = 0.98  # nearer to 1 an offset and a random walk are one
-OUTLIER = 5.0  # standard deviations: beyond, a bin counts as this far
+OUTLIER = 5.0  # standard deviations: limit of a bin
 MAD_TO_STD = 1.4826  # of a normal distribution
 LEAST_NOISE = 0.001  # of the expected torque: finer than torque transducers are (class 0.1), for a residual without noise
 
@@ -77,15 +77,15 @@ class Mismatch:
     Attributes
     ----------
     parted
-        Whether measured and expected torque have parted.
+        Whether there is a mismatch.
     since_ns
-        Stamp at which they did, as far as can be told afterwards [ns].
+        Stamp of its beginning, estimated afterwards [ns].
     after_s
         Driving time compared until then [s].
     mean_nm, share
-        Mean difference since then, measured less expected [Nm], and over the mean size of the expected torque.
+        Mean difference since then, measured less expected [Nm], and relative to the mean size of the expected torque.
     settled
-        Whether there has been enough to judge.
+        Whether there were enough data to judge.
     text
         The same in a sentence.
     """
@@ -109,7 +109,7 @@ class _Bin(NamedTuple):
 
 
 class _Noise:
-    """The residual's own noise, a first-order autoregression about its running mean; outliers count in part."""
+    """The residual's own noise, a first-order autoregression about its running mean; outliers have reduced weight."""
 
     def __init__(self) -> None:
         self.settled = False
@@ -127,16 +127,16 @@ class _Noise:
     def phi(self) -> float:
         """Correlation of a bin with the next."""
         correlation = self._covariance / self._variance if self._variance > 0.0 else 0.0
-        correlation += (1.0 + 3.0 * correlation) / MEAN_BINS  # what taking off the mean of so many has cost it
+        correlation += (1.0 + 3.0 * correlation) / MEAN_BINS  # correction for the mean subtracted from so many bins
         return min(max(correlation, 0.0), MOST_PHI)
 
     def shock(self, least: float) -> float:
-        """Standard deviation of what a bin does not inherit from the one before, at least so large [Nm]."""
+        """Standard deviation of a bin's innovation, bounded below [Nm]."""
         phi = self.phi
         return max(math.sqrt(self._variance * (1.0 - phi * phi)), least)
 
     def learn(self, residual: float, related: bool, share: float, least: float) -> None:
-        """Take in a bin with a weight of `share`; `related` to the one before or not."""
+        """Add a bin with a weight of `share`; `related` to the one before or not."""
         self._recent.append(residual)
         self._bins += 1
         if not self.settled:
@@ -166,7 +166,7 @@ class _Noise:
 
 
 class _Page:
-    """One-sided sum of whitened residuals less their allowance, and what has passed since it was zero."""
+    """One-sided sum of whitened residuals less their allowance, and the totals since it was zero."""
 
     def __init__(self) -> None:
         self.clear()
@@ -176,7 +176,7 @@ class _Page:
         self.since_ns, self.seconds_before = 0, 0.0
 
     def add(self, excess: float, since_ns: int, seconds_before: float) -> None:
-        """Take in a bin; where the sum was zero, it began at the time given."""
+        """Add a bin; if the sum was zero, it begins at the given time."""
         if self.sum + excess <= 0.0:
             self.clear()
             return
@@ -186,7 +186,7 @@ class _Page:
         self.bins += 1
 
     def gather(self, residual: float, drive: float, seconds: float) -> None:
-        """Add up what the difference is, while there is one."""
+        """Accumulate the difference, while there is one."""
         if self.bins:
             self.residual += residual * seconds
             self.drive += drive * seconds
@@ -219,14 +219,14 @@ class MismatchDetector:
     def take(
         self, stamp_ns: int, residual_nm: float, drive_torque_nm: float, std_nm: float, speed_mps: float, accel_mps2: float
     ) -> None:
-        """Take one estimate.
+        """Process one estimate.
 
         Parameters
         ----------
         stamp_ns
             Its time [ns].
         residual_nm
-            Measured less expected torque, and less a disturbance that is known to be there [Nm]; nan where none is measured.
+            Measured less expected torque, and less a present, known disturbance [Nm]; nan where none is measured.
         drive_torque_nm, std_nm
             Expected torque and its standard deviation [Nm].
         speed_mps, accel_mps2
@@ -301,7 +301,7 @@ class MismatchDetector:
             gain = (1.0 - phi) / sigma
             white = (now.residual - phi * before.residual) / sigma
         allowance = max(s.mismatch_share * now.drive, s.mismatch_std * now.std) * gain
-        # An outlier counts as one as far as it is unexpected, after the offset that the allowance lets pass.
+        # Outliers are judged by their unexpected part, after the offset within the allowance.
         white = _within(white, OUTLIER + allowance)
         began = (now.start_ns, self._seconds) if self._judging else (self._first_ns, 0.0)
         self._judging = True

@@ -20,11 +20,11 @@ class NoticeKind:
     Attributes
     ----------
     level, meaning
-        How heavy it is, and what it means.
+        Severity and meaning.
     awaited
-        Whether it holds at every start until the inputs have come.
+        Whether it is present at every start until the inputs have arrived.
     of_start
-        Whether it is about how the node began: the log has it once, the diagnostics in the entry of the state.
+        Whether it is about the start of the node: the log has it once, the diagnostics in the entry of the state.
     """
 
     level: Level
@@ -35,7 +35,7 @@ class NoticeKind:
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """A notice that holds now: its name in `KINDS`, and a sentence with the particulars."""
+    """A present notice: its name in `KINDS`, and a sentence with the particulars."""
 
     name: str
     text: str

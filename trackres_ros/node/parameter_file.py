@@ -17,20 +17,20 @@ Stamp = tuple[int, int, int]
 
 
 class ParameterFile:
-    """A parameter file that is looked at every `LOOK_EVERY_S`.
+    """A parameter file that is checked every `LOOK_EVERY_S`.
 
-    It is read when it has stood unchanged from one look to the next, so that what an editor is just writing is not taken for what
-    is meant. A line that is refused leaves its parameter as it was, and the other lines count. What the command line gave besides
-    stays as it was given there. A file that is gone changes nothing.
+    It is read once it is unchanged between two checks, so that a file that an editor is still writing is not read. A refused line
+    leaves its parameter unchanged, and the other lines apply. Values of the command line keep priority. A deleted file changes
+    nothing.
 
     Parameters
     ----------
     path, node, namespace
-        As `read_entries` takes them.
+        As for `read_entries`.
     parameters
-        What the node began with.
+        Parameters at the start of the node.
     overruled
-        Names that the command line gave.
+        Names set on the command line.
     """
 
     def __init__(self, path: Path, node: str, namespace: str, parameters: Parameters, overruled: Collection[str]) -> None:
@@ -65,20 +65,20 @@ class ParameterFile:
         return accepted, refused + errors
 
     def applied(self, changed: Mapping[str, Value]) -> str:
-        """Take note that a change was made; what it was, in words."""
+        """Record a change; return it as text."""
         said = ", ".join(f"{name} {_shown(self._applied[name])} -> {_shown(value)}" for name, value in changed.items())
         self._applied.update(changed)
         return f"{self.path}: {said}"
 
     def refused(self, error: InputError) -> str:
-        """What was not changed and why, in words."""
+        """Refused changes with reasons, as text."""
         return f"{self.path}: refused, and left as it was: {error}"
 
 
 def _accepted(
     changed: Mapping[str, Value], check: Callable[[Mapping[str, Value]], object]
 ) -> tuple[dict[str, Value], list[InputError]]:
-    """All changes that pass a check, and the errors of the others. Two that need each other pass in either order."""
+    """All valid changes, and the errors of the others. Two that depend on each other pass in either order."""
     accepted: dict[str, Value] = {}
     errors: dict[str, InputError] = {}
     waiting = dict(changed)

@@ -1,7 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Every parameter of the live node: one table of default, unit, limits and meaning, which also makes the YAML file and the docs.
+"""Every parameter of the live node: one table of default, unit, limits and meaning, from which the YAML file and the docs are
+made.
 
 The settings of the estimator are part of it, so the same file serves `trackres replay --params`.
 """
@@ -32,7 +33,7 @@ CONNECTED = "the node connects with it when it is configured"
 RELIABILITIES = ("best_effort", "reliable")
 ROS_KEY = "ros__parameters"
 SWITCH = MappingProxyType({True: "on", False: "off"})
-"""What YAML makes of the words on and off, and the words themselves."""
+"""YAML's values for the words on and off, and the words themselves."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +43,9 @@ class NodeParameter:
     Attributes
     ----------
     name, default, meaning, unit
-        What it is called, its value where none is given, what it does and its unit. All values have the type of the default.
+        Name, default value, meaning and unit. All values have the type of the default.
     low, high
-        Limits of a number, whole where the number is; nan for other kinds.
+        Limits of a number, integers for an integer; nan for other kinds.
     choices
         Allowed texts; of a list, allowed elements. Empty: any text.
     fixed_because
@@ -68,7 +69,7 @@ class NodeParameter:
 
     @property
     def is_number(self) -> bool:
-        """Whether it is a number, whole or not."""
+        """Whether it is a number, integer or not."""
         return isinstance(self.default, int | float) and not isinstance(self.default, bool)
 
     def checked(self, given: object) -> Value:
@@ -77,7 +78,7 @@ class NodeParameter:
         Raises
         ------
         InputError
-            If it is of another kind or out of range: what was given, what is allowed.
+            If it is of another kind or out of range; with the given and the allowed values.
         """
         where = f"parameter {self.name}"
         if isinstance(self.default, bool):
@@ -258,7 +259,7 @@ def known(name: str) -> NodeParameter:
     Raises
     ------
     InputError
-        If there is none; with the nearest name.
+        For an unknown name; with the nearest name.
     """
     return PARAMETERS[checks.one_of(name, "parameter", PARAMETERS)]
 
@@ -299,7 +300,7 @@ def read_parameters(path: Path | None, node: str = "trackres", namespace: str = 
 
 
 def read_entries(path: Path, node: str, namespace: str) -> dict[str, object]:
-    """Names and values as they stand in a parameter file: flat, or the sections that fit the node in the form that ROS reads.
+    """Names and values of a parameter file: flat, or the sections that fit the node in the form that ROS reads.
 
     Raises
     ------
@@ -323,7 +324,7 @@ def read_entries(path: Path, node: str, namespace: str) -> dict[str, object]:
 
 
 def _sections(content: Mapping[Any, Any], prefix: str, origin: str) -> list[tuple[str, Mapping[str, object]]]:
-    """Node patterns and their parameters in a ROS parameter file, namespaces nested or not; what is neither is refused."""
+    """Node patterns and their parameters in a ROS parameter file, namespaces nested or not; anything else is refused."""
     found: list[tuple[str, Mapping[str, object]]] = []
     for key, value in content.items():
         name = f"{prefix}/{str(key).strip('/')}"

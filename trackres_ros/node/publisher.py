@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Turns rows of results into messages: the values as they stand on the wire, and the feed-forward at its largest rate."""
+"""Turns rows of results into messages: values for the wire, and the feed-forward within its rate limit."""
 
 from __future__ import annotations
 
@@ -26,12 +26,13 @@ Values = Callable[[Row], list[float]]
 class OutputPublisher:
     """Publishes the last estimate through a transport.
 
-    While the speed is old the last state goes on being published with its stamp, and the feed-forward fades to zero: who takes it
-    without its stamp is safe too. From output to output the feed-forward moves by `feedforward_rate` at most, whatever the speeds
-    and their pauses were: it follows its last target where a step left it on the way, and begins where it had faded to when a
-    speed comes back. Time for that is the controller's, `pace`: a steady clock, or the simulated one where that goes faster.
+    While the speed is old, the last state is still published with its stamp, and the feed-forward fades to zero. So it is safe
+    even
+    for receivers that ignore the stamp. Between outputs the feed-forward moves by `feedforward_rate` at most, whatever the speeds
+    and their pauses. It continues from a step's intermediate value towards the last target, and from the faded value when a
+    speed returns. Its time is the controller's, `pace`: a steady clock, or the simulated one if that runs faster.
 
-    A topic that cannot be published holds up no other one; `failed` says which and why.
+    A topic that cannot be published delays no other one; `failed` names it and the reason.
     """
 
     def __init__(self, outputs: Sequence[OutputTopic], estimator: Estimator, transport: Transport) -> None:
@@ -61,7 +62,7 @@ class OutputPublisher:
         self._withdrawn_ns = steady
 
     def take(self, row: Row, target: float, stamp_ns: int, steady: int, pace: int) -> None:
-        """Keep a row of results, what its feed-forward is on its way to, and the time of its state."""
+        """Keep a row of results, its feed-forward target, and the time of its state."""
         self.row, self.stamp_ns, self._target = row, nearest_usable(stamp_ns), target
         self._taken_ns, self._taken_pace = steady, pace
         self._unfaded = self.feedforward
@@ -71,14 +72,14 @@ class OutputPublisher:
         return math.inf if self.stamp_ns is None else (steady - self._taken_ns) * NANOSECOND
 
     def left(self, steady: int) -> float:
-        """Share of the feed-forward that is left at the age of the speed."""
+        """Share of the feed-forward at the age of the speed."""
         settings = self.estimator.settings
         age_s, fade_s = self.age_s(steady), settings.feedforward_fade_s
         since_s = 0.0 if self._withdrawn_ns is None else (steady - self._withdrawn_ns) * NANOSECOND
         return 0.0 if math.isinf(age_s) else FADE(age_s, settings.speed_max_age_s, fade_s) * FADE(since_s, 0.0, fade_s)
 
     def publish(self, steady: int, pace: int, reasons: Callable[[int], Reasons], enabled: bool = True) -> None:
-        """Publish the last estimate on all topics of numbers, with the reasons that hold then; nothing before the first one.
+        """Publish the last estimate on all topics of numbers, with the present reasons; nothing before the first one.
 
         While the feed-forward is not enabled it goes to zero at its rate.
         """
@@ -86,7 +87,7 @@ class OutputPublisher:
             return
         rate = self.estimator.settings.feedforward_rate
         before_pace, before_ns = self._published_at or (pace, steady)
-        elapsed_s = max(0, pace - before_pace, steady - before_ns) * NANOSECOND  # a simulated clock stands between its ticks
+        elapsed_s = max(0, pace - before_pace, steady - before_ns) * NANOSECOND  # a simulated clock stops between ticks
         goal = FOLLOWED(self.row[at.Results.feedforward_torque_nm], self._target, rate, (pace - self._taken_pace) * NANOSECOND)
         goal = goal if enabled and self._withdrawn_ns is None else 0.0
         self._unfaded = TOWARDS(self._unfaded, goal, rate * elapsed_s)
@@ -108,7 +109,7 @@ class OutputPublisher:
     def publish_statuses(
         self, statuses: Sequence[Status], now_ns: int, diagnostics: bool, learned: Sequence[Status] = ()
     ) -> None:
-        """Publish the first status on the node's own topic, and, when asked, all as diagnostics and what is learned."""
+        """Publish the first status on the node's own topic, and, on request, all as diagnostics and the learned values."""
         for output, topic in enumerate(self.outputs):
             if topic is PARAMETERS_TOPIC:
                 if diagnostics and learned:

@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes every message that the running node takes, and every estimate, into a bag, and a picture of them at the end.
+"""Writes every message that the running node receives, and every estimate, into a bag, and a picture of them at the end.
 
-A thread of its own writes, so that a disk that is full, slow or gone takes nothing from the estimate: what cannot be written is
-counted and reported, and recording goes on once the disk takes it again.
+A separate thread writes, so that a full, slow or missing disk does not affect the estimate. Messages that cannot be written are
+counted and reported, and recording continues once the disk works again.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from trackres_ros.output.preview import ResultPreview
 if TYPE_CHECKING:
     from trackres_ros.node.application import Application
 
-WRITE_EVERY_S = 0.5  # so that a process that is killed loses less than a second
+WRITE_EVERY_S = 0.5  # so that a killed process loses less than a second
 PREVIEW_ROWS = 256
 MOST_WAITING_BYTES = 64 * 2**20
 MOST_EARLY = 10000  # messages that wait for a simulated clock
-BYTES_PER_NUMBER, BYTES_BESIDES = 32, 200  # of what waits, as Python holds it
+BYTES_PER_NUMBER, BYTES_BESIDES = 32, 200  # memory of the queue
 SHOWN_NS = 5_000_000_000  # since something was lost, or since the disk answered last
 END_PATIENCE_S = 10.0
 
@@ -50,15 +50,15 @@ ESTIMATE = -1
 class Recorder:
     """Takes messages and estimates one by one, and writes them twice a second.
 
-    Messages stand under the names that the topics file has for them, whatever the namespace: with it the bag is a recording like
-    any other. A message that came before the simulated clock stands at the clock's first time, and no two of a topic at the same.
+    Messages have their names in the topics file, whatever the namespace: with it the bag is a recording like any other. A
+    message from before the simulated clock gets the clock's first time. Times on a topic are unique.
 
     Parameters
     ----------
     path
-        The file, replaced if it is there; where it is split, numbers stand behind its name.
+        The file, replaced if it exists; with several files, numbers follow its name.
     limits
-        When the next file begins, and how much all may take.
+        Size of a file and of all together.
     """
 
     def __init__(self, path: Path, limits: RecordLimits | None = None) -> None:
@@ -78,14 +78,14 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
 
     def begin(self, application: Application) -> list[str]:
-        """Begin the bag, and take from now on what the application takes and makes; what is to be said of earlier runs.
+        """Begin the bag, and record all inputs and results of the application from now on; return a text about earlier runs.
 
-        Where it learns, the columns of what is learned stand behind those of the estimate.
+        With learning, the learned columns follow those of the estimate.
 
         Raises
         ------
         OSError
-            The file cannot be begun.
+            The file cannot be created.
         """
         learner = application.learning.learner
         self._estimator: Estimator = application.estimator
@@ -128,7 +128,7 @@ class Recorder:
         return first if len(self._done) < 2 else f"{first} to {self._done[-1]}"
 
     def notices(self) -> list[Notice]:
-        """That something is not recorded, with the file and how much."""
+        """Text that data are not recorded, with the file and the amount."""
         now = time.monotonic_ns()
         silent_s = (now - self._answered_ns) * 1e-9
         if silent_s * 1e9 > SHOWN_NS:
@@ -141,7 +141,7 @@ class Recorder:
             return []
         return [Notice("NOT_RECORDED", f"recording to {self._part}: {why}; lost so far: {_counted(self._lost())}")]
 
-    # What the application calls, which is to cost it nothing
+    # Called by the application, at almost no cost
 
     def _keep(self, index: int, raw: bytes, arrival_ns: int) -> None:
         self._counts[index] += 1
@@ -158,7 +158,7 @@ class Recorder:
         self._put += _size(item)
         self._waiting.append(item)
 
-    # What the thread does
+    # Work of the thread
 
     def _run(self) -> None:
         while not self._stop.wait(WRITE_EVERY_S):
@@ -182,7 +182,7 @@ class Recorder:
         return done
 
     def _drain(self) -> list[Item]:
-        """Take what waits; what came before the simulated clock goes on waiting for it."""
+        """Take the queue; messages from before the simulated clock keep waiting for it."""
         items, self._early = self._early, []
         while self._waiting:
             items.append(self._waiting.popleft())
@@ -203,7 +203,7 @@ class Recorder:
         rows = []
         for index, content, stamp_ns, arrival_ns in items:
             if isinstance(content, bytes):
-                # A simulated clock stands between its ticks; what has no stamp of its own would be twice the same sample.
+                # A simulated clock stands still between its ticks; two samples without a stamp would have the same time.
                 self._last[index] = max(arrival_ns if arrival_ns > 0 else first_ns, self._last[index] + 1)
                 self._bag.write_raw(self._topics[index], content, self._last[index])
             else:
@@ -240,7 +240,7 @@ class Recorder:
         self._bag, self._began_ns = bag, 0
 
     def _close(self) -> None:
-        """Finish a file; where that fails, it stays as it is."""
+        """Finish a file; if that fails, it stays unfinished."""
         bag = self._bag
         if bag is None:
             return

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Names the files of a recording, says when the next one is due, and deletes the oldest where they take too much of the disk."""
+"""Names the files of a recording, decides when the next one begins, and deletes the oldest to stay within the limit."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from trackres_ros.recording.unfinished import SUFFIX
 from trackres_ros.units import SECOND_NS
 
 MB = 1_000_000
-FILES_IN_LIMIT = 10  # where only a limit is given
-STILL_WRITTEN_S = 60.0  # an unfinished file that was changed more recently may be another process' own
+FILES_IN_LIMIT = 10  # where only the total limit is given
+STILL_WRITTEN_S = 60.0  # an unfinished file with a more recent change may belong to another process
 
 
 @dataclass(frozen=True, slots=True)
 class RecordLimits:
-    """When the next file of a recording begins, and how much all of them may take; 0 is no limit.
+    """Size at which the next file of a recording begins, and limit of all of them; 0 is no limit.
 
     Raises
     ------
     InputError
-        The limit leaves no room for two files.
+        The limit is too small for two files.
     """
 
     split_mb: float = 0.0
@@ -57,10 +57,10 @@ class RecordLimits:
 
 
 class RecordingFiles:
-    """The files of one recording: `drive.mcap`, or `drive_0000.mcap`, `drive_0001.mcap`... where it is split.
+    """The files of one recording: `drive.mcap`, or `drive_0000.mcap`, `drive_0001.mcap`... if it is split.
 
-    The numbers go on behind those of earlier runs, which belong to the same recording. Until it is finished a file has `.part`
-    behind its name; one that an earlier run left unfinished is never written over.
+    Numbers continue from earlier runs, which belong to the same recording. An unfinished file ends in `.part`;
+    one from an earlier run is never overwritten.
     """
 
     def __init__(self, path: Path, limits: RecordLimits) -> None:
@@ -69,7 +69,7 @@ class RecordingFiles:
         self.deleted = 0
 
     def next(self) -> tuple[Path, Path]:
-        """The next file, and the one in which it is written until it is finished."""
+        """The next file, and its name until it is finished."""
         if self._limits.splits:
             number = 1 + max((number for number, _ in self._numbered()), default=-1)
             path = self._path.with_name(f"{self._path.stem}_{number:04d}{self._path.suffix}")

@@ -74,7 +74,7 @@ STATE_KEYS = {
 
 @dataclass(frozen=True)
 class Overview:
-    """All there is to see at one moment; torques in Nm, positive where they resist forward travel."""
+    """Snapshot for statuses and the terminal; torques in Nm, positive where they resist forward travel."""
 
     level: Level
     notices: tuple[Notice, ...]
@@ -89,7 +89,7 @@ class Overview:
     inputs: tuple[InputState, ...]
     mismatch: Mismatch
     disturbance: Belief | None
-    learning: str  # what is learned, in a sentence; empty where no torque is measured
+    learning: str  # learned values in a sentence; empty without a measured torque
     state_file: str
     saved_s_ago: float
     state_error: str
@@ -97,7 +97,7 @@ class Overview:
 
     @property
     def message(self) -> str:
-        """All notices in one line, but those of how the node began."""
+        """All notices in one line, except those about the node's start."""
         return "; ".join(notice.text for notice in self.notices if not KINDS[notice.name].of_start) or "ok"
 
 
@@ -136,7 +136,7 @@ def overview(
 
 
 def bare_status(notices: Sequence[Notice], node: str, vehicle: str) -> Status:
-    """The node's own status where nothing but its notices is to be had."""
+    """The node's own status where only its notices are available."""
     level = max((notice.level for notice in notices), default=Level.OK)
     values = (("level", level.name.lower()), ("remarks", " ".join(notice.name for notice in notices)))
     return Status(level, f"{node}: estimate", "; ".join(notice.text for notice in notices), vehicle, values)

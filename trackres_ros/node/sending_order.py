@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Brings messages of several topics into the order in which they were sent, as a bag holds them."""
+"""Sorts messages of several topics by sending time, as in a bag."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class Arrived(NamedTuple):
     Attributes
     ----------
     sent_ns
-        When it was sent, by the clock of its publisher [ns]; 0 where that is not known.
+        Sending time, by the clock of its publisher [ns]; 0 if unknown.
     steady_ns, now_ns
-        When it arrived, by the steady clock and by the node's time [ns].
+        Arrival, by the steady clock and by the node's time [ns].
     samples
-        What was read from it.
+        Its samples.
     """
 
     sent_ns: int
@@ -34,10 +34,11 @@ class Arrived(NamedTuple):
 
 
 class SendingOrder:
-    """Holds messages back until whatever was sent before them is there.
+    """Holds messages back until all that were sent earlier have arrived.
 
-    Where many wait, as after a pause of this process, a middleware hands over one of each topic in turn. So a message that is no
-    speed is held back until the first speed comes that was sent later, for `LONGEST_WAIT_NS` at most.
+    After a pause of this process, a middleware passes on one message of each topic in turn. So messages other than speeds are
+    held
+    back until a speed with a later sending time arrives, for `LONGEST_WAIT_NS` at most.
     """
 
     def __init__(self) -> None:
@@ -56,7 +57,7 @@ class SendingOrder:
         return self._release(lambda message: steady_ns - message.steady_ns > LONGEST_WAIT_NS)
 
     def rest(self) -> list[Arrived]:
-        """All messages that wait."""
+        """All waiting messages."""
         return self._release(lambda _: True)
 
     def _release(self, due: Callable[[Arrived], bool]) -> list[Arrived]:

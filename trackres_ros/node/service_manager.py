@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tells systemd how the node is, by the protocol of sd_notify(3): ready, alive, its status, stopping.
+"""Reports the node's state to systemd, by the protocol of sd_notify(3): ready, alive, its status, stopping.
 
 The protocol is a datagram to the socket in NOTIFY_SOCKET, see https://www.freedesktop.org/software/systemd/man/sd_notify.html.
 Without that variable nothing is sent.
@@ -18,7 +18,7 @@ LONGEST_STATUS = 500  # characters
 
 
 class ServiceManager:
-    """The service manager that started this process, if one did. It never delays: what it does not take at once is lost."""
+    """The service manager that started this process, if any. It never delays: a datagram that cannot be sent at once is lost."""
 
     def __init__(self) -> None:
         path = os.environ.get("NOTIFY_SOCKET", "")
@@ -27,14 +27,14 @@ class ServiceManager:
         self._sent, self._told_ns, self._status = 0, 0, ""
 
     def alive(self, sent: int, active: bool, steady: int) -> None:
-        """Say that the node is alive, if messages have left since the last call that did, or it is inactive by request.
+        """Report that the node is alive, if messages were sent since the last call that did, or it is inactive by request.
 
         Parameters
         ----------
         sent
-            How many messages the middleware has taken so far.
+            Number of messages passed to the middleware so far.
         active
-            Whether the node is to publish.
+            Whether the node publishes.
         steady
             Now, by a steady clock [ns].
         """
@@ -44,14 +44,14 @@ class ServiceManager:
         self._ready, self._sent, self._told_ns = True, sent, steady
 
     def status(self, text: str) -> None:
-        """Say in a line how it is; `systemctl status` shows it."""
+        """Report the state in a line; `systemctl status` shows it."""
         line = " ".join(text.split())[:LONGEST_STATUS]
         if line != self._status:
             self._tell(f"STATUS={line}")
             self._status = line
 
     def stopping(self) -> None:
-        """Say that it ends by request."""
+        """Report an end by request."""
         self._tell("STOPPING=1")
 
     def _tell(self, text: str) -> None:

@@ -26,15 +26,15 @@ class Setup:
     Attributes
     ----------
     vehicle_file
-        Where the vehicle was read from.
+        File of the vehicle.
     surroundings_file
-        Where its surroundings were read from, empty if there is none.
+        File of its surroundings, empty if there is none.
     vehicle
         With its surroundings.
     topics
         Every role has a topic, and speed is among them.
     settings
-        Of the estimator, with what the topics file decides.
+        Of the estimator, with the values of the topics file.
     """
 
     vehicle_file: Path
@@ -84,7 +84,7 @@ def changed_parameters(before: Parameters, given: Mapping[str, object], topics: 
 
 
 def _check_live(topics: Topics) -> None:
-    """Refuse topics of which a live node can make nothing: a column of a table, or no speed among them."""
+    """Refuse topics that a live node cannot use: a column of a table, or no speed among them."""
     for role in topics:
         if not topics[role].of_topics:
             raise InputError(f"{topics.origin}: {role}", "a column of a table", "a topic with type and field")

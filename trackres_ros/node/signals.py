@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Requests that come to the running node as signals: to stop, to save its state, to start cold, to reset learning.
+"""Requests to the running node by signals: stop, save its state, start cold, reset learning.
 
-Signals are listened to from the very start, while libraries are still being loaded, and each request is carried out once the node
-can: no work is broken off in the middle, and no signal ends the process without a line of text. So this imports nothing of the
+Signals are handled from the very start, even while libraries are loaded, and each request is carried out once the node
+can. No work is interrupted, and no signal ends the process without a line of text. So this imports nothing of the
 package.
 """
 
@@ -34,7 +34,7 @@ WHAT: dict[int, str] = {
 
 
 class SignalRequests:
-    """Listens to signals, and carries out what they request."""
+    """Listens to signals, and carries out their requests."""
 
     def __init__(self) -> None:
         self.to_stop = False
@@ -47,11 +47,11 @@ class SignalRequests:
             signal.signal(number, self._take)
 
     def started(self) -> None:
-        """The node runs: what is requested from now on is carried out at once."""
+        """Begin to carry out requests at once, as the node runs."""
         self._starting = False
 
     def carry_out(self, application: Application) -> Iterator[tuple[Level, str]]:
-        """Carry out what was requested; the level and text of each result, for the log."""
+        """Carry out pending requests; return level and text of each result, for the log."""
         if not self._waiting:
             return
         from trackres_ros.errors import InputError
@@ -75,9 +75,9 @@ class SignalRequests:
             self.to_stop = True
         else:
             self._waiting.append(number)
-        if self._starting:  # written past any buffer, as the main program may be writing right now
+        if self._starting:  # written past any buffer, as the main program may be writing now
             text = f"trackres: {signal.Signals(number).name} while starting: {WHAT[number]} as soon as it has started\n"
-            with suppress(OSError):  # nobody reads the log any more: that ends nothing
+            with suppress(OSError):  # the log has no reader any more: that ends nothing
                 os.write(sys.__stderr__.fileno() if sys.__stderr__ else 2, text.encode())
 
 

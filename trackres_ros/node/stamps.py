@@ -9,11 +9,11 @@ from trackres_ros.units import SECOND_NS
 
 FIRST_NS, LAST_NS = -(2**31) * SECOND_NS, 2**31 * SECOND_NS - 1
 UNUSABLE = LAST_NS + 1
-"""Stands for a stamp that is none; no message can carry it."""
+"""Marks an invalid stamp; no message can carry it."""
 
 
 def stamp_ns(seconds: int, nanoseconds: int) -> int:
-    """A stamp [ns] of its two numbers, `UNUSABLE` if they are none."""
+    """A stamp [ns] from its two numbers, `UNUSABLE` if they are invalid."""
     stamp = seconds * SECOND_NS + nanoseconds
     return stamp if 0 <= nanoseconds < SECOND_NS and is_usable(stamp) else UNUSABLE
 

@@ -29,7 +29,7 @@ NO_HOME = "there is no home folder to save it in: set state_file or XDG_STATE_HO
 
 
 def state_path(parameter: str, sim_time: bool, node: str, namespace: str, vehicle: str) -> tuple[Path | None, str]:
-    """Where the state of a node is kept, None where it is not; and why not, where a state file was requested."""
+    """Folder for the state of a node, or None; and the reason, if a state file was requested."""
     if parameter == NONE or (parameter == AUTO and sim_time):
         return None, ""
     base = os.environ.get("XDG_STATE_HOME")
@@ -37,15 +37,15 @@ def state_path(parameter: str, sim_time: bool, node: str, namespace: str, vehicl
         if parameter != AUTO:
             return Path(parameter).expanduser(), ""
         folder = (Path(base) if base else Path.home() / ".local" / "state") / "trackres"
-    except RuntimeError:  # no HOME, and a user that the system does not know
+    except RuntimeError:  # no HOME, and a user unknown to the system
         return None, NO_HOME
     return folder / state_name(node, namespace, vehicle), ""
 
 
 def state_name(node: str, namespace: str, vehicle: str) -> str:
-    """Name of the state file of a node with a vehicle: a plain one, whatever they are called, and another for each.
+    """Name of the state file of a node with a vehicle: a plain and unique one, whatever their names.
 
-    The readable part may be alike for two of them; the digest of the whole is not.
+    The readable part may be the same for two of them; the digest of the whole is not.
     """
     identity = [*filter(None, namespace.split("/"))], node, vehicle
     readable = re.sub(r"[^A-Za-z0-9]+", "_", "_".join((*identity[0], node, vehicle))).strip("_")[:LONGEST_NAME]
@@ -64,9 +64,9 @@ class StateKeeper:
         self._began_ns = 0
 
     def load(self, estimator: Estimator, learner: Learner | None = None) -> tuple[Session, str]:
-        """A session that begins with the kept belts, cooled since, or cold; and what was found, in words.
+        """A session with the stored belts, cooled since, or cold; and the outcome as text.
 
-        A learner goes on with what was learned, less sure by the time off; a file without it leaves it as it is.
+        A learner continues with the stored values, less certain by the time off; a file without them leaves it unchanged.
         """
         if self.path is None:
             return estimator.session(), f"no state is saved{self.error and f' ({self.error})'}: cold start"
@@ -85,7 +85,7 @@ class StateKeeper:
             return estimator.session(), self.unused
         what = "belts" if estimator.assemblies else "temperatures of the effects"
         text = f"{what} restored from {self.path} and cooled for {off_s / 60.0:.1f} min"
-        session.learned[:] = 0.0  # it acts again once the learner says so
+        session.learned[:] = 0.0  # it acts again once the learner allows it
         beside = read_beside(estimator, self.path)
         if learner is None or beside is None:
             return session, text
@@ -98,7 +98,7 @@ class StateKeeper:
         return session, f"{text}; {learner.learned.seconds / 60.0:.0f} min of driving were used for learning"
 
     def notices(self) -> list[Notice]:
-        """That the state file cannot be written, or that the one that was there could not be used."""
+        """Text that the state file cannot be written, or that the existing one could not be used."""
         found = []
         if self._writer.busy and time.monotonic_ns() - self._began_ns > SLOW_NS:
             text = (

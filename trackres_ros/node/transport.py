@@ -36,14 +36,14 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """A publisher on one of our input topics, by what it tells of itself.
+    """A publisher on one of our input topics, by its announcement.
 
     Attributes
     ----------
     type
         Its message type, ``package/msg/Name``.
     compatible
-        Whether its quality of service gives what the input asks for; a publisher where it does not never connects.
+        Whether its quality of service meets the input's request; otherwise it never connects.
     """
 
     type: str
@@ -51,7 +51,7 @@ class Peer:
 
 
 Reasons = tuple[tuple[str, Level], ...]
-"""Names of all notices that hold, each once, heaviest first, with the level of each."""
+"""Names of all present notices, each once, most severe first, with the level of each."""
 
 
 KeepMessage = Callable[[int, bytes, int], None]
@@ -61,14 +61,14 @@ KeepMessage = Callable[[int, bytes, int], None]
 class Transport(Protocol):
     """Interface of a middleware for the application. All calls come from the thread that calls the application.
 
-    Inputs and outputs are named by their place in `Application.inputs` and `Application.outputs`.
+    Inputs and outputs are given by their index in `Application.inputs` and `Application.outputs`.
     """
 
     def now_ns(self) -> int:
         """The node's time [ns since 1970]: the machine's, or the simulated one; 0 while there is no simulated one yet."""
 
     def publish(self, output: int, stamp_ns: int, values: Sequence[float]) -> None:
-        """Publish a message of numbers: those of `OutputTopic.columns` in their order, as they stand in the message."""
+        """Publish a message of numbers: those of `OutputTopic.columns` in their order, in units of the message."""
 
     def publish_estimate(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
         """Publish the message of `topics.ESTIMATE_TOPIC`: numbers of its names in their order, and all reasons."""
@@ -80,13 +80,13 @@ class Transport(Protocol):
         """The publishers that are there now on the topic of an input, whatever their type and quality of service."""
 
     def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
-        """Hand every message that comes to `Application.keep` too, those of other topics besides.
+        """Pass every message to `Application.keep` too, including those of other topics.
 
-        The texts that define the types of all inputs and of the other topics; None where a type is not known here.
+        Returns the texts that define the types of all inputs and of the other topics; None for an unknown type.
         """
 
     def topic_name(self, name: str) -> str:
-        """The full name under which an input topic of the topics file is on the wire, remapped where that is possible."""
+        """The full name of an input topic on the wire, remapped where that is possible."""
 
     def log(self, level: Level, text: str) -> None:
-        """Say something to who watches the log."""
+        """Write to the log."""

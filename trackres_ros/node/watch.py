@@ -27,16 +27,16 @@ MESSAGES = [int(at.Count.ACCEPTED), *REFUSALS]
 
 @dataclass(frozen=True, slots=True)
 class InputState:
-    """One role of one input topic as it was in the last second.
+    """One role of one input topic in the last second.
 
     Attributes
     ----------
     role, topic
-        What it is, and the full name of the topic that it comes from, remapped.
+        The role, and the full name of its topic, remapped.
     rate_hz
-        Messages taken in, refused ones too [1/s].
+        Messages received, including refused ones [1/s].
     age_s
-        Since the last accepted one came, by a clock that never jumps [s]; nan if there was none.
+        Since the arrival of the last accepted one, by a monotonic clock [s]; nan if there was none.
     value
         The last accepted value, in the unit of the role; nan if there was none.
     counts
@@ -52,12 +52,12 @@ class InputState:
 
 
 class Watch:
-    """Bookkeeping of the application; it notices, and changes nothing.
+    """Statistics of inputs and estimates; they change nothing.
 
     Parameters
     ----------
     inputs
-        The input topics by their full names, as they are on the wire.
+        The input topics by their full names, as on the wire.
     """
 
     def __init__(self, estimator: Estimator, inputs: Sequence[InputTopic]) -> None:
@@ -82,13 +82,13 @@ class Watch:
         self._logged: frozenset[str] | None = None
 
     def accepted(self, reasons: int, offset_ns: int) -> bool:
-        """Take note of an estimate; true if it has reasons that are not shown yet."""
+        """Record an estimate; return true if it has reasons that are not shown yet."""
         self._steps += 1
         self._offset_ns = offset_ns
         return self.note(reasons)
 
     def note(self, reasons: int) -> bool:
-        """Take note of reasons that hold now; true if some are not shown yet."""
+        """Record present reasons; return true if some are not shown yet."""
         self._second_reasons |= reasons
         news = bool(reasons & ~self._shown_reasons)
         self._shown_reasons |= reasons
@@ -101,7 +101,7 @@ class Watch:
         return turned
 
     def inputs(self, steady: int) -> tuple[InputState, ...]:
-        """Every role as it was in the last second, with its age now."""
+        """Every role in the last second, with its present age."""
         ages = {role: self.accepted_ns[self._channel[role]] for role, _ in self._roles}
         return tuple(
             replace(state, age_s=math.nan if (at_ns := ages[state.role]) is None else (steady - at_ns) * 1e-9)
@@ -143,7 +143,7 @@ class Watch:
         self._shown_reasons, self._second_reasons = self._second_reasons, 0
 
     def notices(self, age_s: float, max_age_s: float, clock_runs: bool) -> list[Notice]:
-        """All that is to be noticed of inputs and estimate now."""
+        """All present notices of inputs and estimate."""
         found: list[Notice] = []
         if not clock_runs:
             found.append(Notice("NO_CLOCK", "use_sim_time is set and no /clock message has arrived"))
@@ -166,9 +166,9 @@ class Watch:
         return found + of_reasons(at.Reason(self._shown_reasons))
 
     def to_log(self, notices: Sequence[Notice], steady: int) -> tuple[Level, str] | None:
-        """The level and text to log, if the notices above OK have changed since the last call.
+        """Level and text for the log, if the notices above OK have changed since the last call.
 
-        Just after the start an input that has not come yet is no warning.
+        Just after the start a missing input is no warning.
         """
         if self._began_ns is None:
             return None

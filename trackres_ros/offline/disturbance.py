@@ -30,7 +30,7 @@ LOOKED_AT = [at.Results.residual_nm, at.Results.speed_mps, at.Results.accel_mps2
 
 
 class DisturbanceColumns:
-    """Takes the results of a replay block by block, in their order; has no columns where there is nothing to watch for."""
+    """Takes the results of a replay block by block, in their order; has no columns without a disturbance to watch for."""
 
     def __init__(self, vehicle: AnyVehicle) -> None:
         self._watch = None if vehicle.disturbance is None else DisturbanceWatch(vehicle.disturbance)

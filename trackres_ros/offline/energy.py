@@ -16,18 +16,20 @@ from trackres_ros.units import STANDSTILL_MPS
 Array = NDArray[np.float64]
 
 MEGA, MJ_PER_KWH = 1e6, 3.6
-LONGEST_STEP_S, UNUSUAL = 1.0, 5.0  # or that many times the usual: over a longer step nothing is known
+LONGEST_STEP_S, UNUSUAL = 1.0, 5.0  # or that many times the usual: data of a longer step are unknown
 
 
 def steps_of(time_s: Array) -> Array:
-    """How long before each row the one before it was [s]; 0 of the first, after a gap, and where time does not rise."""
+    """Time from the row before to each row [s]; 0 for the first, after a gap, and where time does not rise."""
     step = np.diff(time_s, prepend=time_s[:1])
     longest = max(LONGEST_STEP_S, UNUSUAL * float(np.median(step)))
     return np.where((step > 0.0) & (step <= longest), step, 0.0)
 
 
 def energy_j(step_s: Array, speed: Array, torque: Array, radius: float) -> float:
-    """Of a torque at the sprockets [Nm] along a drive, shapes (rows,), with their radius [m]; unknown values count as none."""
+    """Energy of a torque at the sprockets [Nm] along a drive, shapes (rows,), with their radius [m]; unknown values add
+    nothing.
+    """
     return float(np.nansum(step_s * speed * torque)) / radius
 
 
@@ -39,14 +41,14 @@ def taken(time_s: Array, speed: Array, torque: Array, belts_degc: Array, radius:
     time_s, speed, torque
         Times [s], speeds [m/s] and resistance at the sprockets [Nm], shape (rows,).
     belts_degc
-        Of each belt, shape (belts, rows) [degC]; of none where the vehicle has none.
+        Of each belt, shape (belts, rows) [degC]; empty without belts.
     radius
         Of the sprockets [m].
 
     Returns
     -------
     dict
-        Way, time under way, mean and largest resistance, energy against it, coldest and warmest belt where there are belts.
+        Distance, driving time, mean and largest resistance, energy against it, coldest and warmest belt if there are belts.
     """
     step = steps_of(time_s)
     under_way = np.where(np.abs(speed) > STANDSTILL_MPS, step, 0.0)
@@ -64,7 +66,7 @@ def taken(time_s: Array, speed: Array, torque: Array, belts_degc: Array, radius:
 
 
 def _ends(belts_degc: Array) -> dict[str, float]:
-    """Coldest and warmest belt; nothing where there is none."""
+    """Coldest and warmest belt; empty without belts."""
     if not len(belts_degc):
         return {}
     return {"coldest_belt_degc": float(np.nanmin(belts_degc)), "warmest_belt_degc": float(np.nanmax(belts_degc))}

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads a speed profile, and the conditions it holds, for a simulation."""
+"""Reads a speed profile, and its conditions, for a simulation."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from trackres_ros.recording.roles import POSITION, ROLES
 Array = NDArray[np.float64]
 
 ARGUMENT_OF = {"load": "weight_kn", "ambient": "ambient_degc", "grade": "", **dict.fromkeys(POSITION, "")}
-"""What a profile may hold beside the speed, and the argument of the same meaning."""
+"""Possible columns in addition to the speed, and the argument of the same meaning."""
 
 
 def read_profile(profile: str | PathLike[str] | Recording, on_route: bool = False) -> Recording:
-    """The profile, out of a table; a column that would do nothing is refused, as a position would where there is no route.
+    """The profile of a table; a column without effect is refused, such as a position without a route.
 
     Raises
     ------
     InputError
-        What is no table, or has a column that a simulation does not take.
+        For no table, or a column that a simulation does not use.
     """
     if isinstance(profile, Recording):
         recording = profile
@@ -57,7 +57,7 @@ def conditions(recording: Recording, time_s: Array, given: Collection[str], weig
     Raises
     ------
     InputError
-        For a role that is among those `given` otherwise, and for values that are not plausible for a vehicle of a weight [N].
+        For a role that is also in `given`, and for implausible values for a vehicle of a weight [N].
     """
     limits = {**PLAUSIBLE, "load": (LEAST_LOAD_SHARE * weight, LARGEST_LOAD_SHARE * weight)}
     found = {}

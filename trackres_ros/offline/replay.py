@@ -39,7 +39,7 @@ BLOCK_ROWS = 8192  # results of so many messages stay in the cache and in memory
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """What a replay gave: the session with its counters, and what the picture and the report need."""
+    """Result of a replay: the session with its counters, and the data of the picture and the report."""
 
     session: Session
     messages: int
@@ -51,12 +51,12 @@ class Replayed:
 
 
 def channel_indices(session: Session, roles: Sequence[str], learns: bool = False) -> NDArray[np.int16]:
-    """Channel of each role of a source, shape (roles,); -1 of a role that nothing needs.
+    """Channel of each role of a source, shape (roles,); -1 of an unneeded role.
 
     Parameters
     ----------
     learns
-        Whether what shows the ground is needed, see `roles.GROUND`.
+        Whether roles that show the ground are needed, see `roles.GROUND`.
 
     Raises
     ------
@@ -90,13 +90,13 @@ def replay(
     write
         Takes the results of each block.
     session
-        A session to go on with; by default a new one.
+        A session to continue; by default a new one.
     progress
         Takes the number of messages of each block.
     learner
-        Learns from each step, as live; its columns then stand behind those of the estimate.
+        Learns from each step, as live; its columns then follow those of the estimate.
     finished
-        Asked before each block for entry points to change over to; they give the same bits.
+        Called before each block for entry points to change over to; they give the same bits.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def replay(
         return handle_block(channel, stamp_ns, arrival_ns, value)
 
     messages = 0
-    with ThreadPoolExecutor(max_workers=1) as worker:  # the kernel lets go of the interpreter: reading goes on meanwhile
+    with ThreadPoolExecutor(max_workers=1) as worker:  # the kernel releases the interpreter: reading continues meanwhile
         running: Future[Steps] | None = None
         for block in source.blocks(BLOCK_ROWS):
             messages += len(block)
@@ -156,7 +156,7 @@ class LearningSteps:
     def handle_block(
         self, channel: NDArray[np.int16], stamp_ns: NDArray[np.int64], arrival_ns: NDArray[np.int64], value: Array
     ) -> Steps:
-        """Take in many messages; the columns of the learner stand behind those of each step."""
+        """Process many messages; the columns of the learner follow those of each step."""
         session, learner = self._session, self._learner
         rows, stamps, arrivals = [], [], []
         for message in zip(channel.tolist(), stamp_ns.tolist(), arrival_ns.tolist(), value.tolist(), strict=True):

@@ -20,7 +20,7 @@ from trackres_ros.vehicle import Vehicle
 SPEED_HZ, LOAD_HZ, AMBIENT_HZ = 50, 10, 1
 LAP_RADIUS_M = 100.0  # section 3.2.2
 RAMP_S, STOP_S = 15.0, 20.0
-SPEED_STEP = 1.0 / KMH_PER_MPS  # what a bus resolves
+SPEED_STEP = 1.0 / KMH_PER_MPS  # resolution of a bus
 SPEED_NOISE = 0.1 / KMH_PER_MPS
 LOAD_NOISE_SHARE = 0.004
 START_NS = 1_700_000_000_000_000_000

@@ -114,7 +114,7 @@ def run_drive(
 
 
 def series_of(estimator: Estimator, drive: SimulatedDrive, rows: Array) -> dict[str, Array]:
-    """What is shown of a drive, out of rows of results; the belt temperature, where there are belts, is the mean of the
+    """Columns of a drive, from rows of results; the belt temperature, if there are belts, is the mean of the
     assemblies.
     """
     has_belts = bool(estimator.assemblies)

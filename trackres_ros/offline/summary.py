@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 HEAD = 1  # columns of a picture row before the results: the time
 MOST_KEPT = 10_000_000
-"""Samples kept to be looked at, a quarter of a gigabyte; ten hours of three channels at 50 Hz are half as many."""
+"""Samples kept for inspection, a quarter of a gigabyte; ten hours of three channels at 50 Hz are half as many."""
 
 
 class KeptSource:
@@ -51,7 +51,7 @@ class KeptSource:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What reading itself met."""
+        """Findings of reading itself."""
         if not self._dropped:
             return self._source.findings
         text = f"more than {MOST_KEPT} samples: gaps, stuck and quantised values are not searched"
@@ -73,7 +73,7 @@ class KeptSource:
             yield block
 
     def all_findings(self) -> tuple[Finding, ...]:
-        """What was wrong with the samples; only what reading met where the blocks were not kept."""
+        """Defects of the samples; only those of reading if the blocks were not kept."""
         return Recording.from_source(self).findings if self._keep else self.findings
 
 
@@ -83,7 +83,7 @@ def picture_columns(columns: Sequence[str], picture: Array) -> dict[str, Array]:
 
 
 def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequence[Finding]) -> dict[str, Any]:
-    """The report as a dict ready for JSON: the recording's name, the notes of its reading, and what was found wrong."""
+    """The report as a dict ready for JSON: the recording's name, the notes of its reading, and its defects."""
     estimator = result.session.estimator
     last = {name: _finite(float(result.last[i])) for i, name in enumerate(estimator.columns) if name != "reasons"}
     learned = {} if result.learner is None else {"learning": _learned(result.learner)}
@@ -116,7 +116,7 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
 
 
 def drive(result: Replayed) -> dict[str, float]:
-    """What the drive took, by the samples of the picture; see `energy.taken`."""
+    """Energy and other totals of the drive, from the samples of the picture; see `energy.taken`."""
     estimator = result.session.estimator
     columns = picture_columns(estimator.columns, result.picture)
     belts = np.array([series for name, series in columns.items() if name.startswith("belt_degc/")])
@@ -125,7 +125,7 @@ def drive(result: Replayed) -> dict[str, float]:
 
 
 def _remarks(result: Replayed) -> list[str]:
-    """Where belts were outside of the rubber data, by the samples of the picture."""
+    """Belts outside of the rubber data, from the samples of the picture."""
     estimator = result.session.estimator
     columns = picture_columns(estimator.columns, result.picture)
     belts = {name: columns[f"belt_degc/{name}"] for name in estimator.assemblies}

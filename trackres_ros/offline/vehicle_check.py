@@ -28,12 +28,12 @@ DEEP_STRAIN = 0.5  # of the thickness below a wheel: above it a layer is no long
 
 
 def check_vehicle(vehicle: AnyVehicle, points: int) -> dict[str, Any]:
-    """What follows from a vehicle, ready for JSON; tables of belts are held against the exact method at random points.
+    """Derived values of a vehicle, ready for JSON; tables of belts are compared with the exact method at random points.
 
     Raises
     ------
     InputError
-        Where the physics shows that a value cannot be.
+        If the physics excludes a value.
     """
     if isinstance(vehicle, RoadVehicle):
         return _check_road(vehicle)
@@ -108,7 +108,7 @@ def _common(vehicle: AnyVehicle) -> dict[str, Any]:
 
 
 def _check_road(vehicle: RoadVehicle) -> dict[str, Any]:
-    """What follows from a vehicle without belts: resistance, its standard deviation and power at some speeds, on level ground."""
+    """Derived values without belts: resistance, its standard deviation and power at some speeds, on level ground."""
     estimator, points = Estimator(vehicle), []
     for share in SHOWN_SPEED_SHARES:
         inputs = estimator.inputs(share * vehicle.chassis.max_speed, acceleration=0.0)
@@ -126,7 +126,7 @@ def _check_road(vehicle: RoadVehicle) -> dict[str, Any]:
 
 
 def _physics(vehicle: Vehicle, name: str, model: TrackModel, table: LossTable) -> tuple[dict[str, Any], list[str]]:
-    """What the rubber data cover of one kind of track, where its belt settles, and remarks on both."""
+    """Range of the rubber data for one kind of track, its steady belt temperature, and remarks on both."""
     chassis, covered = vehicle.chassis, coverage(vehicle, name)
     settles = check_heat(vehicle, name, table)
     strain = float(model.loss.contacts(SLOWEST, covered.hottest, load_range(vehicle, name).nominal).largest_strain.max())

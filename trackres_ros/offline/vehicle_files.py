@@ -22,7 +22,7 @@ from trackres_ros.vehicle.writing.yaml_edit import Document
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
 RUNS_ON = {"tracks": "tracks", "road_load": "wheels, without belts"}
 LONGEST = 24  # of a text beside numbers
-UNSAID = ("reason", "flag")  # of a quantity: they are no part of what a vehicle is
+UNSAID = ("reason", "flag")  # of a quantity: they do not define a vehicle
 
 
 def shipped() -> list[dict[str, str]]:
@@ -41,17 +41,17 @@ def shipped_text(found: Iterable[Mapping[str, str]]) -> str:
 
 
 def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
-    """Write a copy of a shipped vehicle under another name, with the files it needs, to be changed.
+    """Write a copy of a shipped vehicle under another name, with the files it needs, as a template.
 
     Returns
     -------
     list of Path
-        The vehicle file, and what it names.
+        The vehicle file, and the files it names.
 
     Raises
     ------
     InputError
-        If the name is none, no such vehicle is shipped, or there is a file already.
+        If the name is invalid, no such vehicle is shipped, or the file exists.
     """
     if not NAME.fullmatch(name):
         raise InputError("NAME", name, "a letter and at most 63 more letters, digits, _ and -")
@@ -76,7 +76,7 @@ def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
 
 
 def differences(one: str, other: str) -> list[dict[str, Any]]:
-    """Where two vehicle files differ: path, unit, both values, the second over the first where both are numbers, and ranges.
+    """Differences of two vehicle files: path, unit, both values, the second over the first if both are numbers, and ranges.
 
     Raises
     ------

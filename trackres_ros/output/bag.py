@@ -35,7 +35,7 @@ FIELDS = {"wrench": ("wrench.torque.y",), "number": ("data",), "temperature": ("
 
 
 class OutputBag:
-    """Writes blocks of results; the file takes its place when the `with` block ends well. See `BagWriter` for `part`."""
+    """Writes blocks of results; the file is put in place when the `with` block ends well. See `BagWriter` for `part`."""
 
     def __init__(self, path: Path, estimator: Estimator, learned: LearnedTopic | None = None, part: Path | None = None) -> None:
         self.path, self._writer = path, BagWriter(path, part=part)
@@ -70,11 +70,11 @@ class OutputBag:
         return self._topics[0][1].count
 
     def flush(self) -> None:
-        """Write what waits; see `BagWriter.flush`."""
+        """Write pending messages; see `BagWriter.flush`."""
         self._writer.flush()
 
     def raw_topic(self, name: str, msgtype: str, text: str) -> BagTopic:
-        """Announce a topic besides, for `write_raw`; see `BagWriter.raw_topic`."""
+        """Announce an additional topic, for `write_raw`; see `BagWriter.raw_topic`."""
         return self._writer.raw_topic(name, msgtype, text)
 
     def write_raw(self, topic: BagTopic, raw: bytes, log_ns: int) -> None:
@@ -104,7 +104,7 @@ class OutputBag:
             self._last_reasons = int(reasons[-1])
 
     def _write_learned(self, topic: BagTopic, steps: Steps) -> None:
-        """What is learned, once a second."""
+        """Learned values, once a second."""
         assert self._learned is not None
         types = self._writer.typestore.types
         status, pair = types["diagnostic_msgs/msg/DiagnosticStatus"], types["diagnostic_msgs/msg/KeyValue"]

@@ -19,12 +19,12 @@ from trackres_ros.vehicle import AnyVehicle
 COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#ff7f0e", "#9467bd", "#8c564b", "#17becf", "#bcbd22")
 SHOWN_S = 600.0
 DEFAULT_BASE = f"/{DEFAULT_NODE}"
-"""Full name of the node; topics in the bag of a replay stand below it too."""
+"""Full name of the node; topics in the bag of a replay are below it too."""
 
 
 @dataclass(frozen=True)
 class LayoutCurve:
-    """One curve: what it is called, and where both programs find it."""
+    """One curve: its label, and its place for both programs."""
 
     label: str
     plotjuggler: str

@@ -35,7 +35,7 @@ def is_there(columns: Mapping[str, Array]) -> bool:
 
 
 def draw_values(axes: Axes, x: Array, columns: Mapping[str, Array]) -> None:
-    """Values over what they were at the beginning, with one standard deviation to either side."""
+    """Values relative to the first, with one standard deviation to either side."""
     for (name, label), colour in zip(SHOWN.items(), COLOURS, strict=True):
         if f"learned_{name}" not in columns:
             continue

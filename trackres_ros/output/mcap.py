@@ -38,7 +38,7 @@ from trackres_ros.recording.message_types import Definitions, definitions, messa
 from trackres_ros.recording.samples import FloatArray, IntArray
 
 CHUNK_BYTES = 2**20
-"""Size of a chunk of the MCAP file [bytes]: what a player reads at once."""
+"""Size of a chunk of the MCAP file [bytes], which a player reads at once."""
 BEGINNING = MAGIC + record(HEADER, text("ros2") + text("trackres_ros"))
 """First bytes of a file of ours."""
 RECORD = struct.Struct("<BQHIQQ")
@@ -61,24 +61,25 @@ class BagTopic:
 class BagWriter:
     """Writes one MCAP file, as Foxglove, PlotJuggler and ``ros2 bag play`` open it.
 
-    The file takes its place only when the `with` block ends without an exception. Messages are put in the order of
-    log time as far as they come together: all that is written until a topic is written again. Each chunk is written whole
-    or not at all, so the file can be read up to its last chunk at any time, whatever ends the program or fills the disk.
+    The file is put in place only when the `with` block ends without an exception. Messages are sorted by log time within
+    a batch, which ends when a topic is written again. A chunk is written completely or not at all, so the file can be read
+    up to its last chunk at any time, whatever ends the program or fills the disk.
 
     Parameters
     ----------
     path : Path
-        The file, replaced if it is there.
+        The file, replaced if it exists.
     storage : str
         Only ``mcap``.
     part : Path, optional
-        The file in which it is written until it is finished, which must be new. It then stays where it cannot be finished;
-        without it a hidden one beside its place is used, which never stays.
+        File for writing until it is finished, which must be new. It stays if it cannot be finished; by default a hidden file in
+        the
+        same folder, which never stays.
 
     Raises
     ------
     MissingExtraError
-        rosbags is not installed; it knows the message types.
+        rosbags is not installed; it provides the message types.
     """
 
     def __init__(self, path: Path, storage: Literal["mcap"] = "mcap", part: Path | None = None) -> None:
@@ -103,7 +104,7 @@ class BagWriter:
         self._at = 0
 
     def __enter__(self) -> Self:
-        """Begin the file beside its place."""
+        """Begin a temporary file in the same folder."""
         self._file = self.part.open("xb" if self._stays else "wb", buffering=0)
         try:
             self._append(BEGINNING)
@@ -114,7 +115,7 @@ class BagWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Finish the file and put it in its place, or remove what was begun, if it is not to stay."""
+        """Finish the file and put it in place, or remove the temporary one, unless it is to be kept."""
         try:
             if kind is None:
                 self.flush()
@@ -143,14 +144,14 @@ class BagWriter:
         name, msgtype : str
             Topic, and ``package/msg/Name``.
         template : message object of `typestore`, optional
-            For `write_block`: all strings and sequences as they stay.
+            For `write_block`: constant strings and sequences.
         fields : sequence of str
             Paths of the k numbers that `write_block` sets.
 
         Raises
         ------
         InputError
-            A type that is not known, or a field path that does not lead to a number of the template.
+            An unknown type, or a field path that does not lead to a number of the template.
         """
         try:
             types = definitions(message_fields(self.typestore), msgtype)
@@ -163,7 +164,7 @@ class BagWriter:
         return self._announced(BagTopic(len(self._topics) + 1, name, msgtype, types, ready, definition))
 
     def raw_topic(self, name: str, msgtype: str, definition: str) -> BagTopic:
-        """Announce a topic whose messages come serialised, for `write_raw`, with the text that defines its type and all in it."""
+        """Announce a topic with serialised messages, for `write_raw`, with the definition of its type and all nested ones."""
         return self._announced(BagTopic(len(self._topics) + 1, name, msgtype, {}, None, definition))
 
     def _announced(self, topic: BagTopic) -> BagTopic:
@@ -188,13 +189,13 @@ class BagWriter:
         self._write(topic, topic.template, stamp_ns, log_ns, values)
 
     def write(self, topic: BagTopic, message: object, stamp_ns: int, log_ns: int) -> None:
-        """Write one message of its own form; its header, where it has one, gets the stamp [ns]."""
+        """Write one message of its own form; its header, if any, gets the stamp [ns]."""
         raw = bytes(self.typestore.serialize_cdr(message, topic.msgtype))
         one = Template(raw, topic.types, topic.msgtype, ())
         self._write(topic, one, np.array([stamp_ns]), np.array([log_ns]), np.empty((1, 0)))
 
     def write_raw(self, topic: BagTopic, raw: bytes, log_ns: int) -> None:
-        """Write one serialised message as it is."""
+        """Write one serialised message unchanged."""
         head = RECORD.pack(MESSAGE, RECORD.size + len(raw) - 9, topic.number, 0, log_ns, log_ns)
         self._hold(topic, np.array([log_ns]), np.frombuffer(head + raw, np.uint8)[np.newaxis])
 
@@ -226,12 +227,12 @@ class BagWriter:
         self._held += rows.size
 
     def flush(self) -> None:
-        """Write what is pending, in the order of log time; a program that is killed afterwards does not lose it.
+        """Write pending messages in the order of log time; a program that is killed afterwards does not lose them.
 
         Raises
         ------
         OSError
-            What was pending is lost then, and the file ends with its last whole chunk: it can be gone on with.
+            Pending messages are then lost, and the file ends with its last complete chunk: writing can continue.
         """
         try:
             self._append(self._new)
@@ -271,7 +272,7 @@ class BagWriter:
             self._topics[number - 1].count += int(count)
 
     def _append(self, data: bytes) -> int:
-        """Write all of it at the end of the file, or nothing; where it stands."""
+        """Append all of it to the file, or nothing; return its position."""
         left = memoryview(data)
         try:
             while left:

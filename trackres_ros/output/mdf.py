@@ -21,12 +21,12 @@ EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 class MdfTable(AbstractContextManager["MdfTable"]):
-    """An MDF file that is written block by block; what was written waits in a temporary file of asammdf.
+    """An MDF file written block by block; blocks are kept in a temporary file of asammdf.
 
     Parameters
     ----------
     path
-        Where it is saved at the end; asammdf has it end in .mf4.
+        Final file; asammdf requires the suffix .mf4.
     names
         Of the columns; the first is the time [s].
     """
@@ -58,7 +58,7 @@ class MdfTable(AbstractContextManager["MdfTable"]):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Save what was written, packed; nothing after an exception."""
+        """Save the blocks, compressed; nothing after an exception."""
         try:
             if kind is None:
                 if not self._begun:

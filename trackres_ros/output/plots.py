@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 HOURS_FROM_S = 3 * 3600.0  # a longer time axis is in hours
 ESTIMATE_INCHES = (9.0, 7.2)
-LEARNED_INCHES, MAP_INCHES = 1.8, 2.2  # more of it where something was learned
-ALIKE_K = 0.5  # assemblies whose temperatures differ by less are one line
+LEARNED_INCHES, MAP_INCHES = 1.8, 2.2  # taller with learned values
+ALIKE_K = 0.5  # assemblies with smaller temperature differences share one line
 MEASURED = ("torque_nm", "belt_degc")
 
 
@@ -68,16 +68,16 @@ def estimate_figure(
     time_s
         [s], shape (times,).
     columns
-        Series by name, each of shape (times,), as `simulate.simulate` or a replay gives them: `speed_mps`,
+        Series by name, each of shape (times,), from `simulate.simulate` or a replay: `speed_mps`,
         `resistance_torque_nm` with `resistance_std_nm`, its parts (`resistance.RESISTANCE_PARTS`), `drive_torque_nm`,
-        `belt_degc` or `belt_degc/<assembly>` with `belt_std_k/<assembly>`, `ambient_degc`. What is not there is not drawn.
+        `belt_degc` or `belt_degc/<assembly>` with `belt_std_k/<assembly>`, `ambient_degc`. Missing ones are not drawn.
     title
         Heading of the picture.
     measured
-        `torque_nm` [Nm] and `belt_degc` [degC], each of shape (times,), nan where there is no measurement. A measured torque
-        holds the inertia too, so the estimated drive torque is drawn beside it. By default the column `measured_torque_nm`.
+        `torque_nm` [Nm] and `belt_degc` [degC], each of shape (times,), nan without a measurement. A measured torque
+        includes the inertia, so the estimated drive torque is drawn with it. By default the column `measured_torque_nm`.
     coverage
-        Seconds that were learned from, as `learning.buckets` counts them; drawn as a map below what was learned.
+        Seconds used for learning, as counted by `learning.buckets`; drawn as a map below the learned values.
 
     Raises
     ------

@@ -18,7 +18,7 @@ PICTURE_SAMPLES = 8000  # kept for the picture; twice as many are thinned to hal
 class ResultPreview:
     """Stored part of passing results: the last row, and every n-th row for the picture.
 
-    n doubles as they come, so that a picture of any length costs the same memory.
+    n doubles when needed, so a picture of any length costs the same memory.
     """
 
     def __init__(self, columns: int) -> None:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The look that every picture of the package shares: palette, fonts, figures and how they are written.
+"""The common style of all pictures of the package: palette, fonts, figures and their files.
 
 Needs matplotlib, an optional extra: it is imported only when a picture is drawn. No window and no pyplot state; the same
 input gives the same bytes.
@@ -61,7 +61,7 @@ LOOK: dict[Any, Any] = {
 
 @contextmanager
 def picture(path: Path, width: float, height: float) -> Iterator[Figure]:
-    """An empty figure [inches]; it is written when the block ends, as SVG where the path ends so, else as PNG.
+    """An empty figure [inches], written when the block ends: SVG by the suffix of the path, else PNG.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def empty_figure(width: float, height: float) -> Iterator[Figure]:
 
 @cache
 def _notebook_figure() -> type[Figure]:
-    """The class of figures outside of pyplot, so that nothing has to be closed, which a notebook shows as PNG."""
+    """The class of figures outside of pyplot, so that nothing has to be closed; a notebook shows them as PNG."""
     from matplotlib.figure import Figure
 
     class NotebookFigure(Figure):
@@ -121,7 +121,7 @@ def png_of(figure: Figure) -> bytes:
 def svg_of(figure: Figure) -> bytes:
     """A figure of this module as SVG: the same figure gives the same bytes.
 
-    Letters stay letters, of matplotlib's font where it is installed; others are narrower, so nothing collides.
+    Text stays text, in matplotlib's font if it is installed; fallback fonts are narrower, so nothing overlaps.
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
@@ -134,14 +134,14 @@ def svg_of(figure: Figure) -> bytes:
 
 
 def write_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as a PNG file, or as SVG where the path ends so; the folder is made if need be."""
+    """Write a figure as SVG or PNG, by the suffix of the path; create its folder if needed."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(svg_of(figure) if path.suffix == ".svg" else png_of(figure))
 
 
 @contextmanager
 def picture_with_legend(path: Path, width: float, height: float, rows: int = 1) -> Iterator[SubFigure]:
-    """As `picture`, of which rows above all axes are kept for one legend of all their labels, where it covers nothing."""
+    """As `picture`, with space above all axes for one legend of all their labels, where it covers nothing."""
     head_inches = LEGEND_INCHES + 0.6 * LEGEND_INCHES * (rows - 1)
     with picture(path, width, height + head_inches) as figure:
         head, body = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=(head_inches, height))))
@@ -154,7 +154,7 @@ def picture_with_legend(path: Path, width: float, height: float, rows: int = 1) 
 
 
 def shortened(text: str, most: int) -> str:
-    """A text of at most so many characters; its middle gives way."""
+    """Shorten a text to so many characters, in its middle."""
     if len(text) <= most:
         return text
     kept = most - 3
@@ -169,13 +169,13 @@ def thinned(x: ArrayLike, y: ArrayLike, most: int = MOST_POINTS) -> tuple[Array,
     x, y
         The line, each of shape (points,); nan in `y` is a gap.
     most
-        Points of a line that is left as it is.
+        Longest line that stays unchanged.
 
     Returns
     -------
     x, y
-        The line itself where it is short enough, else of each stretch of equal count the points with the least
-        and the greatest value, in their order; a stretch without values stays a gap.
+        The line itself if it is short enough; else, for each stretch of equal count, the points with the least
+        and the greatest value, in their order. A stretch without values stays a gap.
     """
     x, y = np.asarray(x, float), np.asarray(y, float)
     if len(y) <= most:

@@ -31,27 +31,27 @@ CHUNK_ROWS = 8192
 
 
 class TableWriter:
-    """Writes a table block by block; it takes its place only when the `with` block ends without an exception.
+    """Writes a table block by block; it is put in place only when the `with` block ends without an exception.
 
     In CSV a NaN becomes an empty cell, every other number the shortest text that reads back as the same number. Equal numbers
-    give equal bytes, but in MDF, which says when it was written.
+    give equal bytes, except in MDF, which contains the time of writing.
 
     Parameters
     ----------
     path : Path
-        ``.csv``, ``.csv.gz``, ``.parquet`` or ``.mf4``; replaced if it is there.
+        ``.csv``, ``.csv.gz``, ``.parquet`` or ``.mf4``; replaced if it exists.
     names : sequence of str
         Names of the k columns.
     estimates : bool
-        Whether numbers but times are estimates, of which Parquet and MDF keep single precision: seven digits, a thousand
-        times finer than any of them is known.
+        Whether all numbers except times are estimates. Parquet and MDF store these in single precision: seven digits, a thousand
+        times finer than their accuracy.
 
     Raises
     ------
     InputError
         Another suffix, or no such folder.
     MissingExtraError
-        Parquet or MDF, and what writes it is not installed.
+        The library for Parquet or MDF is not installed.
     """
 
     def __init__(self, path: Path, names: Sequence[str], estimates: bool = False) -> None:
@@ -71,7 +71,7 @@ class TableWriter:
         self._out: Any = None
 
     def __enter__(self) -> Self:
-        """Begin the file beside its place."""
+        """Begin a temporary file in the same folder."""
         if self._suffix == ".mf4":
             self._out = self._files.enter_context(MdfTable(self._part, self.names))
         elif self._suffix != ".parquet":
@@ -83,7 +83,7 @@ class TableWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Finish the file and put it in its place, or remove what was begun."""
+        """Finish the file and put it in place, or remove the temporary one."""
         try:
             if kind is None and self._out is None:
                 self.write(np.empty((0, len(self.names))))
@@ -125,7 +125,7 @@ class TableWriter:
         arrays = [pa.array(c.astype(np.float32) if name in single else c, from_pandas=True) for name, c in named]
         table = pa.table(arrays, names=list(self.names))
         if self._out is None:
-            # Bytes of equal weight side by side: what is smooth differs in the last ones alone.
+            # Bytes of equal weight are grouped: smooth values differ in the last ones alone.
             others: Any = [name for name in self.names if name not in real]
             writer = parquet.ParquetWriter(
                 str(self._part), table.schema, write_page_checksum=True, compression="zstd", use_dictionary=others,
@@ -150,7 +150,7 @@ def write_table(path: Path, columns: Mapping[str, NDArray[Any]], estimates: bool
     Raises
     ------
     InputError
-        Another suffix, no such folder, or columns that are not equally long.
+        Another suffix, no such folder, or columns of different lengths.
     """
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) != 1:
@@ -160,7 +160,7 @@ def write_table(path: Path, columns: Mapping[str, NDArray[Any]], estimates: bool
 
 
 def _texts(column: NDArray[Any]) -> list[str]:
-    """Return the cells of a column as they stand in a CSV."""
+    """Return the cells of a column as CSV texts."""
     if column.dtype.kind == "f":
         texts = list(map(repr, (column.astype(np.float64) + 0.0).tolist()))  # which takes the sign off a zero
         return ["" if text == "nan" else text for text in texts] if np.isnan(column).any() else texts

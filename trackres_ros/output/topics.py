@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Lists what leaves the estimator on topics: one table of names, types and columns, for the bag of a replay and for live.
+"""Lists the topics of the estimator: one table of names, types and columns, for the bag of a replay and for live.
 
-Signs after REP-103: rolling forward is positive rotation about y. So what resists it is a negative torque, and what drives a
-positive one: the feed-forward, what driving takes in all, a measured torque. A quantity has one sign on all topics, `sign_of`.
+Signs after REP-103: rolling forward is positive rotation about y. So a resistance is a negative torque. Driving torques are
+positive: the feed-forward, the total drive torque, a measured torque. A quantity has one sign on all topics, `sign_of`.
 In tables, reports and the terminal a resistance is a positive number.
 """
 
@@ -22,7 +22,7 @@ from trackres_ros.vehicle import AnyVehicle
 
 Array = NDArray[np.float64]
 
-"""What the resistance torque is the sum of, and the column of each; the last is what the effects of the vehicle file add."""
+"""Parts of the resistance torque, and the column of each; the last is that of the vehicle file's effects."""
 TOTALS = {
     "total": "resistance_torque_nm",
     "hysteresis": "hysteresis_nm",
@@ -41,12 +41,12 @@ BASE_FRAME = "base_link"
 
 @dataclass(frozen=True)
 class OutputTopic:
-    """One topic: its name below the node's, message type, meaning, and which numbers it carries.
+    """One topic: its name below the node's, message type, meaning, and its numbers.
 
     Attributes
     ----------
     kind
-        How the numbers stand in the message: `joints` (JointState: names and efforts), `wrench` (WrenchStamped: torque
+        Layout of the numbers in the message: `joints` (JointState: names and efforts), `wrench` (WrenchStamped: torque
         about y), `number` (Float64), `temperature` (Temperature: value and standard deviation), `status` (DiagnosticArray),
         `estimate` (DynamicInterfaceGroupValues: the numbers and the level under their names, and every reason with its level).
     columns
@@ -88,11 +88,11 @@ ESTIMATE_TOPIC = OutputTopic(
     ("feedforward_torque_nm", "resistance_torque_nm", "resistance_std_nm"),
     ("feedforward_torque_nm", "resistance_torque_nm", "resistance_std_nm", LEVEL),
 )
-"""Live alone: in the bag of a replay these numbers stand in the topics they have of their own, and the reasons in its status."""
+"""Live only: in the bag of a replay these numbers have their own topics, and the reasons are in its status."""
 
 
 def sign_of(column: str) -> float:
-    """Factor from a column of results, of the vehicle or of an assembly, to what stands on topics."""
+    """Factor from a column of results, of the vehicle or of an assembly, to its topic."""
     return -1.0 if column.partition("/")[0] in RESISTING else 1.0
 
 

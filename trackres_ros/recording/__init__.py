@@ -1,4 +1,4 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bags, tables, measurement files and bus logs come in; a `Recording` in SI goes out, with its defects."""
+"""Reads bags, tables, measurement files and bus logs into a `Recording` in SI, with its defects."""

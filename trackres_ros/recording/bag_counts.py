@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Counts the messages that a bag declares, by all its counts: the difference to the read ones was lost."""
+"""Counts the messages that a bag declares in any of its counts: those that were not read are lost."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DATA, SUMMARY = {0x03, 0x04, 0x05, CHUNK, MESSAGE_INDEX, 0x09, 0x0C, DATA_END}, 
 FOOTER_BYTES = 20
 MOST_HEAD_BYTES = 2**16
 MOST_MESSAGES = 2**48
-"""No disk holds as many; what counts more counts nothing."""
+"""No disk holds as many; larger counts are ignored."""
 INDEX_DATA = 4
 """Kind of the record of ROS 1 that counts the messages of one connection in the chunk before it."""
 
@@ -41,7 +41,7 @@ class MessageCounts:
     unknown : int
         Messages of a topic that the bag does not describe.
     remarks : list of str
-        What is wrong with the counts themselves.
+        Faults of the counts themselves.
     """
 
     by_topic: Counter[str] = field(default_factory=Counter)
@@ -57,7 +57,7 @@ class MessageCounts:
                 self.unknown += self.checked(count)
 
     def checked(self, count: object) -> int:
-        """Return a count that is one; of what is none a remark remains."""
+        """Return a valid count; an invalid one adds a remark."""
         if isinstance(count, int) and 0 <= count <= MOST_MESSAGES:
             return count
         self.remarks.append(f"it counts {shown(count)} messages: the losses cannot be determined")
@@ -94,14 +94,14 @@ def counts_of(reader: Any, path: Path) -> MessageCounts:
 
 
 def storages_of(reader: Any) -> Sequence[Any]:
-    """Return the files of a rosbag2 as rosbags has them open; none of a ROS 1 bag."""
+    """Return the files of a rosbag2 as opened by rosbags; none of a ROS 1 bag."""
     if not hasattr(reader, "storage"):
         return ()
     return getattr(reader.storage, "storages", (reader.storage,))
 
 
 def _count_mcap(storage: Any, names: dict[Any, str], counts: MessageCounts) -> None:
-    """Add the larger of what the statistics and the index say, channel by channel."""
+    """Add the larger of the counts in statistics and index, channel by channel."""
     indexed: Counter[int] = Counter()
     for chunk in storage.chunks:
         indexed.update(chunk.channel_count)
@@ -110,7 +110,7 @@ def _count_mcap(storage: Any, names: dict[Any, str], counts: MessageCounts) -> N
 
 
 def _look_at_mcap(storage: Any) -> Iterator[str]:
-    """Say where the records of an MCAP file do not follow on one another, and what its index leaves out."""
+    """Report gaps between the records of an MCAP file, and messages missing in its index."""
     if isinstance(storage.path, UnfinishedBag):
         yield storage.path.remark
         return
@@ -135,7 +135,7 @@ def _look_at_mcap(storage: Any) -> Iterator[str]:
 
 
 def _count_ros1(reader: Any, path: Path, counts: MessageCounts) -> None:
-    """Add the larger of what the index, and what the chunks themselves say, connection by connection."""
+    """Add the larger of the counts in the index and in the chunks themselves, connection by connection."""
     names = {one.id: one.topic for one in reader.connections}
     indexed: Counter[int] = Counter()
     for info in reader.chunk_infos:

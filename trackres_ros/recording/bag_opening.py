@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Opens a bag and gives its messages, with whichever library is there, and refuses what would fill memory or disk."""
+"""Opens a bag and yields its messages, with the installed library, and refuses files that would fill memory or disk."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ if TYPE_CHECKING:
 READABLE = "a bag that is readable to its end"
 REMEDIES = {".mcap": "try: mcap recover", ".bag": "try: rosbag reindex"}
 MAX_METADATA_BYTES, MAX_METADATA_DEPTH = 2**24, 50
-"""Of the metadata.yaml of a bag; ten hours in files of a minute fill a hundredth of it, and the deepest value has 8 above it."""
+"""Limits of a bag's metadata.yaml; ten hours in files of a minute fill a hundredth of it, and the deepest value has 8 above
+it.
+"""
 SQLITE_LIMIT_LENGTH = 0
 
 
@@ -53,16 +55,16 @@ def remedy(path: Path) -> str:
 
 
 def open_bag(path: Path) -> Reader:
-    """Open one bag for reading; it is the caller's to close.
+    """Open one bag for reading; the caller closes it.
 
-    With the library rosbags where that is installed, else with those of ROS 2, which do not read bags of ROS 1.
+    Uses rosbags if that is installed, else the libraries of ROS 2, which do not read bags of ROS 1.
 
     Raises
     ------
     InputError
-        It is no bag, or asks for more memory or space than is there.
+        It is no bag, or requires more memory or space than available.
     MissingExtraError
-        rosbags is not installed, and nothing else that reads the bag.
+        rosbags is not installed, nor another library that reads the bag.
     """
     opened = _opener(path)
     check_there(path)
@@ -82,7 +84,7 @@ def open_bag(path: Path) -> Reader:
 
 
 def _opener(path: Path) -> Callable[[Path], Reader]:
-    """Return what opens a bag with the library that is there."""
+    """Return the opener of the installed library."""
     try:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
@@ -102,7 +104,7 @@ def _opener(path: Path) -> Callable[[Path], Reader]:
 
 
 def _check_folder(path: Path) -> None:
-    """Refuse a rosbag2 folder in which there is more, or something else, than recorders write."""
+    """Refuse a rosbag2 folder with more, or other, files than recorders write."""
     for inside in sorted(path.iterdir()):
         check_there(inside)
         if inside.suffix == ".zstd":
@@ -153,4 +155,4 @@ def _unpacked(packed: Iterator[tuple[Connection, int, bytes]]) -> Iterator[tuple
         except TooLargeError as error:
             raise TooLargeError(f"a message of {connection.topic}: {error}") from None
         except Exception:
-            yield connection, stamp, b""  # what cannot be unpacked is malformed, and counted so
+            yield connection, stamp, b""  # data that cannot be unpacked are counted as malformed

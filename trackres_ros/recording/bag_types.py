@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds the definition of the message type of a topic in a bag: that of the bag, else the common or the installed one."""
+"""Finds the definition of a topic's message type: that of the bag, else the common or the installed one."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _common(encoding: Encoding) -> Typesdict:
 
 @lru_cache
 def _own_definitions(text: str, msgtype: str) -> Typesdict:
-    """Return the definitions in the text that a bag holds of a type."""
+    """Return the definitions in a bag's text of a type."""
     from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
     separator = "=" * 80 + "\n"
@@ -46,7 +46,7 @@ def _own_definitions(text: str, msgtype: str) -> Typesdict:
 
 
 def _finder(one: Connection | RosTopic, encoding: Encoding) -> Callable[[], Definitions]:
-    """Read the definition in the bag; what is returned adds those it does not hold, or raises KeyError."""
+    """Read the definition in the bag; return a function that adds missing ones, or raises KeyError."""
     if isinstance(one, RosTopic):
         of_ros = types_of_text(one.msgtype, one.msgdef)
         return lambda: with_installed(of_ros, one.msgtype)
@@ -55,7 +55,7 @@ def _finder(one: Connection | RosTopic, encoding: Encoding) -> Callable[[], Defi
 
 
 def types_of(one: Connection | RosTopic, path: Path, encoding: Encoding) -> Definitions:
-    """Return the definition of a connection's type: of the bag where it has one, else the common one."""
+    """Return the definition of a connection's type: the bag's if present, else the common one."""
     where = f"{path}: {one.topic}"
     try:
         with reading(Path(where), f"a readable definition of {one.msgtype}"):

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Defines where a role comes from: a field of a topic, a column of a table, or the sum of several."""
+"""Defines the source of a role: a field of a topic, a column of a table, or the sum of several."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from trackres_ros.recording.roles import BRAKE_ON_PA, PASSENGER_KG
 IN_DEGREES = "sensor_msgs/msg/NavSatFix"
 """The message type whose latitude and longitude are in degrees by its definition."""
 FIX, NO_FIX = "status.status", -1
-"""Where such a message says whether there is a fix, and that there is none."""
+"""Field of such a message for the fix, and its value without one."""
 STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\[\]]+)\])?")
 MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
 
@@ -28,7 +28,7 @@ MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
 class FieldStep:
     """One step of a field path: a field, and for an array the index or the name of the element.
 
-    A name is looked up in the string array ``name`` beside the field, as in ``sensor_msgs/msg/JointState``.
+    A name is looked up in the string array ``name`` of the same message, as in ``sensor_msgs/msg/JointState``.
     """
 
     name: str
@@ -38,7 +38,7 @@ class FieldStep:
 
 @dataclass(frozen=True, slots=True)
 class TopicBinding:
-    """Where one role comes from: a field of a topic, or a column of a table.
+    """Source of one role: a field of a topic, or a column of a table.
 
     Attributes
     ----------
@@ -49,31 +49,31 @@ class TopicBinding:
     scale, offset : float
         The value in the unit of the role is ``scale * raw + offset``; of an angle given in degrees they turn it into rad.
     stamp : str
-        ``header``, ``log``, or empty: the header's where the type has one, else log time.
+        ``header``, ``log``, or empty: the header's if the type has one, else log time.
     max_age_s : float or None
         Live: an older sample is not used [s].
     sensor : str
-        Of a belt temperature: what is measured, ``surface`` or ``mean``.
+        Of a belt temperature: ``surface`` or ``mean``.
     std_k : float
         Standard deviation of a belt temperature [K].
     delay_s : float
-        By how much a torque comes late [s]: what is shown was so that long before its stamp.
+        Delay of a torque [s]: its value belongs to that much earlier than its stamp.
     unit : str
-        What the raw numbers are in, where that is said: it is in scale and offset. Of a position without it, the values tell.
+        Unit of the raw numbers, if given: it is in scale and offset. Without it, the values of a position decide.
     kg_each : float
         Of passengers: mass of one [kg].
     threshold : float or None
-        Of a brake: from which value on it brakes; None where nobody says.
+        Of a brake: value from which it brakes; None if not given.
     values : tuple of float
-        Of an enable that comes as a mode: the modes in which the feed-forward is wanted; empty where it comes as 1 or 0.
+        Of an enable given as a mode: the modes with feed-forward; empty if it is 1 or 0.
     decimal : str
-        Of a column in text: its decimal mark; empty where its cells decide.
+        Of a column in text: its decimal mark; empty if its cells decide.
     derivative : bool
-        Of a speed in a column: whether that holds the distance travelled, whose change over time is the speed.
+        Of a speed in a column: whether it is the distance travelled, whose rate is the speed.
     order : str
-        Of dates between slashes or dashes: ``dmy`` or ``mdy``; empty where the whole column decides.
+        Of dates with slashes or dashes: ``dmy`` or ``mdy``; empty if the whole column decides.
     parts : tuple of TopicBinding
-        What a sum is made of: columns, or fields of topics; `scale` and `offset` then apply to the sum.
+        Terms of a sum: columns, or fields of topics; `scale` and `offset` then apply to the sum.
     """
 
     topic: str = ""
@@ -107,13 +107,13 @@ class TopicBinding:
         return bool(self.sources[0].topic)
 
     def meant(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What scaled numbers mean: 1 for the modes in `values`, 0 for others, nan for nan; the numbers themselves without."""
+        """Convert scaled numbers: 1 for the modes in `values`, 0 for others, nan for nan; unchanged without modes."""
         if not self.values:
             return numbers
         return np.where(np.isnan(numbers), np.nan, np.isin(numbers, self.values).astype(float))
 
     def brakes_from(self, values: NDArray[np.float64]) -> float:
-        """The value from which a brake is on: the threshold, else half of a switch's 0 and 1, else `BRAKE_ON_PA`."""
+        """Value from which a brake is on: the threshold, else half of a switch's 0 and 1, else `BRAKE_ON_PA`."""
         if self.threshold is not None:
             return self.threshold
         return 0.5 if np.isin(values, (0.0, 1.0)).all() else BRAKE_ON_PA
@@ -130,7 +130,7 @@ class TopicBinding:
 
     @property
     def fix(self) -> str:
-        """The field path of what says whether the message holds a fix; empty where its type has none."""
+        """The field path of the message's fix status; empty if its type has none."""
         return FIX if self.type == IN_DEGREES else ""
 
     def read(self, message: object) -> float:

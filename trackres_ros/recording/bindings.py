@@ -42,34 +42,34 @@ MOST_PARTS = 16
 SUM_EXAMPLE = "torque: {sum: [{column: left_nm}, {column: right_knm, scale: 1000.0}]}"
 OF_TIME = ("column", "channel", "unit", "scale", "offset", "decimal", "order")
 TIME = "time"
-"""The line that names the column of the time in a table; no role, as every sample has its time."""
+"""The line for the time column of a table; no role, as every sample has its time."""
 DBC = "dbc"
 """The line that names the database of a CAN bus, or several; no role either."""
 BOTH = "position"
-"""The line that stands for latitude and longitude of one message."""
+"""The line for latitude and longitude of one message."""
 OF_BOTH = ("topic", "type", "field", "stamp", "max_age_s", "unit")
-"""Its keys: the field is that which holds the two."""
+"""Its keys: the field is the parent of the two."""
 PART = re.compile(r"[A-Za-z0-9_\-]+")
 MOST_DELAY_S = 10.0
-MOST_KG_EACH = 500.0  # with what somebody may carry
-LARGEST = 1e300  # a whole number may be larger than any float
+MOST_KG_EACH = 500.0  # with luggage
+LARGEST = 1e300  # an integer may be larger than any float
 EXAMPLE = "speed: {topic: /vehicle/speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}"
 
 
 @dataclass(frozen=True, slots=True)
 class Topics:
-    """A mapping of role to binding, and where it is from.
+    """A mapping of role to binding, and its origin.
 
     Attributes
     ----------
     bindings : mapping of str to TopicBinding
-        By role, qualified where the file says so (``load/front``).
+        By role, qualified if the file does so (``load/front``).
     origin : str
         The file, for messages to the user.
     time : TopicBinding, optional
-        The column of the time in a table, where it is not ``time_s``.
+        The time column of a table, if it is not ``time_s``.
     dbc : tuple of (int or None, Path)
-        Databases of CAN buses, each with the number of its bus where the file says it.
+        Databases of CAN buses, each with the number of its bus if given.
     """
 
     bindings: Mapping[str, TopicBinding]
@@ -87,7 +87,7 @@ class Topics:
         return len(self.bindings)
 
     def __bool__(self) -> bool:
-        return True  # one with a line for the time alone is given too
+        return True  # a file with only a time line is valid too
 
     def __contains__(self, role: object) -> bool:
         return role in self.bindings
@@ -103,7 +103,7 @@ class Topics:
         Raises
         ------
         InputError
-            The file is not there, no YAML, or says something that is not allowed: which role and key.
+            The file is missing or no YAML, or has an invalid entry: names role and key.
         """
         path = find_topics(path_or_name)
         content = read_yaml(path, "a mapping with one line per role", f"write for example: {EXAMPLE}")
@@ -116,11 +116,11 @@ class Topics:
         Parameters
         ----------
         content : mapping of str to mapping
-            What the YAML holds.
+            Content of the YAML.
         origin : str
             Its file, for messages.
         folder : Path
-            What a path in it starts from.
+            Folder of relative paths in it.
 
         Raises
         ------
@@ -224,7 +224,7 @@ def _source(line: Mapping[object, object], where: str) -> dict[str, str]:
 
 
 def _parts(role: str, given: object, where: str) -> tuple[TopicBinding, ...]:
-    """The parts of a sum: all of them columns, or all of them fields of topics."""
+    """The parts of a sum: all columns, or all fields of topics."""
     if ROLES[base_role(role)].unit == "rad":
         raise InputError(where, role, "a role that is not an angle")
     if not isinstance(given, list) or not 2 <= len(given) <= MOST_PARTS:
@@ -245,7 +245,7 @@ def _parts(role: str, given: object, where: str) -> tuple[TopicBinding, ...]:
 
 
 def _position(line: object, content: Mapping[object, object], where: str) -> dict[str, TopicBinding]:
-    """Latitude and longitude of one message: of a NavSatFix, where no type is named."""
+    """Latitude and longitude of one message: a NavSatFix by default."""
     twice = [role for role in POSITION if role in content]
     if twice:
         raise InputError(where, f"{BOTH} and {twice[0]}", f"either {BOTH}, or {' and '.join(POSITION)}")
@@ -287,7 +287,7 @@ def _with_column(line: Mapping[object, object], where: str) -> Mapping[object, o
 
 
 def _unit(line: Mapping[object, object], inside: str, default: str, where: str) -> tuple[str, Conversion]:
-    """The unit of a line as a table of units has it, and how it becomes the unit inside the program."""
+    """The unit of a line as named in the table of units, and its conversion to the internal unit."""
     given = _text(line, "unit", where) or default
     found = conversion(given, inside) if given else Conversion(1.0)
     if found is None:

@@ -25,11 +25,11 @@ from trackres_ros.recording.samples import Finding
 MOST_DATABASE_BYTES = 2**26
 """Of a file; the largest of a vehicle maker are a few megabytes."""
 MOST_IDENTIFIERS = 2**14
-"""Kept with their messages; a bus has some hundreds, a file made to fill memories any number."""
+"""Kept messages; a bus has some hundreds, but a malicious file any number."""
 NOT_AVAILABLE = re.compile(r"\b(sna|n/?a|not ?(available|avail|valid)|invalid|error|fault|init|undefined)\b", re.IGNORECASE)
-"""In the name that a database gives to a value: the signal holds nothing then."""
+"""In a database's name for a value: the signal is not available."""
 J1939_LAST_VALID = 0xFA
-"""SAE J1939-71: of a signal of 8 bits or more, a first byte above it says error, not available, or a special code."""
+"""SAE J1939-71: a signal of 8 bits or more with a first byte above it is in error, not available, or a special code."""
 J1939_ANY_SOURCE = (0xFE, 0xFF)
 """Source addresses of a database that name no control unit: null and global, SAE J1939-81."""
 PDU2 = 240
@@ -38,7 +38,7 @@ PDU2 = 240
 
 @dataclass(slots=True)
 class _Signal:
-    """A signal to read: its column, how raw becomes physical, and which raw values hold nothing."""
+    """A signal to read: its column, its conversion to a physical value, and its raw values for not available."""
 
     column: int
     name: str
@@ -50,7 +50,7 @@ class _Signal:
 
 @dataclass(slots=True)
 class _Message:
-    """A message of a database, the number of its bus, and its group number where J1939 goes by that."""
+    """A message of a database, the number of its bus, and its group number for J1939."""
 
     message: Any
     bus: int | None
@@ -63,8 +63,8 @@ class _Message:
 class CanSignals(ChannelFile):
     """The signals of a log of frames.
 
-    Messages are found by identifier; those of J1939 by their group number, whatever the priority is, and from the control unit
-    that the identifier in the database names. Where it names none, the first one that sends the group is read. Groups of more
+    Messages are found by identifier. Those of J1939 are found by their group number, whatever the priority, and by the control
+    unit in the database's identifier. Without one, the first sender of the group is read. Groups of more
     than 8 bytes are joined from the packets of the transport protocol.
 
     Parameters
@@ -72,7 +72,7 @@ class CanSignals(ChannelFile):
     name
         Of the log, for messages.
     frames
-        Reads the log from the beginning, and counts what is wrong with it, by the keys of `TEXTS`.
+        Reads the log from the beginning, and counts its faults, by the keys of `TEXTS`.
     topics
         The topics file, which names the databases.
 
@@ -126,7 +126,7 @@ class CanSignals(ChannelFile):
     def _decoded(
         self, found: dict[tuple[int, bool, int | None], _Message | None], met: Counter[str]
     ) -> Iterator[tuple[int, list[tuple[int, float]]]]:
-        """Stamp of each frame that is read, with the columns and values in it."""
+        """Stamp of each frame that is read, with its columns and values."""
         from cantools.database.errors import Error
 
         frames = self._frames(met)
@@ -167,7 +167,7 @@ class CanSignals(ChannelFile):
                 yield stamp_ns, values
 
     def _message(self, number: int, extended: bool, bus: int | None) -> _Message | None:
-        """The message of an identifier: the one that has it, else the one of its J1939 group."""
+        """The message of an identifier: an exact match, else that of its J1939 group."""
         near = None
         for one in self._messages:
             if (one.bus is not None and one.bus != bus) or one.message.is_extended_frame != extended:

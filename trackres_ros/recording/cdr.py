@@ -3,9 +3,9 @@
 
 """Decodes one field of many serialised messages at once, and encodes many messages from one template.
 
-Messages of a type that are equally long mostly have their numbers at the same places: what moves them are the lengths
-of strings and sequences. The first message is walked field by field; every other whose lengths are the same is then
-read by strided views on the joined bytes. Rows that differ are walked on their own, so the result is that of a full
+Messages of a type with equal length mostly have their numbers at the same offsets: only the lengths
+of strings and sequences move them. The first message is decoded field by field. All others with the same lengths are then
+read by strided views on the joined bytes. Rows that differ are decoded one by one, so the result is that of a full
 decoding, message by message.
 """
 
@@ -27,11 +27,11 @@ from trackres_ros.units import SECOND_NS
 
 NAMES_SHOWN = 20
 MAX_LAYOUTS = 16
-"""So many layouts of one length are tried on all rows; rows that fit none are then walked one by one."""
+"""Number of layouts of one length tried on all rows; rows that fit none are then decoded one by one."""
 
 
 class Encoding(IntEnum):
-    """Bytes before the first field: what distinguishes a ROS 2 message (CDR) from one of ROS 1."""
+    """Bytes before the first field: 4 in a ROS 2 message (CDR), none in one of ROS 1."""
 
     ROS1 = 0
     CDR = 4
@@ -43,18 +43,18 @@ class MalformedError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where the numbers are in all messages that have certain bytes at certain places.
+    """Offsets of the numbers in all messages with given bytes at given offsets.
 
     Attributes
     ----------
     length : int
         Length of the messages [bytes].
     fixed : tuple of (int, bytes)
-        Offset and content of what must be equal: lengths, ends of strings, names that were looked up.
+        Offset and content of bytes that must be equal: lengths, ends of strings, names that were looked up.
     spots : tuple of (int, str) or None
-        Offset and numpy type of each wanted number; None where the message has no such element.
+        Offset and numpy type of each wanted number; None if the message has no such element.
     lacks : mapping of int to str
-        By place among the wanted numbers: why the message has no such element.
+        By index of the wanted number: why the message has no such element.
     """
 
     length: int
@@ -160,7 +160,7 @@ class _Walk:
                 for index in range(count):
                     before = self.pos
                     self.message(field.type, [(slot, steps[1:]) for slot, steps in mine if (steps[0].index or 0) == index])
-                    if self.pos == before:  # elements of no bytes at all, and as many as anybody likes
+                    if self.pos == before:  # elements of zero bytes, in any number
                         break
             else:
                 raise MalformedError(f"no rule for {field.type}")
@@ -184,7 +184,7 @@ def _few(name: str, count: int) -> str:
 def layout_of(
     raw: bytes, types: Definitions, msgtype: str, paths: Sequence[Sequence[FieldStep]], encoding: Encoding = Encoding.CDR
 ) -> Layout:
-    """Walk one message to its end and return where the wanted numbers are.
+    """Decode one message to its end and return the offsets of the wanted numbers.
 
     Raises
     ------
@@ -212,12 +212,12 @@ def layout_of(
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """What was in n messages.
+    """Content of n messages.
 
     Attributes
     ----------
     stamp_ns : ndarray of int64, shape (n,)
-        Stamps [ns]; 0 where the type has none or the message is malformed.
+        Stamps [ns]; 0 if the type has none or the message is malformed.
     value : ndarray of float64, shape (n, k)
         The wanted numbers; NaN where absent or malformed.
     absent : ndarray of bool, shape (n, k)
@@ -238,7 +238,7 @@ class FieldReader:
     Parameters
     ----------
     types : Definitions
-        The type and all it contains.
+        The type and all nested types.
     msgtype : str
         ``package/msg/Name``.
     fields : sequence of str
@@ -326,14 +326,14 @@ class FieldReader:
 
 
 class Template:
-    """One serialised message, of which many copies with other stamps and numbers are made.
+    """One serialised message, the template of many copies with other stamps and numbers.
 
     Parameters
     ----------
     raw : bytes
-        The message in CDR; its strings and sequences stay as they are.
+        The message in CDR; its strings and sequences stay.
     types : Definitions
-        Its type and all it contains.
+        Its type and all nested types.
     msgtype : str
         ``package/msg/Name``.
     fields : sequence of str
@@ -342,7 +342,7 @@ class Template:
     Raises
     ------
     InputError
-        A field path that does not lead to a number that the message has.
+        A field path that does not lead to a number of the message.
     """
 
     def __init__(self, raw: bytes, types: Definitions, msgtype: str, fields: Sequence[str]) -> None:
@@ -361,9 +361,9 @@ class Template:
         out : ndarray of uint8, shape (n, at + length of the message)
             Written from column `at`; C order.
         at : int
-            Where the messages begin in a row.
+            Column of the messages' first byte.
         stamp_ns : ndarray of int64, shape (n,)
-            Stamps [ns]; unused where the type has none.
+            Stamps [ns]; unused if the type has none.
         values : ndarray of float64, shape (n, k)
             The numbers.
         """

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Defines what a reader gives: the channels of a file with their units, and their samples in blocks."""
+"""Defines the interface of a reader: the channels of a file with their units, and their samples in blocks."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Channel(NamedTuple):
     Attributes
     ----------
     name
-        As the file has it.
+        Name in the file.
     unit
-        As the file has it; empty where it has none.
+        Unit in the file; empty without one.
     group
         Channels of one group have the same times; one name may be in several groups.
     """
@@ -39,9 +39,9 @@ class Channel(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ChosenChannel:
-    """A channel to read: its place among all channels, its name, and the role it feeds, with the conversion in its binding.
+    """A channel to read: its index among all channels, its name, and the role it feeds, with the conversion in its binding.
 
-    `dates_only`: a time whose name does not say the unit of a number.
+    `dates_only`: a time without a unit in its name.
     """
 
     place: int
@@ -52,7 +52,7 @@ class ChosenChannel:
 
 
 class ChannelRows(NamedTuple):
-    """Some rows of channels: one time, and a number of each channel that has one then.
+    """Some rows of channels: one time, and the number of each channel that has one at it.
 
     Attributes
     ----------
@@ -60,9 +60,9 @@ class ChannelRows(NamedTuple):
         Stamps [ns], in a file without dates from its beginning; of a table without dates numbers in the unit of its column.
         Shape (n,).
     timed
-        Where there is a time, shape (n,).
+        Whether a row has a time, shape (n,).
     cells, given
-        The numbers of the chosen channels, and where there is one, shape (n, channels).
+        The numbers of the chosen channels, and whether there is one, shape (n, channels).
     """
 
     time: FloatArray | IntArray
@@ -72,22 +72,22 @@ class ChannelRows(NamedTuple):
 
 
 class ChannelFile:
-    """A file of channels: a recording of channels, a table, a sheet of a workbook. A reader derives from it.
+    """A file of channels: a recording of channels, a table, a sheet of a workbook. Base class of readers.
 
-    A reader sets `name`, `channels`, and where it has something to say `notes` and `findings`, and gives `streams`.
+    A reader sets `name`, `channels`, optionally `notes` and `findings`, and implements `streams`.
 
     Attributes
     ----------
     name : str
         The file, and the sheet of a workbook, for messages.
     channels : sequence of Channel
-        All there are.
+        All channels.
     notes : sequence of str
-        What was assumed of the file.
+        Assumptions about the file.
     findings : sequence of Finding
-        What the last reading met.
+        Findings of the last reading.
     has_times : bool
-        Whether channels have times of their own; in a table a column is the time.
+        Whether channels have their own times; in a table a column is the time.
     """
 
     name: str
@@ -101,11 +101,11 @@ class ChannelFile:
         return True
 
     def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:  # noqa: ARG002
-        """Choose what to read, before `streams`; a table decides here how times and numbers are written."""
+        """Choose the channels to read, before `streams`; a table decides here on the notation of times and numbers."""
         self.wanted = tuple(channels)
 
     def streams(self) -> Sequence[Iterator[ChannelRows]]:
-        """Read from the beginning: one iterator for all channels that share their times, each some rows at a time.
+        """Read from the beginning: one iterator per set of channels with common times, some rows at a time.
 
         Cells have a column for each of `wanted`, which other streams may fill.
         """
@@ -119,7 +119,7 @@ class TableFile(ChannelFile):
 
 
 def rows_at(seconds: FloatArray, cells: FloatArray, start_ns: int = 0) -> ChannelRows:
-    """Rows at times in seconds, of which each number that is not nan is a sample.
+    """Rows at times in seconds; each number other than nan is a sample.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def rows_at(seconds: FloatArray, cells: FloatArray, start_ns: int = 0) -> Channe
     cells
         Shape (n, channels).
     start_ns
-        The time 0 [ns since 1970], where the file says it.
+        The time 0 [ns since 1970], if the file gives it.
     """
     timed = np.abs(seconds) < MOST_TIME_S
     stamps = np.rint(np.where(timed, seconds, 0.0) * 1e9).astype(np.int64) + start_ns
@@ -136,17 +136,17 @@ def rows_at(seconds: FloatArray, cells: FloatArray, start_ns: int = 0) -> Channe
 
 
 MOST_TIME_S = 4.6e9
-"""Above it, differences of two times in nanoseconds do not fit in 64 bits [s]; a time in milliseconds or nanoseconds mostly
-lies above."""
+"""Above it, differences of two times in nanoseconds do not fit in 64 bits [s]; times in milliseconds or nanoseconds mostly exceed
+it."""
 
 
 def time_note(column: str, text: str) -> str:
-    """Say how a column of dates and times was read."""
+    """Note how a column of dates and times was read."""
     return f"time: column {column}, {text}"
 
 
 def check_dates(time: ChosenChannel, name: str, are_dates: bool) -> None:
-    """Refuse numbers of which nobody says the unit, and a scale of dates.
+    """Refuse numbers with an unknown unit, and a scale of dates.
 
     Raises
     ------

@@ -29,10 +29,10 @@ from trackres_ros.recording.torque_candidates import note_of, of_columns
 class ChannelSource:
     """Samples of a file of channels, row by row.
 
-    An empty cell gives no sample, and a sum of channels with the same times has one where all of them do; channels with other
-    times are added as `Sums` does. Within a row speed comes last, so that whoever steps on speed knows the rest of the row.
-    Channels with times of their own are put in the order of these. Stamps of a table are the column ``time_s``, or the one that
-    the topics file names; a role without a channel in the topics file is taken from the column known by name.
+    An empty cell gives no sample. A sum of channels with the same times has a sample if all of them do; channels with other
+    times are added as in `Sums`. Within a row speed comes last, so that a step at the speed has the rest of the row.
+    Channels with their own times are sorted by these. Stamps of a table are the column ``time_s``, or the one that
+    the topics file names. A role without a channel in the topics file is taken from the column known by name.
 
     Parameters
     ----------
@@ -43,15 +43,15 @@ class ChannelSource:
     read : callable
         Opens it, see `FileKind.read`.
     kind : str
-        What the file is, for messages.
+        Kind of the file, for messages.
     checked : bool
         Whether its first bytes are checked.
 
     Raises
     ------
     InputError
-        No header, no channel for time or speed, a channel that is not there or is there twice, a unit that is none of its role,
-        numbers or dates that may be read in two ways.
+        No header, no channel for time or speed, a missing or ambiguous channel, a unit that does not fit its role,
+        ambiguous numbers or dates.
     """
 
     zero_is_unset = False
@@ -95,7 +95,7 @@ class ChannelSource:
         self._position = PositionUnits(self.bindings)
 
     def _bind_parts(self, of_role: Sequence[Sequence[ChosenChannel]]) -> None:
-        """Decide what is read: parts with the same times are added row by row, others each by itself and then as `Sums` does."""
+        """Choose the readings: parts with the same times are added row by row, others are read singly and added as in `Sums`."""
         groups = [{self._file.channels[one.place].group for one in of} for of in of_role]
         apart = {role for role, found in zip(self.roles, groups, strict=True) if len(found) > 1}
         in_groups = {
@@ -112,7 +112,7 @@ class ChannelSource:
         self._alone = [0] * len(self._readings)
 
     def _part(self, one: ChosenChannel) -> TopicBinding:
-        """A part of a sum, whose topic is the group: what `Sums` takes as one message has the same times."""
+        """A part of a sum; its topic is the group, as `Sums` treats parts with the same times as one message."""
         return replace(one.binding, topic=self._file.channels[one.place].group)
 
     def _sums(self) -> Sums:
@@ -120,7 +120,7 @@ class ChannelSource:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """How the file was read, which channel feeds what, what is ignored, and in which unit a position was taken to be."""
+        """Notes on the reading, the channel of each role, ignored channels, and the assumed unit of a position."""
         return (*self._notes, *self._position.notes)
 
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
@@ -178,7 +178,7 @@ class ChannelSource:
             done += len(time)
 
     def _stamps(self, time: FloatArray | IntArray, timed: NDArray[np.bool_], done: int) -> IntArray:
-        """Stamps of some rows [ns], of which `done` come before."""
+        """Stamps of some rows [ns], after `done` earlier ones."""
         scale, offset = (self._time.binding.scale, self._time.binding.offset) if self._time else (1.0, 0.0)
         dates = time.dtype == np.int64
         seconds = time * 1e-9 + offset if dates else scale * time + offset
@@ -192,7 +192,7 @@ class ChannelSource:
         return np.rint(seconds * 1e9).astype(np.int64)
 
     def _values(self, cells: FloatArray, given: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Values by reading in the units of the roles, and where there is one: of a sum where there are all of its parts."""
+        """Values by reading in the units of the roles, and whether there is one: a sum requires all of its parts."""
         shape = (len(cells), len(self._readings))
         values, there = np.empty(shape), np.empty(shape, np.bool_)
         place = 0
@@ -217,11 +217,11 @@ class ChannelSource:
 
 
 _Stamped = tuple[IntArray, FloatArray, NDArray[np.bool_]]
-"""Stamps [ns] of some rows, their cells, and which of these are given."""
+"""Stamps [ns] of some rows, their cells, and whether these are given."""
 
 
 def _in_order(streams: Sequence[Iterator[_Stamped]]) -> Iterator[_Stamped]:
-    """Rows of all streams by their times, of equal ones in a block those of the first stream first.
+    """Merge the rows of all streams by time; at equal times in a block the first stream comes first.
 
     Where the times of a stream run back, its rows stay in their order.
     """
@@ -255,7 +255,7 @@ def _in_order(streams: Sequence[Iterator[_Stamped]]) -> Iterator[_Stamped]:
 
 
 def _first_that_fits(files: Sequence[ChannelFile], topics: Topics | None) -> tuple[ChannelFile, Choice, list[str]]:
-    """The first table that has a time and a speed, its channels, and what to say of the others."""
+    """The first table with a time and a speed, its channels, and a note on the others."""
     fitting: list[tuple[ChannelFile, Choice]] = []
     errors: list[InputError] = []
     for file in files:
@@ -270,8 +270,8 @@ def _first_that_fits(files: Sequence[ChannelFile], topics: Topics | None) -> tup
 
 
 def _derived(blocks: Iterator[SampleBlock], place: int) -> Iterator[SampleBlock]:
-    """All blocks with the change over time of the role at a place instead of its values: from the sample before each to the one
-    after it, nan where their times do not rise. So both of these have to be read before.
+    """Replace the values of one role by their rate, from the sample before each to the one after it; nan where times do not rise.
+    So both of these have to be read before.
     """
     read = list(blocks)
     of = [block.role == place for block in read]

@@ -19,7 +19,7 @@ from trackres_ros.recording.roles import ROLES, base_role
 
 TIME_S = "time_s"
 DATE_NAMES = ("time", "timestamp", "datetime")
-"""Names of a column of dates with times, in any case; of numbers nobody would know the unit."""
+"""Names of a column of dates with times, in any case; for numbers the unit would be unknown."""
 COLUMNS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {name: (role, unit) for role, about in ROLES.items() for name, unit in about.columns.items()}
 )
@@ -29,7 +29,7 @@ NAMES_SHOWN = 20
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What is read of a file: the column of the time in a table, the channels of the roles, and what to say of the choice."""
+    """Result of the choice: the time column of a table, the channels of the roles, and notes."""
 
     time: ChosenChannel | None
     channels: list[ChosenChannel]
@@ -43,14 +43,14 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     Parameters
     ----------
     file
-        What is in it.
+        The opened file.
     topics
-        The topics file. Where it names no role, channels of a file that is no table are guessed by name and unit.
+        The topics file. If it names no role, channels of a file other than a table are guessed by name and unit.
 
     Raises
     ------
     InputError
-        A channel that is not there or is there twice, no time, no speed, or a unit that is none of its role.
+        A missing or ambiguous channel, no time, no speed, or a unit that does not fit its role.
     """
     names = _Names(file)
     listed = topics.bindings.items() if topics else ()
@@ -122,12 +122,12 @@ class _Names:
         return ((self._places[name][0], name) for name in self.all)
 
     def place(self, name: str) -> int | None:
-        """Where a name is first."""
+        """Index of the first channel of a name."""
         return self._places[name][0] if name in self._places else None
 
 
 def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> TopicBinding:
-    """The binding with the unit of the file, where the line says neither unit nor scale."""
+    """The binding with the unit of the file, if the line gives neither unit nor scale."""
     if not channel.unit or binding.values:
         return binding
     inside = "s" if role == TIME else ROLES[base_role(role)].unit

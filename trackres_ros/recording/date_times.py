@@ -21,7 +21,7 @@ YEAR_FIRST, YEAR_LAST = (re.compile(day + CLOCK, re.IGNORECASE | re.ASCII) for d
 UNIX_DAY = date(1970, 1, 1).toordinal()
 SECOND_NS = 1_000_000_000
 MOST_S = 2**63 // SECOND_NS - 1
-"""Of what fits in 64 bits as nanoseconds: the years from 1678 to 2262."""
+"""Years that fit in 64 bits as nanoseconds: from 1678 to 2262."""
 MOST_MONTHS = 12
 
 Order = Literal["dmy", "mdy", ""]
@@ -34,14 +34,14 @@ def is_date_time(text: str) -> bool:
 
 
 class DateTimes:
-    """The dates and times of one column, all written as the first one.
+    """The dates and times of one column, all in the notation of the first one.
 
     Parameters
     ----------
     first
-        The first cell; `is_date_time` holds of it.
+        The first cell; `is_date_time` is true for it.
     order
-        Of day and month where the year comes last, if the topics file names it. Between points the day comes first.
+        Of day and month if the year comes last and the topics file names it. With dots the day comes first.
     """
 
     def __init__(self, first: str, order: Order = "") -> None:
@@ -69,7 +69,7 @@ class DateTimes:
                     self._more.setdefault("mdy", text)
 
     def decide(self, where: str) -> None:
-        """Settle the order of day and month by what was seen.
+        """Settle the order of day and month from the cells so far.
 
         Raises
         ------
@@ -92,7 +92,7 @@ class DateTimes:
         Raises
         ------
         ValueError
-            Another notation than that of the first cell, or no such date or time.
+            Another notation than that of the first cell, or an invalid date or time.
         """
         match = self._pattern.fullmatch(text.strip())
         if not match or match["mark"] != self._mark or bool(match["zone"]) is not self._has_zone:

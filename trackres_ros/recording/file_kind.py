@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Defines a kind of recording: the suffixes it goes by, the library it needs, and the reader of its channels."""
+"""Defines a kind of recording: its suffixes, required library, and reader of channels."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ class FileKind:
     Attributes
     ----------
     name : str
-        For messages: what a file of it is, as in ``an MDF file``.
+        For messages: the kind of file, as in ``an MDF file``.
     suffixes : tuple of str
         In lower case, with the dot.
     read : callable
-        Opens a file: path, its name for messages, and the topics file, where one is given, go in; the `ChannelFile` comes out. Of
-        several, as the sheets of a workbook, the first one that has a time and a speed is read.
+        Opens a file: takes path, its name for messages, and the topics file, if given; returns the `ChannelFile`. Of
+        several, such as the sheets of a workbook, the first one with a time and a speed is read.
     needs : tuple of (str, str)
-        Modules that have to be installed, each with the extra that installs it.
+        Required modules, each with the extra that installs it.
     checked : bool
-        Whether `trackres_ros.recording.reading.check_file` knows what the files begin with.
+        Whether `trackres_ros.recording.reading.check_file` knows the first bytes of the files.
     """
 
     name: str

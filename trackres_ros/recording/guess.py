@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Guesses which topic or channel feeds which role, where no topics file says so."""
+"""Guesses the topic or channel of each role, without a topics file."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ NOT_MEASURED = re.compile(
     r"\b(cmd|commands?|commanded|target|desired|set ?point|reference|ref|goal|limit|max|min|"
     r"estimated?|feed ?forward|resistance|trackres|error|variance)\b"
 )
-"""Words in a topic name that say its content was not measured on the vehicle; nothing is guessed from it."""
+"""Words in the name of a topic that was not measured on the vehicle; nothing is guessed from it."""
 WHEEL = re.compile(r"\bwheels?\b(?! based vehicle)")
-"""Of a channel: a speed at a wheel is not that of the vehicle; the wheel-based vehicle speed of J1939 is."""
+"""Of a channel: a wheel speed is not that of the vehicle; the wheel-based vehicle speed of J1939 is."""
 SCALARS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
 COUNTS = tuple(f"std_msgs/msg/{name}" for name in ("UInt8", "UInt16", "UInt32", "Int8", "Int16", "Int32"))
 UNITS = {
@@ -83,7 +83,7 @@ RULES = (
 def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
     """Guess the bindings from message types, and from topic names where types do not decide.
 
-    Acceleration is never guessed: that of an IMU contains the share of gravity on a slope, and is taken for a specific force.
+    Acceleration is never guessed: that of an IMU contains gravity on a slope, and is treated as a specific force.
 
     Parameters
     ----------
@@ -93,9 +93,9 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
     Returns
     -------
     topics : Topics
-        What was guessed.
+        The guesses.
     notes : list of str
-        One sentence a role, with what else it could have been.
+        One sentence per role, with alternatives.
 
     Raises
     ------
@@ -130,21 +130,21 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
 
 
 def guess_channels(channels: Sequence[Channel], there: Collection[str]) -> tuple[dict[str, TopicBinding], dict[str, list[str]]]:
-    """Guess by name and unit which channels feed the roles that have no channel yet; without a unit there is no guess.
+    """Guess by name and unit the channels of roles without one; without a unit there is no guess.
 
     Parameters
     ----------
     channels
-        Of which each has a name of its own.
+        With unique names.
     there
         Roles that have a channel.
 
     Returns
     -------
     bindings : dict of str to TopicBinding
-        By role, without the unit that the file says.
+        By role, without the unit, which the file gives.
     others : dict of str to list of str
-        By role: names of further channels that it may be.
+        By role: names of other candidates.
     """
     bindings: dict[str, TopicBinding] = {}
     others: dict[str, list[str]] = {}
@@ -168,7 +168,7 @@ def _may_be(channel: Channel, role: str, about: Role) -> bool:
 
 
 def topics_line(role: str, binding: TopicBinding) -> str:
-    """The line of a topics file that says where a role comes from, in the unit of the raw numbers where there is one."""
+    """The line of a topics file for the source of a role, in the unit of the raw numbers if known."""
     inside = ROLES[base_role(role)].unit
     keys = ("topic", "type", "field") if binding.topic else ("column",)
     line: dict[str, object] = {"channel" if key == "column" else key: getattr(binding, key) for key in keys}

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes the topics file that says what was guessed of a recording."""
+"""Writes the guesses about a recording as a topics file."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ ALSO = "also possible: "
 
 
 def guessed_topics(recording: Sequence[Path], topics: Topics | None) -> list[str]:
-    """Lines of a topics file, with what else each may be.
+    """Lines of a topics file, with alternatives.
 
     Parameters
     ----------
     recording
         Bags, or one other file.
     topics
-        Which names the databases of a bus, if need be.
+        Which names the databases of a bus, if needed.
 
     Raises
     ------
     InputError
-        What cannot be read, or holds no speed that can be guessed.
+        A file that cannot be read, or without a speed that can be guessed.
     """
     source = open_source(recording, topics)
     lines = [f"# Guessed from {source.name}: check each line."]

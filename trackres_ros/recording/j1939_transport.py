@@ -16,18 +16,18 @@ from typing import NamedTuple
 CONNECTION, PACKET = 0xEC, 0xEB
 """PDU formats of TP.CM, which announces a message, and of TP.DT, which carries it."""
 REQUEST_TO_SEND, ACKNOWLEDGED, BROADCAST, ABORT = 16, 19, 32, 255
-"""Control bytes of TP.CM that are read; the receiver's CTS (17) changes nothing here."""
+"""Control bytes of TP.CM that are read; the receiver's CTS (17) is not needed."""
 SMALLEST, LARGEST = 9, 1785
 """Bytes of a message: one more than a frame holds, 255 packets."""
 OF_A_PACKET = 7
 LONGEST_PAUSE_NS = 1_250_000_000
-"""T2 and T3 of the standard: after it, a receiver gives up."""
+"""T2 and T3 of the standard: time after which a receiver gives up."""
 MOST_TRANSFERS = 1024
 """At once; a damaged log may begin any number."""
 
 
 class Frame(NamedTuple):
-    """A data frame, or a joined message: stamp [ns], identifier, whether that has 29 bits, number of the bus, and bytes."""
+    """A data frame, or a joined message: stamp [ns], identifier, whether it has 29 bits, number of the bus, and bytes."""
 
     stamp_ns: int
     id: int
@@ -54,15 +54,15 @@ def is_transport(frame: Frame) -> bool:
 def with_joined(frames: Iterator[Frame], met: Counter[str]) -> Iterator[Frame]:
     """Yield all frames, and each joined message after its last packet, with the stamp of that packet.
 
-    A sender has one broadcast under way, and one transfer to each receiver. Packets may come again or in another order, as a
-    receiver asks for them anew.
+    A sender has at most one broadcast in progress, and one transfer to each receiver. Packets may be repeated or reordered, as a
+    receiver requests them again.
 
     Parameters
     ----------
     frames
         In the order of the log.
     met
-        Counts what gives no message: `incomplete` messages, and `stray` packets of messages that were not announced.
+        Counts losses: `incomplete` messages, and `stray` packets of messages that were not announced.
     """
     transfers: dict[tuple[int | None, int, int], _Transfer] = {}
 
@@ -101,13 +101,13 @@ def with_joined(frames: Iterator[Frame], met: Counter[str]) -> Iterator[Frame]:
             met["stray"] += 1
         elif not transfer.missing and transfer.content:
             yield Frame(frame.stamp_ns, _identifier(frame.id, transfer.group), True, frame.bus, bytes(transfer.content))
-            transfer.content.clear()  # it stays, for packets that the receiver asks for again
+            transfer.content.clear()  # kept, for packets that the receiver requests again
     for key in list(transfers):
         end(key)
 
 
 def _announced(frame: Frame) -> _Transfer | None:
-    """The transfer that TP.CM begins; None where it contradicts itself."""
+    """The transfer that TP.CM begins; None if it is inconsistent."""
     size, packets = int.from_bytes(frame.data[1:3], "little"), frame.data[3] if len(frame.data) == 8 else 0
     if not SMALLEST <= size <= LARGEST or packets != -(-size // OF_A_PACKET):
         return None
@@ -116,11 +116,11 @@ def _announced(frame: Frame) -> _Transfer | None:
 
 
 def _take(frame: Frame, transfer: _Transfer) -> bool:
-    """Put a packet in its place; whether it has one."""
+    """Store a packet; return whether it belongs to the transfer."""
     number = frame.data[0] if frame.data else 0
     transfer.newest_ns = frame.stamp_ns
     if not transfer.content:
-        return True  # again, of a message that is whole
+        return True  # a repetition, in a complete message
     start = (number - 1) * OF_A_PACKET
     packet = frame.data[1 : 1 + min(OF_A_PACKET, len(transfer.content) - start)]
     if number == 0 or start >= len(transfer.content) or len(packet) < min(OF_A_PACKET, len(transfer.content) - start):
@@ -131,6 +131,6 @@ def _take(frame: Frame, transfer: _Transfer) -> bool:
 
 
 def _identifier(packet: int, group: int) -> int:
-    """The identifier of the message: priority and sender of its packets and, where the group has one, their receiver."""
+    """The identifier of the message: priority and sender of its packets and, if the group has one, their receiver."""
     with_receiver = group >> 8 & 0xFF < 240  # PDU1
     return packet & 0x1C0000FF | group << 8 | (packet & 0xFF00 if with_receiver else 0)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes the records of an MCAP file: what the writer of bags and the reader of unfinished ones share."""
+"""Makes the records of an MCAP file, for the writer of bags and the reader of unfinished ones."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def text(content: str) -> bytes:
 
 
 def message_indices(channel: Whole, log_ns: Whole, offset: Whole, at: int) -> tuple[bytes, bytes]:
-    """The indices of the messages of a chunk, to stand at a place of the file, and which channel's stands where."""
+    """The message indices of a chunk at an offset of the file, and the offset by channel."""
     indices, offsets = b"", b""
     for number in np.unique(channel):
         rows = np.flatnonzero(channel == number)
@@ -73,7 +73,7 @@ def message_indices(channel: Whole, log_ns: Whole, offset: Whole, at: int) -> tu
 def ending(
     at: int, schemas: Sequence[bytes], channels: Sequence[bytes], chunks: Sequence[Chunk], counts: Mapping[int, int]
 ) -> bytes:
-    """What lets a player find its way, from a place of the file to its end: topics, chunks, counts of messages by channel."""
+    """The summary at an offset of the file: topics, chunks, counts of messages by channel."""
     messages = sum(counts.values())
     first = min((chunk.first_ns for chunk in chunks), default=0)
     last = max((chunk.last_ns for chunk in chunks), default=0)
@@ -95,5 +95,5 @@ def ending(
 
 
 def ending_without_summary() -> bytes:
-    """The end of a file whose messages are found by reading all of it."""
+    """The end of a file without an index, whose messages are found by reading all of it."""
     return record(DATA_END, struct.pack("<I", 0)) + record(FOOTER, struct.pack("<QQI", 0, 0, 0)) + MAGIC

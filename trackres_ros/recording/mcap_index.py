@@ -27,7 +27,7 @@ class McapError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class IndexedChunk:
-    """A chunk as the index describes it: times [ns], size once unpacked [bytes], and how many messages each channel has in it."""
+    """A chunk as the index describes it: times [ns], unpacked size [bytes], and number of messages by channel."""
 
     message_start_time: int
     message_end_time: int
@@ -37,7 +37,7 @@ class IndexedChunk:
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """How many messages the file says that each channel has."""
+    """Number of messages by channel, as the file states it."""
 
     channel_message_counts: dict[int, int]
 
@@ -53,18 +53,18 @@ class McapIndex:
     Attributes
     ----------
     chunks : list of IndexedChunk
-        None where the file has no index.
+        None without an index.
     topics : dict of int to str
         Name of the topic of each channel.
     statistics : Statistics or None
-        None where the file has none.
+        None if the file has none.
 
     Raises
     ------
     McapError
         It cannot be read.
     TooLargeError
-        A chunk says that it unpacks to more than the ceiling.
+        A chunk states an unpacked size above the ceiling.
     """
 
     def __init__(self, path: Path) -> None:
@@ -121,7 +121,7 @@ def _chunk(content: bytes) -> IndexedChunk:
 
 
 def _check_chunks(file: BinaryIO, end: int) -> None:
-    """Refuse chunks that would fill the memory: a few bytes may ask for all there is."""
+    """Refuse chunks that would fill the memory: a few bytes may request all of it."""
     for at, length in _records(file, end):
         if length < 24:
             raise McapError(f"a chunk of {length} bytes")

@@ -33,9 +33,9 @@ NUMBERS = {
 }
 """Numbers of the interface definition language, as numpy kind and size."""
 LENGTH_BYTES = 4
-"""Of a string or sequence, before what is in it."""
+"""Of a string or sequence, before its content."""
 MAX_DEPTH = 50
-"""Of messages within messages; the deepest common one has 6."""
+"""Depth of nested messages; the deepest common one has 6."""
 HEADER, TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
 
 
@@ -69,7 +69,7 @@ def message_fields(store: Typestore) -> Typesdict:
 
 
 def definitions(fielddefs: Mapping[str, tuple[object, object]], msgtype: str) -> Definitions:
-    """Return the fields of a message type and of all it contains.
+    """Return the fields of a message type and of all nested types.
 
     Parameters
     ----------
@@ -106,12 +106,12 @@ def definitions(fielddefs: Mapping[str, tuple[object, object]], msgtype: str) ->
 
 
 def check_size(types: Definitions, msgtype: str, where: str, most: int) -> None:
-    """Refuse a type no message of which could be read: a few letters define an array of any length.
+    """Refuse a type with messages too large to read: a few letters define an array of any length.
 
     Parameters
     ----------
     types : Definitions
-        The type and all it contains.
+        The type and all nested types.
     msgtype : str
         ``package/msg/Name``.
     where : str
@@ -122,7 +122,7 @@ def check_size(types: Definitions, msgtype: str, where: str, most: int) -> None:
     Raises
     ------
     InputError
-        A fixed array, or a message within messages, that is too long, or a type within itself.
+        A fixed array or nesting that is too long, or a recursive type.
     """
     sizes: dict[str, int] = {}
 
@@ -147,7 +147,7 @@ def check_size(types: Definitions, msgtype: str, where: str, most: int) -> None:
 
 
 def stamp_path(types: Definitions, msgtype: str) -> tuple[FieldStep, ...]:
-    """Return the path of the stamp of a message type, or nothing: that of its header, or its own field ``stamp``."""
+    """Return the path of the stamp of a message type, or an empty one: that of its header, or its own field ``stamp``."""
     for field in types[msgtype]:
         if field.many == "one" and (field.name, field.type) == ("header", HEADER):
             return field_steps("header.stamp")

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads numbers in text. The whole column decides which mark is the decimal one; where it does not, it is refused."""
+"""Reads numbers in text. The whole column decides on the decimal mark; an ambiguous one is refused."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _either(mark: Mark) -> str:
 
 
 def _surely(mark: Mark, other: Mark) -> str:
-    """Numbers of which a mark is surely the decimal one: 0,5 and 12,34 and 1.234,5 and 1.234.567."""
+    """Numbers with a certain decimal mark: 0,5 and 12,34 and 1.234,5 and 1.234.567."""
     plain = rf"(?!{_either(mark)}$)[+-]?(?:\d+[{mark}]\d*|[{mark}]\d+){EXPONENT}"
     grouped = rf"{HEAD}(?:[{other}]\d{{3}})+[{mark}]\d*{EXPONENT}|{HEAD}(?:[{other}]\d{{3}}){{2,}}"
     return rf"(?:{plain}|{grouped})"
@@ -42,16 +42,16 @@ GROUPED = {mark: re.compile(rf"{HEAD}(?:[{other}]\d{{3}})+(?:[{mark}]\d*)?{EXPON
 
 @dataclass(slots=True)
 class ColumnMarks:
-    """What the cells of one column show of their marks.
+    """Evidence on the marks in the cells of one column.
 
     Attributes
     ----------
     given
         The decimal mark that the topics file names; empty without one.
     surely, either
-        By mark: the first cell in which it is surely the decimal mark, and in which it may as well be between thousands.
+        By mark: the first cell in which it is surely the decimal mark, and the first in which it may also separate thousands.
     marks
-        Those that stand in any cell.
+        All marks in any cell.
     """
 
     given: Mark | Literal[""] = ""
@@ -73,7 +73,7 @@ class ColumnMarks:
 def decide(columns: Mapping[str, ColumnMarks], name: str, commas_separate: bool = False) -> dict[str, Mark]:
     """The decimal mark of each column.
 
-    A column decides for itself. In one that does not, a mark is the decimal one if it surely is in other columns of the table and
+    A column decides for itself. In an ambiguous one, a mark is the decimal one if it surely is in other columns of the table and
     the other mark is in none; or if it is a point and commas separate the cells.
 
     Parameters

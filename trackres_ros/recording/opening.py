@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Opens a recording by the kind that its suffix gives."""
+"""Opens a recording by the kind of its suffix."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from trackres_ros.recording.samples import BoundSource
 
 MOST_NAMED = 3
 AMBIGUOUS = (".log", ".part")
-"""Suffixes by which folders are not searched: many programs write such files, and a recording may be under way."""
+"""Suffixes that are not searched for in folders: many programs write such files, and a recording may be in progress."""
 
 
 @cache
@@ -38,7 +38,7 @@ def further_kinds() -> tuple[FileKind, ...]:
     Raises
     ------
     InputError
-        One that cannot be imported, or holds something else.
+        One that cannot be imported, or is no kind.
     """
     kinds: list[FileKind] = []
     for point in sorted(entry_points(group=GROUP), key=lambda one: one.name):
@@ -58,14 +58,14 @@ def suffixes() -> tuple[str, ...]:
 
 
 def open_source(paths: Sequence[Path], topics: Topics | None = None) -> BoundSource:
-    """Return the source for what is at some paths.
+    """Return the source for the recording at some paths.
 
     Parameters
     ----------
     paths : sequence of Path
         Bags, read one after another, or one other recording.
     topics : Topics, optional
-        Which topic or channel feeds which role; guessed by message type or by name and unit, or standard columns, without.
+        Topic or channel of each role; by default guessed by message type or by name and unit, or standard columns.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def _allowed() -> str:
 
 
 def _kind_of(path: Path) -> FileKind | BagKind:
-    """The kind of what is at a path, by suffix or content of the directory."""
+    """The kind of recording at a path, by suffix or content of the directory."""
     check_there(path)
     if path.is_dir():
         if (path / "metadata.yaml").is_file():

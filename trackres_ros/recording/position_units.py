@@ -19,10 +19,10 @@ LARGEST_RAD = {"latitude": 0.5 * math.pi, "longitude": math.pi}
 
 
 class PositionUnits:
-    """The unit of latitude and longitude where neither topics file, column nor message type says it.
+    """The unit of latitude and longitude if neither topics file, column nor message type gives it.
 
-    No land lies within 1.6 degrees of the equator and at once within 3.2 degrees of the prime meridian: a vehicle whose
-    latitudes and longitudes are all as small as angles in radians can be is recorded in radians.
+    There is no land within both 1.6 degrees of the equator and 3.2 degrees of the prime meridian. So a vehicle whose
+    latitudes and longitudes are all within the range of angles in radians is recorded in radians.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class PositionUnits:
         self._open = [role for role, unit in given.items() if not unit]
         self._scale = math.nan
         self.notes: tuple[str, ...] = ()
-        if self._open and said:  # one receiver gives both
+        if self._open and said:  # one receiver provides both
             self._decide(said == {"deg"}, f"as {', '.join(set(given) - set(self._open))}")
 
     def _decide(self, degrees: bool, why: str) -> None:
@@ -44,7 +44,7 @@ class PositionUnits:
         self.notes = (f"{', '.join(self._open)}: treated as {'degrees' if degrees else 'radians'}, {why}",)
 
     def in_radians(self, block: SampleBlock, roles: Sequence[str]) -> SampleBlock:
-        """A block with its position in radians; nan as long as it has not shown what it is in.
+        """A block with its position in radians; nan until the unit is known.
 
         Parameters
         ----------
@@ -60,7 +60,7 @@ class PositionUnits:
             seen = {role: np.abs(block.value[rows & np.isfinite(block.value)]) for role, rows in where.items()}
             if any((seen[role] > most).any() for role, most in LARGEST_RAD.items() if role in seen):
                 self._decide(True, "by the values")
-            elif all(values.any() for values in seen.values()):  # zeros are what a receiver says that knows nothing
+            elif all(values.any() for values in seen.values()):  # a receiver without a fix sends zeros
                 self._decide(False, "by the values")
         value = block.value.copy()
         for rows in where.values():

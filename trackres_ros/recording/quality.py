@@ -15,13 +15,13 @@ from trackres_ros.recording.samples import Finding, FloatArray, Series
 from trackres_ros.text.numbers import figures
 
 MOVING_MPS, DROP_SAMPLES = 0.5, 3
-"""A drop to 0 counts where the samples on both sides are faster [m/s], and it is short; assumed: above the noise of a
+"""A short drop to 0 is a dropout where the samples on both sides are faster [m/s]; assumed: above the noise of a
 standing wheel, and shorter than any stop, even where each sample is published twice or thrice."""
 OFFSET_NS = 500_000_000
 """Header stamps this far from log time are another clock, not a delay [ns]; assumed, above any transport delay."""
 GAP_NS = 1_000_000_000
 GAP_FACTOR = 10
-"""A gap is longer than both a second and ten median steps; assumed: what a belt's temperature would feel."""
+"""A gap is longer than both a second and ten median steps; assumed: it affects a belt's temperature."""
 STUCK_NS = 60_000_000_000
 """A changing quantity does not keep one value this long [ns]; assumed."""
 SAME_LEVEL = 1e-6
@@ -36,7 +36,7 @@ def findings_of(role: str, samples: Series, start_ns: int, zero_is_unset: bool =
     Parameters
     ----------
     role : str
-        Its name; the unit and what is normal depend on it.
+        Its name; the unit and the normal range depend on it.
     samples : Series
         Its samples in log order.
     start_ns : int
@@ -139,8 +139,8 @@ def _look_for_drops(samples: Series, note: _Note) -> None:
 def _quantum(value: FloatArray, runs: NDArray[np.intp]) -> float:
     """Return the step a sensor quantises to, or 0.
 
-    All values lie on one grid, and either most values last for several samples or the same few come again and
-    again; a steady ramp of a computed profile does neither.
+    All values are on one grid, and either most values last for several samples or the same few recur;
+    a steady ramp of a computed profile does neither.
     """
     levels = np.unique(value)
     if len(levels) < 3 or len(value) < 20:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Guards the reading of every recording: a regular file, the content its name promises, and one line for whatever goes wrong."""
+"""Guards the reading of every recording: a regular file, content that fits its name, and one line for any error."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SPECIAL = (
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
 )
-"""What opens without an end, or not at all until somebody writes."""
+"""Files without an end, or that block until another process writes."""
 CONTENTS: tuple[tuple[bytes, str, tuple[str, ...], str], ...] = (
     (b"\x89MCAP", "an MCAP bag", (".mcap", ".part"), "name it .mcap"),
     (b"SQLite format 3\0", "an SQLite bag", (".db3",), "name it .db3"),
@@ -44,13 +44,13 @@ CONTENTS: tuple[tuple[bytes, str, tuple[str, ...], str], ...] = (
     (b"\xff\xfe", "UTF-16 text", (), "save it as UTF-8"),
     (b"\xfe\xff", "UTF-16 text", (), "save it as UTF-8"),
 )
-"""First bytes, what that is, suffixes it goes by, and what to do where the suffix says something else."""
+"""First bytes, their format, its suffixes, and the remedy for another suffix."""
 DATA_FAULTS = (OSError, EOFError, MemoryError, RecursionError, UnicodeError)
-"""What Python itself raises for bad data, besides the exceptions that libraries define."""
+"""Exceptions of Python itself for bad data, in addition to those of libraries."""
 
 
 def check_there(path: Path) -> None:
-    """Refuse a path where nothing is, and what is neither a regular file nor a folder.
+    """Refuse a path that does not exist, or is neither a regular file nor a folder.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def check_there(path: Path) -> None:
 
 
 def check_file(path: Path) -> None:
-    """Refuse what is no regular file, and content that is not what the suffix says.
+    """Refuse a file that is not regular, or whose content does not fit the suffix.
 
     Raises
     ------
@@ -97,9 +97,9 @@ def check_file(path: Path) -> None:
 
 @contextmanager
 def reading(path: Path, allowed: str, remedy: str = "") -> Iterator[None]:
-    """Turn whatever is raised while a file is read into one line with its name; the cause is chained.
+    """Turn any exception while reading a file into one line with its name; the cause is chained.
 
-    Libraries raise what their formats, archives and the system make them stumble over, and document none of it. A fault of
+    Libraries raise exceptions of their formats, archives and the system, without documentation. A fault of
     our own code is reported as one.
 
     Raises

@@ -77,12 +77,12 @@ class Recording:
         Returns
         -------
         Recording
-            All samples, with what was found wrong.
+            All samples, with their defects.
 
         Raises
         ------
         InputError
-            What the source cannot read.
+            Content that the source cannot read.
         """
         parts: list[list[tuple[IntArray, IntArray, FloatArray]]] = [[] for _ in source.roles]
         order = [np.empty(0, np.int16)]
@@ -116,7 +116,7 @@ class Recording:
         return tuple(self.series)
 
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
-        """All samples once more, in the order of the log.
+        """All samples again, in the order of the log.
 
         Parameters
         ----------
@@ -176,8 +176,8 @@ class Recording:
         Returns
         -------
         dict of str to ndarray, each of the shape of speed
-            ``time_s`` and every role: the last finite value that had been logged when the sample of speed was,
-            never a later one; NaN before the first. Speed itself is left as it is.
+            ``time_s`` and every role: the last finite value logged before the sample of speed,
+            never a later one; NaN before the first. Speed itself is unchanged.
         """
         speed = self.series["speed"]
         clock = _clock(speed.arrival_ns)
@@ -209,7 +209,7 @@ class Recording:
         Returns
         -------
         list of str
-            A sentence each; none where no wheel is recorded for long enough.
+            A sentence each; empty if no wheel is recorded for long enough.
         """
         return wheel_notes(self.aligned()) if any(base_role(role) == "wheel_speed" for role in self.series) else []
 
@@ -254,7 +254,7 @@ def _start_ns(series: Mapping[str, Series], zero_is_unset: bool) -> int:
 
 
 def _clock(arrival_ns: IntArray) -> IntArray:
-    """Log time that never runs backward, as it may where one bag follows another."""
+    """Log time made monotonic, as it may run backward between two bags."""
     return np.maximum.accumulate(arrival_ns) if arrival_ns.size else arrival_ns
 
 
@@ -263,7 +263,7 @@ def _seconds(span_ns: IntArray) -> FloatArray:
 
 
 def _measures(samples: Series) -> tuple[str, str, str, str]:
-    """Number of samples, rate [Hz], least and greatest value; a text is empty where there is none."""
+    """Number of samples, rate [Hz], least and greatest value; empty texts without samples."""
     finite = samples.value[np.isfinite(samples.value)]
     if not finite.size:
         return str(len(samples)), "", "", ""

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Turns the units that files and people write into those of the roles."""
+"""Converts the units in files to those of the roles."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ SPELLINGS = {
     "m/s/s": "m/s2", "bool": "1", "ftlb": "lbfft", "lbft": "lbfft", "ftlbf": "lbfft", "degree": "deg",
     "degrees": "deg", "kgf": "kg", "ton": "t",
 }  # fmt: skip
-"""Other ways to write them, as `_plain` leaves them, in lower case."""
+"""Other spellings, as `_plain` simplifies them, in lower case."""
 
 
 def _plain(text: str) -> str:
@@ -55,14 +55,14 @@ def _plain(text: str) -> str:
 
 
 def conversion(text: str, inside: str) -> Conversion | None:
-    """How a unit becomes the one of a role; None of a unit that is no such.
+    """Conversion of a unit to that of the role; None if it does not fit.
 
     Parameters
     ----------
     text
-        As a file or a person writes it.
+        As written in a file.
     inside
-        The unit inside the program.
+        The internal unit.
     """
     given = _plain(text)
     names = {_plain(name): one for name, one in UNITS[inside].items()}

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The one table of roles: what each kind of input means, its unit inside the program, and the column names known for it."""
+"""The one table of roles: meaning, internal unit and known column names of each kind of input."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ class Role:
     Attributes
     ----------
     unit : str
-        Unit of its values inside the program, a key of `trackres_ros.recording.role_units.UNITS`.
+        Internal unit of its values, a key of `trackres_ros.recording.role_units.UNITS`.
     text : str
-        What it is.
+        Meaning.
     parts : bool
         Whether it may be given for each axle, assembly or wheel (``load/front``, ``wheel_speed/rear_left``).
     lively : bool
         Whether a moving vehicle changes it all the time, so that a constant value means a stuck sensor.
     columns : mapping of str to str
-        Names of columns that hold it, and the unit of each.
+        Names of columns for it, and the unit of each.
     words, not_words : str
-        Patterns that the words of a channel must and must not have for it to be guessed; never guessed without `words`.
+        Patterns that the words of a channel must and must not match for it to be guessed; never guessed without `words`.
     """
 
     unit: str
@@ -40,7 +40,7 @@ class Role:
 
 
 NOT_VEHICLE = r"rpm|\b(engine|motor|wind|fan|angular|yaw|cpu)\b"
-"""Words that say a speed, load or torque is not that of the vehicle at its tracks."""
+"""Words for a speed, load or torque that is not that of the vehicle at its tracks."""
 AMBIENT = r"\b(ambient|outside|outdoor|air)\b"
 
 ROLES: Mapping[str, Role] = MappingProxyType(
@@ -133,11 +133,11 @@ ROLES: Mapping[str, Role] = MappingProxyType(
 
 POSITION = ("latitude", "longitude")
 GROUND = ("altitude", "specific_force")
-"""Roles that show how the ground rises to who learns from a measured torque; the estimate itself needs none of them."""
+"""Roles that show the rise of the ground, for learning from a measured torque; the estimate itself needs none of them."""
 PASSENGER_KG = 70.0
-"""Mass of a passenger where nobody says; assumed. UN regulation 107 counts 68 kg in a city bus, 71 kg with luggage."""
+"""Default mass of a passenger; assumed. UN regulation 107 has 68 kg in a city bus, 71 kg with luggage."""
 BRAKE_ON_PA = 10e3
-"""Pressure from which a friction brake counts as on, where nobody says; assumed: springs hold its shoes off below."""
+"""Default pressure from which a friction brake is on; assumed: springs hold its shoes off below."""
 
 
 def base_role(role: str) -> str:

@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Opens a rosbag2 with the libraries of ROS 2, where the library rosbags is not installed.
+"""Opens a rosbag2 with the libraries of ROS 2, if the library rosbags is not installed.
 
-What is opened has the attributes that `trackres_ros.recording.rosbag` uses of a reader of rosbags. ROS 2 reads the messages;
-counts, limits and the structure of a file are read here, since its readers neither bound what they unpack nor say what is lost.
+The opened bag has the attributes of a rosbags reader that `trackres_ros.recording.rosbag` uses. ROS 2 reads the messages.
+Counts, limits and the structure of a file are read here, since its readers neither limit unpacking nor report losses.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ LAST_VERSION = 9
 
 
 class RosError(Exception):
-    """What the libraries of ROS 2 raise for a bag, and what is wrong with its metadata."""
+    """Exceptions of the ROS 2 libraries for a bag, and for faults of its metadata."""
 
 
 @dataclass(frozen=True, slots=True)
 class RosTopic:
-    """A topic of a bag: its number in the file, name, type, the definition that the bag holds, and its count of messages."""
+    """A topic of a bag: its number in the file, name, type, the definition in the bag, and its count of messages."""
 
     id: int
     topic: str
@@ -56,7 +56,7 @@ class RosFile:
     path : Path or UnfinishedBag
         The file.
     place : Path
-        Where it is read: its finished or unpacked copy, if there is one.
+        File to read: its finished or unpacked copy, if there is one.
     kind : str
         ``mcap`` or ``sqlite3``.
     connections : list of RosTopic
@@ -238,7 +238,7 @@ class RosBag:
 
 @contextmanager
 def _said() -> Iterator[None]:
-    """Name what rosbag2 raises as such: its exceptions are those of Python, and look like faults of this program."""
+    """Name exceptions of rosbag2 as such: they are Python's own, and look like faults of this program."""
     try:
         yield
     except Exception as error:
@@ -256,7 +256,7 @@ def _opened(file: RosFile) -> Any:
 
 
 def _quiet() -> None:
-    """Keep rosbag2 from saying which files it opens between what a command prints."""
+    """Keep rosbag2 from printing the files it opens."""
     from rclpy.logging import LoggingSeverity, set_logger_level
 
     for name in ("rosbag2_storage", "rosbag2_cpp", "rosbag2_storage_mcap"):

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Looks up message types with the libraries of ROS 2: in the text that a bag holds, else among the packages installed."""
+"""Looks up message types with the libraries of ROS 2: in the bag's text, else in the installed packages."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ SEPARATOR = "=" * 80 + "\n"
 BASIC = {"double": "float64", "float": "float32", "boolean": "bool", "octet": "byte"}
 """Numbers that the interface definition language calls otherwise than a .msg file."""
 EMPTY = (Field("structure_needs_at_least_one_member", "uint8", "one", 1),)
-"""What a message without fields has on the wire."""
+"""Content of a message without fields on the wire."""
 WIDE = "wstring"
 
 
 def types_of_text(msgtype: str, text: str) -> Definitions:
-    """Return the types in the definition that a bag holds: its own, and behind separators those it contains.
+    """Return the types in a bag's definition: its own, and after separators the nested ones.
 
     Parameters
     ----------
     msgtype : str
         ``package/msg/Name``.
     text : str
-        The definition. One of the interface definition language gives nothing: such types are those installed.
+        The definition. One of the interface definition language gives nothing: such types are the installed ones.
 
     Raises
     ------
     Exception
-        Of rosidl_adapter, where it is none.
+        From rosidl_adapter, for an invalid text.
     """
     from rosidl_adapter.parser import parse_message_string
 
@@ -49,7 +49,7 @@ def types_of_text(msgtype: str, text: str) -> Definitions:
 
 
 def with_installed(own: Definitions, msgtype: str) -> Definitions:
-    """Return the fields of a message type and of all it contains, from installed packages where `own` lacks them.
+    """Return the fields of a message type and of all nested types, from installed packages where `own` lacks them.
 
     Raises
     ------

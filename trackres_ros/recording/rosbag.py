@@ -43,7 +43,7 @@ TOPICS_SHOWN = 50
 
 @dataclass(frozen=True, slots=True)
 class _Topic:
-    """One topic to read: indices of the readings it feeds, their bindings, whose stamp each takes, and the decoder."""
+    """One topic to read: indices of the readings it feeds, their bindings, the source of each stamp, and the decoder."""
 
     name: str
     msgtype: str
@@ -55,7 +55,7 @@ class _Topic:
 
 @dataclass(slots=True)
 class _Tally:
-    """What one run of reading met, by role index."""
+    """Events of one reading, by role index."""
 
     first_ns: int | None = None
     malformed: dict[int, tuple[int, int]] = field(default_factory=dict)
@@ -84,12 +84,12 @@ class BagSource:
     paths : sequence of Path
         The bags.
     topics : Topics, optional
-        Which topic feeds which role; guessed from the message types without.
+        Topic of each role; by default guessed from the message types.
 
     Raises
     ------
     InputError
-        A file that is no bag, a topic or field that is not there, a type that is not known, or no speed.
+        A file that is no bag, a missing topic or field, an unknown type, or no speed.
     MissingExtraError
         rosbags is not installed.
     """
@@ -125,7 +125,7 @@ class BagSource:
         self.findings: tuple[Finding, ...] = ()
 
     def _bound(self, found: Sequence[tuple[Path, list[Connection]]]) -> dict[tuple[Path, str], _Topic]:
-        """Return what to read, by path and topic; readings of one topic are decoded together."""
+        """Return the readings, by path and topic; those of one topic are decoded together."""
         there = {one.topic: one.msgtype for _, ones in found for one in ones}
         by_topic: dict[str, list[int]] = {}
         for index, reading_ in enumerate(self._readings):
@@ -180,7 +180,7 @@ class BagSource:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was guessed, which stamps are used, and in which unit a position was taken to be once it was read."""
+        """Notes on guesses, the stamps in use, and, after reading, the assumed unit of a position."""
         return (*self._notes, *self._position.notes)
 
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
@@ -234,7 +234,7 @@ class BagSource:
             most = min(BATCH_ROWS, max(1, max_rows // max(len(topic.roles) for topic in topics)))
             size = min(64, most)
             while batch := list(itertools.islice(batches, size)):
-                # A damaged index leads to messages that say they are of a connection not asked for: those stay missing.
+                # A damaged index leads to messages of a connection that was not requested: those stay missing.
                 which = np.array([index.get(one[0].topic, -1) for one in batch], np.intp)
                 if which.min() < 0:
                     batch = list(itertools.compress(batch, (which >= 0).tolist()))
@@ -318,7 +318,7 @@ class BagSource:
 
 
 def _times(stamps: Sequence[object]) -> IntArray | None:
-    """Log times that are such, as columns of a database need not be; else None."""
+    """Log times if they are valid, which a database does not enforce; else None."""
     times = np.array(stamps)
     return times if times.dtype == np.int64 and times.min() >= 0 and times.max() < MAX_LOG_NS else None
 

@@ -48,11 +48,11 @@ class Finding:
     Attributes
     ----------
     role, kind : str
-        Which role ("" for the whole recording), and what: see `trackres_ros.recording.quality.findings_of`.
+        Role ("" for the whole recording), and kind: see `trackres_ros.recording.quality.findings_of`.
     count : int
-        How many samples.
+        Number of samples.
     first_time_s : float
-        Where it was first seen, from the start of the recording [s]; NaN where it has no place.
+        Its first occurrence, from the start of the recording [s]; NaN without a place.
     text : str
         One sentence for the user.
     """
@@ -65,7 +65,7 @@ class Finding:
 
 
 class Source(Protocol):
-    """Where samples come from: a bag or a table, read in blocks so that memory does not grow."""
+    """Source of samples: a bag or a table, read in blocks so that memory does not grow."""
 
     @property
     def name(self) -> str:
@@ -81,7 +81,7 @@ class Source(Protocol):
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What reading itself met, of the last `blocks` run: malformed messages, for one."""
+        """Findings of reading itself, of the last `blocks` run, such as malformed messages."""
 
     @property
     def torque_candidates(self) -> tuple[str, ...]:
@@ -96,7 +96,7 @@ class Source(Protocol):
 
 
 class BoundSource(Source, Protocol):
-    """A source that says where each of its roles comes from."""
+    """A source with the origin of each of its roles."""
 
     @property
     def bindings(self) -> Mapping[str, TopicBinding]:

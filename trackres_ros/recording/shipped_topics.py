@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Lists the shipped topics files: what each reads, and where it is."""
+"""Lists the shipped topics files with their content and path."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Computes the slope of the road from the altitude: only where the vehicle moves, as sure as the altitude is, and no steeper
+"""Computes the slope of the road from the altitude: only in motion, as accurate as the altitude, and no steeper
 than roads are.
 """
 
@@ -17,14 +17,14 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SLOWEST_MPS = 0.5
-STAND_S = 10.0  # of standing: long enough to tell whether the altitude runs away by itself
-DRIFT, LEAST_DRIFT_M = 3.0, 5.0  # times what scatters about it, and at least: a run while standing that is none of noise
-HARMLESS_SLOPE = 0.01  # what such a run would make of a drive at the usual speed
-REACH_S = 120.0  # by which it may have begun before a stand, or end after it
+STAND_S = 10.0  # of standing: long enough to detect a drifting altitude
+DRIFT, LEAST_DRIFT_M = 3.0, 5.0  # times the scatter, and a minimum: a drift at standstill that is not noise
+HARMLESS_SLOPE = 0.01  # slope error due to such a drift at the usual speed
+REACH_S = 120.0  # time by which the drift may precede or outlast a standstill
 STEEPEST = 0.2  # rise over run; a few streets are steeper, no road that recordings are made on
 GRID_M = 5.0
-SHORTEST_M, LONGEST_M = 200.0, 3000.0  # over which a slope is taken
-SURE_SLOPE = 0.005  # standard deviation of a slope that is good enough
+SHORTEST_M, LONGEST_M = 200.0, 3000.0  # distance over which a slope is fitted
+SURE_SLOPE = 0.005  # sufficient standard deviation of a slope
 OF_A_LINE = 12.0**0.5  # standard deviation of the slope of a line over that of its points, and its length
 MAD_TO_STD = 1.4826
 
@@ -35,11 +35,11 @@ class Slopes(NamedTuple):
     Attributes
     ----------
     value
-        Rise over run, shape (n,); nan where it is not known.
+        Rise over run, shape (n,); nan where unknown.
     std
-        Their standard deviation, by the error of the altitude.
+        Their standard deviation, due to the error of the altitude.
     length_m
-        Over how much of the way each is taken.
+        Distance over which each is fitted.
     """
 
     value: Array
@@ -55,14 +55,14 @@ def slopes(time_s: Array, speed: Array, altitude: Array, error_m: float = 0.0) -
     time_s, speed, altitude
         Rising times [s], speeds [m/s] and altitudes [m] that may be nan, each of shape (n,).
     error_m
-        Standard deviation of an error of the altitude that lasts longer than the way a slope is taken over, and does not show
+        Standard deviation of a slow error of the altitude, which lasts longer than the fitted distance and does not show
         as scatter [m].
 
     Notes
     -----
-    What the altitude does while the vehicle stands is no slope, and is taken out. Where it runs away while the vehicle stands,
-    as that of a receiver or a pressure that still settles, it is not trusted for minutes before and after, either, or up to a
-    stand in which it is still. The rest is fitted by straight lines over as much of the way as its noise and its steps ask for.
+    Changes of the altitude at standstill are no slope, and are removed. If it drifts at standstill, such as that of a
+    receiver or a pressure that still settles, it is ignored for minutes before and after, or up to a standstill without drift.
+    The rest is fitted by straight lines over a distance that depends on its noise and its steps.
     """
     known = np.isfinite(altitude)
     unknown = Slopes(np.full(len(time_s), np.nan), np.nan, np.nan)
@@ -95,7 +95,7 @@ def _step(altitude: Array) -> float:
 
 
 def _lines(profile: Array, length: float) -> tuple[Array, Array]:
-    """Level and slope of the straight line through what lies within half a length of each point of a profile."""
+    """Level and slope of the straight line through the points within half a length of each point of a profile."""
     half = max(1, min(round(0.5 * length / GRID_M), len(profile) // 2))
     place = np.arange(len(profile), dtype=float)
     sums = [np.concatenate(([0.0], np.cumsum(x))) for x in (np.ones(len(profile)), place, place**2, profile, place * profile)]
@@ -106,7 +106,7 @@ def _lines(profile: Array, length: float) -> tuple[Array, Array]:
 
 
 def _untrusted(time_s: Array, height: Array, speed: Array, moving: Mask) -> Mask:
-    """Around each stand in which the altitude runs away, at most up to the stands before and after."""
+    """Around each standstill with a drifting altitude, at most up to the standstills before and after."""
     stands = [(a, b) for a, b in _runs(~moving) if time_s[b - 1] - time_s[a] >= STAND_S]
     usual = float(np.median(np.abs(speed[moving])))
     bad = np.zeros(len(time_s), dtype=bool)

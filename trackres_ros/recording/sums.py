@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Adds the parts of a role that come in messages, each at its own times; alike live and out of a bag."""
+"""Adds the parts of a role from messages at different times; equal live and from a bag."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Assumed: a measured torque holds for 0.5 s. `max_age_s` of the role replaces it.
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What is read for a role: all of it, or a part of a sum."""
+    """Reading for a role: all of it, or a part of a sum."""
 
     role: str
     part: int | None
@@ -35,7 +35,7 @@ class Reading:
 
 
 def readings_of(roles: Sequence[str], bindings: Mapping[str, TopicBinding]) -> tuple[Reading, ...]:
-    """What is read for some roles, in their order."""
+    """Readings of some roles, in their order."""
     return tuple(
         Reading(role, number if bindings[role].parts else None, part)
         for role in roles
@@ -49,7 +49,7 @@ class Sums:
     Parameters
     ----------
     readings
-        What is read, by `readings_of`.
+        From `readings_of`.
     bindings
         By role.
     """
@@ -75,7 +75,7 @@ class Sums:
                 yield Finding(role, "part", one.alone, float("nan"), text)
 
     def added(self, block: SampleBlock) -> SampleBlock:
-        """A block of readings as one of roles: sums stand in the place of the part that completes them."""
+        """A block of readings as one of roles: a sum replaces the part that completes it."""
         if not self._sums:
             return block
         parts = np.flatnonzero(self._is_part[block.role])
@@ -103,13 +103,13 @@ class Sums:
 class Sum:
     """The sum of parts, at the times of the first topic.
 
-    Parts of one message belong together: where one is missing there is no sum. Those of other topics are taken at the time of
-    the first one, on a line between the samples before and after; where these are too far apart, there is no sum.
+    Parts of one message belong together: a missing one leaves no sum. Those of other topics are interpolated linearly to the
+    time of the first one; if the samples around it are too far apart, there is no sum.
 
     Parameters
     ----------
     role
-        What is summed.
+        Role of the sum.
     binding
         Its parts are fields of topics.
     """
@@ -138,16 +138,16 @@ class Sum:
         return f"{self._role}: sum at the times of {self._topics[0]}; {others} {between}"
 
     def add(self, part: int, stamp_ns: int, arrival_ns: int, value: float) -> list[tuple[int, float]]:
-        """Take a part of a message, and return the sums that it completes.
+        """Add a part of a message, and return the sums that it completes.
 
         Parameters
         ----------
         part
-            Its place among the parts.
+            Its index among the parts.
         stamp_ns, arrival_ns
-            Of its message [ns]; where the stamp is 0, never set, the arrival counts.
+            Of its message [ns]; a stamp of 0, never set, is replaced by the arrival.
         value
-            Scaled as its line of the topics file says.
+            Scaled by its line of the topics file.
 
         Returns
         -------
@@ -207,7 +207,7 @@ class Sum:
 
 
 def _at(samples: deque[tuple[int, float]], clock: int, apart_ns: int) -> float | str:
-    """The value at a time: "later" while the sample after it is not there, "never" where there is none near enough."""
+    """The value at a time: "later" before the next sample has arrived, "never" without one near enough."""
     while len(samples) > 1 and samples[1][0] <= clock:
         samples.popleft()
     if not samples:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Names the columns or topics that may hold the torque, where none was read."""
+"""Names the columns or topics that may hold the torque, if none was read."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def of_topics(types: Mapping[str, str]) -> list[str]:
 
 
 def note_of(candidates: Sequence[str], roles: Iterable[str]) -> list[str]:
-    """What the notes of a recording say of candidates; nothing where a torque was read."""
+    """Notes of a recording on candidates; empty if a torque was read."""
     if not candidates or any(base_role(role) == "torque" for role in roles):
         return []
     return [f"no torque channel is in use; candidates: {listed_names(candidates)}"]

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads an MCAP file that was not finished, as after a kill: up to its last whole chunk, with an ending made here."""
+"""Reads an MCAP file that was not finished, such as after a kill: up to its last complete chunk, with an ending made here."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ LEAST = {HEADER: 8, SCHEMA: 2, CHANNEL: 4, MESSAGE: MESSAGE_HEAD.size, CHUNK: 40
 
 @dataclass(slots=True)
 class _Found:
-    """What was found up to the last whole chunk, or the last whole message of a file without chunks."""
+    """Content up to the last complete chunk, or the last complete message of a file without chunks."""
 
     whole: int = 0
     schemas: dict[int, bytes] = field(default_factory=dict)
@@ -64,7 +64,7 @@ class _Found:
     offsets: dict[int, int] = field(default_factory=dict)  # of its index, by channel
 
     def take(self, kind: int, content: bytes) -> int:
-        """Take a schema, a channel or a message; its number, or that of its channel."""
+        """Process a schema, a channel or a message; return its number, or that of its channel."""
         number: int = struct.unpack_from("<H", content)[0]
         if kind == MESSAGE:
             log_ns = MESSAGE_HEAD.unpack_from(content)[2]
@@ -75,7 +75,7 @@ class _Found:
         return number
 
     def leave_out_last_message(self) -> None:
-        """Of messages outside of chunks: it has no checksum, so it may have been filled up with anything after a power cut."""
+        """Of messages outside of chunks: without a checksum they may contain arbitrary bytes after a power cut."""
         if self.loose is not None:
             self.whole, number = self.loose
             self.counts[number] -= 1
@@ -110,17 +110,17 @@ class Recovered:
 
 
 class UnfinishedBag:
-    """A file that lacks its end, and reads as if it had one; to `rosbags` it is a path.
+    """A file without its end, read as if it had one; to `rosbags` it is a path.
 
     Parameters
     ----------
     path : Path
-        An MCAP file for which `is_unfinished` holds.
+        An MCAP file for which `is_unfinished` is true.
 
     Raises
     ------
     InputError
-        There is no whole message in it.
+        There is no complete message in it.
     """
 
     suffix = ".mcap"
@@ -161,7 +161,7 @@ class UnfinishedBag:
         return io.BufferedReader(_Joined(self.path.open("rb"), self._whole, self._ending))
 
     def write(self, path: Path) -> None:
-        """Write it finished to another file, which takes its place when it is whole.
+        """Write it finished to another file, which is put in place when complete.
 
         Raises
         ------
@@ -224,7 +224,7 @@ def is_unfinished(path: Path) -> bool:
 
 
 def _scanned(file: BinaryIO, size: int) -> _Found:
-    """Go from record to record as far as they are whole, with chunks whose checksum holds."""
+    """Read record by record as far as they are complete, with chunks whose checksum is correct."""
     found, at = _Found(), len(MAGIC)
     while at + HEAD.size <= size:
         file.seek(at)
@@ -252,7 +252,7 @@ def _scanned(file: BinaryIO, size: int) -> _Found:
 
 
 def _take_chunk(found: _Found, content: bytes, at: int) -> bool:
-    """Take the messages of a chunk; false where it is damaged, and nothing is taken."""
+    """Process the messages of a chunk; return false, and process none, if it is damaged."""
     try:
         first, last, size, crc, name = struct.unpack_from("<QQQII", content)
         compression = content[32 : 32 + name].decode()
@@ -265,7 +265,7 @@ def _take_chunk(found: _Found, content: bytes, at: int) -> bool:
         records = list(_records(data))
     except MissingExtraError:
         raise
-    except Exception:  # whatever the library and what it unpacks with raise
+    except Exception:  # any exception of the library and its decompressors
         return False
     found.last_chunk, found.offsets = [], {}
     for kind, offset, record_content in records:
@@ -297,9 +297,9 @@ def _records(data: bytes) -> Iterator[tuple[int, int, bytes]]:
 
 
 def _end_of(found: _Found) -> tuple[int, bytes]:
-    """Where what is used of the file ends, and what is to follow there.
+    """Offset of the end of the usable content, and the bytes to append there.
 
-    The index behind the last chunk may be cut off, so it is made anew.
+    The index after the last chunk may be cut off, so it is made again.
     """
     if not found.indexed or not found.chunks:
         return found.whole, ending_without_summary()

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Unpacks archives inside bags up to a ceiling: a few bytes may ask for all the memory there is."""
+"""Unpacks archives inside bags up to a ceiling: a few bytes may request all of the memory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.text.numbers import figures
 
 MAX_CHUNK_BYTES = 2**28
-"""Of what a chunk holds; recorders write chunks of 1 to 4 MB, or of one message. Reading it takes twice that in memory."""
+"""Of a chunk's content; recorders write chunks of 1 to 4 MB, or of one message. Reading it takes twice that in memory."""
 MAX_MESSAGE_BYTES = 2**26
 """Of one message; assumed: no message with a number of a vehicle is as large, an image of 20 megapixels is."""
 ZSTD_MAGIC, ZSTD_SKIPPABLE, ZSTD_BLOCK_BYTES = 0xFD2FB528, 0x184D2A50, 2**17
@@ -85,7 +85,7 @@ def _lz4() -> _Decompressor:
 
 
 def check_zstd() -> None:
-    """Refuse what is packed as zstd where nothing unpacks it.
+    """Refuse zstd data without a library to unpack them.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def check_zstd() -> None:
 
 
 def unpackers() -> dict[str, Callable[[bytes, int], bytes]]:
-    """Return what unpacks a chunk of MCAP, by the name of its compression: packed bytes and the size they unpack to go in."""
+    """Return the decompressor of an MCAP chunk, by its compression's name: it takes packed bytes and their unpacked size."""
     return {"": lambda data, _: data, "zstd": _of_size(_zstd()), "lz4": _of_size(_lz4)}
 
 
@@ -116,14 +116,14 @@ def unpack_file(packed: Path, to: Path) -> None:
 
 
 def unpacked(make: Callable[[], _Decompressor], data: bytes, most: int) -> bytes:
-    """Unpack all that is packed one after another in some bytes.
+    """Unpack all concatenated archives in some bytes.
 
     Parameters
     ----------
     make : callable
         Makes a decompressor.
     data : bytes
-        One or several whole archives.
+        One or several complete archives.
     most : int
         The ceiling [bytes].
 
@@ -173,7 +173,7 @@ def set_ceilings() -> None:
 
 
 def set_can_ceilings() -> None:
-    """Put a decompressor that stops in the place of the one with which python-can unpacks BLF."""
+    """Replace python-can's decompressor for BLF by one with a ceiling."""
     from can.io import blf
 
     stopping = {**vars(zlib), "decompressobj": lambda: SimpleNamespace(decompress=_inflate)}
@@ -181,7 +181,7 @@ def set_can_ceilings() -> None:
 
 
 def set_mdf_ceilings() -> None:
-    """Put it where asammdf takes its own from, and keep that from stumbling over a file that it could not open."""
+    """Replace asammdf's decompressor likewise, and prevent its failure on a file that it could not open."""
     from asammdf.blocks import mdf_v4, utils, v4_constants
 
     if hasattr(utils, "DECOMPRESS_FUNC_MAP"):
@@ -198,7 +198,7 @@ def _close_quietly(mdf: Any) -> None:
 
 
 def _inflate(data: bytes) -> bytes:
-    """Unpack the one archive that some bytes begin with, up to the ceiling of a message."""
+    """Unpack the first archive in some bytes, up to the ceiling of a message."""
     one = zlib.decompressobj()
     whole = one.decompress(data, MAX_MESSAGE_BYTES)
     if one.unconsumed_tail:
@@ -209,7 +209,7 @@ def _inflate(data: bytes) -> bytes:
 
 
 def _of_size(make: Callable[[], _Decompressor]) -> Callable[[bytes, int], bytes]:
-    """Unpack a chunk of MCAP, which says its size."""
+    """Unpack a chunk of MCAP of a stated size."""
 
     def unpack(data: bytes, size: int) -> bytes:
         if size > MAX_CHUNK_BYTES:
@@ -229,7 +229,7 @@ def check_space(path: Path) -> None:
     Raises
     ------
     InputError
-        With how much that is.
+        With the size.
     """
     with path.open("rb") as file:
         size = _zstd_bound(file)
@@ -243,7 +243,7 @@ def check_space(path: Path) -> None:
 
 
 def _zstd_bound(file: BinaryIO) -> int:
-    """Most that the frames of a file unpack to [bytes], from the heads of their blocks; what is damaged ends them."""
+    """Largest unpacked size of a file's frames [bytes], from the heads of their blocks; ends at a damaged one."""
     blocks = 0
     while len(head := file.read(8)) == 8:
         magic, length = struct.unpack("<II", head)

@@ -15,7 +15,7 @@ from trackres_ros.recording.samples import FloatArray
 
 SLOWEST_MPS = 2.0  # below it pulses of a wheel come too slowly
 STRAIGHT_RAD = 0.05  # of steering: wheels at the outside of a turn have a longer way
-STRAIGHT_RADPS = 0.03  # of turning, where no steering is recorded
+STRAIGHT_RADPS = 0.03  # of turning, without a recorded steering
 PIECES, FEWEST_EACH = 8, 30
 SURE = 3.0  # standard deviations
 KNM = 1e3  # Nm
@@ -28,13 +28,13 @@ class Wheel:
     Attributes
     ----------
     name : str
-        As the role has it.
+        As in the role.
     ratio, ratio_std : float
         Its speed over that of the vehicle without torque, and its standard deviation: the wheel rolls on its nominal radius
         over the ratio.
     slip, slip_std : float
-        By how much of its speed it turns faster than the vehicle says, for each kNm of torque on all wheels; nan where no
-        torque is recorded.
+        Relative excess of its speed over the vehicle's, per kNm of torque on all wheels; nan without a
+        recorded torque.
     """
 
     name: str
@@ -45,17 +45,17 @@ class Wheel:
 
 
 def wheels(held: Mapping[str, FloatArray]) -> tuple[Wheel, ...]:
-    """What the wheels of a recording say, where it drives straight on long enough.
+    """Wheel ratios and slips of a recording, if it drives straight for long enough.
 
     Parameters
     ----------
     held
-        Roles on the samples of the speed, as `Recording.aligned` gives them.
+        Roles on the samples of the speed, from `Recording.aligned`.
 
     Notes
     -----
-    The speed v_w of a wheel is fitted by r v + k v T + tau a by least squares: the ratio r, the slip k by torque T, and what a
-    delay tau of one of the two speeds makes of the acceleration a, which would pass for a slip otherwise. Standard deviations
+    The speed v_w of a wheel is fitted by r v + k v T + tau a by least squares. These are the ratio r, the slip k by torque T, and
+    the delay tau between the two speeds with acceleration a, which would otherwise look like slip. Standard deviations
     are those between consecutive pieces of the recording.
     """
     time, speed = held["time_s"], held["speed"]
@@ -92,7 +92,7 @@ def _fitted(name: str, columns: FloatArray, rim: FloatArray, usable: np.ndarray)
 
 
 def driven(found: Sequence[Wheel]) -> dict[str, tuple[float, float]]:
-    """Wheels that surely turn faster under torque than the one that does least, by how much for each kNm, and its std.
+    """Wheels that surely turn faster under torque than the one with the least slip, by how much per kNm, and its std.
 
     That one rolls freely, or slips least: the vehicle's own speed may be that of the driven wheels.
     """
@@ -104,7 +104,7 @@ def driven(found: Sequence[Wheel]) -> dict[str, tuple[float, float]]:
 
 
 def wheel_notes(held: Mapping[str, FloatArray]) -> list[str]:
-    """What wheels show of their radii and slip, a sentence each; nothing where none is recorded for long enough."""
+    """Radii and slip of the wheels, a sentence each; empty if none is recorded for long enough."""
     found = wheels(held)
     if not found:
         return []
@@ -115,6 +115,6 @@ def wheel_notes(held: Mapping[str, FloatArray]) -> list[str]:
         listed = ", ".join(f"{name} {slip:.3%} +- {std:.3%}" for name, (slip, std) in slipping.items())
         free, most = min(found, key=lambda wheel: wheel.slip), max(slip for slip, _ in slipping.values())
         text = f"wheels that turn faster than {free.name} under torque, with their slip per kNm: {listed}"
-        behind = free.slip < -0.5 * most  # its speed is nearer to that of the wheels that slip
+        behind = free.slip < -0.5 * most  # its speed is closer to that of the slipping wheels
         notes.append(f"{text}; the vehicle's speed has the same slip" if behind else text)
     return notes

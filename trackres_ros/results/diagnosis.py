@@ -100,8 +100,8 @@ class DiagnosisResult:
     def vehicle(self) -> AnyVehicle | OwnModel:
         """The vehicle with the effects that the hold-out laps confirm; on these laps never worse than the given one.
 
-        It is the vehicle of the file that `report` writes, in the surroundings that were given. What was found of the site, the
-        weather and the ground is not in it: `report` writes a file of its own. Its `source` is a file that is kept while the
+        It is the vehicle file that `report` writes, in the given surroundings. Findings on site, weather and ground are
+        excluded: `report` writes them to a separate file. Its `source` is a file that exists while the
         program runs.
         """
         if isinstance(self.diagnosis.base, OwnBase):
@@ -120,12 +120,12 @@ class DiagnosisResult:
         """Write the files of `trackres diagnose -o`: report.json, report.html with pictures, vehicle.yaml, and
         surroundings.yaml if an effect belongs to the surroundings.
 
-        Without jinja2 or matplotlib there is no page, and a warning says so.
+        Without jinja2 or matplotlib there is no page, only a warning.
 
         Parameters
         ----------
         folder
-            Made if need be.
+            Created if needed.
         page
             Whether to write report.html and its pictures, which takes as long as a short diagnosis.
 
@@ -199,7 +199,7 @@ class DiagnosisResult:
         )
 
     def _picture(self) -> str:
-        """Measured against simulated, where it can be drawn."""
+        """Measured against simulated torque, if it can be drawn."""
         try:
             from trackres_ros.diagnosis.report.pictures import draw_before_after
 

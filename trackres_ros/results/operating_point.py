@@ -11,7 +11,7 @@ from trackres_ros.text.numbers import decimals
 from trackres_ros.text.table import table as text_table
 
 WHEEL_HEAD = {"load": "N", "half length": "mm", "strain": "1", "frequency": "Hz", "modulus": "MPa"}
-"""What is shown of a road wheel's contact, and its unit."""
+"""Displayed values of a road wheel's contact, and their units."""
 
 
 class OperatingPoint(Content):

@@ -95,7 +95,7 @@ class ReplayResult(SeriesResult):
 
     @cached_property
     def _watched(self) -> dict[str, Array]:
-        """What is watched for, by column."""
+        """Watched disturbance, by column."""
         watched = DisturbanceColumns(self.vehicle)
         blocks = [watched.of(steps) for steps in self._blocks()]
         return {name: np.concatenate([block[i] for block in blocks]) for i, name in enumerate(watched.names)}
@@ -162,7 +162,7 @@ class ReplayResult(SeriesResult):
         Returns
         -------
         dict
-            What was read, what was found wrong, and how the estimate ended.
+            Input, defects, and the last estimate.
         """
         return summary(self._replayed, self.name, self.notes, self.findings)
 

@@ -47,7 +47,7 @@ class SeriesResult(Mapping[str, Array]):
 
     @abstractmethod
     def _attributes(self) -> dict[str, str]:
-        """What it is of, for the attributes of a table."""
+        """Name of the vehicle, for the attributes of a table."""
 
     @abstractmethod
     def save(self, path: str | PathLike[str]) -> Path:
@@ -58,7 +58,7 @@ class SeriesResult(Mapping[str, Array]):
         """The columns of the picture, which may be thinned."""
 
     def _coverage(self) -> Array | None:
-        """Seconds that were learned from, where something was."""
+        """Seconds used for learning, if any."""
         return None
 
     def __iter__(self) -> Iterator[str]:
@@ -73,7 +73,7 @@ class SeriesResult(Mapping[str, Array]):
         return self["time_s"]
 
     def to_pandas(self) -> pd.DataFrame:
-        """A pandas DataFrame over `time_s`, the other columns as they are named here.
+        """A pandas DataFrame over `time_s`, the other columns under the same names.
 
         Returns
         -------
@@ -95,9 +95,9 @@ class SeriesResult(Mapping[str, Array]):
         return frame
 
     def to_xarray(self) -> xr.Dataset:
-        """An xarray Dataset over `time_s`, and what is of an assembly over `assembly` too; the unit is in `attrs` of each.
+        """An xarray Dataset over `time_s`, and over `assembly` for columns of assemblies; the unit is in `attrs` of each.
 
-        ``belt_degc`` is then one variable of shape (times, assemblies). Where the whole vehicle has a column of the same name,
+        ``belt_degc`` is then one variable of shape (times, assemblies). If the whole vehicle has a column of the same name,
         that of the assemblies is called ``assembly_resistance_torque_nm``.
 
         Returns
@@ -141,7 +141,7 @@ class SeriesResult(Mapping[str, Array]):
         Returns
         -------
         matplotlib.figure.Figure
-            Which a notebook shows by itself.
+            A notebook shows it.
 
         Raises
         ------

@@ -36,11 +36,11 @@ SUMMARY_TIMES_S = (50.0, 250.0, 600.0, 1000.0, 2500.0)
 class SimulationResult(SeriesResult):
     """Torques [Nm] and belt temperature [degC] along a drive, one row per time step; see `trackres_ros.simulate`.
 
-    Columns are ``time_s``, ``speed_mps``, ``weight_n``, ``ambient_degc``, ``belt_degc`` (mean over the assemblies),
-    ``resistance_torque_nm``, which is the sum of ``hysteresis_nm``, ``bearing_nm``, ``wind_nm`` and ``effects_nm`` (without
-    belts no ``belt_degc`` and ``hysteresis_nm``, and all that rolls is in ``bearing_nm``), then
-    ``inertia_nm``, ``drive_torque_nm`` (resistance and inertia), and ``grade_nm`` where the profile has a grade, which the
-    drive torque holds then.
+    Columns are ``time_s``, ``speed_mps``, ``weight_n``, ``ambient_degc``, ``belt_degc`` (mean over the assemblies) and
+    ``resistance_torque_nm``, the sum of ``hysteresis_nm``, ``bearing_nm``, ``wind_nm`` and ``effects_nm``. Then follow
+    ``inertia_nm``, ``drive_torque_nm`` (resistance and inertia), and ``grade_nm`` if the profile has a grade, which then is
+    part of the drive torque. Without belts there are no ``belt_degc`` and ``hysteresis_nm``, and ``bearing_nm`` has all rolling
+    resistance.
 
     Attributes
     ----------

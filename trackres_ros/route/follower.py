@@ -1,8 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Follows a vehicle on a route that was learned: positions and speeds come in, one by one, and what was learned of the ground
-under it comes out. It is compiled, and all that it remembers stands in one array.
+"""Follows a vehicle on a learned route: takes positions and speeds one by one, and returns the learned ground under the vehicle.
+It is compiled, with all its memory in one array.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from trackres_ros.route.lookup import learned_at
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-COURSE_M = 15.0  # between two positions that say where it is heading: their scatter is a part of it
-FARTHEST_M = 150.0  # between two positions: the way between them is not known
-MOVING_MPS = 0.5  # slower, positions say nothing of where it is heading
+COURSE_M = 15.0  # between two positions for a course: their scatter is a part of it
+FARTHEST_M = 150.0  # between two positions: beyond, the path between them is unknown
+MOVING_MPS = 0.5  # slower, positions do not show the course
 LONGEST_M = 100.0  # without a position, that its place is carried on by its speed
 EVERY_S = 0.2  # between two looks at the route
 
-SLOPES, TORQUES = range(2)  # kinds of what is learned by place, as of `lookup.lookup_of`
+SLOPES, TORQUES = range(2)  # kinds of values learned by place, as of `lookup.lookup_of`
 
 # What is remembered: the last position and the one that the course counts from, east and north of a frame [m]; the course, of
 # length 1; whether it backs up; distance driven since that position, and since the last one [m]; time since the last look [s];
@@ -72,7 +72,7 @@ def take_position(followed: Array, x: float, y: float) -> None:
 
 @inlined
 def drive_on(followed: Array, speed: float, dt: float, since_position: float) -> None:
-    """A speed came [m/s], so long after the one before and so long after the last position, by their stamps [s]."""
+    """Process a speed [m/s], given the time since the last one and since the last position, by their stamps [s]."""
     followed[SINCE_M] += abs(speed) * dt
     followed[AHEAD_M] += abs(speed) * min(max(since_position, 0.0), dt)
     followed[LOOKED_S] += dt
@@ -85,8 +85,8 @@ def drive_on(followed: Array, speed: float, dt: float, since_position: float) ->
 
 @inlined
 def look(cells: IntArray, places: Array, followed: Array, is_old: bool) -> None:
-    """See what was learned of the ground under it, if the last look was long enough ago; `is_old` tells whether the last position
-    is.
+    """Look up the ground under the vehicle, if the last look-up is old enough; `is_old` means that the last position
+    is old.
     """
     if followed[LOOKED_S] < EVERY_S:
         return

@@ -30,15 +30,15 @@ class RouteMap:
     Attributes
     ----------
     kind
-        `SLOPE`: rise over run the way a place points; `TORQUE`: against travel [Nm].
+        `SLOPE`: rise over run in the direction of a place; `TORQUE`: against travel [Nm].
     latitude, longitude
         [rad].
     course
-        The way a place points, about the upward axis from east [rad].
+        Direction of a place, about the upward axis from east [rad].
     value, std
-        Of one who travels the way a place points, and the other way; nan where that was not driven. Shape (places, 2).
+        For travel in the direction of a place, and against it; nan where not driven. Shape (places, 2).
     passes
-        How often it was passed where it was learned.
+        Number of passes used for learning.
     """
 
     kind: str
@@ -67,7 +67,7 @@ class RouteMap:
         return Places(self.table(self.frame)[:, POSE].tolist())
 
     def table(self, frame: Frame) -> Array:
-        """Places in a frame, with what was learned, as `lookup.lookup_of` takes them."""
+        """Places in a frame, with their learned values, for `lookup.lookup_of`."""
         table = np.empty((len(self), PLACE_COLUMNS))
         table[:, POSE] = np.stack(
             [*frame.metres(self.latitude, self.longitude), np.cos(self.course), np.sin(self.course)], axis=1
@@ -76,8 +76,8 @@ class RouteMap:
         return table
 
     def at(self, x: float, y: float, east: float, north: float) -> tuple[float, float]:
-        """Value and standard deviation for one who travels in a direction at a place [m], of a slope the rise along the travel;
-        nan where nothing was learned.
+        """Value and standard deviation for travel in a direction at a place [m], for a slope the rise along the travel;
+        nan where unknown.
         """
         return learned_at(*self._lookup, 0, x, y, east, north)
 
@@ -87,12 +87,12 @@ class RouteMap:
 
 
 def of_kind(route: Sequence[RouteMap], kind: str) -> RouteMap | None:
-    """The map of a kind, None where there is none."""
+    """The map of a kind, or None."""
     return next((one for one in route if one.kind == kind), None)
 
 
 def frame_of(route: Sequence[RouteMap]) -> Frame:
-    """Local metres about the middle of all of it."""
+    """Local metres about the middle of all maps."""
     return Frame.about(*(np.concatenate([np.empty(0), *(getattr(m, name) for m in route)]) for name in ("latitude", "longitude")))
 
 

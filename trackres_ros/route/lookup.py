@@ -19,11 +19,11 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SPACING_M = 20.0  # of places along a street
-ASIDE_M = 25.0  # two drives on one street lie as far apart as the scatter of positions and its lanes make them
+ASIDE_M = 25.0  # spacing of two drives on one street: the scatter of positions and its lanes
 ALIKE = math.cos(math.radians(45.0))  # of directions: less is a street that crosses
 REACH = 1.5  # spacings ahead or behind that a place is looked for
 JOINED = 0.75  # of a spacing: no new place so near to another
-SIDEWAYS = 0.5  # how much distance aside counts beside distance along
+SIDEWAYS = 0.5  # weight of distance aside relative to distance along
 CELL_M = 50.0  # of the grid in which places are looked up: more than ASIDE_M and REACH spacings come to
 
 # A place: east and north of a frame [m], its direction, of length 1, its number; and what was learned there of one who travels
@@ -35,7 +35,7 @@ POSE, VALUES, STDS = slice(X, NUMBER), slice(ALONG, STD_ALONG), slice(STD_ALONG,
 KEY, FIRST, END = range(3)
 CELL_COLUMNS = 3
 HALF, SPAN = 1 << 15, 1 << 16  # cells about the middle of a frame, and in a row: 1600 km to either side
-OF_A_KIND = SPAN * SPAN  # keys: each kind of place has cells of its own
+OF_A_KIND = SPAN * SPAN  # keys: each kind of place has its own cells
 NOWHERE = -1, -1, 0.0, 0.0, 0.0
 
 
@@ -47,12 +47,12 @@ class Lookup(NamedTuple):
 
 
 def lookup_of(kinds: list[Array]) -> Lookup:
-    """Places ready to be looked up.
+    """Places ready for look-up.
 
     Parameters
     ----------
     kinds
-        Places of each kind, shape (places, PLACE_COLUMNS); finite but for what was learned.
+        Places of each kind, shape (places, PLACE_COLUMNS); finite except for learned values.
     """
     keys = [kind * OF_A_KIND + _keys(places) for kind, places in enumerate(kinds)]
     key = np.concatenate([np.empty(0, dtype=np.int64), *keys])
@@ -77,13 +77,13 @@ def cell_of(metres: float) -> int:
 def seen_from(
     x: float, y: float, east: float, north: float, of_x: float, of_y: float, of_east: float, of_north: float
 ) -> tuple[float, float, float]:
-    """A place as one sees it who travels at (x, y) in a direction.
+    """A place relative to a vehicle at (x, y) that travels in a direction.
 
     Returns
     -------
     along, far, sign
-        Distance along the travel [m]; how far it counts as [m], infinite of a place that is on another street or out of reach;
-        1 where it points the way of the travel, else -1.
+        Distance along the travel [m]; weighted distance [m], infinite for a place on another street or out of reach;
+        1 if its direction is that of the travel, else -1.
     """
     alike = of_east * east + of_north * north
     along = (of_x - x) * east + (of_y - y) * north
@@ -97,12 +97,13 @@ def seen_from(
 def between(
     cells: IntArray, places: Array, kind: int, x: float, y: float, east: float, north: float
 ) -> tuple[int, int, float, float, float]:
-    """The places behind and ahead of one who travels at (x, y) [m] in a direction.
+    """The places behind and ahead of a vehicle at (x, y) [m] that travels in a direction.
 
     Returns
     -------
     behind, ahead, share, sign_behind, sign_ahead
-        Rows of `places`, -1 where there is none near; how much the one ahead counts; and whether each points along the travel (1)
+        Rows of `places`, -1 without a near one; the weight of the one ahead; and whether the direction of each is along the
+        travel (1)
         or against it (-1).
     """
     if not (abs(x) < CELL_M * (HALF - 2) and abs(y) < CELL_M * (HALF - 2)):
@@ -134,7 +135,7 @@ def between(
 
 @inlined
 def first_at(cells: IntArray, key: int) -> int:
-    """The first cell whose key is no smaller."""
+    """The first cell with a key that is not smaller."""
     low, high = 0, cells.shape[0]
     while low < high:
         middle = (low + high) // 2
@@ -147,8 +148,8 @@ def first_at(cells: IntArray, key: int) -> int:
 
 @inlined
 def learned_at(cells: IntArray, places: Array, kind: int, x: float, y: float, east: float, north: float) -> tuple[float, float]:
-    """What was learned of a kind for one who travels at (x, y) [m] in a direction, and its standard deviation; nan where nothing
-    was.
+    """Learned value of a kind for travel at (x, y) [m] in a direction, and its standard deviation; nan where
+    unknown.
     """
     behind, ahead, share, sign_behind, sign_ahead = between(cells, places, kind, x, y, east, north)
     total = spread = weight = 0.0

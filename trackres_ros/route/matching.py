@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Matches drives to themselves: places along streets, and where a drive is between them, whichever way it goes."""
+"""Matches drives to themselves: places along streets, and the position of a drive between them, in either direction."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Places:
 
     @property
     def lookup(self) -> Lookup:
-        """The places, to be looked up by where one is; nothing is learned of them."""
+        """The places, for look-up by position, without learned values."""
         places = np.full((len(self), PLACE_COLUMNS), np.nan)
         places[:, POSE], places[:, NUMBER] = self.table, np.arange(len(self))
         return lookup_of([places])
@@ -79,15 +79,15 @@ class Places:
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """Where the points of a track are between places.
+    """Position of the points of a track between places.
 
     Attributes
     ----------
     place, share, sign
-        The places behind and ahead, -1 where it is at none, how much each counts, and 1 where the place's direction is that of
-        travel, -1 where it is the other one; shape (points, 2).
+        The places behind and ahead, -1 without one, their weights, and 1 if the place's direction is that of
+        travel, else -1; shape (points, 2).
     number, number_this_way
-        Which of all passes of the nearer place this is, and which of those in this direction, from 0; -1 where it is at none.
+        Index of this pass among all of the nearer place, and among those in this direction, from 0; -1 without a place.
         Shape (points,).
     """
 
@@ -99,7 +99,7 @@ class Matched:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Where it is at a place."""
+        """Whether each point is at a place."""
         return np.asarray(self.number >= 0)
 
     def at(self, points: Indices) -> Matched:
@@ -108,7 +108,7 @@ class Matched:
         return Matched(self.place[points], self.share[points], self.sign[points], number, this_way)
 
     def middles(self, each: int) -> Matched:
-        """The middle one of each so many points; at no place where not all of them are at one."""
+        """The middle point of each group of so many; at no place unless all of them are at one."""
         middle = self.at(np.arange(each // 2, len(self.number), each))
         whole = self.known.reshape(-1, each).all(axis=1)
         number, this_way = (np.where(whole, n, -1) for n in (middle.number, middle.number_this_way))
@@ -116,7 +116,7 @@ class Matched:
 
 
 def places_of(tracks: Sequence[DrivenTrack]) -> Places:
-    """Places of all streets that were driven, in the order in which they were first."""
+    """Places of all driven streets, in the order of their first pass."""
     places = Places()
     for track in tracks:
         for at in _known(track):
@@ -126,7 +126,7 @@ def places_of(tracks: Sequence[DrivenTrack]) -> Places:
 
 
 def matched(places: Places, tracks: Sequence[DrivenTrack]) -> list[Matched]:
-    """Where tracks are between places, and how often each was passed until then."""
+    """Position of tracks between places, and the number of earlier passes of each."""
     passes, last = np.full((len(places), 3), -1), np.full((len(places), 3), -np.inf)  # one way, the other, and either
     lookup = places.lookup
     numbers = lookup.places[:, NUMBER].astype(np.int64)
@@ -150,7 +150,7 @@ def matched(places: Places, tracks: Sequence[DrivenTrack]) -> list[Matched]:
 
 
 def neighbours(tracks: Sequence[Matched]) -> dict[tuple[int, int], float]:
-    """Places that follow one another on some track, the lower number first, and whether they point the same way (1, else -1)."""
+    """Consecutive places on some track, the lower number first, and whether they have the same direction (1, else -1)."""
     found: dict[tuple[int, int], float] = {}
     for track in tracks:
         before: tuple[int, float] | None = None

@@ -25,7 +25,7 @@ from trackres_ros.units import DEGREE
 Array = NDArray[np.float64]
 
 MOST_BYTES = 1 << 26  # half a million places, ten thousand kilometres of streets
-MOST_IN_A_CELL = 200  # places: streets that lie one over the other have some tens, and each takes time in the vehicle
+MOST_IN_A_CELL = 200  # places: crossing streets have some tens, and each takes computing time in the vehicle
 MOST_NM = 1e7
 PLACE = {
     "latitude_deg": (-90.0, 90.0),
@@ -49,7 +49,7 @@ HEADERS = [
 
 
 def write_route(path: Path, route: Sequence[RouteMap]) -> None:
-    """Write what was learned by place: a row for each place of which anything was, and a cell that is empty where nothing was."""
+    """Write learned values by place: a row for each place with any, and an empty cell for a missing one."""
     rows: dict[str, dict[str, str]] = {}
     for one in route:
         for at, learned, passes in zip(_places(one), _learned(one), one.passes.tolist(), strict=True):
@@ -72,7 +72,7 @@ def _learned(route: RouteMap) -> list[dict[str, str]]:
     std = np.where(np.isfinite(route.value), route.std, np.nan)
     values = np.stack([route.value, std], axis=2).reshape(len(route), -1)
     rows = ([f"{x:.{digits}f}" if math.isfinite(x) else "" for x in row] for row in values.tolist())
-    return [dict(zip(LEARNED[route.kind], row, strict=False)) for row in rows]  # a slope of one way is that of the other
+    return [dict(zip(LEARNED[route.kind], row, strict=False)) for row in rows]  # a slope holds for both directions
 
 
 def read_route(path: Path) -> tuple[RouteMap, ...]:
@@ -81,7 +81,7 @@ def read_route(path: Path) -> tuple[RouteMap, ...]:
     Raises
     ------
     InputError
-        If it is no such table, a value is beyond all reason, or its places lie too far apart or too near to one another.
+        If it is no such table, a value is implausible, or its places are too far from or too close to one another.
     """
     reader = csv.reader(io.StringIO(read_text(path, "table of a route", MOST_BYTES)))
     try:
@@ -128,7 +128,7 @@ def _parsed(text: str) -> float | str:
 
 
 def _map(kind: str, columns: Mapping[str, Array]) -> RouteMap:
-    """The places of a kind, where something was learned."""
+    """The places of a kind with a learned value."""
     learned = np.stack([columns[name] for name in LEARNED[kind]], axis=1)
     value, std = learned[:, ::2], learned[:, 1::2]
     if kind == SLOPE:
@@ -141,7 +141,7 @@ def _map(kind: str, columns: Mapping[str, Array]) -> RouteMap:
 
 
 def _check_places(path: Path, route: Sequence[RouteMap]) -> None:
-    """Refuse places that no flat map holds, and so many at one spot that looking them up would take long."""
+    """Refuse places beyond a flat map, and too many at one spot, where a look-up would take long."""
     frame = frame_of(route)
     if not all(np.isfinite(one.table(frame)[:, 0]).all() for one in route):
         given = f"places more than {0.001 * FARTHEST_M:.0f} km from their middle"

@@ -20,9 +20,9 @@ Mask = NDArray[np.bool_]
 
 STEP_M = 10.0  # between points of a track
 SMOOTH_M = 10.0  # standard deviation of the mean over distance: satellite positions scatter by 5 to 20 m
-LONGEST_GAP_M = 100.0  # between positions: beyond it a straight line may be off by more than a street is wide
+LONGEST_GAP_M = 100.0  # between positions: beyond it a straight line may deviate by more than the width of a street
 STRAIGHT = (0.5, 1.5)  # way by positions over way driven: outside of it one of them is wrong
-FARTHEST_M = 125_000.0  # of a place from where its metres are measured: so far a map is flat to half a percent
+FARTHEST_M = 125_000.0  # distance of a place from the map's origin: up to it a map is flat to half a percent
 
 
 def flat(latitude: Any, longitude: Any, of_latitude: Any, of_longitude: Any) -> tuple[Any, Any]:
@@ -45,12 +45,12 @@ class Frame:
 
     @classmethod
     def about(cls, latitude: Array, longitude: Array) -> Frame:
-        """About the middle of positions [rad], nan where there is none."""
+        """The middle of positions [rad], nan without any."""
         there = np.isfinite(latitude) & np.isfinite(longitude)
         return cls(float(np.median(latitude[there])), float(np.median(longitude[there]))) if there.any() else cls(0.0, 0.0)
 
     def metres(self, latitude: Array, longitude: Array) -> tuple[Array, Array]:
-        """East and north [m] of positions [rad]; nan where they are none, or too far for a flat map."""
+        """East and north [m] of positions [rad]; nan where these are nan, or too far for a flat map."""
         x, y = flat(self.latitude, self.longitude, latitude, longitude)
         near = np.hypot(x, y) < FARTHEST_M
         return np.where(near, x, np.nan), np.where(near, y, np.nan)
@@ -96,12 +96,12 @@ def track_of(distance: Array, x: Array, y: Array) -> DrivenTrack:
     distance
         Driven since its start at each sample [m], rising; shape (n,).
     x, y
-        East and north at each [m], nan where no position came; shape (n,).
+        East and north at each [m], nan without a position; shape (n,).
 
     Notes
     -----
-    Between positions the way is straight, by the distance driven; where they lie further apart than `LONGEST_GAP_M` it is not
-    known. A mean over some metres takes scatter away; standing still counts once.
+    Between positions the path is straight, by the distance driven; between positions further apart than `LONGEST_GAP_M` it is
+    unknown. A mean over some metres reduces scatter; a standstill has the weight of one point.
     """
     at = np.arange(0.0, float(distance[-1]) + 2.0 * STEP_M, STEP_M)
     there = np.isfinite(x) & np.isfinite(y)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes small pieces of HTML for what a notebook shows: no colours of their own, so that they read on light and on dark."""
+"""Makes small pieces of HTML for notebooks: without colours, so that they are readable on light and on dark."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CELL = "padding: .12em .7em; text-align: {}; font-variant-numeric: tabular-nums;
 
 
 def panel(title: str, *parts: str) -> str:
-    """A heading and what stands below it; parts that are empty are left out."""
+    """A heading and its content; empty parts are left out."""
     return f'<div style="{STYLE}"><p style="margin: .3em 0"><b>{escape(title)}</b></p>{"".join(parts)}</div>'
 
 
@@ -25,7 +25,7 @@ def paragraph(text: str) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], units: Sequence[str] = ()) -> str:
-    """A table, with columns of numbers to the right; nothing where there is no row."""
+    """A table, with columns of numbers to the right; empty without a row."""
     body = [list(map(str, row)) for row in rows]
     if not body:
         return ""
@@ -42,7 +42,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], units: Sequence[st
 
 
 def listed(title: str, lines: Sequence[str], folded: bool = False) -> str:
-    """Lines under a title, which opens and closes; nothing where there is no line."""
+    """Lines under a title, which opens and closes; empty without a line."""
     if not lines:
         return ""
     items = "".join(f"<li>{escape(line)}</li>" for line in lines)

@@ -15,7 +15,7 @@ MISSING = "-"
 
 
 def figures(value: float | None, count: int = 3) -> str:
-    """A number with at most so many figures: ``1650``, ``0.565``, ``0``; a dash where there is none."""
+    """A number with at most so many figures: ``1650``, ``0.565``, ``0``; a dash for nan."""
     if value is None or math.isnan(value):
         return MISSING
     text = f"{value:.{count}g}"
@@ -26,7 +26,7 @@ def figures(value: float | None, count: int = 3) -> str:
 
 
 def decimals(value: float | None, places: int = 0, signed: bool = False) -> str:
-    """A number with so many decimals, with its sign in front even if positive where asked; a zero has none."""
+    """A number with so many decimals, with a sign even if positive on request; a zero has none."""
     if value is None or math.isnan(value):
         return MISSING
     text = f"{value:{'+' if signed else ''}.{places}f}"
@@ -34,7 +34,7 @@ def decimals(value: float | None, places: int = 0, signed: bool = False) -> str:
 
 
 def on_scale(value: float, span: float, count: int = 3) -> str:
-    """A number as finely as matters on a scale of a `span`: of 1.9e-7 on a scale from -1 to 1 that is ``0``."""
+    """A number with the resolution relevant on a scale of a `span`: of 1.9e-7 on a scale from -1 to 1 that is ``0``."""
     if not (math.isfinite(value) and math.isfinite(span) and span > 0.0):
         return figures(value, count)
     step = 10.0 ** (_exponent(span) + 1 - count)

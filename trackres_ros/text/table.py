@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Sequence
 
-WIDER_THAN_ANY = 10_000  # columns of a terminal: no row is folded, and none is cut
+WIDER_THAN_ANY = 10_000  # columns of a terminal: no row is folded or cut
 
 
 def table(rows: Iterable[Sequence[str]], head: Sequence[str] = (), indent: int = 0, numbers: bool = True) -> str:
@@ -17,11 +17,11 @@ def table(rows: Iterable[Sequence[str]], head: Sequence[str] = (), indent: int =
     Parameters
     ----------
     head
-        Above each column what it is, with the unit on a second line where there is one; none where it is left out.
+        Heading of each column, with a unit on a second line; omitted if empty.
     indent
         Spaces before each line.
     numbers
-        Whether the columns hold numbers, which stand to the right.
+        Whether the columns hold numbers, which are right-aligned.
     """
     from rich.console import Console
     from rich.padding import Padding

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Templates of pages by jinja2: what they are filled with is escaped, and what they ask for and nobody gave is an error."""
+"""Templates of pages by jinja2: inserted values are escaped, and a missing value is an error."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 
 def templates(package: str, page: str, extra: str, **filters: Callable[..., Any]) -> Environment:
-    """The templates beside the modules of a package.
+    """The templates in the folder of a package.
 
     Parameters
     ----------
     page, extra
-        What needs them, and the extra that installs jinja2.
+        Page that needs them, and the extra that installs jinja2.
     filters
         By name.
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A vehicle file comes in; a checked, frozen description with units and provenance goes out."""
+"""Reads a vehicle file into a checked, frozen description with units and provenance."""
 
 from trackres_ros.vehicle.description import (
     Assembly,

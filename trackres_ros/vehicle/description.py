@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One value of the vehicle file with where it is from: P the paper, L literature, A assumed, F fitted to recordings."""
+    """One value of the vehicle file with its provenance: P the paper, L literature, A assumed, F fitted to recordings."""
 
     value: float | tuple[float, ...]
     unit: str
@@ -153,7 +153,7 @@ class Assembly:
 
 @dataclass(frozen=True, slots=True)
 class Chassis:
-    """What belongs to the vehicle as a whole; see `schema.CHASSIS` for the units."""
+    """Quantities of the vehicle as a whole; see `schema.CHASSIS` for the units."""
 
     bearing_friction: float
     drag_coefficient: float
@@ -169,7 +169,7 @@ class Chassis:
 
 @dataclass(frozen=True, slots=True)
 class Spells:
-    """A torque that is there for a while and gone for a while; see `schema.DISTURBANCES` for the units."""
+    """A torque that switches between two levels; see `schema.DISTURBANCES` for the units."""
 
     form: ClassVar[str] = "spells"
 

@@ -19,13 +19,13 @@ KINDS: Mapping[str, type[Spells | Drift]] = {kind.form: kind for kind in (Spells
 def read_disturbance(reader: ValueReader, given: Any) -> Disturbance:
     """Check the section `disturbance` of a vehicle file.
 
-    It has a reader of its own: what is only watched for is no quantity that the estimate, its uncertainty or a kept state
-    depends on.
+    It has its own reader, as a watched disturbance affects neither the estimate, nor its uncertainty, nor the validity of a
+    stored state.
 
     Raises
     ------
     InputError
-        If a value is not as `schema` says, or if spells have two levels that are one.
+        If a value does not satisfy `schema`, or if the two levels of spells are equal.
     """
     own = ValueReader(reader.path)
     if not isinstance(given, dict) or "form" not in given:

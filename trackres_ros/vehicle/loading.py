@@ -46,7 +46,7 @@ TOP_KEYS = ("schema", "name", "title", "model", "rubber", "chassis", "assemblies
 EFFECT_KEYS = ("effects", "effect_files")
 DISTURBANCE = "disturbance"
 RUBBER_COLUMNS = ("T_degC", "E_storage_MPa", "E_loss_MPa")
-AT_10_HZ = "_10Hz"  # what the names of moduli may end in, as in the shipped file; the frequency stands in the vehicle file
+AT_10_HZ = "_10Hz"  # possible endings of the moduli's names, as in the shipped file; the frequency is in the vehicle file
 MOST_RUBBER_BYTES = 1 << 20  # a sweep has some tens of rows
 CLOSED_LOOP_TOLERANCE_RAD = 0.05
 
@@ -64,7 +64,7 @@ def load(path_or_name: str | os.PathLike[str], overrides: Mapping[str, float] | 
     Raises
     ------
     InputError
-        On a missing, unknown, non-finite or implausible value; names file, key, what was given and what is allowed.
+        On a missing, unknown, non-finite or implausible value; names file, key, the given and the allowed values.
     """
     path = find_vehicle(path_or_name)
     return build(path, read_yaml(path), overrides)
@@ -120,9 +120,9 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
 def listed_effects(
     reader: ValueReader, content: Mapping[str, Any], size: float, on_tyres: bool, belongs_to: str
 ) -> tuple[Active, ...]:
-    """The effects that a file switches on, those of its `effect_files` among them; see `catalogue` and `check_effects`.
+    """The effects that a file switches on, including those of its `effect_files`; see `catalogue` and `check_effects`.
 
-    Python is run only of files that are named there, relative to the file that names them.
+    Only Python files named there are run, relative to the file that names them.
     """
     given = content.get("effect_files", [])
     if not isinstance(given, list):
@@ -147,7 +147,7 @@ def _rubber(reader: ValueReader, given: Any) -> tuple[Rubber, Path]:
 
 
 def _rubber_file(vehicle_file: Path, file: Path) -> Path:
-    """The rubber file, relative to the vehicle file; where none is there, the shipped one of that name, which is logged once."""
+    """The rubber file, relative to the vehicle file; if missing, the shipped one of that name, which is logged once."""
     path = vehicle_file.parent / file
     shipped = config_dir() / "rubber" / file.name
     if path.exists() or file.is_absolute() or not shipped.exists():
@@ -165,7 +165,7 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Read a temperature sweep: T [degC], storage and loss modulus [Pa], each of shape (temperatures,).
 
     The file is a CSV with the columns T_degC, E_storage_MPa and E_loss_MPa, or E_storage_MPa_10Hz and E_loss_MPa_10Hz; the
-    sweep's frequency stands in the vehicle file. Further columns are allowed, and lines that begin with # are comments.
+    sweep's frequency is in the vehicle file. Further columns are allowed, and lines that begin with # are comments.
     """
     text = read_text(path, "CSV with a temperature sweep", MOST_RUBBER_BYTES)
     numbered = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
@@ -177,7 +177,7 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     columns = [name if name in given else f"{name}{AT_10_HZ}" for name in RUBBER_COLUMNS]
     missing = [name for name, column in zip(RUBBER_COLUMNS, columns, strict=True) if column not in given]
     if len(rows) < 4 or missing:
-        # The file may be any that a vehicle file names: of one that is no rubber file, the error shows nothing.
+        # A vehicle file may name any file: if it is no rubber file, the error shows no content.
         raise InputError(
             f"{path}",
             f"{len(rows)} rows {f'without the column {missing[0]}' if missing else 'below the column names'}",
@@ -202,7 +202,7 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _check_sweep(path: Path, table: np.ndarray, names: Sequence[str]) -> None:
-    """Refuse moduli that no rubber has, as values in Pa below a header in MPa."""
+    """Refuse moduli impossible for rubber, such as values in Pa below a header in MPa."""
     degc, storage, loss = table.T
     moduli = "the columns are in MPa: divide values in Pa by 1e6, multiply values in GPa by 1000"
     for what, values, limits, remedy in (
@@ -225,7 +225,7 @@ def _within(path: Path, what: str, values: np.ndarray, limits: schema.QuantityLi
 
 def _chassis(reader: ValueReader, given: Any) -> tuple[Chassis, tuple[Axle, ...]]:
     values: dict[str, Any] = reader.table(given, "chassis", schema.CHASSIS, others=("axles",))
-    values.setdefault("max_acceleration", GRAVITY)  # friction on the ground gives no more
+    values.setdefault("max_acceleration", GRAVITY)  # limit of friction on the ground
     values.setdefault("motor_ratio", None)
     values.setdefault("motor_efficiency", None)
     if (values["motor_ratio"] is None) != (values["motor_efficiency"] is None):
@@ -323,7 +323,7 @@ def _beam(reader: ValueReader, key: str, given: Any, top: bool = False) -> Beam 
 
 
 def _wheels_side_by_side(positions: np.ndarray, radius: float) -> int:
-    """How many road wheels there are at most over one place of the ground: more than one where they interleave."""
+    """Largest number of road wheels over one place of the ground: more than one if they interleave."""
     return max(int(np.count_nonzero((positions >= at) & (positions < at + 2 * radius * (1 - 1e-9)))) for at in positions)
 
 

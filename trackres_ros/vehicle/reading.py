@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads values out of a vehicle file and checks each. Nothing passes that the file does not state plainly."""
+"""Reads values from a vehicle file and checks each. Every value must be stated explicitly."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FLAGS = ("P", "L", "A", FITTED)
 
 
 class ValueReader:
-    """Takes values out of one nested mapping, remembering each quantity by its path, refusing what is not right."""
+    """Reads values from one nested mapping, records each quantity by its path, and refuses invalid ones."""
 
     def __init__(self, path: Path, overrides: Mapping[str, float] | None = None) -> None:
         self.path = path
@@ -44,7 +44,7 @@ class ValueReader:
         return mapping
 
     def text(self, value: Any, key: str, allowed: tuple[str, ...] = ()) -> str:
-        """A non-empty string, one of `allowed` where that is given."""
+        """A non-empty string, one of `allowed` if given."""
         if allowed:
             return checks.one_of(value, self.where(key), allowed)
         if not isinstance(value, str) or not value.strip():

@@ -32,13 +32,13 @@ from trackres_ros.vehicle.schema import ROAD_LOAD
 SECTION = "road_load"
 GEARS = DrivetrainEfficiency()
 OF_SLIDES = {"coulomb_friction": (CoulombFriction(), "friction"), "viscous_friction": (ViscousFriction(), "coefficient")}
-"""Forces of what slides: the effect that each of them is, and its parameter, over the radius."""
-SLOW_SHARE = 1.0 / 30.0  # of the greatest speed: what creeps turns from forward to reverse within less than `STANDSTILL_MPS`
+"""Forces of sliding vehicles: the effect of each, and its parameter, over the radius."""
+SLOW_SHARE = 1.0 / 30.0  # of the greatest speed: a slow vehicle reverses within less than `STANDSTILL_MPS`
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RoadVehicle:
-    """A vehicle of the base model `road_load`: it runs wherever a track vehicle does, without belts and their temperatures.
+    """A vehicle of the base model `road_load`: it replaces a track vehicle everywhere, without belts and their temperatures.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class RoadVehicle:
     values
         The quantities of the section `road_load`, by name; see `schema.ROAD_LOAD` for the units.
     friction_brakes
-        Whether brakes of which nothing is recorded help a torque that brakes.
+        Whether unrecorded friction brakes may assist a braking torque.
     """
 
     name: str
@@ -72,7 +72,7 @@ class RoadVehicle:
 
     @property
     def own(self) -> tuple[Active, ...]:
-        """All effects of the vehicle: its gears and what slides, then those that its file lists."""
+        """All effects of the vehicle: its gears and sliding forces, then those that its file lists."""
         found = []
         for effect, parameter, name, arm in built_in(self.values):
             of = self.parameters[f"{SECTION}.{name}"]
@@ -81,7 +81,7 @@ class RoadVehicle:
 
     @property
     def rolls(self) -> bool:
-        """Whether rolling resistance is in it; what slides has friction instead, see `Effect.only_of`."""
+        """Whether it has rolling resistance; a sliding vehicle has friction instead, see `Effect.only_of`."""
         return self.parameters[f"{SECTION}.rolling_coefficient"].high > 0.0
 
     @property
@@ -101,7 +101,7 @@ class RoadVehicle:
 
     @property
     def chassis(self) -> Chassis:
-        """What a track vehicle has besides tracks; of its bearings stands here what rolls, at a crawl."""
+        """A track vehicle's quantities besides tracks; its bearing friction is the rolling resistance at a crawl."""
         v = self.values
         return Chassis(
             v["rolling_coefficient"], v["drag_area"], 1.0, v["air_density"], v["rotating_mass_factor"], v["max_speed"], GRAVITY,
@@ -110,7 +110,7 @@ class RoadVehicle:
 
     @property
     def constants(self) -> VehicleConstants:
-        """What effects may know of it."""
+        """Constants of the vehicle for effects."""
         v = self.values
         return VehicleConstants(
             radius=v["wheel_radius"], weight=self.weight, drag_area=v["drag_area"], air_density=v["air_density"],
@@ -139,7 +139,7 @@ AnyVehicle = Vehicle | RoadVehicle
 
 
 def built_in(values: Mapping[str, float]) -> Iterator[tuple[Effect, str, str, float]]:
-    """Each effect that a road-load file has as a quantity: the effect, its parameter, the quantity, and the factor of that.
+    """Each effect given as a quantity of the road-load file: the effect, its parameter, the quantity, and its factor.
 
     Parameters
     ----------

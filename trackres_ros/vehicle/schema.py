@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Says what a vehicle file may hold: for each quantity its unit and the limits outside of which a value is a mistake.
+"""Defines the content of a vehicle file: unit and absolute limits of each quantity.
 
 The limits here bound any track vehicle; the `range` a file gives with each value is narrower and is that vehicle's.
 """
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 
 class QuantityLimits(NamedTuple):
-    """Unit and absolute limits of a quantity, and what it is."""
+    """Unit, absolute limits and meaning of a quantity."""
 
     unit: str
     low: float
@@ -128,7 +128,7 @@ ROAD_LOAD = {
 
 MODEL_CHOICES = {"hysteresis": ("spectral", "rainflow"), "thermal": ("lumped", "core_surface")}
 
-# What is watched for. Its noise is that of blocks of `estimator.disturbance.BLOCK_S`.
+# Watched disturbances. Their noise is that of blocks of `estimator.disturbance.BLOCK_S`.
 _NOISE = QuantityLimits("Nm", 1e-3, 1e6, "standard deviation of 5 s means of the measured torque about the expected torque")
 DISTURBANCES = {
     "spells": {

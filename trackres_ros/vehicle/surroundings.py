@@ -1,8 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads the file of the surroundings: effects of site, weather and ground, which hold here and today, not for the vehicle, and
-what was learned of the places of a route.
+"""Reads the file of the surroundings: effects of site, weather and ground, which are valid here and today, and learned values
+by place on a route. None of them belong to the vehicle.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from trackres_ros.vehicle.road import AnyVehicle, RoadVehicle
 
 Kind = TypeVar("Kind", bound=AnyVehicle)
 SCHEMA = 1
-MOST_SHARE = 0.5  # of weight times wheel radius: what a torque by place may come to, as a slope of 50 %
+MOST_SHARE = 0.5  # of weight times wheel radius: limit of a torque by place, as a slope of 50 %
 KEYS = ("schema", "vehicle", "effects")
 
 
 def with_surroundings(vehicle: Kind, file: str | os.PathLike[str] | None) -> Kind:
-    """The vehicle in the surroundings of a file; as it is where none is named.
+    """The vehicle in the surroundings of a file; unchanged without one.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def load_surroundings(path: Path, vehicle: str, size: float, on_tyres: bool) -> 
     Raises
     ------
     InputError
-        If the file cannot be read, was made for another vehicle, or lists what is not of the surroundings.
+        If the file cannot be read, was made for another vehicle, or lists effects other than of the surroundings.
     """
     reader, content = ValueReader(path), read_yaml(path)
     reader.keys(content, "", KEYS, ("effect_files", "route"))
@@ -64,13 +64,13 @@ def load_surroundings(path: Path, vehicle: str, size: float, on_tyres: bool) -> 
 
 
 def load_route(path: Path, size: float) -> tuple[RouteMap, ...]:
-    """Slope and torque by place that a file of the surroundings names, for a vehicle of a weight times wheel radius [Nm]; nothing
-    where it names none.
+    """Slope and torque by place in a file of the surroundings, for a vehicle of a weight times wheel radius [Nm]; empty without
+    any.
 
     Raises
     ------
     InputError
-        If its table cannot be read, or has a torque that no ground takes of this vehicle.
+        If its table cannot be read, or has a torque too large for any ground.
     """
     name = read_yaml(path).get("route")
     if name is None:

@@ -1,4 +1,4 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Real recordings come in; the page of what was concealed in them and what was found goes out."""
+"""Diagnoses real recordings with concealed channels, and writes the page of the findings."""

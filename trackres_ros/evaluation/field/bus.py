@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The trolley bus: one after the other a channel is concealed, and what is found is set beside it.
+"""The trolley bus: channels are concealed one by one, and the findings are compared with them.
 
 Widmer, Ritter, Onder, "ZTBus: A Large Dataset of Time-Resolved City Bus Driving Missions", Scientific Data 10 (2023) 687.
 """
@@ -32,12 +32,12 @@ CLOSE = 0.08  # of the passengers' weight
 
 @dataclass(frozen=True)
 class SlopeFound:
-    """What was found of the slope beside that of the altitude, averaged over all passes of a place and taken over 300 m.
+    """Comparison of the found slope with that of the altitude, averaged over all passes of a place and over 300 m.
 
     Attributes
     ----------
     correlation, coefficient
-        Of the slope found with that of the altitude, and how much of the latter is in it.
+        Of the found slope with that of the altitude, and its regression on the latter.
     """
 
     correlation: float
@@ -46,16 +46,16 @@ class SlopeFound:
 
 @dataclass(frozen=True)
 class PayloadFound:
-    """What was found of the payload beside the passengers.
+    """Comparison of the found payload with the passengers.
 
     Attributes
     ----------
     begin_s, end_s, mass, std, true
-        Of each stretch; masses beside their mean [kg].
+        Of each stretch; masses relative to their mean [kg].
     correlation
-        Of the masses found with the passengers', weighted by time.
+        Of the found masses with the passengers', weighted by time.
     close, long
-        Of stretches that follow one another, joined until they have more than 5 minutes of driving, those whose mean mass is
+        Of consecutive stretches, joined until they have more than 5 minutes of driving: those with a mean mass
         within 8 % of the passengers' weight, and all.
     longest_s
         Driving in the longest stretch [s].
@@ -78,7 +78,7 @@ def missions(data: Path) -> list[Path]:
 
 
 def try_bus(data: Path) -> list[FieldTrial]:
-    """Diagnose each of the concealments; empty where no mission is there."""
+    """Diagnose each of the concealments; empty without missions."""
     paths = missions(data)
     if not paths:
         return []
@@ -103,7 +103,7 @@ def try_bus(data: Path) -> list[FieldTrial]:
 
 
 def slope_found(tried: FieldTrial, given: FieldTrial) -> SlopeFound | None:
-    """The slope that was found against that of the altitude, which `given` knew; None where none was found."""
+    """Compare the found slope with that of the altitude, which `given` has; None without one."""
     final = tried.found.final
     if not UPHILL & set(final.effect_names):
         return None
@@ -120,7 +120,7 @@ def slope_found(tried: FieldTrial, given: FieldTrial) -> SlopeFound | None:
 
 
 def slope_by_all_passes(latitude: Array, longitude: Array, altitude: Array, distance: Array) -> Array:
-    """Slope of the altitude averaged over all passes of each place, over 300 m of the way; nan where it is not known."""
+    """Slope of the altitude averaged over all passes of each place, over 300 m; nan where unknown."""
     x, y = Frame.about(latitude, longitude).metres(latitude, longitude)
     known = np.isfinite(x) & np.isfinite(altitude)
     at = np.column_stack([x, y])[known]
@@ -134,7 +134,7 @@ def slope_by_all_passes(latitude: Array, longitude: Array, altitude: Array, dist
 
 
 def payload_found(tried: FieldTrial, given: FieldTrial) -> PayloadFound | None:
-    """The masses that were found against the passengers, which `given` knew; None where none were found."""
+    """Compare the found masses with the passengers, which `given` has; None without any."""
     stretches = next((t.described.stretches for t in tried.found.described if t.described.stretches), ())
     if not stretches:
         return None
@@ -158,8 +158,8 @@ def payload_found(tried: FieldTrial, given: FieldTrial) -> PayloadFound | None:
 
 
 def mass_of_joined(mass: Array, driven: Array) -> Array:
-    """Means over stretches that follow one another, joined until they have more than `LONG_STRETCH_S` of driving [s]; what is
-    left at the end is too short.
+    """Means over consecutive stretches, joined until they have more than `LONG_STRETCH_S` of driving [s]; a shorter rest at the
+    end is dropped.
     """
     joined, begin = list[float](), 0
     for end in range(1, len(mass) + 1):

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes what was found of the trolley bus, unsealed: slopes against altitudes, masses against passengers."""
+"""Writes the unsealed findings on the trolley bus: slopes against altitudes, masses against passengers."""
 
 from __future__ import annotations
 

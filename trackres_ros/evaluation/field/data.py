@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 FINAL_DRIVE = 9.665
 SECONDS_PER_H = 3600.0
 SLOWEST_MPS, YAW_OVER_S = 0.1, 0.5
-NM_PER_A = 1.0  # assumed: what is found of the robots is in units of it
+NM_PER_A = 1.0  # assumed: unit of the results of the robots
 POSITION = {"latitude_deg": "y", "longitude_deg": "x"}
 RADIUS_M = {"husky": 0.159, "warthog": 0.3}
 OF_CAR = ("Time [s]", "Velocity [km/h]", "Elevation [m]", "Motor Torque [Nm]", "Ambient Temperature")
@@ -40,8 +40,8 @@ def trips(data: Path) -> dict[str, dict[str, str]]:
 
 
 def car(data: Path, name: str, folder: Path, clock: bool = True, ground: str = "grade") -> Path:
-    """Write one trip of the car: torque at the wheels, elevation as `ground` (`grade`, `altitude_m` or nothing), and how long it
-    had stood; without `clock` it begins at 0 s and that is not known.
+    """Write one trip of the car: torque at the wheels, elevation as `ground` (`grade`, `altitude_m` or nothing), and its standing
+    time before. Without `clock` it begins at 0 s, and the standing time is unknown.
     """
     text = gzip.decompress((data / "bmw_i3" / f"{name}.csv.gz").read_bytes()).decode("latin-1")
     header, *lines = [line.split(";") for line in text.splitlines()]
@@ -69,8 +69,10 @@ def car(data: Path, name: str, folder: Path, clock: bool = True, ground: str = "
 def robot(data: Path, name: str, folder: Path) -> Path:
     """Write one recording of a skid-steered robot.
 
-    Its sides turn unalike: the torque is the power of both sides' currents over the mean speed. Heading and yaw rate are those
-    of the laser scans' position, as one of the robots records no gyroscope; the position is given as if about the equator.
+    Its sides turn at different speeds: the torque is the power of both sides' currents over the mean speed. Heading and yaw rate
+    are
+    those of the laser scans' position, as one of the robots records no gyroscope. The position is relative to a point on the
+    equator.
     """
     text = gzip.decompress((data / "husky_warthog" / f"{name}.csv.gz").read_bytes()).decode()
     rows = list(csv.DictReader(io.StringIO(text)))

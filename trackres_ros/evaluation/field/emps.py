@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Diagnoses a machine whose left-out physics is published: a carriage on a ball screw, without its dry friction and then with it.
+"""Diagnoses a machine with published friction: a carriage on a ball screw, with a file without its dry friction and then with it.
 
 Janot, Gautier and Brunot, "Data set and reference models of EMPS", 2019 Workshop on Nonlinear System Identification Benchmarks.
 """
@@ -62,7 +62,7 @@ def try_slide(recording: Path, folder: Path) -> SlideTrial:
 
 
 def force_error(d: Diagnosis, found: Fit, held_out: bool = False) -> float:
-    """Norm of measured less expected force over the norm of the measured one, of the steps that are compared or held out."""
+    """Relative error: norm of measured less expected force over that of the measured one, in compared or hold-out steps."""
     errors, forces = [], []
     for session, predicted in zip(d.sessions, found.predicted, strict=True):
         steps: Mask = d.split.held_out_mask(session) if held_out else session.used
@@ -72,12 +72,12 @@ def force_error(d: Diagnosis, found: Fit, held_out: bool = False) -> float:
 
 
 def only(d: Diagnosis, names: Sequence[str]) -> Fit:
-    """The last fit with none but some of its effects, all values fitted anew."""
+    """The last fit with only some of its effects, all values fitted again."""
     return with_levels(d.final, without=[name for name in d.final.effect_names if name not in names])
 
 
 def write_page(tried: SlideTrial, folder: Path, of_pictures: str = "") -> str:
-    """Draw the picture into a folder and give the page's tables, whose links begin with `of_pictures`."""
+    """Draw the picture into a folder and return the page's tables, whose links begin with `of_pictures`."""
     first, second = tried.lacking, tried.with_friction
     draw_believed(first, folder / "believed.svg")
     dry, both = only(first, (COULOMB,)), only(first, (COULOMB, DIRECTION))
@@ -127,7 +127,7 @@ def _of_dry(dry: Fit) -> list[tuple[str, str, str]]:
 
 
 def _of_both(both: Fit) -> list[tuple[str, str, str]]:
-    """Viscous friction forward and in reverse, and Coulomb friction beside them, whose sides an offset of the force parts."""
+    """Viscous friction forward and in reverse, and Coulomb friction, with different sides due to an offset of the force."""
     bounds, values = intervals(both), both.at
     viscous, forward = ("", "viscous_friction"), (DIRECTION, "forward")
     keys = [f.key for f in both.free]

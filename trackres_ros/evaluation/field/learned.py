@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Learns real vehicles while some of their drives are replayed, and looks at what is left on the others.
+"""Learns real vehicles while some of their drives are replayed, and computes the error on the others.
 
-What was learned goes on from drive to drive as by a state file, is used only where the learner itself finds it better, and
-learning goes on during the drives that are looked at, as in a vehicle.
+Learned values are carried from drive to drive by a state file, and are used only if the learner itself finds them better.
+Learning continues during the hold-out drives, as in a vehicle.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ GROUND = {"": "no altitude", "altitude_m": "with the altitude", "grade": "with a
 
 
 class Taught(NamedTuple):
-    """Mean error on drives that taught nothing [Nm], with the file and with what the others taught."""
+    """Mean error on hold-out drives [Nm], with the file and with values learned from the others."""
 
     what: str
     file_nm: float
@@ -72,7 +72,7 @@ def of_bus(data: Path, folder: Path) -> Iterator[Taught]:
 
 
 def taught(what: str, vehicle: AnyVehicle, topics_name: str, first: Sequence[Path], other: Sequence[Path]) -> Taught:
-    """What drives of a vehicle teach, for the others."""
+    """Values learned from drives of a vehicle, for the others."""
     topics = Topics.load(topics_name)
     estimator = Estimator(vehicle, settings_for(make_parameters({}).settings(), topics, ()))
     learner = Learner(estimator, "on")
@@ -83,7 +83,7 @@ def taught(what: str, vehicle: AnyVehicle, topics_name: str, first: Sequence[Pat
 
 
 def _left(path: Path, topics: Topics, estimator: Estimator, learner: Learner | None) -> Array:
-    """What a replay leaves of the measured torque [Nm]; without a torque that brakes, which friction brakes may help."""
+    """Residual of a replay; without braking torques, where friction brakes may assist."""
     kept: list[Steps] = []
     if learner is not None:
         learner.restart()

@@ -1,9 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Closes the loop on real vehicles by the commands: some drives are diagnosed, others are replayed with what that leaves.
+"""Closes the loop on real vehicles by the commands: some drives are diagnosed, others are replayed with the resulting files.
 
-The replay is what the live node gives.
+The replay gives the same results as the live node.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ from trackres_ros.vehicle import RoadVehicle, load_any
 
 Array = NDArray[np.float64]
 
-DIAGNOSED = 0.7  # of a recording of which there is but one
+DIAGNOSED = 0.7  # of the only recording
 MEAN_S = 4.0  # as the diagnosis compares a torque that comes once a second
 SLOWEST_MPS = 0.5
 
 
 @dataclass(frozen=True)
 class Drives:
-    """Drives of one vehicle: those that are diagnosed, and those that are replayed.
+    """Drives of one vehicle: those for diagnosis, and those for replay.
 
     Attributes
     ----------
     what
-        In words.
+        Description.
     vehicle, topics
         Names of the shipped files.
     """
@@ -56,16 +56,16 @@ class Drives:
 
 @dataclass(frozen=True)
 class LiveError:
-    """What a replay of the rest leaves of the measured torque.
+    """Residual torque in a replay of the other drives.
 
     Attributes
     ----------
     what
-        The files it ran with.
+        The files in use.
     error_nm
-        Mean size of what is left, in means over `MEAN_S` in which it drives and no friction brake is on.
+        Mean absolute residual, in means over `MEAN_S` while driving without a friction brake.
     minutes
-        How long all of these are together.
+        Duration of all of these.
     """
 
     what: str
@@ -89,7 +89,7 @@ def all_drives(data: Path, folder: Path) -> Iterator[Drives]:
 
 
 def parted(table: str, folder: Path, name: str) -> tuple[Path, Path]:
-    """The first part of a table and the rest of it as files of their own."""
+    """The first part of a table and the rest, as separate files."""
     head, *rows = table.splitlines()
     cut = int(DIAGNOSED * len(rows))
     files = folder / f"{name}_first.csv", folder / f"{name}_rest.csv"
@@ -121,14 +121,14 @@ def run_command(*words: str | Path) -> None:
 
 
 def _left(drives: Drives, recording: Path, vehicle: Sequence[str | Path], out: Path) -> Array:
-    """What a replay leaves of the measured torque, in means over `MEAN_S` [Nm]."""
+    """Residual torque of a replay, in means over `MEAN_S` [Nm]."""
     run_command("replay", recording, "--topics", drives.topics, "-o", out, "--vehicle", *vehicle)
     rows = np.genfromtxt(out, delimiter=",", names=True)
     return means(rows["time_s"], rows["speed_mps"], rows["residual_nm"], _braked(drives, recording, rows))
 
 
 def means(time_s: Array, speed: Array, residual: Array, braked: NDArray[np.bool_]) -> Array:
-    """What is left of the measured torque, in means over `MEAN_S` in which it drives and no friction brake is on [Nm]."""
+    """Residual torque, in means over `MEAN_S` while driving without a friction brake [Nm]."""
     counts = (np.abs(speed) > SLOWEST_MPS) & ~braked & np.isfinite(residual)
     block = (time_s / MEAN_S).astype(int)
     number, used = np.bincount(block), np.bincount(block, counts)
@@ -137,7 +137,7 @@ def means(time_s: Array, speed: Array, residual: Array, braked: NDArray[np.bool_
 
 
 def _braked(drives: Drives, recording: Path, rows: Any) -> NDArray[np.bool_]:
-    """Where a friction brake is on; where none is recorded that the vehicle has, where the torque brakes."""
+    """Where a friction brake is on; if the vehicle has unrecorded ones, where the torque brakes."""
     read = Recording.from_source(open_source([recording], Topics.load(drives.topics)))
     if "brake" in read.series:
         return np.asarray(np.interp(rows["time_s"], read.time_s("brake"), read.series["brake"].value) > 0.0)

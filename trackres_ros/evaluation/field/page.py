@@ -39,18 +39,18 @@ Array = NDArray[np.float64]
 
 EARLY_S, BIN_S = 900.0, 60.0
 YAW_BINS = 16
-LEAST_SHOWN_H = 0.03  # on an axis of logarithms, for a trip that began as the one before ended
+LEAST_SHOWN_H = 0.03  # on a logarithmic axis, for a trip that began as the one before ended
 SIGNIFICANT = 0.05
 SETTLED_STD = 1.0  # of a start state: a less certain one is not used
 
 
 def write_page(data: Path, tried: Sequence[FieldTrial], of_bus: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -> str:
-    """Draw the pictures into a folder and give the page, whose links to them begin with `of_pictures`.
+    """Draw the pictures into a folder and return the page, whose links to them begin with `of_pictures`.
 
     Parameters
     ----------
     tried, of_bus
-        What `run.try_all` and `bus.try_bus` gave.
+        Results of `run.try_all` and `bus.try_bus`.
     """
     winter = tried[0]
     route = next(t for t in tried if "twice" in t.what)
@@ -119,7 +119,7 @@ def _starts(begun: Sequence[Start], together: PooledStarts) -> list[str]:
 
 
 def _where(known: FieldTrial, begun: Sequence[Start]) -> str:
-    """Where what was named acts, once the standing time is known."""
+    """Where the named effect acts, given the standing time."""
     early = np.array([acts_early(known, i) for i in range(len(begun))])
     cold = np.array([s.cold for s in begun])
     return (

@@ -32,7 +32,7 @@ SHOWS_TURNING = (*BUT_WHEELS, "wheel_speed")
 COLD_S = 180.0
 COLD_AFTER_H = 5.0
 EVERY_M, SMOOTHED = 50.0, 5
-WARM_PERCENTILE = 5.0  # of what an effect adds over all trips: what it adds when warm
+WARM_PERCENTILE = 5.0  # of an effect's contribution over all trips: its warm contribution
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,15 +42,15 @@ class FieldTrial:
     Attributes
     ----------
     what, hidden
-        The recordings in words, and what was concealed.
+        The recordings and the concealed channel, as text.
     wanted
-        Effects one of which ought to be named; empty where nothing ought to.
+        Effects one of which should be named; empty if none should.
     never
-        Effects that must not be named: what was given, or cannot be.
+        Effects that must not be named: given or impossible ones.
     found
         The diagnosis.
     beside
-        Effects that may be named as well, as they are there and nothing that was given tells of them.
+        Effects that may be named too, as they are present and no given channel shows them.
     """
 
     what: str
@@ -62,18 +62,18 @@ class FieldTrial:
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
-        """Classes of effects that are named; empty where the verdict names none."""
+        """Classes of named effects; empty if the verdict names none."""
         names_any = self.found.verdict.status in ("named", "one_of")
         return tuple(f.step.members for f in self.found.found) if names_any else ()
 
     @property
     def described(self) -> tuple[str, ...]:
-        """Forms of the terms without a name that held-out laps confirm."""
+        """Forms of the unnamed terms that hold-out laps confirm."""
         return tuple(t.described.form for t in self.found.described if t.graded.grade == CONFIRMED)
 
     @property
     def outcome(self) -> str:
-        """`right`, `wrong`, or `silent` where something ought to have been named or described."""
+        """`right`, `wrong`, or `silent` if an effect should have been named or described."""
         names = {name for members in self.named for name in members}
         firsts = {members[0] for members in self.named}
         if firsts & self.never:
@@ -96,7 +96,7 @@ def try_all(data: Path, folder: Path) -> list[FieldTrial]:
     if not (data / "bmw_i3" / "trips.csv").is_file():
         raise InputError("--data", str(data), "a folder with bmw_i3/trips.csv and its trips, and husky_warthog")
     winter, warm = [n for n in trips(data) if n.startswith("TripB")], [n for n in trips(data) if n.startswith("TripA1")]
-    mixed = winter[1::4]  # the last trips all follow short stops: of a cold start they tell nothing
+    mixed = winter[1::4]  # the last trips all follow short stops: they contain no cold start
     known, unknown = folder / "clock", folder / "no_clock"
 
     def of_car(names: Sequence[str], hide: Sequence[str], clock: bool = True, held_out: Sequence[str] | None = None) -> Diagnosis:
@@ -125,16 +125,16 @@ def try_all(data: Path, folder: Path) -> list[FieldTrial]:
 
 @dataclass(frozen=True)
 class Start:
-    """How one trip began, and what was concealed of it.
+    """Start of one trip, and the concealed facts.
 
     Attributes
     ----------
     lacks
-        Torque that the base, re-fitted to all trips, lacks in the first three minutes [Nm]; nan where nothing there
-        can be compared.
+        Torque missing in the base, re-fitted to all trips, in the first three minutes [Nm]; nan without
+        comparable data there.
     state, std
-        Start state fitted to this trip alone, with its standard deviation: 0 as warm as after a long drive, 1 as cold as a
-        trip on average; nan where nothing that warms up was named.
+        Start state fitted to this trip alone, with its standard deviation: 0 as warm as after a long drive, 1 as cold as an
+        average trip; nan if no effect of warming up was named.
     """
 
     trip: str
@@ -151,7 +151,7 @@ class Start:
 
 
 def starts(data: Path, tried: FieldTrial) -> list[Start]:
-    """Standing time and ambient temperature, unsealed, beside what each trip's beginning lacked and how cold it seems."""
+    """Unsealed standing time and ambient temperature, with each trip's missing torque and start state at its beginning."""
     rows, found = trips(data), []
     for i, session in enumerate(tried.found.sessions):
         row, early = rows[Path(session.name).stem], session.used & (session.time < COLD_S)
@@ -162,7 +162,7 @@ def starts(data: Path, tried: FieldTrial) -> list[Start]:
 
 
 def start_state(tried: FieldTrial, index: int) -> tuple[float, float]:
-    """Of one trip: by how much what the effect adds to it over a warm drive has to be scaled, by weighted least squares."""
+    """Scale of the effect's contribution in a trip relative to a warm drive, by weighted least squares."""
     warms = next((f for f in tried.found.found if set(f.step.members) & WARM), None)
     if warms is None:
         return float("nan"), float("nan")
@@ -177,7 +177,7 @@ def start_state(tried: FieldTrial, index: int) -> tuple[float, float]:
 
 
 def acts_early(tried: FieldTrial, index: int) -> float:
-    """For how long what was named first acts in the first `COLD_S` of one recording [s]."""
+    """Time during which the first named effect acts in the first `COLD_S` of one recording [s]."""
     name = tried.found.sessions[index].name
     spans = tried.found.found[0].where if tried.found.found else ()
     return sum(max(0.0, min(s.end, COLD_S) - s.begin) for s in spans if s.recording == name)
@@ -197,7 +197,7 @@ class RepeatedRoute:
 
 
 def twice(tried: FieldTrial) -> RepeatedRoute:
-    """What is locked to position on a route driven twice, beside the slope that was concealed."""
+    """Residuals tied to position on a route driven twice, with the concealed slope."""
     residuals, slopes = [], []
     for i, session in enumerate(tried.found.sessions):
         far = session.distance - session.distance[0]

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""How cold each of several drives began: fitted to each alone, and all together with one time constant of cooling at rest."""
+"""Start temperatures of several drives: fitted to each alone, and jointly with one time constant of cooling at rest."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from trackres_ros.units import MAD_TO_STD
 Array = NDArray[np.float64]
 
 SHORTEST_S, LONGEST_S, CONSTANTS = 60.0, 4e5, 40  # time constants of cooling at rest that are tried
-SPREADS = np.concatenate(([0.0], np.geomspace(0.05, 2.0, 20)))  # standard deviations of start states about what standing says
+SPREADS = np.concatenate(([0.0], np.geomspace(0.05, 2.0, 20)))  # standard deviations of start states about the model
 DRAWS = 500
 NEAR_BEST = 1.92  # in log-likelihood: 95 % of one parameter
 WARM_AFTER_S = 600.0
-EVERY_STEPS, FEWEST_APART = 60, 10  # between what is looked at of warm driving
+EVERY_STEPS, FEWEST_APART = 60, 10  # between samples of warm driving
 LEAST_KNOWN = 0.2  # of a shape's square
 OUTLIER = 4.0  # standard deviations
 SURE_STD = 1.0  # of a start state: a less certain one is of a drive whose beginning could hardly be compared
@@ -39,7 +39,7 @@ class Starts:
     alone, alone_std
         Fitted to each drive alone.
     stood_s
-        How long it had stood.
+        Standing time before.
     """
 
     alone: Array
@@ -49,22 +49,22 @@ class Starts:
 
 @dataclass(frozen=True, eq=False)
 class PooledStarts:
-    """Start states of drives together: A (1 - exp(-stood / tau)), with a spread about it.
+    """Joint start states of drives: A (1 - exp(-stood / tau)), with a scatter about it.
 
     Attributes
     ----------
     time_constant_s, low_s, high_s
-        tau, and its interval of 95 %; at an end of what was tried it is open.
+        tau, and its 95 % interval, which is open at an end of the search range.
     height, spread
-        A, and the standard deviation of start states about what the standing time says.
+        A, and the standard deviation of start states about the model.
     state, std
-        What each drive and the others together say of its start state.
+        Joint estimate of each drive's start state.
     rank_alone, rank_together
         Rank correlation of the standing time with the start states, fitted alone and together.
     chance
-        How often standing times given to the drives at random say as much of the start states.
+        Share of random permutations of the standing times that fit the start states as well.
     reached
-        How often the rank correlation of states fitted alone would reach 0.6 if all that is said here were true.
+        Probability that the rank correlation of states fitted alone reaches 0.6 under this model.
     """
 
     time_constant_s: float
@@ -81,7 +81,7 @@ class PooledStarts:
 
     @property
     def settled(self) -> bool:
-        """Whether the time constant lies within what was tried, and not at an end."""
+        """Whether the time constant is inside the search range, not at an end."""
         return self.low_s > SHORTEST_S and self.high_s < LONGEST_S
 
 
@@ -96,19 +96,20 @@ def warming(refitted: Fit) -> Fit:
 
 
 def start_states(fitted: Fit, stood_s: Sequence[float]) -> Starts:
-    """The start state of each drive by least squares: the share of what a cold start takes beyond a warm one.
+    """The start state of each drive by least squares: the share of a cold start's extra torque over a warm one.
 
     Parameters
     ----------
     fitted
         With an effect that warms up, and values by levels.
     stood_s
-        How long each had stood; nan where that is not known.
+        Standing time of each; nan where unknown.
 
     Notes
     -----
-    What a vehicle model leaves wanders for minutes, with the street for one. So how sure a start state is comes from the same sum
-    over what is left of all drives from ten minutes on, when there is nothing to warm up.
+    The residual of a vehicle model has correlations over minutes, with the street for one. So the uncertainty of a start state
+    comes
+    from the same sum over the residuals of all drives from ten minutes on, when they are warm.
     """
     sessions = fitted.problem.sessions
     cold, warm = (
@@ -137,14 +138,14 @@ def start_states(fitted: Fit, stood_s: Sequence[float]) -> Starts:
 
 
 def _share(shape: Array, left: Array) -> float:
-    """How much of a shape is in what is left, nan where less than half of the shape is known."""
+    """Amount of a shape in the residual, nan if less than half of the shape is known."""
     known = np.isfinite(left)
     size = float(shape[known] @ shape[known])
     return float(shape[known] @ left[known]) / size if size > LEAST_KNOWN * float(shape @ shape) else np.nan
 
 
 def pool(starts: Starts, rng: np.random.Generator) -> PooledStarts:
-    """All drives whose standing time is known and whose start shows, together."""
+    """All drives with a known standing time and an identifiable start, together."""
     sure = np.isfinite(starts.stood_s) & np.isfinite(starts.alone) & (starts.alone_std < SURE_STD)
     alone, std, stood = starts.alone[sure], starts.alone_std[sure], starts.stood_s[sure]
     constants = np.geomspace(SHORTEST_S, LONGEST_S, CONSTANTS)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draws a fleet: vehicles that differ from their data sheet, months of drives, and what changes in some of them."""
+"""Draws a fleet: vehicles that differ from their data sheet, months of drives, and changes in some of them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ RIGHT = {BEARING: (BEARING,), LOSS: (LOSS,), GAIN: (GAIN,)}
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """What changes in a vehicle: which parameter, how, from which recording on, and by which share at the last one."""
+    """A change in a vehicle: parameter, kind, first recording, and relative size at the last one."""
 
     parameter: str
     kind: str
@@ -53,7 +53,7 @@ class Hidden:
 
 @dataclass(frozen=True, slots=True)
 class DrawnVehicle:
-    """A vehicle: its build, the seed of all else that is drawn of it, days of its recordings, and what changes."""
+    """A vehicle: its build, the seed of its other draws, days of its recordings, and its changes."""
 
     name: str
     build: dict[str, float]
@@ -99,20 +99,20 @@ def draw_fleet(
 
 
 def seal(seed: int, fleet: Sequence[DrawnVehicle]) -> str:
-    """Hash of the seed and of all that is hidden."""
+    """Hash of the seed and of all concealed values."""
     content = json.dumps({"seed": seed, "fleet": [asdict(vehicle) for vehicle in fleet]}, sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()
 
 
 def come(hidden: Hidden, number: int, count: int) -> float:
-    """How far a change has come at a recording: 0 before, 1 at the last."""
+    """Share of a change at a recording: 0 before, 1 at the last."""
     if number < hidden.first:
         return 0.0
     return 1.0 if hidden.kind == STEP else (number - hidden.first + 1) / (count - hidden.first)
 
 
 def write_recording(folder: Path, vehicle: DrawnVehicle, number: int, minutes: float) -> Path:
-    """Drive and record once; a file that is there is kept."""
+    """Drive and record once; an existing file is kept."""
     begin = START_S + vehicle.days[number] * DAY_S
     path = folder / vehicle.name / f"drive_{number + 1:04d}.csv"
     if path.exists():
@@ -149,7 +149,7 @@ def _moves_s(one: SealedDrive) -> float:
 
 
 def _sensors(vehicle: DrawnVehicle) -> Sensors:
-    """The instruments of a vehicle: good ones, and none without a lag, an offset and a gain of its own."""
+    """The instruments of a vehicle: good ones, each with a lag, an offset and a gain of its own."""
     rng = np.random.default_rng([vehicle.seed, *b"sensors"])
     return Sensors(
         belt_measured=False,

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Counts how many changes of a concealed fleet are found, how soon and by which name, and how often chance is taken for one.
+"""Counts how many changes of a concealed fleet are found, how soon and by which name, and the false alarms.
 
 `python -m trackres_ros.evaluation.fleet.prove generate FOLDER SEED VEHICLES DAYS EVERY MINUTES` draws, seals and records;
 `... score FOLDER` opens the seal. Between them runs `trackres fleet`, which sees recordings and fleet.yaml and nothing else.
@@ -59,8 +59,9 @@ TARGETS = "Targets: 95 % of changes of 10 % in bearing drag within 10 recordings
 
 @dataclass(frozen=True, slots=True)
 class ScoredVehicle:
-    """What was hidden in a vehicle, and what was found: the first change after it, in how many recordings, whether its name is
-    right, alone or among what would explain it as well; and how many changes were found of which there is none.
+    """The concealed change of a vehicle and the findings: the first change after it, its number of recordings, whether its name
+    is
+    right, alone or among equally good explanations; and the number of false changes.
     """
 
     name: str
@@ -79,7 +80,7 @@ def changes_of(count: int) -> list[tuple[str, str, float]]:
 
 
 def generate(folder: Path, seed: int, vehicles: int, days: int, every: float, minutes: float) -> None:
-    """Draw a fleet, seal what is hidden, and record it."""
+    """Draw a fleet, seal its changes, and record it."""
     fleet = draw_fleet(vehicles, days, every, minutes, changes_of(vehicles), seed)
     (folder / SEALED).mkdir(parents=True, exist_ok=True)
     digest = seal(seed, fleet)
@@ -95,7 +96,7 @@ def score(folder: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If what is hidden is not what was sealed.
+        If the concealed values do not match the seal.
     """
     labels = json.loads((folder / SEALED / "fleet.json").read_text(encoding="utf-8"))
     fleet = [
@@ -134,7 +135,7 @@ def known_of_the_type(dataset: FleetDataset) -> list[dict[str, Any]]:
 
 
 def score_vehicle(vehicle: DrawnVehicle, found: Mapping[str, Any]) -> ScoredVehicle:
-    """What was found of one vehicle. What is said to be known before a change began is false, and so is any second one."""
+    """Findings on one vehicle. A change known before it began is false, and so is any second one."""
     hidden, changes = vehicle.hidden, found["changes"]
     months = (vehicle.days[-1] - vehicle.days[0]) * DAY_S / MONTH_S
     if hidden is None:

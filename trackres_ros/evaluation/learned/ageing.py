@@ -25,7 +25,9 @@ Hours = list[dict[str, float]]
 
 
 def age(seed: int, hours: float, vehicle: str = "xgd24d") -> Hours:
-    """Drive so many hours at 2 Hz; after each what acts is off by [share of the torque], and how large the state is [bytes]."""
+    """Drive so many hours at 2 Hz; after each return the error of the acting values [share of the torque] and the state size
+    [bytes].
+    """
     estimator = Estimator(load(find_vehicle(vehicle)))
     true, session, learner = estimator.session(), estimator.session(), Learner(estimator, "on")
     true.learned[at.Learned.on], at.Learned(true.learned).departures[at.OF_LOSS] = 1.0, TRUE_LOSS

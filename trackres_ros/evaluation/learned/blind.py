@@ -39,13 +39,13 @@ from trackres_ros.vehicle import load
 from trackres_ros.vehicle.writing.changes import FileChanges
 
 Array = NDArray[np.float64]
-KEY = re.compile(r"\(?[+-]?\d+ (%|Nm|s)|( of the|of)(?= *$)| (since|for) *$|, of the kind.*")  # what differs from time to time
+KEY = re.compile(r"\(?[+-]?\d+ (%|Nm|s)|( of the|of)(?= *$)| (since|for) *$|, of the kind.*")  # varies from run to run
 BESIDE = "a torque beside the vehicle"
 SHOWN = [at.Results.speed_mps, at.Results.feedforward_torque_nm, at.Results.resistance_torque_nm, at.Results.resistance_std_nm]
 
 
 class Listening(Learner):
-    """A learner that keeps what its status says, for how many seconds, and whether it left its ranges."""
+    """A learner that records its status, its seconds, and whether it left its ranges."""
 
     def __init__(self, estimator: Estimator, mode: str) -> None:
         super().__init__(estimator, mode)
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def learn_and_fit(task: tuple[Path, Path]) -> None:
-    """One vehicle: with its file, with learning on, and with files that a re-fit left."""
+    """One vehicle: with its file, with learning on, and with files of a re-fit."""
     case, results = task
     drives = sorted(case.glob("drive_*.csv"))
     vehicle = case / "vehicle.yaml"
@@ -102,14 +102,14 @@ def _plain(path: Path, vehicle: Path) -> Array:
 
 
 def _shown(kept: Sequence[Steps]) -> Array:
-    """Time [s] and what is scored of each step."""
+    """Time [s] and scored values of each step."""
     rows = np.concatenate([steps.rows[:, SHOWN] for steps in kept])
     stamps = np.concatenate([steps.stamp_ns for steps in kept])
     return np.column_stack([stamps * 1e-9, rows])
 
 
 def _learned(case: Path, drives: Sequence[Path], vehicle: Path, rows: dict[str, Array], name: str) -> dict[str, Any]:
-    """With learning on: what was learned comes from the state file of the drive before, two weeks later."""
+    """With learning on: learned values come from the state file of the drive before, two weeks later."""
     estimator, state = Estimator(load(vehicle)), case / f"{name}.state"
     said: dict[str, Any] = {}
     for path in drives:

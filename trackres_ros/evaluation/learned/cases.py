@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draws vehicles that are other than their files, and what misleads on some of their drives, all from one seed."""
+"""Draws vehicles that differ from their files, and disturbances on some of their drives, all from one seed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DRIVES = 3
 LOADS, AIRS_DEGC = (1.0, 0.85, 1.15), (5.0, 15.0, 25.0)
 AIR_OFF_K = 1.5  # standard deviation, from drive to drive: a thermometer on a vehicle sees sun and exhaust
 NONE = ""
-# On sensors: what is driven stays as it is. On the vehicle or the ground: the torque that it truly takes is another.
+# Sensor faults leave the drive unchanged. Faults of the vehicle or the ground change the true torque.
 SENSORS = ("gain_step", "stuck", "half_missing", "outliers", "sign_flips")
 REAL = ("payload", "mud", "pump", "brake", "hill")
 KINDS = (*SENSORS, *REAL)
@@ -31,16 +31,16 @@ KINDS = (*SENSORS, *REAL)
 
 @dataclass(frozen=True)
 class LearningCase:
-    """One vehicle. `name` says nothing of what is in it.
+    """One vehicle. `name` is uninformative.
 
     Attributes
     ----------
     build
-        How it differs from its file, see `sealed.truth.Build`.
+        Differences from its file, see `sealed.truth.Build`.
     hostile
-        What misleads, one of `KINDS`; empty where nothing does.
+        Disturbance, one of `KINDS`; empty without one.
     size
-        How much, over what it can be: 0 to 1.
+        Relative to its largest: 0 to 1.
     """
 
     name: str
@@ -52,7 +52,7 @@ class LearningCase:
 
 
 def draw_cases(seed: int, vehicles: int, hostile: int) -> list[LearningCase]:
-    """Draw vehicles, and as many others on whose drives something misleads: every kind as often."""
+    """Draw vehicles, and as many others with a disturbance: every kind equally often."""
     rng = np.random.default_rng([seed, 16])
     names = rng.permutation(10 * (vehicles + hostile))[: vehicles + hostile]
     kinds = [NONE] * vehicles + [KINDS[i % len(KINDS)] for i in range(hostile)]
@@ -86,7 +86,7 @@ def sensors_of(rng: np.random.Generator) -> Sensors:
 def added_torque(
     case: LearningCase, speed: Array, distance: Array, step: float, rolling: float, weight: Array, radius: float
 ) -> Array:
-    """What the ground or the vehicle adds to the torque of a drive [Nm], shape of the speed."""
+    """Torque of the ground or the vehicle on a drive [Nm], shape of the speed."""
     time, ahead = np.arange(len(speed)) * step, np.tanh(speed / 0.05)
     if case.hostile == "mud":  # stretches of a kilometre that come again
         return np.asarray((0.15 + 0.25 * case.size) * rolling * (np.sin(2.0 * np.pi * distance / 2500.0) > 0.5) * ahead)
@@ -103,7 +103,7 @@ def added_torque(
 
 
 def weight_shares(case: LearningCase, speed: Array) -> Array:
-    """What it weighs over what is recorded, shape of the speed: another load from the first stop after a third of it on."""
+    """Weight over recorded weight, shape of the speed: another load from the first stop after a third of it on."""
     found = np.ones(len(speed))
     if case.hostile == "payload":
         after = np.flatnonzero((np.arange(len(speed)) > len(speed) // 3) & (speed < 0.05))
@@ -113,7 +113,7 @@ def weight_shares(case: LearningCase, speed: Array) -> Array:
 
 
 def misled(case: LearningCase, torque: Array, step: float, rng: np.random.Generator) -> Array:
-    """What the sensor makes of a torque [Nm], from a third of the drive on."""
+    """Torque shown by the sensor [Nm], from a third of the drive on."""
     n = len(torque)
     late = np.arange(n) > n // 3
     if case.hostile == "gain_step":

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Counts how well the delay of the torque behind the speed is found on vehicles whose delay is concealed.
+"""Scores the estimated delay of the torque behind the speed on vehicles with a concealed delay.
 
 `python -m trackres_ros.evaluation.learned.delay generate FOLDER SEED MINUTES VEHICLES HOSTILE` draws, seals and records;
 `... find FOLDER` sees recordings and vehicle files and nothing else; `... score FOLDER` opens the seal.
@@ -62,7 +62,7 @@ RATES_OF = ((1.0, 3.0), (3.0, 10.0), (10.0, 30.0), (30.0, 100.0))
 
 @dataclass(frozen=True)
 class Delayed:
-    """What is concealed of a vehicle: `case` as for the proof of the learning; the delay [s] and of it that of a filter [s]."""
+    """Concealed values of a vehicle: `case` as for the proof of the learning; the delay [s] and a filter's share of it [s]."""
 
     case: LearningCase
     delay_s: float
@@ -90,7 +90,7 @@ def draw(seed: int, vehicles: int, hostile: int) -> list[Delayed]:
 
 
 def seal(seed: int, drawn: Sequence[Delayed]) -> str:
-    """SHA-256 of the seed and all that is concealed."""
+    """SHA-256 of the seed and all concealed values."""
     return hashlib.sha256(json.dumps([seed, [asdict(one) for one in drawn]], sort_keys=True).encode()).hexdigest()
 
 
@@ -197,7 +197,7 @@ def score(folder: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If what is concealed is not what was sealed.
+        If the concealed values do not match the seal.
     """
     labels = json.loads((folder / "sealed" / "labels.json").read_text(encoding="utf-8"))
     drawn = [Delayed(**{**one, "case": LearningCase(**one["case"])}) for one in labels["drawn"]]

@@ -39,8 +39,8 @@ from trackres_ros.evaluation.sealed.sensors import record
 from trackres_ros.evaluation.sealed.truth import Build, G, simulate_truth
 from trackres_ros.files.resources import find_vehicle
 
-REFIT = "refit"  # marks a vehicle that is re-fitted too, which takes longer than all else
-ROLLING_SHARE = 0.01  # of weight times radius: about what rolling takes
+REFIT = "refit"  # marks a vehicle that is re-fitted too, the slowest part
+ROLLING_SHARE = 0.01  # of weight times radius: about the rolling resistance
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def make_case(task: tuple[Path, LearningCase, float]) -> None:
-    """Write one vehicle: where to, which, and how long each drive is [min]."""
+    """Write one vehicle: folder, case, and length of each drive [min]."""
     folder, case, minutes = task
     into, sheet = folder / "cases" / case.name, find_vehicle(VEHICLE)
     into.mkdir(exist_ok=True)
@@ -99,13 +99,13 @@ def make_case(task: tuple[Path, LearningCase, float]) -> None:
             _mislead(path, case, one.step, rng)
         inertia = radius * numbers["chassis.rotating_mass_factor"] * one.weight / G * one.accel
         kept[f"torque_{i + 1}"], kept[f"speed_{i + 1}"] = run.torque + added - inertia, one.speed
-        # What misleads is none of a model's: on a hill without a slope it can be known by nobody.
+        # Disturbances are outside of any model: on a hill without a recorded slope they cannot be known.
         kept[f"known_{i + 1}"] = run.torque - inertia + (added if case.hostile in REAL and case.hostile != "hill" else 0.0)
     np.savez_compressed(folder / "sealed" / f"{case.name}.npz", **kept)
 
 
 def _mislead(path: Path, case: LearningCase, step: float, rng: np.random.Generator) -> None:
-    """Change what the sensor has shown in a recording."""
+    """Change the sensor's values in a recording."""
     names = path.read_text(encoding="utf-8").partition("\n")[0].split(",")
     rows = np.loadtxt(path, delimiter=",", skiprows=1)
     rows[:, names.index("torque_nm")] = misled(case, rows[:, names.index("torque_nm")], step, rng)

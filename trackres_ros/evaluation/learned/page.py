@@ -89,7 +89,7 @@ def _of_vehicles(plain: list[Any]) -> list[str]:
 
 
 def _of_mass(plain: list[Any]) -> str:
-    """By how much a mass that is right in the file is learned to be off."""
+    """Learned error of a mass that is right in the file."""
     off = [case["said"][str(LAST)]["applied"][at.OF_MASS] for case in plain if at.OF_MASS in case["said"][str(LAST)]["counts"]]
     if not off:
         return "No mass counts as learned."
@@ -166,7 +166,7 @@ def _of_age(aged: list[dict[str, float]] | None) -> list[str]:
 
 
 def draw(plain: list[Any], path: Path) -> None:
-    """Error of each way, of each vehicle, in the order of what the file is off by."""
+    """Error of each method, of each vehicle, in the order of the file's error."""
     if not plain:
         return
     with picture(path, 8.0, 3.4) as figure:

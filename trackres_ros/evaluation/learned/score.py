@@ -77,8 +77,8 @@ def score_case(folder: Path, case: dict[str, Any]) -> dict[str, Any]:
 
 
 def _error(rows: Array, truth: Any, drive: int) -> tuple[float, float, bool]:
-    """Mean error of the feed-forward over the mean torque; share of seconds in which the interval holds the torque; whether that
-    of the mean does.
+    """Mean error of the feed-forward over the mean torque; share of seconds with the torque in the interval; whether that
+    of the mean is.
     """
     time = rows[:, 0] - rows[0, 0]
     true = truth[f"torque_{drive}"]

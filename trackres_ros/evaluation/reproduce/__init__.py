@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The paper's figures and tests are run again; out goes what holds of its text and what does not, and why."""
+"""Repeats the paper's figures and tests, and reports which of its claims hold, which do not, and why."""
 
 from trackres_ros.evaluation.reproduce.run import reproduce
 

@@ -30,7 +30,7 @@ STEADY_STEP_S = 20.0  # the step follows the linearised model exactly, so the en
 
 
 class Stable(NamedTuple):
-    """What a drive at constant speed tends to."""
+    """Steady state of a drive at constant speed."""
 
     torque_nm: float
     hysteresis_nm: float

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Checks the claims that the paper makes of speed, weight and ambient temperature alike: torque falls, and what it tends to."""
+"""Checks the claims of the paper common to speed, weight and ambient temperature: falling torque, and its steady value."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def section_of(
 
 
 def hot_belts(bench: Bench, family: Family) -> list[str]:
-    """A remark on the stable belts that are hotter than the compound's sweep reaches; none where there are none."""
+    """A remark on steady belts that are hotter than the compound's sweep; empty without any."""
     last = float(bench.vehicle.rubber.sweep_degc[-1])
     hot = []
     for c in COMBINATIONS:
@@ -80,7 +80,7 @@ def falls(key: str, where: str, family: Family, start_s: float) -> Claim:
 
 
 def same_stable(key: str, where: str, paper: str, family: Family, why: str) -> Claim:
-    """All values of a family tend to the same stable torque, that is within `SAME`."""
+    """All values of a family have the same steady torque, within `SAME`."""
     stable = {c: family.stable_torque(c) for c in COMBINATIONS}
     start = {c: spread(family.torque(c, 0.0)[:, first_comparable(family)]) for c in COMBINATIONS}
     end = {c: spread(values) for c, values in stable.items()}

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds what the studies of speed, weight and ambient temperature share: one drive for each value, drawn and checked alike."""
+"""Holds the common parts of the studies of speed, weight and ambient temperature: one drive per value, pictures and checks."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ CSV_STEP_S = 20.0
 
 @dataclass(frozen=True)
 class Family:
-    """Runs of one study: for each value of what is varied, for each combination."""
+    """Runs of one study: for each varied value, for each combination."""
 
     name: str  # of the files, such as fig24_speeds
-    quantity: str  # what is varied, with its unit: "speed [km/h]"
+    quantity: str  # varied quantity, with its unit: "speed [km/h]"
     suffix: str  # of a column in the CSV: "kmh"
     values: tuple[float, ...]
     runs: Mapping[float, Runs]
@@ -103,7 +103,7 @@ def draw_family(
 
 
 def draw_combinations(out: Path, family: Family, caption: str, marks: Mapping[float, str] | None = None) -> Figure:
-    """Torque of all four combinations beside each other; the dashes at the right edge are the stable values."""
+    """Torque of all four combinations in one row; the dashes at the right edge are the steady values."""
     figure = Figure(f"{family.name}_methods.png", f"{family.name}.csv", caption)
     with picture(out / figure.png, 9.0, 6.2) as drawn:
         panels = drawn.subplots(len(METHODS), len(THERMAL), sharex=True, sharey="row")

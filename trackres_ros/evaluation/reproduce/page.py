@@ -38,7 +38,7 @@ def page(summary: Mapping[str, Any], prefix: str = "") -> str:
 
 
 def anchor(title: str) -> str:
-    """The link target a forge makes of a heading."""
+    """The link target of a heading on a forge."""
     return "".join(c for c in title.lower().replace(" ", "-") if c.isalnum() or c in "-_")
 
 
@@ -70,7 +70,7 @@ def _section(section: Mapping[str, Any], prefix: str) -> list[str]:
 
 
 def _details(claim: Mapping[str, Any]) -> list[str]:
-    """A row for each model combination, with the outcome where there is one for each."""
+    """A row for each model combination, with the outcome if there is one for each."""
     details, holds = claim["details"], claim["holds"]
     combinations = list(next(iter(details.values())))
     by_method = set(combinations) == set(holds)

@@ -1,6 +1,6 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Drives of a second simulator whose cause is concealed come in, scores go out. The truth shares no code with `model`, `effects`
+"""Scores the diagnosis on drives of a second simulator with a concealed cause. The truth shares no code with `model`, `effects`
 or `diagnosis`.
 """

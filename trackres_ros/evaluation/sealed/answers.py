@@ -24,7 +24,7 @@ BASELINES = {
 
 @dataclass(frozen=True)
 class Description:
-    """A term that has a form and no name: the form, and the words for what it is a function of, its gate and its memory."""
+    """A term with a form and no name: the form, and the words for its variable, its gate and its memory."""
 
     form: str
     about: str
@@ -32,8 +32,8 @@ class Description:
 
 @dataclass(frozen=True)
 class Answer:
-    """A status as in the verdict; the classes of effects that are named, one for each missing effect; the terms that are
-    described without a name; and those of the classes that are confirmed.
+    """A status as in the verdict; the classes of named effects, one for each missing effect; the described terms
+    without a name; and the confirmed classes.
     """
 
     status: str
@@ -51,12 +51,12 @@ class Answer:
         return sum(bool(true & set(members)) for members in self.classes)
 
     def surely_wrong(self, allowed: set[str]) -> bool:
-        """Whether a name is confirmed that is none of the allowed ones, nor in a class with one."""
+        """Whether a name is confirmed that is neither allowed nor in a class with an allowed one."""
         return any(not allowed & set(members) for members in self.confirmed)
 
 
 def of_report(report: dict[str, Any]) -> Answer:
-    """The answer of a report, with the name it gives first at the head of each class."""
+    """The answer of a report, with its first name at the head of each class."""
     status = str(report["verdict"]["status"])
     described = tuple(
         Description(str(term["form"]), " ".join(filter(None, (words(term.get(key)) for key in ABOUT))))
@@ -71,7 +71,7 @@ def of_report(report: dict[str, Any]) -> Answer:
 
 
 def words(value: Any) -> str:
-    """The words in a part of a report; of a mapping the keys that hold something, and what they hold."""
+    """The words in a part of a report; for a mapping the keys with a content, and the content."""
     if isinstance(value, dict):
         return " ".join(f"{key} {words(held)}" for key, held in value.items() if held not in (None, False))
     if isinstance(value, list):
@@ -80,7 +80,7 @@ def words(value: Any) -> str:
 
 
 def error_left(report: dict[str, Any]) -> float:
-    """Mean absolute error on held-out laps with all that was named or described and not refuted [Nm]."""
+    """Mean absolute error on hold-out laps with all named or described terms that are not refuted [Nm]."""
     kept = [term for term in report.get("described", ()) if term.get("heldout") and term.get("grade") != "refuted"]
     terms = [term["heldout"]["mae"][1] for term in kept]
     return float(terms[-1] if terms else report["heldout"]["mae"]["with_effects"])

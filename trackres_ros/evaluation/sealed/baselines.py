@@ -3,7 +3,7 @@
 
 """Runs simpler methods for comparison, given the same residual of the same re-fitted base and the same shapes of effects.
 
-None of them whitens the residual, knows how alike two effects look, or may leave the choice open.
+None of them whitens the residual, knows how similar two effects look, or may leave the choice open.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from trackres_ros.diagnosis.selection.visibility import Separability, base_colum
 
 Array = NDArray[np.float64]
 
-MOST = 3  # names, as many as the diagnosis may give
+MOST = 3  # largest number of names, as for the diagnosis
 SURE_P = 0.05
-LEAST_SHARE = 0.1  # of what all terms of a sparse regression explain: less is not named
+LEAST_SHARE = 0.1  # of the variance explained by a sparse regression: smaller terms are not named
 FOLDS = 5
 FEWEST_TO_LEARN = 30
 
 
 @dataclass(frozen=True)
 class Simple:
-    """What the simpler methods say of a recording.
+    """Answers of the simpler methods for a recording.
 
     Attributes
     ----------

@@ -3,8 +3,8 @@
 
 """Second process of a run: diagnoses each case, given its recordings and vehicle file and nothing else.
 
-`python -m trackres_ros.evaluation.sealed.blind CASES RESULTS [FIRST]`; what is there already is not done again. With FIRST
-only so many, in the order of their names, which are drawn and say nothing.
+`python -m trackres_ros.evaluation.sealed.blind CASES RESULTS [FIRST]`; existing results are kept. With FIRST
+only so many are done, in the order of their random names.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ def opened(folder: Path) -> tuple[list[Path], LoadedBase]:
 
 
 def diagnosed(folder: Path) -> tuple[Diagnosis, list[Path]]:
-    """What the diagnosis finds in the folder of a case, and the recordings there."""
+    """Diagnosis of the folder of a case, and the recordings there."""
     from trackres_ros.diagnosis import DiagnosisOptions, diagnose, read_recordings
 
     paths, base = opened(folder)
-    # A drive made to distinguish effects is fitted beside what was: the same laps are held out as without it.
+    # A drive made to distinguish effects is added to the fit: the hold-out laps are the same as without it.
     kept = folder / HELD_OUT
     held_out = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else None
     return diagnose(read_recordings(paths, None), base, DiagnosisOptions(holdout=held_out, quick=True)), paths

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draws what is hidden in which case: levels, sizes, builds of the vehicle, all from one seed."""
+"""Draws the concealed physics of each case: levels, sizes, builds of the vehicle, all from one seed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NOT_IN_CATALOGUE = ("outside", "street")  # levels
 SOURCES = ("course", "trapezoids", "town", "recorded")  # of drives; the last only where speeds of real vehicles are given
 LOADS = (1.0, 0.8, 1.25)  # of the three drives, over the nominal one
 MASKED_SIZE = (0.2, 0.4)  # of a clear one
-# What any instrument has, which is no finding: less than a hidden `delay`, `torque_offset` or `torque_gain` adds.
+# Errors of any instrument, which are no finding: less than a hidden `delay`, `torque_offset` or `torque_gain` adds.
 SPEED_STEPS_MPS = (0.02, 0.05)
 MOST_LAG_S, MOST_OFFSET_NM, MOST_GAIN = 0.1, 15.0, 0.005
 # In towns: share of the cases that are recorded once in a second, and the error of positions and altitudes [m].
@@ -39,26 +39,26 @@ POSITION_M, ALTITUDE_M = (3.0, 8.0), (2.0, 5.0)
 
 @dataclass(frozen=True)
 class Case:
-    """One case. `name` says nothing of what is in it.
+    """One case. `name` is uninformative.
 
     Attributes
     ----------
     hidden
         Phenomena and the values of their parameters, see `truth`.
     build
-        How the vehicle differs from its data sheet.
+        Differences of the vehicle from its data sheet.
     lumped
-        Whether the vehicle file knows no inside of the belt.
+        Whether the vehicle file has no core temperature of the belt.
     compensated
         Whether the vehicle file was fitted to other drives of the same vehicle beforehand.
     dull
-        Whether the drives excite little: one load, no bends, hardly a change of speed, no belt temperature.
+        Whether the drives have little excitation: one load, no bends, hardly a change of speed, no belt temperature.
     seed
         Of drives and sensors.
     source
-        Where its drives come from, of `SOURCES`; a dull case and a case in a town have drives of their own.
+        Source of its drives, of `SOURCES`; a dull case and a case in a town have their own drives.
     program
-        What a hidden program is, see `programs.Program.description`; empty without.
+        Description of a hidden program, see `programs.Program.description`; empty without.
     """
 
     name: str
@@ -75,7 +75,7 @@ class Case:
 
     @property
     def title(self) -> str:
-        """What is hidden, for people."""
+        """Hidden physics, as text."""
         return str(self.program.get("words") or " and ".join(self.hidden) or "nothing")
 
 
@@ -132,30 +132,30 @@ CATALOGUE: dict[str, Draw] = {
     "torque_gain": lambda g, s: {"error": s * _pm(g, 0.03, 0.06)},
     "delay": lambda g, s: {"time": s * g.uniform(0.15, 0.5)},
 }  # fmt: skip
-"""Draws of the truth's parameters by effect, at a size of 1: clear. What the base re-fits itself is not among them."""
+"""Draws of the truth's parameters by effect, at a size of 1: clear. Parameters that the base re-fits itself are excluded."""
 
 D_PRIME = (40.0, 200.0)  # of a hidden program after a re-fit of the base
 OUTSIDE: dict[str, Draw] = {
     PROGRAM: lambda g, _s: {"seed": _seed(g), "d_prime": float(np.exp(g.uniform(*np.log(D_PRIME))))},
 }
-"""What no catalogue has: see `programs`."""
+"""Physics outside of any catalogue: see `programs`."""
 
 STREET: dict[str, Draw] = {
     "street_slope": lambda g, _s: {"steepest": g.uniform(0.015, 0.03)},
     "stretch_load": lambda g, _s: {"share": g.uniform(0.1, 0.2), "bulk": float(g.random() < 0.5), "seed": _seed(g)},
     "street_ground": lambda g, _s: {"torque": g.uniform(300.0, 900.0), "seed": _seed(g)},
 }  # fmt: skip
-"""What is hidden in a town, drawn as often as nothing; the functions are in `street`."""
+"""Hidden physics in a town, drawn as often as none; the functions are in `street`."""
 
 
 RIGHT_FORMS = {"street_slope": "place", "stretch_load": "payload", "street_ground": "place"}
 """Of each phenomenon of a town the form that describes it. For a program the hidden torque decides, see `statements`."""
 RIGHT_NAMES: dict[str, tuple[str, ...]] = {"street_slope": ("grade",)}
-"""Names that say the same as a right form: a slope by place is a grade."""
+"""Equivalent names of a right form: a slope by place is a grade."""
 
 
 def draw_cases(counts: Mapping[str, int], seed: int, sources: Sequence[str] = SOURCES[:-1]) -> list[Case]:
-    """All cases of a run, in an order that says nothing."""
+    """All cases of a run, in random order."""
     rng = np.random.default_rng(seed)
     cases = [_case(level, i, rng, sources) for level, count in counts.items() for i in range(count)]
     rng.shuffle(cases)
@@ -163,7 +163,7 @@ def draw_cases(counts: Mapping[str, int], seed: int, sources: Sequence[str] = SO
 
 
 def first_by_name(cases: Sequence[Case], first: int | None) -> list[Case]:
-    """So many cases in the order of their names, which are drawn and say nothing; all without a number."""
+    """So many cases in the order of their random names; all without a number."""
     return sorted(cases, key=lambda case: case.name)[:first]
 
 
@@ -218,8 +218,8 @@ def draws(case: Case, what: str) -> np.random.Generator:
 
 
 def sensors_of(case: Case) -> Sensors:
-    """The instruments of a case: good ones, and none without a lag, an offset and a gain of its own; in a town those that a
-    vehicle of the road has.
+    """The instruments of a case: good ones, each with a lag, an offset and a gain of its own; in a town those of a
+    road vehicle.
     """
     rng = draws(case, "sensors")
     sensors = Sensors(

@@ -1,9 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Fits general learners to the same residual of the same re-fitted base, and predicts laps that were not fitted.
+"""Fits general learners to the same residual of the same re-fitted base, and predicts hold-out laps.
 
-None of them knows physics, whitens the residual, or may say that there is nothing to learn.
+None of them knows physics, whitens the residual, or may decide that there is nothing to learn.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from trackres_ros.diagnosis.prepare.session import Split
 
 Array = NDArray[np.float64]
 Learn = Callable[[Array, Array, Array], Array]
-"""Rows to learn from, what is to be learnt of them, further rows; gives what is expected of these."""
+"""Features and targets for training, features for prediction; returns the predictions."""
 
 BASE = "base"
 THRESHOLDS_NM = (3.0, 10.0, 30.0, 100.0)  # of a coefficient of a function of scaled variables
@@ -31,7 +31,7 @@ SEED = 1
 
 
 def learned_errors(refitted: Fit, split: Split) -> dict[str, float]:
-    """Mean absolute error on held-out laps of the re-fitted base, and with what each learner adds to it [Nm]."""
+    """Mean absolute error on hold-out laps of the re-fitted base, and with each learner added [Nm]."""
     sessions = refitted.problem.sessions
     residual = np.concatenate([s.torque - p.torque for s, p in zip(sessions, refitted.predicted, strict=True)])
     training = np.concatenate([split.training_mask(s) for s in sessions])
@@ -39,13 +39,13 @@ def learned_errors(refitted: Fit, split: Split) -> dict[str, float]:
     rows = _rows(refitted)
     known, new, target, left = rows[training], rows[held_out], residual[training], residual[held_out]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of fits that do not settle: that is the learner's own affair
+        warnings.simplefilter("ignore")  # of fits that do not converge: a matter of the learner
         adds = {name: learn(known, target, new) for name, learn in LEARN.items()}
     return {BASE: float(np.abs(left).mean()), **{name: float(np.abs(left - x).mean()) for name, x in adds.items()}}
 
 
 def _rows(refitted: Fit) -> Array:
-    """What a residual is looked at over, and the torque that drives, each over its standard deviation."""
+    """Features for a residual, including the drive torque, each over its standard deviation."""
     series = varying(refitted.problem.sessions, refitted.predicted)
     series["driving torque"] = np.concatenate([p.at_sprockets for p in refitted.predicted])
     if "heading" in series:

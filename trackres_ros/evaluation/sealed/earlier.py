@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Process of a run that has an earlier version of this tool diagnose the same cases, for comparison.
+"""Process of a run in which an earlier version of this tool diagnoses the same cases, for comparison.
 
-`python -m trackres_ros.evaluation.sealed.earlier CASES RESULTS CHECKOUT [FIRST]`; what is there already is not done again. The
-earlier version is a checkout, and is run by its own command line, with the libraries that are installed here.
+`python -m trackres_ros.evaluation.sealed.earlier CASES RESULTS CHECKOUT [FIRST]`; existing results are kept. The
+earlier version is a checkout, and is run by its own command line, with the libraries installed here.
 """
 
 from __future__ import annotations

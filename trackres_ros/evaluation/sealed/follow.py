@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Fourth process of a run: lets the vehicles drive what was advised where effects could not be told apart.
+"""Fourth process of a run: drives the advised manoeuvres if effects could not be distinguished.
 
 `python -m trackres_ros.evaluation.sealed.follow FOLDER MINUTES MOST [FIRST]`. It knows the vehicles, so it opens the
-seal; `blind` then diagnoses the recordings with the further one among them.
+seal; `blind` then diagnoses the recordings including the new one.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def advised(report: dict[str, Any], true: set[str]) -> dict[str, Any] | None:
-    """The first advice that separates a true effect from others of its class; None where there is none."""
+    """The first advice that separates a true effect from others of its class; None without one."""
     tied = [set(members) & true for members in of_report(report).classes if len(members) > 1]
     if not any(tied):
         return None

@@ -54,7 +54,7 @@ FASTEST_MPS = 16.7
 DULL_MPS = (6.0, 8.0)
 STREET_TIMES = 2.0  # as long drives in towns: they stand at crossings, and streets are to come again
 START_S, APART_S = 1_750_000_000.0, 1_300_000.0  # two weeks: each begins soaked
-EVERY = 10  # samples: what is kept of the truth for the score
+EVERY = 10  # samples: kept part of the truth for the score
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -83,7 +83,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def make_case(task: tuple[Path, Case, float]) -> None:
-    """Write one case: where to, which, and how long each drive is [min]."""
+    """Write one case: folder, case, and length of each drive [min]."""
     folder, case, minutes = task
     into = folder / "cases" / case.name
     into.mkdir(exist_ok=True)
@@ -102,7 +102,7 @@ def make_case(task: tuple[Path, Case, float]) -> None:
 
 
 def _kept(case: Case, driven: Sequence[SealedDrive], runs: Sequence[TruthRun]) -> dict[str, Any]:
-    """Of the truth what the score needs: what each effect added, over what it may be looked at."""
+    """Part of the truth for the score: contributions of each effect, and variables for them."""
 
     def joined(series: Sequence[Array]) -> Array:
         return np.concatenate([one[::EVERY] for one in series])
@@ -133,7 +133,7 @@ def means(series: Array) -> Array:
 
 
 def drive_next(folder: Path, case: Case, minutes: float, name: str, planned: Callable[[SealedDrive], SealedDrive]) -> Path:
-    """Let the vehicle of a case drive once more, after all it has driven, and record it; `planned` gets its last drive."""
+    """Let the vehicle of a case drive once more, after all its drives, and record it; `planned` gets its last drive."""
     driven = _drives(case, minutes, "drive", _profiles(folder))
     more = planned(driven[-1])
     run = simulate_truth(find_vehicle(VEHICLE), build_of(case), case.hidden, [*driven, more])[-1]
@@ -175,7 +175,7 @@ def _drives(case: Case, minutes: float, name: str, profiles: Sequence[Array] = (
     def one(share: float, air: float) -> SealedDrive:
         if case.dull:
             return _dull(minutes, weight, rng)
-        if town is not None:  # level, and only what every recording has
+        if town is not None:  # level, and only the channels of every recording
             return replace(street_drive(minutes, share * weight, air, town, 0.0, rng), street=None)
         if case.source == "recorded":
             return recorded(minutes, share * weight, air, FASTEST_MPS, profiles, rng)
@@ -230,7 +230,7 @@ def _weight_and_radius(sheet: Path) -> tuple[float, float]:
 
 
 def _prefit(paths: Sequence[Path], vehicle: Path) -> None:
-    """Leave a vehicle file that was fitted to drives beforehand, as users do, whatever is hidden in them."""
+    """Write a vehicle file fitted to drives beforehand, as users do, whatever is hidden in them."""
     from trackres_ros.diagnosis import load_base, read_recordings
     from trackres_ros.diagnosis.inference.fitting import Problem, fit
     from trackres_ros.diagnosis.inference.levels import with_levels

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Compares the masses of a described payload with what was on board between one stop and the next."""
+"""Compares the masses of a described payload with the true load between one stop and the next."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 DRIVING_MPS = 0.3
-LEAST_KNOWN = 0.5  # of the driving: laps held out are not fitted
+LEAST_KNOWN = 0.5  # of the driving: hold-out laps are not fitted
 LONG_S = 300.0  # of driving
 CLOSE = 0.08  # of the greatest load
 NORMAL_95 = 1.96  # standard deviations
@@ -23,7 +23,7 @@ NORMAL_95 = 1.96  # standard deviations
 
 @dataclass(frozen=True)
 class MassError:
-    """How long it drove between two changes of the load [s], how far off the mass is, as a share of the greatest load, and if its
+    """Driving time between two changes of the load [s], error of the mass, relative to the greatest load, and whether its
     95 % interval covers the true one.
     """
 
@@ -43,16 +43,17 @@ class MassError:
 
 
 def mass_errors(speed: Array, mass: Array, told: Sequence[Mapping[str, Any]], greatest: float) -> list[MassError]:
-    """Errors of the masses of one recording, one for each time between two changes of the load of which at least half is told.
+    """Errors of the masses of one recording, one for each time between two changes of the load of which at least half is
+    described.
 
     Parameters
     ----------
     speed, mass
-        In each second, shape (n,) [m/s], and what is on board beside the empty vehicle [kg].
+        In each second, shape (n,) [m/s], and the load in addition to the empty vehicle [kg].
     told
-        Stretches of a report: `begin_s`, `end_s`, the `mass` beside the model's and its standard deviation `std` [kg].
+        Stretches of a report: `begin_s`, `end_s`, the `mass` in addition to the model's and its standard deviation `std` [kg].
     greatest
-        Load that there may be [kg].
+        Largest possible load [kg].
     """
     second, driving = np.arange(len(mass)), np.abs(speed) > DRIVING_MPS
     estimate, std = np.full((2, len(mass)), np.nan)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Computes what could be known: the true structure is fitted to the same laps by the same optimiser."""
+"""Computes the best possible result: the true structure is fitted to the same laps by the same optimiser."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from trackres_ros.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 LEAST_GAIN = 10.0  # in log-likelihood: 4.5 standard deviations
-AS_WELL = 3.0  # a name that gains less by no more than this fits as well
-ADDITION, LARGEST_ADDITION = "addition", 5.0  # times what it truly is
+AS_WELL = 3.0  # a name with a gain smaller by at most this fits as well
+ADDITION, LARGEST_ADDITION = "addition", 5.0  # times the true value
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ class OracleAnswer:
 
 
 class WithAddition(TrackBase):
-    """The base with a torque added of which all is known but its size: `added` [Nm], of each session a series that is as long or
-    longer.
+    """The base with an added torque known except for its size: `added` [Nm], of each session a series of at least its
+    length.
     """
 
     def __init__(self, vehicle: Vehicle, added: Sequence[Array]) -> None:
@@ -86,11 +86,11 @@ def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = (), ri
     Parameters
     ----------
     true
-        The effects of the catalogue that are in it.
+        Its effects in the catalogue.
     added
-        Of one with something that is not in the catalogue: what that adds to the torque in each second of each drive [Nm].
+        Torque of physics outside the catalogue in each second of each drive [Nm].
     rivals
-        Names that may do as well as that: those that gain nearly as much are `alike`.
+        Names that may fit as well: those with nearly the same gain are `alike`.
     """
     paths, loaded = opened(folder)
     base = loaded.base

@@ -51,7 +51,7 @@ UNITLESS = "(median)", "(mean)"  # how the names of scores end that are no share
 
 
 def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int, drawn: int, cases: Path | None = None) -> str:
-    """Write scores.json, cases.csv, confusion.png, a page of one mistake of each kind, and proof.md; gives the last's text."""
+    """Write scores.json, cases.csv, confusion.png, a page of one mistake of each kind, and proof.md; return the last's text."""
     kinds = mistakes(scored)
     for kind, of in kinds.items():
         write_case(folder, cases or folder / "cases", of[0], folder / f"{file_name(kind)}.html")
@@ -125,7 +125,7 @@ def write_case(folder: Path, cases: Path, s: Scored, path: Path) -> None:
 def table(
     found: Mapping[str, Mapping[str, tuple[int, int]]], own: Mapping[str, tuple[int, int]], other: Mapping[str, Sequence[float]]
 ) -> str:
-    """All scores beside their targets and the baselines."""
+    """All scores with their targets and the baselines."""
     methods = [method for method in BASELINES if method in found]
     heads = ["Score", "Measured", "95 %", "Target", "Met", *(BASELINES[method] for method in methods)]
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
@@ -147,7 +147,7 @@ def table(
 
 
 def side_by_side(runs: Mapping[str, Mapping[str, Any]]) -> str:
-    """The targets, and what was measured of each in several runs: the contents of their scores.json, by the name of the truth."""
+    """The targets, and their measured values in several runs: the contents of their scores.json, by the name of the truth."""
     lines = [f"| Score | Target | {' | '.join(runs)} |", "|---" * (2 + len(runs)) + "|"]
     for name, (side, bound) in TARGETS.items():
         cells = [_measured(name, run) for run in runs.values()]
@@ -171,7 +171,7 @@ def _measured(name: str, run: Mapping[str, Any]) -> str:
 
 
 def learned_table(scored: Sequence[Scored]) -> str:
-    """By how much the diagnosis and general learners reduce the error on held-out laps."""
+    """Reduction of the error on hold-out laps by the diagnosis and by general learners."""
     outside = [s for s in scored if s.case.level == "outside" and s.reducible]
     groups = {
         "outside, predictable: removed, of what the oracle removes (median)": [s for s in outside if s.predictable],
@@ -251,7 +251,7 @@ def _write_cases(path: Path, scored: Sequence[Scored]) -> None:
 
 
 def _draw_confusion(path: Path, scored: Sequence[Scored]) -> None:
-    """What was named first over what was true, of cases with one effect or none."""
+    """First names against true ones, of cases with one effect or none."""
     pairs = Counter(
         (next(iter(s.case.hidden), "nothing") if s.case.level != "outside" else "not in the catalogue", _first(s)) for s in scored
     )

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Defines what a phenomenon gets to see of a drive, and what it returns."""
+"""Defines the inputs and results of a phenomenon."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CREEP_MPS = 0.04  # over it friction changes its sign
 
 @dataclass(frozen=True, eq=False)
 class Journey:
-    """A drive as phenomena see it; `driven` is how far the vehicle went before it [m]."""
+    """A drive as input of phenomena; `driven` is the vehicle's distance before it [m]."""
 
     sheet: DataSheet
     drive: SealedDrive

@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draws physics that no catalogue has, as programs: where it acts, what it follows, when, and what it remembers.
+"""Draws physics outside of any catalogue, as programs: where it acts, its variable, when, and its memory.
 
-The parts are drawn one by one, so a run holds combinations that nobody thought of. No code of the effects or of the described
-terms is used here; a test holds that.
+The parts are drawn independently, so a run has unforeseen combinations. No code of the effects or of the described
+terms is used here, as a test checks.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SPREAD = 4.0  # a variable is seen up to so many of its ranges away
 
 @dataclass(frozen=True)
 class Entry:
-    """Where a program acts: the words for it, how much a size of 1 is there, and the largest size that is still physical."""
+    """Entry point of a program: its words, its torque at a size of 1, and the largest physical size."""
 
     words: str
     unit: float
@@ -45,7 +45,7 @@ ENTRIES = {
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What a program may follow in one drive; belt temperature [degC] and torque [Nm] are those without it."""
+    """Possible variables of a program in one drive; belt temperature [degC] and torque [Nm] are those without it."""
 
     at: Journey
     belt: Array
@@ -148,20 +148,20 @@ MEMORIES: dict[str, tuple[str, tuple[tuple[float, float], ...], Callable[..., Ar
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Hidden physics, drawn.
+    """Randomly drawn hidden physics.
 
     Attributes
     ----------
     entry
-        Where it acts, of `ENTRIES`.
+        Entry point, of `ENTRIES`.
     parts
-        Variables, functions and what was drawn for these: one or two, which are multiplied.
+        Variables, functions and their draws: one or two, which are multiplied.
     gate
-        A variable, a threshold of its scaled value, its side and its softness; None where it always acts.
+        A variable, a threshold of its scaled value, its side and its softness; None if it always acts.
     memory
-        One of `MEMORIES` and what was drawn for it; None without.
+        One of `MEMORIES` and its draws; None without.
     words
-        What it is, for people.
+        Description, for people.
     """
 
     entry: str
@@ -173,7 +173,7 @@ class Program:
 
     @property
     def description(self) -> dict[str, Any]:
-        """What it is, for a score."""
+        """Description for a score."""
         return {
             "words": self.words,
             "entry": self.entry,
@@ -225,6 +225,6 @@ def draw_program(seed: int) -> Program:
 
 
 def acting(hidden: Mapping[str, Mapping[str, float]], seen: Seen) -> dict[str, Array]:
-    """What a hidden program does, at its entry point and in that entry's unit."""
+    """Result of a hidden program, at its entry point and in that entry's unit."""
     program = draw_program(int(hidden[PROGRAM]["seed"]))
     return {program.entry: ENTRIES[program.entry].unit * hidden[PROGRAM].get("size", 1.0) * program.series(seen)}

@@ -67,7 +67,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _expected(case: Case) -> str:
-    """What a method that only gives names ought to answer."""
+    """The right answer of a method that only gives names."""
     first = next(iter(case.hidden), "none")
     return first if first in (*CATALOGUE, "none") else "unexplained"
 
@@ -101,14 +101,14 @@ def _score(task: tuple[Path, Case, str | None]) -> Scored:
 
 
 def _outside(folder: Path, case: Case) -> list[Array]:
-    """What is not in the catalogue adds to the torque of each drive, in means over seconds [Nm]; empty without."""
+    """Torque of physics outside the catalogue in each drive, in means over seconds [Nm]; empty without."""
     truth = np.load(folder / "sealed" / f"{case.name}.npz")
     added = [truth[f"added/{name}"] for name in case.hidden if name not in CATALOGUE]
     return np.split(added[0], np.cumsum(truth["lengths"])[:-1]) if added else []
 
 
 def _stated(folder: Path, case: Case, report: dict[str, Any]) -> bool | None:
-    """Whether the first description is true; None where nothing is described, or nothing of which forms are known is hidden."""
+    """Whether the first description is true; None without a description, or without hidden physics of a known form."""
     answer = of_report(report)
     if answer.status != DESCRIBED or not answer.described or case.level not in NOT_IN_CATALOGUE or not case.hidden:
         return None
@@ -120,7 +120,7 @@ def _stated(folder: Path, case: Case, report: dict[str, Any]) -> bool | None:
 
 
 def _masses(folder: Path, case: Case, report: dict[str, Any]) -> list[MassError]:
-    """How far the masses of a described payload are off; none where there is none, or none described."""
+    """Errors of the masses of a described payload; none without a payload, or without a description."""
     described = [term["stretches"] for term in report.get("described", ()) if term["form"] == "payload"]
     if LOAD not in case.hidden or not described:
         return []
@@ -140,7 +140,7 @@ def _named(stretches: Sequence[dict[str, Any]], recording: str) -> list[dict[str
 
 
 def _where(folder: Path, case: Case, report: dict[str, Any]) -> tuple[float, float]:
-    """Intersection over union of where a true effect acts and where the report says it does: in time, and over its regime."""
+    """Intersection over union of the true and the reported action of an effect: in time, and over its regime."""
     of = [e for e in report["effects"] if e["name"] in case.hidden]
     if not of:
         return float("nan"), float("nan")

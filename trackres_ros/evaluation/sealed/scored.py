@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds a case beside the answers to it, and computes the scores of many."""
+"""Combines a case with the answers to it, and computes the scores of many."""
 
 from __future__ import annotations
 
@@ -44,23 +44,23 @@ COMPARABLE = {
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """One case, the answers to it, and what an oracle knows.
+    """One case, the answers to it, and the oracle's result.
 
     Attributes
     ----------
     answers
         By method.
     overlap, jaccard
-        Of the first true effect that was named: in time, and over the range of what it follows; nan where none was.
+        Of the first true effect that was named: in time, and over the range of its variable; nan without one.
     resolved
-        Whether after the advised manoeuvre the true effect is still named, and the effects it was to be separated from are not;
-        None where none was advised, or driven.
+        Whether after the advised manoeuvre the true effect is still named, and the effects to be separated from it are not;
+        None if no manoeuvre was advised or driven.
     learned
-        Errors on held-out laps, see `discrepancy.learned_errors`.
+        Errors on hold-out laps, see `discrepancy.learned_errors`.
     stated
-        Whether the description that is given first is true of what is hidden; None where there is none to judge.
+        Whether the first description is true of the hidden physics; None without one to judge.
     comparable
-        Of hidden effects: a parameter in the report that means the same, and its true value.
+        Of hidden effects: an equivalent parameter in the report, and its true value.
     masses
         Of a payload that was hidden and described.
     """
@@ -79,7 +79,7 @@ class Scored:
 
     @property
     def true(self) -> set[str]:
-        """Names of what is hidden."""
+        """Names of the hidden physics."""
         return set(self.case.hidden)
 
     @property
@@ -89,12 +89,12 @@ class Scored:
 
     @property
     def rightly_described(self) -> bool:
-        """Whether the verdict is a description, and what it says first is true."""
+        """Whether the verdict is a description, and its first statement is true."""
         return self.answer.status == DESCRIBED and bool(self.stated)
 
     @property
     def allowed(self) -> set[str]:
-        """Names that are no mistake: what is hidden, what says the same, and what cannot be told from it here."""
+        """Names that are no mistake: hidden ones, equivalent ones, and those that cannot be distinguished here."""
         return self.true | {name for true in self.true for name in RIGHT_NAMES.get(true, ())} | set(self.known.alike)
 
     @property
@@ -104,36 +104,36 @@ class Scored:
 
     @property
     def rightly_told(self) -> bool:
-        """Whether what is outside the catalogue is rightly named or described."""
+        """Whether physics outside the catalogue is rightly named or described."""
         return self.rightly_named or self.rightly_described
 
     @property
     def predictable(self) -> bool:
-        """Whether it is outside the catalogue and what it adds can be known ahead."""
+        """Whether it is outside the catalogue and its torque is predictable."""
         return self.case.level == "outside" and bool(self.case.program.get("predictable"))
 
     @property
     def reducible(self) -> bool:
-        """Whether an oracle reduces the error on held-out laps by more than `LEAST_REDUCTION` of it."""
+        """Whether an oracle reduces the error on hold-out laps by more than `LEAST_REDUCTION` of it."""
         return self.known.mae_base - self.known.mae > LEAST_REDUCTION * self.known.mae_base
 
     @property
     def no_worse(self) -> bool:
-        """Whether held-out laps are not worse than with the re-fitted base."""
+        """Whether hold-out laps are not worse than with the re-fitted base."""
         return error_left(self.report) <= NO_WORSE * float(self.report["heldout"]["mae"]["refitted"])
 
     @property
     def removed(self) -> float:
-        """Reduction of the re-fitted base's error on held-out laps by the diagnosis, over that by an oracle."""
+        """Reduction of the re-fitted base's error on hold-out laps by the diagnosis, over that by an oracle."""
         return self.share_removed(self.report["heldout"]["mae"]["refitted"], error_left(self.report))
 
     def share_removed(self, before: float, after: float) -> float:
-        """Reduction of an error on held-out laps, over that of an oracle."""
+        """Reduction of an error on hold-out laps, over that of an oracle."""
         return float((before - after) / (self.known.mae_base - self.known.mae))
 
     @property
     def wrong(self) -> str:
-        """What kind of mistake the diagnosis made; empty where none."""
+        """Kind of mistake of the diagnosis; empty without one."""
         a = self.answer
         if not self.true:
             return "false alarm" if a.classes else "false description" if a.status == DESCRIBED else ""
@@ -168,7 +168,7 @@ def wilson(hits: int, of: int) -> tuple[float, float]:
 
 
 def shares(scored: Sequence[Scored], method: str = OURS) -> dict[str, tuple[int, int]]:
-    """Hits and tries of each score, of what a method answered."""
+    """Hits and tries of each score, of a method's answers."""
     by = {level: [s for s in scored if s.case.level == level] for level in {s.case.level for s in scored}}
 
     def share(of: Sequence[Scored], hit: Callable[[Scored, Answer], bool]) -> tuple[int, int]:
@@ -214,7 +214,7 @@ def shares(scored: Sequence[Scored], method: str = OURS) -> dict[str, tuple[int,
 
 
 def own_shares(scored: Sequence[Scored]) -> dict[str, tuple[int, int]]:
-    """Hits and tries of what only the diagnosis answers."""
+    """Hits and tries of answers that only the diagnosis gives."""
     covers, _ = comparable(scored)
     driven = [s.resolved for s in scored if s.resolved is not None]
     none, outside = ([s for s in scored if s.case.level == level] for level in ("none", "outside"))

@@ -3,8 +3,9 @@
 
 """Scores cases that another simulator made: a folder with labels.json and cases/NAME/session*.csv.
 
-`python -m trackres_ros.evaluation.sealed.second CASES FOLDER [FIRST]`, where FOLDER/results holds what `blind` found. The scores
-have the names and targets of the project's own cases. What the labels do not hold (where an effect acts) is not scored.
+`python -m trackres_ros.evaluation.sealed.second CASES FOLDER [FIRST]`, where FOLDER/results holds the results of `blind`. The
+scores have the names and targets of the project's own cases. Scores that need more than the labels (where an effect acts) are
+omitted.
 """
 
 from __future__ import annotations
@@ -29,14 +30,14 @@ from trackres_ros.evaluation.sealed.oracle import OracleAnswer, fit_truth
 from trackres_ros.evaluation.sealed.page import write_all
 from trackres_ros.evaluation.sealed.scored import OURS, Scored
 
-CLEAR = 12.0  # d' from which something outside the catalogue is seen
+CLEAR = 12.0  # d' from which physics outside the catalogue is detectable
 TRUE = {
     "pump": (("spells",), ()), "brake": (("spells",), ("stop", "stand")), "resonance": ((), ("speed",)),
     "backlash": ((), ("driving torque",)), "cyclic_joint": (("wave",), ()), "zero_drift": (("drift",), ()),
     "gear_state": (("spells", "latch"), ("speed",)), "overload_rub": ((), ("load", "heavy")),
     "regen_misread": ((), ("driving torque", "slow", "brak")),
 }  # fmt: skip
-"""Of what is outside the catalogue there: forms that are true of it, and words of which a true description has one."""
+"""For physics outside that catalogue: its true forms, and words of which a true description has one."""
 NOT_DRAWN = {"air_drag", "speed_scale"}  # effects of the catalogue that the project's own cases do not have
 GROUND, SPEED = "soft_ground", "speed_scale"
 BY_CHANCE = ("pump", "brake", "zero_drift")
@@ -87,7 +88,7 @@ def _scored(task: tuple[Path, Path, Mapping[str, Any]]) -> Scored:
     alike = tuple(sorted({name for e in effects for name in e["acceptable"]}))
     ignored = set(label["tolerated"]) - set(names)
     report = {**report, "effects": [*(e for e in report["effects"] if e["name"] not in ignored), *_by_place(names, report)]}
-    if level == "outside":  # what is hidden is known by its name alone: what is left is at least the noise
+    if level == "outside":  # hidden physics is known by its name alone: the residual is at least the noise
         before = float(report["heldout"]["mae"]["refitted"])
         known = OracleAnswer(0.5 * effects[0]["d_prime"] ** 2, (), seen, False, before, label["noise_mae"][-1]["one_s"])
     else:
@@ -101,7 +102,7 @@ def _scored(task: tuple[Path, Path, Mapping[str, Any]]) -> Scored:
 
 
 def _by_place(names: Sequence[str], report: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Soft ground lies at a place of the lap there. A confirmed place counts as its name."""
+    """Soft ground is at a place of the lap there. A confirmed place is equivalent to its name."""
     placed = any(d["form"] == "place" and d["grade"] == "confirmed" for d in report.get("described", []))
     named = {e["name"] for e in report["effects"]}
     found = [name for name in names if name == GROUND and placed and name not in named]
@@ -117,7 +118,7 @@ def _stated(names: Sequence[str], report: Mapping[str, Any]) -> bool | None:
 
 
 def _comparable(effects: Sequence[Mapping[str, Any]], report: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
-    """Of effects that are rightly named: the parameter that means what the label gives, and the label's value."""
+    """Of rightly named effects: the parameter equivalent to the label's, and the label's value."""
     found = {}
     for e in effects:
         for given in report["effects"] if e.get("comparable") else ():

@@ -18,16 +18,16 @@ from trackres_ros.evaluation.sealed.truth import TruthRun
 Array = NDArray[np.float64]
 
 POSITION = ("latitude_deg", "longitude_deg")
-RESTING_MPS = 1e-3  # an encoder that does not turn counts nothing
+RESTING_MPS = 1e-3  # a standing encoder gives no counts
 HEAVY_TAILS = 5.0  # degrees of freedom of the torque's white noise
 EARTH_M, LATITUDE_DEG, LONGITUDE_DEG = 6_371_000.0, 48.0, 9.0  # radius, and where the towns are
-SECOND_S, MINUTE_S = 1.0, 60.0  # between positions; over which their error wanders
+SECOND_S, MINUTE_S = 1.0, 60.0  # between positions; correlation length of their error
 LOST_S, SEEN_S = (20.0, 60.0), 900.0  # how long narrow streets hide the satellites, and for how long they are seen in the mean
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """How good the instruments are, what is recorded, and how rough the road is."""
+    """Quality of the instruments, recorded channels, and roughness of the road."""
 
     torque_nm: float = 30.0
     torque_share: float = 0.01  # of the torque
@@ -44,7 +44,7 @@ class Sensors:
     belt_measured: bool = True
     load_measured: bool = True
     every_s: float = 0.0  # between rows; as often as is simulated where it is less than that
-    position_m: float = 5.0  # standard deviation of the error that wanders; in towns
+    position_m: float = 5.0  # standard deviation of the slowly varying error; in towns
     position_white_m: float = 1.0
     altitude_m: float = 4.0
     altitude_white_m: float = 0.5
@@ -79,7 +79,7 @@ def record(
     if not sensors.load_measured:
         del columns["weight_n"]
     if drive.street is not None:
-        del columns["heading_rad"]  # a compass among cars and tracks is worth nothing
+        del columns["heading_rad"]  # a compass among cars and tracks is useless
         columns |= _in_town(drive.street, drive.step, sensors, rng)
     every = max(1, round(sensors.every_s / drive.step))
     rows = np.column_stack(list(columns.values()))[::every]
@@ -89,7 +89,7 @@ def record(
 
 
 def _in_town(street: OnStreet, step: float, sensors: Sensors, rng: np.random.Generator) -> dict[str, Array]:
-    """What a satellite receiver and a switch at the brakes show; a receiver's sample comes once in a second."""
+    """Samples of a satellite receiver, one per second, and of a brake switch."""
     n, per_sample = len(street.x), round(SECOND_S / step)
     known = (np.arange(n) % per_sample == 0) & ~street.covered & ~_lost(n, step, rng)
 
@@ -107,7 +107,7 @@ def _in_town(street: OnStreet, step: float, sensors: Sensors, rng: np.random.Gen
 
 
 def wandering(n: int, step: float, std: float, rng: np.random.Generator) -> Array:
-    """An error that wanders within a minute."""
+    """An error that varies within a minute."""
     keep = np.exp(-step / MINUTE_S)
     shocks = rng.normal(0.0, std * np.sqrt(1.0 - keep**2), n)
     return np.asarray(lfilter([1.0], [1.0, -keep], shocks, zi=[keep * rng.normal(0.0, std)])[0])
@@ -123,7 +123,7 @@ def _lost(n: int, step: float, rng: np.random.Generator) -> NDArray[np.bool_]:
 
 
 def lagging(series: Array, seconds: float, step: float) -> Array:
-    """What a filter of first order makes of a series that runs straight between its samples; it starts settled."""
+    """Output of a first-order filter for a piecewise linear series; it starts settled."""
     if seconds < 1e-3 * step:
         return series
     keep = np.exp(-step / seconds)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Gives a hidden program the size at which it would be seen as plainly as was drawn, as far as that is still physical."""
+"""Scales a hidden program to the drawn detectability, within physical limits."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from trackres_ros.evaluation.sealed.programs import ENTRIES, PROGRAM, draw_progr
 from trackres_ros.evaluation.sealed.truth import simulate_truth
 
 SLOW_NM, SLOW_S, WHITE_NM = 50.0, 6.0, 15.0  # a torque's noise over a second: a road that no one measured, and white
-CHANGE = 0.03  # of each value of the build, to see what a re-fit can take up
+CHANGE = 0.03  # of each value of the build, to find the part absorbed by a re-fit
 ROUNDS, TRIES = 3, 20
 LEAST = 20.0  # of d'
 
 
 def sized(case: Case, sheet: Path, drives: Sequence[SealedDrive]) -> Case:
-    """The case with the size of its program and how plainly that is seen; a program that cannot be seen gives way to another."""
+    """The case with the size of its program and its detectability; an undetectable program is replaced by another."""
     if PROGRAM not in case.hidden:
         return case
     build, wanted = build_of(case), case.hidden[PROGRAM]["d_prime"]

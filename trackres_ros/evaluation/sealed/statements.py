@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Says whether a description is true of a hidden torque: whether what it names goes with that torque.
+"""Decides whether a description is true of a hidden torque: whether its variables correlate with that torque.
 
-A description names variables, a gate, or a way of coming and going. It is true if a function of just that explains the hidden
-torque with a partial correlation of at least `BOUND`. What a re-fit of the vehicle file can take up is removed first, and the
+A description names variables, a gate, or a temporal pattern. It is true if a function of just that explains the hidden
+torque with a partial correlation of at least `BOUND`. The part that a re-fit of the vehicle file can absorb is removed first. The
 correlation is that in blocks of time to which the function was not fitted.
 """
 
@@ -22,7 +22,7 @@ from trackres_ros.evaluation.sealed.answers import words
 Array = NDArray[np.float64]
 
 BOUND = 0.4
-ALL, LEVELS = 0.7, 0.92  # correlations: with what explains most of a torque; with its levels (a sine has 0.90)
+ALL, LEVELS = 0.7, 0.92  # correlations: with the main part of a torque; with its levels (a sine has 0.90)
 BLOCK_S, BINS, SIDES = 37, 10, 3  # length of a block; bins of a variable; bins of a gate
 STANDING_MPS, BRAKING_MPS2 = 0.1, -0.3
 MEANT = {
@@ -30,18 +30,18 @@ MEANT = {
     "acceleration": ("slow", "brak", "speeds up", "accelerat"), "driving torque": ("torque",),
     "time since start": ("time of day", "since start"), "speed": ("pulls away", "to a stop", "m/s"),
 }  # fmt: skip
-"""Words that mean a variable where its own name is not given."""
+"""Words that mean a variable without its own name."""
 
 
 def is_true(term: Mapping[str, Any], over: Mapping[str, Array], added: Array, lengths: Array) -> bool:
-    """Whether a described term is true of the torque that was hidden.
+    """Whether a described term is true of the hidden torque.
 
     Parameters
     ----------
     term
         As in report.json.
     over, added
-        Variables of the drives and what the hidden physics added to the torque [Nm], by seconds, one drive after the other.
+        Variables of the drives and torque of the hidden physics [Nm], by seconds, one drive after the other.
     lengths
         Of the drives.
     """
@@ -68,7 +68,7 @@ def is_true(term: Mapping[str, Any], over: Mapping[str, Array], added: Array, le
 
 
 def partial(groups: list[NDArray[np.int64]], over: Mapping[str, Array], target: Array) -> float:
-    """Partial correlation of a torque with a free function of binned variables, beside what the base can take up."""
+    """Partial correlation of a torque with a free function of binned variables, given the part that the base can absorb."""
     base = np.column_stack([np.ones(len(target)), over["load"], over["load"] * over["belt temperature"], over["speed"] ** 2])
     base = base / np.abs(base).max(axis=0)
     cells = np.stack([np.all([g == k for g, k in zip(groups, key, strict=True)], axis=0)
@@ -85,13 +85,13 @@ def partial(groups: list[NDArray[np.int64]], over: Mapping[str, Array], target: 
 
 
 def _named(text: str, series: Mapping[str, Array]) -> list[str]:
-    """Variables that a text names, the longest name first; else those that it means."""
+    """Variables that a text names, the longest name first; else those that it implies."""
     given = sorted((name for name in series if name in text), key=len, reverse=True)
     return given or [name for name, meant in MEANT.items() if any(word in text for word in meant)]
 
 
 def _bins(x: Array, count: int) -> NDArray[np.int64]:
-    """Numbers of bins: half of the edges part the time evenly, half the range."""
+    """Numbers of bins: half of the edges divide the time evenly, half the range."""
     low, high = np.quantile(x, (0.002, 0.998))
     share = np.linspace(0.0, 1.0, count // 2 + 2)[1:-1]
     edges = np.unique(np.concatenate((np.quantile(x, share), low + share * (high - low))))
@@ -99,7 +99,7 @@ def _bins(x: Array, count: int) -> NDArray[np.int64]:
 
 
 def _since_stops(over: Mapping[str, Array], lengths: Array) -> dict[str, Array]:
-    """Distance [m] and time [s] since a stop, and time since it slowed down; each drive begins anew."""
+    """Distance [m] and time [s] since a stop, and time since a deceleration; they restart in each drive."""
     second, way = np.arange(len(over["speed"]), dtype=float), np.cumsum(np.abs(over["speed"]))
     begins = np.isin(second, np.cumsum(lengths) - lengths)
 

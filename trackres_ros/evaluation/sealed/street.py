@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds what is hidden in a town: the slope of its streets, what is loaded and unloaded at stops, and soft or rough ground."""
+"""Holds the hidden physics of a town: the slope of its streets, loads changed at stops, and soft or rough ground."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ STAYS = 0.5  # share of the people who stay on at a stop
 
 
 def loaded(drive: SealedDrive, p: Mapping[str, float], driven: float) -> SealedDrive:
-    """The same drive with what is on board between one stop and the next, up to a `share` of its weight.
+    """The same drive with a load between one stop and the next, up to a `share` of its weight.
 
-    People get on and off a few at a time; `bulk` is there or is not.
+    People get on and off a few at a time; `bulk` is either present or not.
     """
     assert drive.street is not None
     rng = np.random.default_rng([int(p["seed"]), int(driven)])
@@ -50,4 +50,4 @@ def _ground(at: Journey, p: Mapping[str, float], _: Array) -> Array:
 
 
 PHENOMENA: dict[str, Adds] = {"street_slope": _slope, "street_ground": _ground}
-"""What adds to the torque; `LOAD` is in the weight."""
+"""Additional torques; `LOAD` is in the weight."""

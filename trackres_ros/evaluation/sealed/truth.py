@@ -1,9 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Simulates a vehicle by a second model, with whatever the diagnosis is to find switched on.
+"""Simulates a vehicle by a second model, with any phenomena for the diagnosis to find.
 
-Each phenomenon has another form here than in the catalogue of the diagnosis, as nature would.
+Each phenomenon has another form here than in the catalogue of the diagnosis, as in nature.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ class Build:
 
 @dataclass(frozen=True, eq=False)
 class TruthRun:
-    """What truly happened over a drive, series of shape (n,).
+    """True values of a drive, series of shape (n,).
 
     Attributes
     ----------
     torque, shown
-        At the sprockets, and where the sensor is [Nm].
+        At the sprockets, and at the sensor [Nm].
     belt, surface
         Temperatures of the belt [degC].
     added
-        What the phenomena added to the torque; a program, or where friction brakes take a part: to what is shown of it [Nm].
+        Torque added by the phenomena; for a program, or with friction brakes: at the sensor [Nm].
     weight
-        With all that was on board [N].
+        Including the load [N].
     """
 
     torque: Array
@@ -71,7 +71,7 @@ class TruthRun:
 
 @dataclass(frozen=True, eq=False)
 class _Design:
-    """What all vehicles of a data sheet have in common."""
+    """Constants of all vehicles of a data sheet."""
 
     sheet: DataSheet
     material: Material
@@ -86,7 +86,7 @@ def _design(path: Path) -> _Design:
 
 
 def simulate_truth(path: Path, build: Build, hidden: Hidden, drives: Sequence[SealedDrive]) -> list[TruthRun]:
-    """Drive one after the other, each begun with a belt at the air's temperature; what wears or runs in goes on."""
+    """Drive one after the other, each with a belt at the air's temperature at first; wear and running-in continue."""
     design = _design(path)
     found, driven = [], 0.0
     for drive in drives:
@@ -319,4 +319,4 @@ PHENOMENA: dict[str, Adds] = {
     "lug_friction": _lug_friction,
     **street.PHENOMENA,
 }
-"""What adds to the torque; the rest acts in the belt, on the drive train or in a sensor."""
+"""Additional torques; the others act in the belt, on the drive train or in a sensor."""

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draws a parameter of a vehicle over the months, as SVG that a page holds: no script, no file beside it."""
+"""Draws a parameter of a vehicle over the months, as inline SVG: no script, no separate file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TICKS = 4
 
 
 def drawn(levels: Sequence[Sequence[float]], name: str, unit: str, changes: Sequence[Mapping[str, Any]]) -> str:
-    """Values with their standard deviations over time, and where a change began.
+    """Values with their standard deviations over time, and the begin of changes.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def drawn(levels: Sequence[Sequence[float]], name: str, unit: str, changes: Sequ
 
 
 def _range(value: np.ndarray, std: np.ndarray) -> tuple[float, float]:
-    """What the axis shows: all but what is far from all others."""
+    """Range of the axis: all values except outliers."""
     low, high = (float(np.quantile(ends, q)) for ends, q in ((value - std, 0.02), (value + std, 0.98)))
     margin = 0.15 * max(high - low, 1e-9 + 0.02 * abs(high))
     return low - margin, high + margin

@@ -85,7 +85,7 @@ def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -
 
 
 def shade(mismatch: float | None, worst: float) -> str:
-    """Class of the colour of a mismatch, `s0` for the least; that of a month whose recordings have no load is `unloaded`."""
+    """Class of the colour of a mismatch, `s0` for the least; that of a month without recorded loads is `unloaded`."""
     if mismatch is None:
         return "unloaded"
     return f"s{min(COLOURS - 1, int(COLOURS * mismatch / worst)) if worst > 0.0 else 0}"

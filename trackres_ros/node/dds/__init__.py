@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The transport on Cyclone DDS, where ROS 2 is not installed: the same topics and presence, as a ROS 2 node shows them."""
+"""The transport on Cyclone DDS for machines without ROS 2: the same topics and presence as those of a ROS 2 node."""
 
 from trackres_ros.errors import MissingExtraError
 

@@ -62,14 +62,14 @@ def prepared(topic: OutputTopic, frame_id: str) -> PreparedMessage:
 
 
 class DdsEstimate:
-    """The message of `topics.ESTIMATE_TOPIC`, prepared anew when the reasons are others."""
+    """The message of `topics.ESTIMATE_TOPIC`, prepared again when the reasons change."""
 
     def __init__(self, frame_id: str) -> None:
         self._frame_id = frame_id
         self._reasons: Reasons | None = None
 
     def filled(self, stamp: int, values: Sequence[float], reasons: Reasons) -> bytes:
-        """The message with a stamp [ns], its numbers and the reasons that hold."""
+        """The message with a stamp [ns], its numbers and the present reasons."""
         if reasons != self._reasons:
             self._prepared, self._reasons = self._with(reasons), reasons
         return self._prepared.filled(stamp, values)
@@ -116,12 +116,12 @@ def _header(stamp: int, frame_id: str) -> Any:
 class CdrInput:
     """Reads stamp and numbers of the messages of one input topic.
 
-    Messages of a topic are mostly laid out alike, so the places found in one serve the next.
+    Messages of a topic mostly have the same layout, so field positions are reused from message to message.
 
     Raises
     ------
     InputError
-        For a type that is not known here, or a field path that does not lead to a number.
+        For an unknown type, or a field path that does not lead to a number.
     """
 
     def __init__(self, given: InputTopic, origin: str) -> None:
@@ -142,7 +142,7 @@ class CdrInput:
         self._places: list[tuple[int, struct.Struct] | None] = []
 
     def read(self, raw: bytes) -> tuple[int | None, list[float | None]]:
-        """Stamp [ns], None where the type has none; and the scaled number of each binding, None where it is not in the message,
+        """Stamp [ns], None where the type has none; and the scaled number of each binding, None where the message lacks it,
         nan of a receiver without a fix.
 
         Raises
@@ -177,7 +177,7 @@ def clock_ns(raw: bytes) -> int:
     Raises
     ------
     MalformedError
-        If the bytes are too few, or hold no time.
+        If the bytes are too few, or contain no valid time.
     """
     if len(raw) < CLOCK_BYTES:
         raise MalformedError("too short")

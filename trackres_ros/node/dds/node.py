@@ -29,7 +29,7 @@ from trackres_ros.units import SECOND_NS
 
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 CLOCK_QUALITY = Quality(reliable=False, depth=1, deadline_s=0.0)
-# Naps this short cost two percent of a core, and keep the way of a message in the caches: the torque leaves a tenth sooner.
+# Naps this short cost two percent of a core, and keep a message's path in the caches: the torque leaves a tenth sooner.
 LONGEST_WAIT_NS = 2_000_000
 FAULT = 1
 LOG_PATIENCE_S = 1.0  # with who reads the log, at the end
@@ -83,7 +83,7 @@ class DdsNode:
         self._looked: tuple[Mapping[str, Value], list[InputError]] | BaseException = {}, []
         self._next_look = 0
 
-    # What the application asks of its transport
+    # Interface of the application's transport
 
     def now_ns(self) -> int:
         """The machine's time, or the last of /clock."""
@@ -118,7 +118,7 @@ class DdsNode:
         ]
 
     def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
-        """Have every message kept, of other topics besides."""
+        """Record every message, including those of other topics."""
         store = typestore()
         for index, given in enumerate(others, len(self._readers)):
             if given.type in store.types:
@@ -139,7 +139,7 @@ class DdsNode:
     # Running
 
     def spin(self, requests: SignalRequests, watched: ParameterFile | None = None) -> None:
-        """Run until a signal asks to stop, and do what others ask for; a parameter file may be watched."""
+        """Run until a signal requests a stop, and carry out other requests; a parameter file may be watched."""
         application = self.application
         why = "without rclpy" if importlib.util.find_spec("rclpy") else "rclpy is not installed"
         reach = self._participant.reach
@@ -159,7 +159,7 @@ class DdsNode:
                 guard.essential("reading the clock", self._take_clock, self._clock)
             guard.essential("taking messages", self._inbox.collect)
             guard("recording", self._take_kept)
-            # A simulated clock stands while messages are worked off, and none comes between it and them.
+            # A simulated clock stands still while messages are processed.
             guard.essential("taking messages", self._inbox.work_off, self._tick_if_due, collecting=self._clock is None)
             self._tick_if_due()
             guard("a request", self._carry_out, requests)
@@ -181,9 +181,7 @@ class DdsNode:
             self.log(level, text)
 
     def _follow(self, watched: ParameterFile) -> None:
-        """Change what a parameter file has changed; what is refused is reported line by line. The file is read on another
-        thread.
-        """
+        """Apply the changes of a parameter file, and report each refused line. Another thread reads the file."""
         if self._looking.busy:
             return
         looked, self._looked = self._looked, ({}, [])
@@ -202,7 +200,7 @@ class DdsNode:
     def _look(self, watched: ParameterFile) -> None:
         try:
             self._looked = watched.look(self.application.checked_change)
-        except BaseException as error:  # raised where the loop takes it
+        except BaseException as error:  # raised in the loop, which handles it
             self._looked = error
 
     def _hand(self, index: int, message: tuple[bytes, int], arrived: Arrival) -> None:
@@ -210,7 +208,7 @@ class DdsNode:
         self.application.keep(index, raw, arrived)
         try:
             stamp, values = self._input_readers[index].read(raw)
-        except Exception:  # whatever the bytes are, they end nothing
+        except Exception:  # no bytes, whatever they are, end the node
             self.application.undecodable(index, sent_ns, arrived)
         else:
             self.application.receive_values(index, stamp, values, sent_ns, arrived)
@@ -222,7 +220,7 @@ class DdsNode:
             self.application.tick()
 
     def close(self) -> None:
-        """Save the state and leave."""
+        """Save the state and leave the domain."""
         self.log(Level.OK, self.application.close())
         self._participant.close()
         self._lines.close(LOG_PATIENCE_S)
@@ -242,15 +240,15 @@ def run(
     started: Callable[[Application], None] | None = None,
     watched: ParameterFile | None = None,
 ) -> int:
-    """Run the node until a signal asks to stop.
+    """Run the node until a signal requests a stop.
 
     Returns
     -------
     int
-        Exit code: 0, or 1 where a fault of the loop itself has ended it.
+        Exit code: 0, or 1 if a fault of the loop itself ended it.
     """
     running = DdsNode(parameters, node, namespace)
-    gc.freeze()  # what was loaded stays: looking through it would hold up a message now and then
+    gc.freeze()  # loaded objects stay: scanning them would delay a message now and then
     fault: Exception | None = None
     try:
         if started:

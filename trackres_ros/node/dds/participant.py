@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""One participant on the DDS wire that other machines see as a ROS 2 node, with its endpoints and what it knows of others."""
+"""One participant on the DDS wire that other machines see as a ROS 2 node, with its endpoints and its view of others."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ ENDLESS_NS = 2**63 - 1
 
 @dataclass(frozen=True, slots=True)
 class Publication:
-    """A writer on the wire, whosesoever: its topic and type as ROS names them, and what it offers."""
+    """A writer on the wire, of this or another process: topic and type by their ROS names, and its offered quality of service."""
 
     topic: str
     type: str
     reliable: bool
-    deadline_s: float  # infinite where it offers none
+    deadline_s: float  # infinite without one
 
 
 class Writer:
@@ -74,7 +74,7 @@ class Writer:
 
     @property
     def readers(self) -> int:
-        """How many readers take what is written."""
+        """Number of matched readers."""
         return len(self.entity.get_matched_subscriptions())
 
 
@@ -88,7 +88,7 @@ class TopicReader:
         self._reference = self.entity._ref
 
     def take(self) -> list[tuple[bytes, int]]:
-        """Take all messages that wait, in the order they came, each with the time it was sent at [ns]."""
+        """Take all waiting messages in order of arrival, each with its sending time [ns]."""
         found = ddspy_take(self._reference, EVERY_SAMPLE, MOST_TAKEN)
         return [(raw, about.source_timestamp) for raw, about in found if about.valid_data] if isinstance(found, list) else []
 
@@ -104,7 +104,7 @@ class Participant:
     Raises
     ------
     InputError
-        If ROS_DOMAIN_ID is no domain, or Cyclone DDS cannot start as it is configured.
+        If ROS_DOMAIN_ID is not a domain, or the configuration prevents Cyclone DDS from starting.
     """
 
     def __init__(self, node: str, namespace: str) -> None:
@@ -126,17 +126,17 @@ class Participant:
         self._readers: list[TopicReader] = []
 
     def writer(self, name: str, kind: str, quality: Quality) -> Writer:
-        """A writer on a topic by its full name; seen by others after `announce`."""
+        """A writer on a topic by its full name; visible to others after `announce`."""
         self._writers.append(Writer(self, name, kind, quality))
         return self._writers[-1]
 
     def reader(self, name: str, kind: str, quality: Quality) -> TopicReader:
-        """A reader of a topic by its full name; seen by others after `announce`."""
+        """A reader of a topic by its full name; visible to others after `announce`."""
         self._readers.append(TopicReader(self, name, kind, quality))
         return self._readers[-1]
 
     def announce(self) -> None:
-        """Tell others which endpoints belong to the node, as ROS 2 does."""
+        """Announce which endpoints belong to the node, as ROS 2 does."""
         types = typestore().types
         node = types["rmw_dds_common/msg/NodeEntitiesInfo"](
             node_namespace=self.namespace,
@@ -156,7 +156,7 @@ class Participant:
         return wait
 
     def publications(self) -> Iterator[Publication]:
-        """All writers of ROS topics there are now, our own among them."""
+        """All present writers of ROS topics, including our own."""
         for found in self._others.take(N=MOST_TAKEN):
             key = str(found.key)
             if found.sample_info.instance_state == InstanceState.Alive:
@@ -166,12 +166,12 @@ class Participant:
         yield from self._known.values()
 
     def close(self) -> None:
-        """Leave; others see the node go at once."""
+        """Leave; others see it at once."""
         self.entity._delete(self.entity._ref)
 
 
 def serialized(message: Any, kind: str) -> bytes:
-    """A message as CDR, filled up to whole words as the middleware wants it."""
+    """A message as CDR, padded to whole words for the middleware."""
     raw = bytes(typestore().serialize_cdr(message, kind))
     return raw + b"\0" * (-len(raw) % ALIGNMENT)
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Plays a bag onto the wire without ROS: its messages as they were logged, with a clock."""
+"""Plays a bag onto the wire without ROS: its messages at their log times, with a clock."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ class Player:
     path
         A bag of ROS 2.
     rate
-        How much faster than it was recorded.
+        Speed relative to the recording.
 
     Raises
     ------
     InputError
-        If it cannot be read, or holds no message of a type that is known.
+        If it cannot be read, or contains no message of a known type.
     """
 
     def __init__(self, path: Path, rate: float) -> None:
@@ -47,7 +47,7 @@ class Player:
         self._path = path
         if is_ros1(path):
             raise InputError(str(path), "a bag of ROS 1", "a bag of ROS 2", "convert it with: rosbags-convert")
-        with closing(cast("Any", open_bag(path))) as reader:  # of rosbags, which this edge needs
+        with closing(cast("Any", open_bag(path))) as reader:  # of rosbags, which this module requires
             known = {c.topic: c.msgtype for c in reader.connections if c.msgtype in typestore().types}
             self.left_out = sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections if c.topic not in known})
             self.duration_s = reader.duration * 1e-9

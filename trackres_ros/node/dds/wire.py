@@ -62,9 +62,9 @@ MOST_PORT = 65535
 
 @cache
 def typestore() -> Typestore:
-    """All common message types of ROS 2 Jazzy, and those of ros2_control that the node publishes.
+    """All common message types of ROS 2 Jazzy, and the ros2_control types that the node publishes.
 
-    rosidl hashes a `char` of a .msg file as uint8, rosbags as char: so it is made uint8 here, which is the same on the wire.
+    rosidl hashes a `char` of a .msg file as uint8, rosbags as char. So it becomes uint8 here, which is the same on the wire.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, text in CONTROL_MSGS.items():
@@ -82,12 +82,12 @@ def _without_char(kind: Any) -> Any:
 
 
 def known_type(name: str, where: str) -> str:
-    """The message type, if it is known.
+    """The message type, if known.
 
     Raises
     ------
     InputError
-        If it is not.
+        If unknown.
     """
     if name not in typestore().types:
         raise InputError(
@@ -106,7 +106,7 @@ def dds_type_name(name: str) -> str:
 
 
 def ros_type_name(name: str) -> str:
-    """The reverse of `dds_type_name`; a name that no ROS type has is left as it is."""
+    """The reverse of `dds_type_name`; returns other names unchanged."""
     package, _, rest = name.partition("::msg::dds_::")
     return f"{package}/msg/{rest.removesuffix('_')}" if rest else name
 
@@ -118,7 +118,7 @@ def type_hash(name: str) -> bytes:
 
 @cache
 def idl_struct(name: str) -> Any:
-    """The message type as Cyclone's Python binding has it."""
+    """The message type for Cyclone's Python binding."""
     fields: Any = message_fields(typestore())[name][1]
     return make_idl_struct(
         name.replace("/", "__"), dds_type_name(name), {f"{field}_": _idl_field(kind) for field, kind in fields}
@@ -184,9 +184,9 @@ _domains: dict[int, Domain] = {}
 
 
 def open_domain(number: int) -> str:
-    """Open a domain once for this process; how it reaches others, in words.
+    """Open a domain once for this process; return how it reaches others, as text.
 
-    CYCLONEDDS_URI counts where it is set, then ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE as in ROS 2.
+    CYCLONEDDS_URI has priority, then ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE as in ROS 2.
     """
     if os.environ.get("CYCLONEDDS_URI"):
         reach, configuration = "as set by CYCLONEDDS_URI", None

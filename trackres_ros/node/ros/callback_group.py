@@ -15,7 +15,8 @@ from rclpy.timer import Timer
 class OneAtATime(MutuallyExclusiveCallbackGroup):  # type: ignore[misc]
     """The group of all callbacks of a node: any executor runs one at a time, so messages keep the order in which they are taken.
 
-    At times the executor does not wait for some of them. rclpy builds its wait set anew for each message, out of every entity
+    Sometimes the executor excludes some of them from its wait. rclpy builds its wait set again for each message, from every
+    entity
     that may run. With dozens of services and event handlers in it that takes longer than the estimate itself.
 
     Attributes
@@ -34,8 +35,8 @@ class OneAtATime(MutuallyExclusiveCallbackGroup):  # type: ignore[misc]
         self.waits_for_inputs = self.serves = True
 
     def can_execute(self, entity: Any) -> bool:
-        """Whether the executor is to wait for it, or run it."""
-        if isinstance(entity, Subscription):  # any other is rclpy's own, of /clock, or one that is only recorded
+        """Whether the executor waits for it, or runs it."""
+        if isinstance(entity, Subscription):  # others are rclpy's own, of /clock, or only recorded
             opened = self.waits_for_inputs or entity not in self.inputs
         else:
             opened = self.serves or isinstance(entity, Timer)

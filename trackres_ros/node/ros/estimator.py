@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The executable `estimator`. It listens to signals before anything else is loaded, which takes a second."""
+"""The executable `estimator`. It handles signals before it loads anything else, which takes a second."""
 
 from __future__ import annotations
 

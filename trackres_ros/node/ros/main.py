@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 BAD_INPUT = 2
 FAULT = 1  # of the loop itself
-LONGEST_WAIT_S = 0.1  # so that a signal is seen soon
+LONGEST_WAIT_S = 0.1  # so that a signal is handled soon
 MOST_FAILED = 100  # callbacks, one after the other
 
 try:
@@ -37,7 +37,7 @@ except ImportError as error:
 
 
 def run_executable(requests: SignalRequests) -> int:
-    """Run the executable; ROS arguments give name, namespace, remappings and parameters. The exit code."""
+    """Run the executable; ROS arguments give name, namespace, remappings and parameters. Return the exit code."""
     from trackres_ros.node.ros.node import EstimatorNode
 
     return _run(lambda: EstimatorNode(), requests, None, None, of_command=False)
@@ -50,7 +50,7 @@ def run(
     requests: SignalRequests,
     started: Callable[[Application], None] | None = None,
 ) -> int:
-    """Run the node with checked parameters until a signal asks to stop; the exit code."""
+    """Run the node with checked parameters until a signal requests a stop; return the exit code."""
     from trackres_ros.node.ros.node import EstimatorNode
 
     sim_time = rclpy.Parameter("use_sim_time", value=parameters.sim_time)
@@ -68,7 +68,7 @@ def _run(
     started: Callable[[Application], None] | None,
     of_command: bool,
 ) -> int:
-    # rclpy's own handlers would take the context away before the node has saved its state and said so.
+    # rclpy's own handlers would end the context before the node has saved its state and reported it.
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     node: Any = None
     fault: Exception | None = None
@@ -90,7 +90,7 @@ def _run(
             node.trigger_activate()
         if started and node.application:
             started(node.application)
-        gc.freeze()  # what was loaded stays: looking through it would hold up a message now and then
+        gc.freeze()  # loaded objects stay: scanning them would delay a message now and then
         requests.started()
         _spin(executor, node, requests)
     except InputError:
@@ -110,7 +110,7 @@ def _run(
 
 
 def _spin(executor: Any, node: Any, requests: SignalRequests) -> None:
-    """Run until a signal asks to stop. What a callback raises comes out of the executor here, and ends nothing else."""
+    """Run until a signal requests a stop. Exceptions of callbacks leave the executor here, and end nothing else."""
     failed = 0
     while not requests.to_stop:
         try:

@@ -31,7 +31,7 @@ Fill = Callable[[int, Sequence[float]], Any]
 
 
 def prepared(topic: OutputTopic, frame_id: str) -> Fill:
-    """A function that takes a stamp [ns] and the numbers of a topic, and gives the message; always the same one, filled anew."""
+    """A function that makes the message from a stamp [ns] and the numbers of a topic; it reuses one message."""
     message = get_message(topic.type)()
     if topic.kind == "number":
 
@@ -67,7 +67,7 @@ def prepared(topic: OutputTopic, frame_id: str) -> Fill:
 
 
 class RosEstimate:
-    """The message of `topics.ESTIMATE_TOPIC`, filled anew; its reasons only when they are others."""
+    """The message of `topics.ESTIMATE_TOPIC`, reused; its reasons are filled only when they change."""
 
     def __init__(self, frame_id: str) -> None:
         self._message = installed_type(ESTIMATE_TOPIC.type, f"topic ~/{ESTIMATE_TOPIC.name}")()
@@ -79,7 +79,7 @@ class RosEstimate:
         self._reasons: Reasons = ()
 
     def filled(self, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> Any:
-        """The message with a stamp [ns], its numbers and the reasons that hold."""
+        """The message with a stamp [ns], its numbers and the present reasons."""
         stamp = self._message.header.stamp
         stamp.sec, stamp.nanosec = divmod(stamp_ns, SECOND_NS)
         self._vehicle.values = array("d", values)
@@ -142,7 +142,7 @@ def installed_type(name: str, where: str) -> Any:
 
 
 def type_text(msgtype: str) -> str | None:
-    """The text that defines a message type and all it contains, as a bag keeps it; None where its definition is not installed."""
+    """The definition of a message type with all nested types, as stored in a bag; None if it is not installed."""
     found: dict[str, str] = {}
     wanted = [msgtype]
     while wanted:
@@ -162,7 +162,7 @@ def type_text(msgtype: str) -> str | None:
 
 
 def definitions(msgtype: str) -> Definitions:
-    """Fields of a message type and of all it contains, from the installed types."""
+    """Fields of a message type and of all nested types, from the installed types."""
     found: dict[str, tuple[Field, ...]] = {}
     wanted = [msgtype]
     while wanted:

@@ -41,12 +41,12 @@ from trackres_ros.node.transport import Level, Peer, Reasons, Status
 from trackres_ros.output.topics import DEFAULT_NODE, ESTIMATE_TOPIC, OutputTopic
 from trackres_ros.units import SECOND_NS
 
-COLLECTED_FROM_HZ = 20.0  # of the outputs: the inputs' queues hold what comes between two of them, at 1 kHz too
+COLLECTED_FROM_HZ = 20.0  # of the outputs: the inputs' queues hold the messages between two of them, at 1 kHz too
 
 MOST_COLLECTED = 1000  # of a topic at a time
 
 Taken = tuple[Any, dict[str, int]]
-"""A message and what the middleware says about it."""
+"""A message and its middleware information."""
 
 
 class EstimatorNode(LifecycleNode):  # type: ignore[misc]
@@ -55,7 +55,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     Parameters
     ----------
     values
-        Values that stand in for the defaults of the parameters.
+        Replacements for the defaults of the parameters.
     arguments
         Of `rclpy.node.Node`: namespace, context, cli_args, parameter_overrides...
     """
@@ -64,7 +64,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._group = OneAtATime()
         self.application: Application | None = None
         self.failure = ""
-        self.refused: InputError | None = None  # what a transition refused last
+        self.refused: InputError | None = None  # refusal of the last transition
         self._clear()
         super().__init__(node, **arguments)
         self.add_pre_set_parameters_callback(ros_parameters.in_own_type)
@@ -74,7 +74,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._warn(ros_parameters.unknown(self, of_topics=False))
 
     def _clear(self) -> None:
-        """Nothing is made yet, or any more."""
+        """Before configuration or after cleanup."""
         self._fills: list[Fill | None] = []
         self._outputs: list[Any] = []  # None where the type of a topic is not installed
         self._inputs: list[Any] = []
@@ -101,7 +101,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         return self._transition(self._activate, state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop publishing; the estimate goes on."""
+        """Stop publishing; the estimate continues."""
         return self._transition(self._deactivate, state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -113,11 +113,11 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         return self._transition(lambda _: self.release(), state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let go of everything, so that it can be configured anew."""
+        """Release everything, so that the node can be configured again."""
         return self._transition(lambda _: self.release(), state)
 
     def _transition(self, step: Callable[[LifecycleState], None], state: LifecycleState) -> TransitionCallbackReturn:
-        """Do a step; rclpy would swallow an exception, so it is logged and told."""
+        """Do a transition; rclpy would swallow an exception, so it is logged and reported."""
         try:
             step(state)
         except InputError as error:
@@ -188,7 +188,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._inputs.append(made)
 
     def _start_clocks(self, application: Application) -> None:
-        """The application learns when the clock goes back, and ticks by steady time."""
+        """Notify the application when the clock goes back, and call its tick by steady time."""
         self._next_tick = 0
         back = Duration(nanoseconds=-int(application.estimator.settings.clock_jump_s * SECOND_NS))
         self._jumps = self.get_clock().create_jump_callback(
@@ -209,7 +209,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         super().on_deactivate(state)
 
     def release(self) -> None:
-        """Save the state and destroy what `on_configure` made."""
+        """Save the state and destroy everything that `on_configure` made."""
         application, self.application = self.application, None
         if application is None:
             return
@@ -226,10 +226,10 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             self.destroy_service(service)
         self._clear()
 
-    # What the application asks of its transport
+    # Interface of the application's transport
 
     def _prepared_estimate(self) -> RosEstimate | None:
-        """None where its type is not installed, or is another: it alone is not among the common interfaces."""
+        """None where its type is not installed, or differs: it alone is not among the common interfaces."""
         try:
             return RosEstimate(self._frame_id)
         except (InputError, AttributeError, AssertionError, TypeError) as error:  # not there, or of another version
@@ -264,7 +264,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         ]
 
     def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
-        """Have every message kept, of other topics besides."""
+        """Record every message, including those of other topics."""
         assert self.application
         self._recording = True
         texts = [type_text(given.type) for given in (*self.application.inputs, *others)]
@@ -280,7 +280,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         return str(self.resolve_topic_name(name))
 
     def log(self, level: Level, text: str) -> None:
-        """Say something in the log of the node."""
+        """Write to the log of the node."""
         logger = self.get_logger()
         if level is Level.OK:
             logger.info(text)
@@ -289,7 +289,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         else:
             logger.warning(text)
 
-    # What ROS calls
+    # Called by ROS
 
     def _taker(self, index: int) -> Callable[[Any, dict[str, int]], None]:
         def take(message: Any, about: dict[str, int]) -> None:
@@ -335,10 +335,11 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             self.application.keep(index, raw, self.application.arrival())
 
     def _wait_or_collect(self, application: Application) -> None:
-        """Wait for messages where they are answered, or where simulated time stamps their arrival and runs fast.
+        """Wait for messages where they trigger outputs, or where fast simulated time stamps their arrival.
 
-        Elsewhere each tick takes what has come. Outputs at a fixed rate change at a tick only, so nothing is lost by that, and
-        rclpy, for which waiting for one message is half the work of it all, waits half as often.
+        Elsewhere each tick collects them. Outputs at a fixed rate change at a tick only, so nothing is lost. rclpy, in which
+        waiting
+        for a message is half of all work, then waits half as often.
         """
         rate_hz = application.parameters.number("output_rate_hz")
         self._group.waits_for_inputs = rate_hz < COLLECTED_FROM_HZ or application.parameters.sim_time
@@ -349,7 +350,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
                 response.message, response.success = what(), True
             except InputError as error:
                 response.message, response.success = str(error), False
-            except Exception as error:  # who asked is to have an answer
+            except Exception as error:  # the caller needs an answer
                 response.message, response.success = f"a bug: {type(error).__name__}: {error}", False
             return response
 
@@ -381,7 +382,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
 
 def _come(given: Any) -> Iterator[Taken]:
-    """Take what waits in a subscription."""
+    """Take the waiting messages of a subscription."""
     with given.handle:
         for _ in range(MOST_COLLECTED):
             taken = given.handle.take_message(given.msg_type, given.raw)

@@ -20,7 +20,7 @@ SIM_TIME = "use_sim_time"  # declared by rclpy itself
 
 
 def declare(node: Node, values: Parameters) -> None:
-    """Declare all parameters; what the command line or a parameter file gives overrides `values`.
+    """Declare all parameters; the command line or a parameter file overrides `values`.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def declare(node: Node, values: Parameters) -> None:
 
 
 def unknown(node: Node, of_topics: bool) -> str:
-    """Names from a parameter file or the command line that are not declared, with the closest ones; empty if there are none.
+    """Undeclared names in a parameter file or on the command line, with the closest ones; empty if there are none.
 
     With `of_topics` only overrides of a topic's quality of service, which are declared when the node is configured; else all
     others.
@@ -49,7 +49,7 @@ def unknown(node: Node, of_topics: bool) -> str:
 
 
 def descriptor(parameter: NodeParameter) -> ParameterDescriptor:
-    """Description, unit, range and what can be changed when."""
+    """Description, unit, range and whether it can be changed."""
     text = parameter.meaning
     if parameter.unit and parameter.unit != "1":
         text += f" [{parameter.unit}]"
@@ -59,7 +59,7 @@ def descriptor(parameter: NodeParameter) -> ParameterDescriptor:
     return ParameterDescriptor(
         description=text,
         additional_constraints=f"fixed while configured: {parameter.fixed_because}" if parameter.fixed_because else "",
-        # `in_own_type` keeps the type. For a value of another type this package's own check names what is allowed.
+        # `in_own_type` converts the type. For other types this package's own check names the allowed values.
         dynamic_typing=True,
         integer_range=[IntegerRange(from_value=parameter.low, to_value=parameter.high, step=1)] if whole else [],
         floating_point_range=[FloatingPointRange(from_value=parameter.low, to_value=parameter.high, step=0.0)]

@@ -41,7 +41,7 @@ def overridden(node: Node, topic: str) -> Iterator[None]:
 
 
 def profile_of(quality: Quality) -> QoSProfile:
-    """Quality of service as ROS 2 has it."""
+    """Quality of service as a ROS profile."""
     reliability = ReliabilityPolicy.RELIABLE if quality.reliable else ReliabilityPolicy.BEST_EFFORT
     profile = QoSProfile(depth=quality.depth, reliability=reliability)
     if quality.deadline_s > 0.0:

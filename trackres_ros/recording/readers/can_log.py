@@ -23,9 +23,9 @@ from trackres_ros.recording.unpacking import set_can_ceilings
 
 MOST_OF_A_LINE = 2**16
 NO_FRAME = re.compile(r"(date|base|//|(no )?internal events|Begin|End|\d+\.\d+\s+Start of measurement)\b|//|$", re.IGNORECASE)
-"""What an ASC file has besides frames."""
+"""Lines of an ASC file other than frames."""
 MICROSECOND_NS = 1000
-"""To which stamps are rounded: seconds since 1970 in double precision hold a quarter of it."""
+"""Resolution of stamps: seconds since 1970 in double precision have a quarter of it."""
 
 
 class CanLog(CanSignals):
@@ -68,11 +68,11 @@ def _bus(channel: Any, first: int) -> int | None:
 
 
 class _Lines:
-    """The lines of a log in text, none longer than any frame is; `entries` are those that should be frames."""
+    """The lines of a log in text, none longer than the longest frame; `entries` are those that should be frames."""
 
     def __init__(self, file: io.BufferedReader, name: str) -> None:
         self._file, self._name, self.entries, self.ended = file, name, 0, True
-        self.close = file.close  # which python-can asks for
+        self.close = file.close  # required by python-can
 
     def __iter__(self) -> Iterator[str]:
         while line := self._file.readline(MOST_OF_A_LINE):

@@ -33,13 +33,13 @@ MAX_ROW_BYTES = 2**24
 HEAD_BYTES = 2**16
 BLOCK_BYTES = 2**20
 SEEN_ROWS = 512
-"""Held as text at once, of the columns that are read; a cell has at most 128 KiB."""
+"""Text held at once, of the columns that are read; a cell has at most 128 KiB."""
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 
 
 @dataclass(slots=True)
 class _Met:
-    """What one run of reading met: rows so far, whether that is all, whether there are quotes, and the last byte."""
+    """State of one reading: rows so far, whether that is all, whether there are quotes, and the last byte."""
 
     rows: int = 0
     complete: bool = False
@@ -80,12 +80,14 @@ class CsvTable(TableFile):
         return names
 
     def is_number(self, place: int) -> bool:
-        """Whether the first filled cell of a column holds a number, with whatever decimal mark."""
+        """Whether the first filled cell of a column is a number, with any decimal mark."""
         first = next((row[place].strip() for row in self._whole_rows() if row[place].strip()), "")
         return is_number(first)
 
     def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
-        """Choose what to read, and see how numbers and times are written, in the whole column where a cell leaves it open."""
+        """Choose the columns to read and find the notation of times and numbers, from the whole column where a cell is
+        ambiguous.
+        """
         assert time is not None
         self._read = (time, *channels)
         self._places = [column.place for column in self._read]
@@ -125,7 +127,7 @@ class CsvTable(TableFile):
             return any(b'"' in block for block in iter(lambda: file.read(BLOCK_BYTES), b""))
 
     def _whole_rows(self) -> Iterator[list[str]]:
-        """Rows as long as the header; what is wrong with others is said when they are read."""
+        """Rows as long as the header; others are reported when they are read."""
         with suppress(csv.Error), cast("IO[bytes]", _Tap(self._path, _Met())) as tap, self._text(tap) as file:
             lines = _Lines(file, self.name)
             rows = itertools.islice(lines.rows(csv.reader(lines, delimiter=self._separator)), 1, None)
@@ -139,7 +141,7 @@ class CsvTable(TableFile):
         return [self._rows()]
 
     def _rows(self) -> Iterator[ChannelRows]:
-        """Read the rows: by pyarrow as far as it is there and understands them, the rest as plain text."""
+        """Read the rows: by pyarrow as far as it is installed and understands them, the rest as plain text."""
         met = _Met()
         for chunks in (self._fast_chunks, self._plain_chunks):
             if not met.complete:
@@ -174,7 +176,7 @@ class CsvTable(TableFile):
         parse = arrow.ParseOptions(delimiter=self._separator)
         with (
             _Tap(self._path, met) as file,
-            suppress(pa.ArrowException, OSError, EOFError, ValueError, zlib.error),  # the plain way says it, with the line
+            suppress(pa.ArrowException, OSError, EOFError, ValueError, zlib.error),  # plain reading reports it, with the line
             arrow.open_csv(file, read_options=read, parse_options=parse, convert_options=convert) as reader,
         ):
             while True:
@@ -235,7 +237,7 @@ class CsvTable(TableFile):
         return numbers
 
     def _look_at_lines(self, met: _Met) -> Iterator[Finding]:
-        """Say where a line of the file is no row of the table, and where the last one may be half a row."""
+        """Report lines of the file that are no rows of the table, and a last row that may be incomplete."""
         if met.quoted:
             with io.TextIOWrapper(_binary(self._path), "latin-1") as file:  # whatever ends the lines
                 swallowed = sum(line != "\n" for line in file) - 1 - met.rows
@@ -259,7 +261,7 @@ def _width(line: str, separator: str) -> int:
 
 
 class _Tap(io.BufferedIOBase):
-    """The bytes of a CSV file as they pass: whether there are quotes among them, and which is the last."""
+    """Watches the bytes of a CSV file in passing: whether they contain quotes, and which is the last."""
 
     def __init__(self, path: Path, met: _Met) -> None:
         self._file, self._met = _binary(path), met
@@ -285,7 +287,7 @@ class _Tap(io.BufferedIOBase):
 
 
 class _Lines:
-    """Lines of a text, none longer than memory takes, nor all lines of one row together."""
+    """Lines of a text, with a limit on the length of a line and of all lines of one row."""
 
     def __init__(self, file: IO[str], name: str) -> None:
         self._file, self._name = file, name

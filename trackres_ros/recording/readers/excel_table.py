@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from openpyxl.workbook import Workbook
 
 MOST_BYTES = 2**25
-"""Of the file, and of each sheet unpacked: a million cells of numbers. openpyxl keeps what it does not know, and takes up to 1 GB
-for a sheet that was made to fill memories."""
+"""Of the file, and of each unpacked sheet: a million cells of numbers. openpyxl keeps unknown content, and takes up to 1 GB
+for a malicious sheet."""
 MOST_HELD_BYTES = 2**24
-"""Of the other parts, such as texts and formats, which are held as a whole."""
+"""Of the other parts, such as texts and formats, which are held completely in memory."""
 MOST_RATIO, RATIO_FROM_BYTES = 200, 2**20
-"""Sheets shrink to a tenth or a thirtieth; what shrinks to less than this was made to fill memories."""
+"""Sheets shrink to a tenth or a thirtieth; a part that shrinks to less than this is malicious."""
 MOST_ROWS = 2**20
 """Of a sheet, by the format."""
 HEADER_WITHIN = 100  # rows
@@ -48,7 +48,7 @@ def excel_tables(path: Path, name: str, _: Topics | None = None) -> list[ExcelTa
     Raises
     ------
     InputError
-        None has, or the file unpacks to more than is read.
+        No sheet has, or the file unpacks to more than the limit.
     """
     with _workbook(path) as book:
         sheets = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
@@ -121,11 +121,11 @@ class ExcelTable(TableFile):
             self._rows = ChannelRows(whole[:, 0], given[:, 0], whole[:, 1:], given[:, 1:])
 
     def streams(self) -> Sequence[Iterator[ChannelRows]]:
-        """The rows that `settle` has read."""
+        """The rows read by `settle`."""
         return [iter([self._rows] if len(self._rows.time) else [])]
 
     def _cells(self) -> tuple[list[int], list[list[Any]]]:
-        """Numbers of the rows in which any wanted cell is filled, and these cells by column: None where empty."""
+        """Numbers of the rows with any wanted cell filled, and these cells by column: None where empty."""
         numbers: list[int] = []
         cells: list[list[Any]] = [[] for _ in self._columns]
         with _workbook(self._path) as book:
@@ -182,7 +182,7 @@ def _workbook(path: Path) -> Iterator[Workbook]:
 
 
 def _check_size(path: Path) -> None:
-    """Refuse a workbook that unpacks to more than is read; no part unpacks to more than it says.
+    """Refuse a workbook that unpacks to more than the limit; no part unpacks to more than it states.
 
     Raises
     ------
@@ -204,7 +204,7 @@ def _check_size(path: Path) -> None:
 
 
 def _header(sheet: Any) -> tuple[int, list[Channel]] | None:
-    """Number of the last row above the numbers, with the names of the first row that is not empty, and the units below them."""
+    """Number of the last row above the numbers, with the names of the first filled row, and the units below them."""
     sheet.reset_dimensions()
     rows = itertools.islice(sheet.iter_rows(max_row=HEADER_WITHIN, values_only=True), HEADER_WITHIN)
     for number, row in enumerate(rows, 1):
@@ -219,7 +219,7 @@ def _header(sheet: Any) -> tuple[int, list[Channel]] | None:
 
 
 def _are_units(cells: Sequence[Any]) -> bool:
-    """Whether the row below the names holds no number and no time, but a unit that is known."""
+    """Whether the row below the names has a known unit, and no number or time."""
     texts = [value for value in cells if value is not None]
     if not all(isinstance(value, str) and not is_number(value) and not is_date_time(value) for value in texts):
         return False

@@ -22,17 +22,17 @@ from trackres_ros.recording.samples import FloatArray
 
 BLOCK_ROWS = 2**14
 MOST_BYTES = 2**27
-"""Of what a file of version 5 unpacks to, as it is read as a whole: sixteen million numbers. And of a block of version 7.3."""
+"""Of the unpacked content of a version 5 file, which is read at once: sixteen million numbers. And of a block of version 7.3."""
 MOST_ROWS = 2**31
 """Of a vector: a year at 60 Hz."""
 TIMES = ("time_s", "time", "t", "timestamp", "timestamps", "tout")
 """Names of a vector of times, in any case, in the order of preference; so are the name of a channel with ``_time`` or ``_t``."""
 COMPRESSED, HEADER_BYTES, ENDIAN_AT = 15, 128, 126
-"""Of version 5: the type of a packed element, the length of the header, and where that says the order of bytes."""
+"""Of version 5: the type of a packed element, the length of the header, and its position of the byte order."""
 
 
 class _Vector(NamedTuple):
-    """A vector of numbers: its length, how many of them are best read at once, and what reads a part."""
+    """A vector of numbers: its length, a suitable number to read at once, and a function that reads a part."""
 
     length: int
     at_once: int
@@ -82,7 +82,7 @@ class MatlabFile(ChannelFile):
 
 
 def _time_of(name: str, vectors: Mapping[str, _Vector], named: str) -> str:
-    """The vector of the times of a channel: the one that the topics file names, its own, or one beside or above it."""
+    """The time vector of a channel: the one that the topics file names, its own, or one in the same or a parent group."""
     if named:
         return named if vectors[named].length == vectors[name].length else ""
     folder = name
@@ -101,7 +101,7 @@ def _read(path: Path, name: str, topics: Topics | None) -> list[MatlabFile]:
 
 
 def _of_version_5(path: Path) -> dict[str, _Vector]:
-    """Vectors of a file that is read as a whole."""
+    """Vectors of a file that is read at once."""
     from scipy.io import loadmat
 
     _check_size(path)
@@ -124,7 +124,7 @@ def _of_version_5(path: Path) -> dict[str, _Vector]:
 
 
 def _check_size(path: Path) -> None:
-    """Refuse a file of version 5 that unpacks to more than is read; that is found by unpacking it, a little at a time."""
+    """Refuse a file of version 5 that unpacks to more than the limit; it is unpacked piece by piece to find out."""
     size = 0
     with path.open("rb") as file:
         order = "<" if file.read(HEADER_BYTES)[ENDIAN_AT:] == b"IM" else ">"
@@ -148,7 +148,7 @@ def _check_size(path: Path) -> None:
 
 
 def _of_version_7_3(path: Path) -> dict[str, _Vector]:
-    """Vectors of a file that is one of HDF5."""
+    """Vectors of an HDF5 file."""
     try:
         import h5py
     except ImportError:
@@ -160,7 +160,7 @@ def _of_version_7_3(path: Path) -> dict[str, _Vector]:
             return
         if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "biuf":
             return
-        across = item.ndim == 2 and item.shape[0] == 1  # MATLAB's arrays stand there the other way round
+        across = item.ndim == 2 and item.shape[0] == 1  # MATLAB's arrays are transposed there
         if item.size in (None, 0, 1) or not (item.ndim == 1 or across or (item.ndim == 2 and item.shape[1] == 1)):
             return
         if item.attrs.get("MATLAB_class", b"double") in (b"char", b"cell") or item.size > MOST_ROWS:
@@ -170,7 +170,7 @@ def _of_version_7_3(path: Path) -> dict[str, _Vector]:
             raise InputError(f"{path}: {place}", f"blocks of {at_once} numbers", f"blocks of at most {MOST_BYTES} bytes")
 
         def part(start: int, end: int) -> FloatArray:
-            with h5py.File(path, "r") as file:  # anew, as the library keeps some kilobytes for each block until it is closed
+            with h5py.File(path, "r") as file:  # reopened, as the library keeps some kilobytes for each block until it is closed
                 data = file[place][0, start:end] if across else file[place][start:end]
             return np.asarray(data, np.float64).reshape(end - start)
 

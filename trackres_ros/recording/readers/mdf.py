@@ -30,17 +30,17 @@ from trackres_ros.recording.samples import Finding, FloatArray
 from trackres_ros.recording.unpacking import set_mdf_ceilings
 
 BLOCK_ROWS = 2**16
-"""Records read at once: of usual ones some megabytes, so that a packed block is unpacked a few times at most."""
+"""Records read at once: usually some megabytes, so that a packed block is unpacked a few times at most."""
 UNFINISHED = b"UnFinMF"
 FRAMES = "CAN_DataFrame"
 OF_A_BUS = (FRAMES, "CAN_ErrorFrame", "CAN_RemoteFrame")
 OF_A_FRAME = {"ID": 1, "DataBytes": 2, "DataLength": 1, "IDE": 1, "BusChannel": 1}
-"""What is read of a frame, and how many dimensions its samples have: ASAM MDF, bus logging."""
+"""Parts of a frame to read, and the dimensions of their samples: ASAM MDF, bus logging."""
 EXTENDED, IDENTIFIER, STANDARD = 1 << 31, (1 << 29) - 1, 0x7FF
 
 
 def _opened(path: Path) -> tuple[Any, ExitStack]:
-    """The file, and what closes it; so that a channel is read in parts, as asammdf reads one of a named file as a whole."""
+    """The file, and its closing function; given as a stream, as asammdf reads a channel of a named file at once."""
     from asammdf import MDF
 
     set_mdf_ceilings()
@@ -58,7 +58,7 @@ def _opened(path: Path) -> tuple[Any, ExitStack]:
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Keep to itself what asammdf prints and logs besides what it raises."""
+    """Suppress the output and log of asammdf, except for its exceptions."""
     logging.getLogger("asammdf").setLevel(logging.CRITICAL)
     with redirect_stdout(io.StringIO()):
         yield
@@ -83,12 +83,12 @@ class _Groups:
         return int(self.mdf.groups[group].channel_group.cycles_nr)
 
     def part(self, group: int, index: int, start: int) -> Any:
-        """A part of a channel as a signal, with samples that are marked as invalid.
+        """A part of a channel as a signal, including samples marked as invalid.
 
         Raises
         ------
         InputError
-            The channel or its times lie outside of the records: asammdf would read what is not theirs.
+            The channel or its times lie outside of the records: asammdf would read other data.
         """
         described = self.mdf.groups[group]
         sizes = described.channel_group
@@ -146,7 +146,7 @@ class MdfChannels(ChannelFile):
                 absent += int(np.count_nonzero(np.isnan(cells[:, column])))
             read += len(seconds)
             yield rows_at(seconds, cells, self._groups.start_ns)
-            if len(seconds) < min(BLOCK_ROWS, records - start):  # a damaged file may say that there are any number of records
+            if len(seconds) < min(BLOCK_ROWS, records - start):  # a damaged file may state any number of records
                 break
         if absent:
             text = f"{absent} values are invalid or not numbers; they give no sample"
@@ -157,7 +157,7 @@ class MdfChannels(ChannelFile):
 
 
 def _is_numeric(group: Any, index: int) -> bool:
-    """Whether a channel holds one number a record."""
+    """Whether a channel has one number per record."""
     from asammdf.blocks.v4_constants import CHANNEL_TYPE_VALUE, CHANNEL_TYPE_VIRTUAL, DATA_TYPE_STRING_LATIN_1
 
     channel = group.channels[index]
@@ -168,7 +168,7 @@ def _is_numeric(group: Any, index: int) -> bool:
 
 
 def _numbers(signal: Any, count: int) -> FloatArray:
-    """Physical values; nan where the record marks them as invalid, or where a value stands for a text."""
+    """Physical values; nan where the record marks them as invalid, or where a value means a text."""
     samples = signal.samples
     if signal.conversion is not None:
         samples = signal.conversion.convert(samples, ignore_value2text_conversions=True)
@@ -192,7 +192,7 @@ def _frames_of(groups: _Groups, number: int, met: Counter[str]) -> Iterator[Fram
     Raises
     ------
     InputError
-        They are not described as the standard has it.
+        They do not follow the standard's description.
     """
     places = {channel.name: index for index, channel in enumerate(groups.mdf.groups[number].channels)}
     records = groups.records(number)
@@ -219,7 +219,7 @@ def _frames_of(groups: _Groups, number: int, met: Counter[str]) -> Iterator[Fram
 
 
 def _read(path: Path, name: str, topics: Topics | None) -> list[ChannelFile]:
-    """The channels, and the signals of a bus where one was logged."""
+    """The channels, and the signals of a bus, if one was logged."""
     groups = _Groups(path, name)
     channels = MdfChannels(groups, name)
     if not groups.buses or (channels.channels and not (topics and topics.dbc)):

@@ -20,7 +20,7 @@ from trackres_ros.recording.file_kind import FileKind
 from trackres_ros.recording.samples import Finding
 
 BUFFER_BYTES = 2**20
-"""Read at once of a column; without it, and with buffering ahead, pyarrow holds a whole row group: that may be the whole file."""
+"""Read at once of a column; without it, and with buffering ahead, pyarrow holds a whole row group: possibly the whole file."""
 
 
 class ParquetTable(TableFile):
@@ -34,7 +34,7 @@ class ParquetTable(TableFile):
             self.channels = [Channel(name) for name in file.schema_arrow.names]
 
     def _file(self) -> Any:
-        """Open the file with pyarrow, which has no types of its own."""
+        """Open the file with pyarrow, which has no type annotations."""
         from pyarrow import parquet
 
         return parquet.ParquetFile(self._path, buffer_size=BUFFER_BYTES, pre_buffer=False, page_checksum_verification=True)
@@ -48,7 +48,7 @@ class ParquetTable(TableFile):
         return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind))
 
     def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
-        """Choose what to read; the types of the columns say how."""
+        """Choose the columns to read; their types give the notation."""
         import pyarrow as pa
 
         assert time is not None
@@ -98,7 +98,7 @@ def rows_of(batch: Any, names: Sequence[str], time_type: Any) -> ChannelRows:
 
 
 def _look_at_counts(metadata: Any, names: Sequence[str], rows: int, empty: NDArray[np.int64]) -> Iterator[Finding]:
-    """Hold what was read of a Parquet file against what the file says it holds."""
+    """Compare the read content of a Parquet file with the file's own statement."""
     groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
     stated = max(metadata.num_rows, sum(group.num_rows for group in groups))
     if stated > rows:

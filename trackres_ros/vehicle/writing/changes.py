@@ -12,12 +12,12 @@ from trackres_ros.effects.effect import Active
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.vehicle import Disturbance
 
-BY_PLACE = {SLOPE: "grade", TORQUE: "place"}  # names of what was learned by place
+BY_PLACE = {SLOPE: "grade", TORQUE: "place"}  # names of values learned by place
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A 95 % interval; `bound_only` where the likelihood does not fall on one side before the bounds: then it is only a bound."""
+    """A 95 % interval; `bound_only` if the likelihood does not fall on one side before the bounds: then it is only a bound."""
 
     low: float
     high: float
@@ -26,7 +26,7 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class LearnedDisturbance:
-    """A disturbance that is to be watched for, and the range of each of its values."""
+    """A disturbance to watch for, and the range of each of its values."""
 
     disturbance: Disturbance
     ranges: Mapping[str, tuple[float, float]]
@@ -39,17 +39,17 @@ class FileChanges:
     Attributes
     ----------
     values
-        Of the base's parameters; None where the file's own stay.
+        Of the base's parameters; None if the file's own stay.
     effects
-        What is added to those of the file.
+        Added to those of the file.
     intervals
         Of parameters, by (effect or "", parameter).
     text
-        What was kept and why, in a sentence.
+        Accepted changes and the reason, in a sentence.
     disturbance
-        What is to be watched for live; None where there is none, and then that of the file stays.
+        Disturbance to watch for live; None keeps that of the file.
     route
-        A slope, or a torque, by place; what of these was given with the surroundings stays beside it.
+        A slope, or a torque, by place; others given with the surroundings stay.
     by
         The command that found it.
     """
@@ -74,7 +74,7 @@ class FileChanges:
         return [_with_ranges(active, self.intervals) for active in self.effects if active.effect.belongs_to == kind]
 
     def names_of(self, kind: str) -> list[str]:
-        """Names of all that belongs to `vehicle`, `surroundings` or `sensor`, what goes by place too."""
+        """Names of all changes to `vehicle`, `surroundings` or `sensor`, including those by place."""
         by_place = (BY_PLACE[one.kind] for one in self.route if kind == "surroundings")
         return [*by_place, *(active.effect.name for active in self.of(kind))]
 

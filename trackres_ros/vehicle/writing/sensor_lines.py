@@ -14,20 +14,20 @@ from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.vehicle.writing.yaml_edit import flow
 
 FIGURES = 6
-NOTHING_KNOWN = conditions(VehicleConstants(1.0, 1.0, 0.0, 0.0, 1.0, 1, 0.0, 0.0))  # a sensor's error hangs on nothing
+NOTHING_KNOWN = conditions(VehicleConstants(1.0, 1.0, 0.0, 0.0, 1.0, 1, 0.0, 0.0))  # a sensor's error is independent of the drive
 
 
 def sensor_lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding], torque_scale: float) -> dict[str, str]:
-    """Lines for the topics file by role, that undo what effects of sensors do.
+    """Lines for the topics file by role, which correct the effects of sensors.
 
     Parameters
     ----------
     sensors
         Effects that belong to a sensor.
     bindings
-        How the recordings were read; the lines stand in place of these.
+        Bindings of the recordings; the lines replace these.
     torque_scale
-        Shown over true torque that the vehicle file has besides.
+        Measured over true torque, from the vehicle file.
     """
     if not sensors:
         return {}
@@ -50,7 +50,7 @@ def sensor_lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding]
 
 
 def _said(binding: TopicBinding) -> dict[str, Any]:
-    """What a line says: all that is not as by default, with the unit in the scale."""
+    """Keys of a line: all that differ from the default, with the unit in the scale."""
     found: dict[str, Any] = {"sum": [_said(part) for part in binding.parts]} if binding.parts else {}
     for item in fields(TopicBinding):
         value = getattr(binding, item.name)

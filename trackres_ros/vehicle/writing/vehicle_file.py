@@ -1,9 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a diagnosis leaves to be driven with: the vehicle file as it was but for what was learned, and the surroundings' file.
+"""Writes the results of a diagnosis for use: the vehicle file with the learned changes, and the surroundings' file.
 
-The rubber's file and those of effects of the user's own are copied beside it, so that the folder can be moved as a whole.
+The rubber's file and those of a user's own effects are copied to the same folder, so that it can be moved as a whole.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ Range = tuple[float, float] | None
 
 
 def write_track_vehicle(vehicle: Vehicle, path: Path, kept: FileChanges, text: str) -> list[Path]:
-    """Write a track vehicle with what was kept, and the surroundings beside it; returns the files that are for use.
+    """Write a track vehicle with the accepted changes, and the surroundings; return the files to use.
 
-    `text` says in comments where they are from.
+    `text` is their origin, for the comments.
     """
     document = opened(vehicle.source)
     document.set(("rubber", "file"), copied(vehicle.rubber_source, path.parent, Path("rubber") / vehicle.rubber_source.name))
@@ -92,7 +92,7 @@ def _set_values(document: Document, vehicle: Vehicle, kept: FileChanges) -> None
 
 
 def _set_disturbance(document: Document, learned: LearnedDisturbance) -> None:
-    """What is to be watched for, in place of what an earlier file has of it."""
+    """Disturbance to watch for, in place of that of an earlier file."""
     form, limits = learned.disturbance.form, DISTURBANCES[learned.disturbance.form]
     entries: dict[str, Any] = {"form": form}
     for name, limit in limits.items():
@@ -112,19 +112,19 @@ def _range(pair: Sequence[float]) -> Range:
 
 
 def _heat_capacity(vehicle: Vehicle, scale: float) -> float:
-    """Specific heat capacity of the rubber [J/kg/K] with which the whole belt, cords and all, holds so many times the heat."""
+    """Specific heat capacity of the rubber [J/kg/K] with which the whole belt, including cords, holds so many times the heat."""
     share = rubber_share(vehicle)
     return vehicle.rubber.heat_capacity * (scale - 1.0 + share) / share
 
 
 def rubber_share(vehicle: Vehicle) -> float:
-    """Share of the rubber, without cords, in the heat that a belt holds."""
+    """Share of the rubber, without cords, in the heat capacity of a belt."""
     belt, rubber = vehicle.track_of(vehicle.assemblies[0]).belt, vehicle.rubber
     return float(1.0 - heat_capacity(belt, replace(rubber, heat_capacity=0.0)) / heat_capacity(belt, rubber))
 
 
 def opened(source: Path) -> Document:
-    """A vehicle file to be changed, without the comment that an earlier fit has put on top."""
+    """A vehicle file to be changed, without the comment of an earlier fit at its top."""
     lines = read_text(source, "YAML file", MOST_BYTES).splitlines(keepends=True)
     comments = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines))
     written = next((i for i in range(comments) if lines[i].startswith(WRITTEN)), -1)
@@ -134,8 +134,9 @@ def opened(source: Path) -> Document:
 def set_quantity(
     document: Document, path: Sequence[str], old: Quantity, value: float, learned: Range, limits: QuantityLimits, by: str
 ) -> None:
-    """A fitted value with its interval as the range, which is read as +-2 standard deviations; without one the old range, and
-    what is the same as before stays as it is written.
+    """A fitted value with its interval as the range, which is read as +-2 standard deviations. Without one it keeps the old
+    range,
+    and unchanged values keep their notation.
 
     `by` is the command that found it.
     """
@@ -162,7 +163,7 @@ def finish(
     text: str,
     route: Sequence[RouteMap] = (),
 ) -> list[Path]:
-    """Write the file of a vehicle of a name, with effects, surroundings and route that it has already; see
+    """Write the file of a vehicle of a name, with its present effects, surroundings and route; see
     `write_track_vehicle`.
     """
     if kept.disturbance is not None:
@@ -181,7 +182,7 @@ def finish(
     route = [*kept.route, *(one for one in route if one.kind not in learned)]
     if not around and not route:
         if beside.is_file() and any(line in beside.read_text(encoding="utf-8") for line in WRITTEN):
-            beside.unlink()  # of an earlier diagnosis: it would be taken for this one's
+            beside.unlink()  # of an earlier diagnosis: it would look like this one's
         return [path]
     lines = [f"schema: {SCHEMA}", f"vehicle: {flow(name)}"]
     files = _files_of(around, copied)
@@ -211,7 +212,7 @@ def _values(active: Active) -> dict[str, Any]:
 
 
 def _within(value: float, low: float, high: float) -> float:
-    """With few figures, unless that leaves the bounds."""
+    """With few figures, unless that exceeds the bounds."""
     value = min(max(value, low), high)
     short = _figures(value)
     return short if low <= short <= high else value
@@ -238,7 +239,7 @@ def _files_of(effects: Iterable[Active], copied: Mapping[Path, str]) -> list[str
 
 
 def copied(source: Path, folder: Path, relative: Path) -> str:
-    """Copy a file to its place in a folder; that place, as a vehicle file has it."""
+    """Copy a file into a folder; return its place for the vehicle file."""
     target = folder / relative
     if not (target.exists() and target.samefile(source)):
         try:

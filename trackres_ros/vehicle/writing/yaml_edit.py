@@ -37,7 +37,7 @@ class Document:
             self._edits[start, end] = flow(value) + ("\n" if self._text[start:end].endswith("\n") else "")
 
     def add(self, key: str, entries: Mapping[str, Any]) -> None:
-        """Add entries to a mapping at the top, or such a mapping with them."""
+        """Add entries to a mapping at the top level, or create it with them."""
         if not entries:
             return
         self._wanted.setdefault(key, {}).update(entries)
@@ -58,14 +58,14 @@ class Document:
                 self._edits[at, at] = "".join(f"\n{indent}{line}" for line in lines)
 
     def put_section(self, key: str, entries: Mapping[str, Any]) -> None:
-        """Put a mapping at the top, one entry a line, in place of one that is there."""
+        """Write a mapping at the top level, one entry a line, replacing an existing one."""
         if self._find((key,)) is None:
             self.add(key, entries)
         else:
             self.set((key,), dict(entries))
 
     def text(self) -> str | None:
-        """The text with all changes; None where they cannot be made in it without changing something else."""
+        """The text with all changes; None if they would change anything else."""
         text = self._text
         for (start, end), new in sorted(self._edits.items(), reverse=True):
             text = text[:start] + new + text[end:]
