@@ -71,8 +71,8 @@ def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None =
     Parameters
     ----------
     recording
-        A bag (rosbag2 folder, `.mcap`, `.db3`, `.bag`), table (`.csv`, `.csv.gz`, `.parquet`, `.xlsx`), MDF file (`.mf4`), CAN
-        log (`.blf`, `.asc`, `.log`) or MATLAB file (`.mat`); several bags are read in sequence as one recording.
+        A bag (rosbag2 folder, `.mcap`, `.db3`, `.bag`) or a table (`.csv`, `.csv.gz`, `.parquet`, `.xlsx`). Or an MDF file
+        (`.mf4`), CAN log (`.blf`, `.asc`, `.log`) or MATLAB file (`.mat`). Several bags are read in sequence as one recording.
         An `.mcap` or `.mcap.part` that is unfinished is read up to its last complete block, with a finding.
     topics
         Which topic and field, or which column, feeds which role: a topics file, or its content as a mapping. Without it

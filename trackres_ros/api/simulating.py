@@ -40,8 +40,8 @@ def simulate(
         Speed after a linear ramp from rest [km/h], ramp time [s], and simulated time [s]; 2500 s by default.
     profile
         Instead a CSV or Parquet table with ``time_s`` and ``speed_mps`` or ``speed_kmh``, and ``weight_n``,
-        ``ambient_degc`` and ``grade`` if need be, and positions (``latitude_deg``, ``longitude_deg``) where the vehicle's
-        surroundings have a route; straight lines between its rows.
+        ``ambient_degc`` and ``grade`` if need be. Positions (``latitude_deg``, ``longitude_deg``) are for surroundings with
+        a route. Values between rows are linear.
     ambient_degc, initial_degc
         Ambient temperature [degC], by default the vehicle file's, and initial belt temperature [degC], by default the ambient
         one; none for a vehicle without belts.
