@@ -18,7 +18,7 @@ GENERATED = ["docs/api.md", "docs/settings.md", "docs/node.md", "docs/effects.md
 GENERATED += ["config/trackres.yaml", "config/plotjuggler.xml", "config/foxglove.json"]
 
 MOST_WORDS = 25
-"""Pages that still have longer sentences; this list only gets shorter."""
+"""Of a sentence of a page, and of a cell of a table."""
 
 
 @pytest.fixture(scope="module")

@@ -76,8 +76,8 @@ def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None =
         An `.mcap` or `.mcap.part` that is unfinished is read up to its last complete block, with a finding.
     topics
         Which topic and field, or which column, feeds which role: a topics file, or its content as a mapping. Without it
-        topics are
-        guessed by message type, columns known by name, and channels of MDF files and CAN logs guessed by name and unit.
+        topics are guessed by message type, columns known by name, and channels of MDF files and CAN logs guessed by name
+        and unit.
 
     Returns
     -------
