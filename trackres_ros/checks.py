@@ -15,7 +15,7 @@ LARGEST_SEED = 2**32 - 1
 
 
 def number(given: object, where: str, low: float, high: float, unit: str = "", if_outside: str = "") -> float:
-    """A number from `low` to `high`; nan is none, nor are true and false. `if_outside`: what to do about one out of the range."""
+    """A number from `low` to `high`; nan, true and false are refused. `if_outside`: the remedy for one out of the range."""
     allowed = f"a number from {low:g} to {high:g} {unit}".rstrip()
     if isinstance(given, bool) or not isinstance(given, int | float):
         raise InputError(where, given, allowed)
@@ -25,7 +25,7 @@ def number(given: object, where: str, low: float, high: float, unit: str = "", i
 
 
 def whole(given: object, where: str, low: int, high: int, unit: str = "") -> int:
-    """A whole number from `low` to `high`; 3.0 is one, 2.5 is none, nor are true and false."""
+    """An integer from `low` to `high`; 3.0 is accepted, 2.5, true and false are refused."""
     allowed = f"a whole number from {low} to {high} {unit}".rstrip()
     if isinstance(given, float) and given.is_integer():
         given = int(given)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
 
-MOST_SHOWN, MOST_OF_TEXT = 80, 200  # characters of what was given: of data, and of a text, which may be a sentence of ours
+MOST_SHOWN, MOST_OF_TEXT = 80, 200  # characters of the given value: of data, and of a text, which may be a sentence of ours
 MOST_OF_PART = 1000  # characters of each other part
 SHORT_NUMBER_BITS = 200
 
@@ -46,7 +46,7 @@ class InputError(ValueError):
         return {"where": self.where, "given": str(self.given), "allowed": self.allowed, "remedy": self.remedy}
 
     def __reduce__(self) -> tuple[object, ...]:
-        """So that it crosses from one process to another as what it is."""
+        """Rebuild the error in another process."""
         return InputError, (self.where, self.given, self.allowed, self.remedy)
 
 
@@ -75,7 +75,7 @@ class MissingExtraError(InputError):
 
 
 def shown(given: object) -> str:
-    """What was given as one short line: no more of it is looked at than is shown, so it may be huge or hold itself."""
+    """The given value as one short line: no more of it is read than is shown, so it may be huge or recursive."""
     most = MOST_OF_TEXT if isinstance(given, str) else MOST_SHOWN
     text = ""
     for piece in _pieces(given):
@@ -115,7 +115,7 @@ def _joined(before: str, parts: Iterable[tuple[object, ...]], after: str) -> Ite
 
 
 def one_line(text: str) -> str:
-    """A text on one line that any terminal takes: what cannot be printed is written as an escape, what is long is cut."""
+    """A text on one line for any terminal: unprintable characters are escaped, a long text is cut."""
     cut = text if len(text) <= MOST_OF_PART else f"{text[: MOST_OF_PART - 3]}..."
     return cut if cut.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in cut)
 

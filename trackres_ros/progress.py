@@ -10,14 +10,14 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 Item = TypeVar("Item")
-Listener = Callable[[str, int, int], None]  # what is done, how much of it is, of how much (0 where that is not known)
+Listener = Callable[[str, int, int], None]  # description, finished amount, total (0 if unknown)
 
 _listeners: list[Listener] = []
 
 
 @contextmanager
 def listening(listener: Listener) -> Iterator[None]:
-    """Tell a function of what is done meanwhile, from whatever thread it is done in."""
+    """Call a function with the progress made meanwhile, from any thread."""
     _listeners.append(listener)
     try:
         yield
@@ -32,7 +32,7 @@ def tell(what: str, done: int = 0, total: int = 0) -> None:
 
 
 def counted(items: Iterable[Item], what: str, total: int) -> Iterator[Item]:
-    """The items, one after the other; told of each as the next is asked for."""
+    """The items, one after the other; each counts as done when the next is requested."""
     for done, item in enumerate(items):
         tell(what, done, total)
         yield item

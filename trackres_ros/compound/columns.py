@@ -17,7 +17,7 @@ TEMPERATURE, FREQUENCY, STORAGE, LOSS, TANGENT = "temperature", "frequency", "st
 MODULI = STORAGE, LOSS
 SHEAR_TO_TENSION = 3.0  # E = 2 (1 + nu) G with nu = 1/2: rubber keeps its volume
 
-# By what they are called, in lower case and with one kind of each quotation mark; the first that fits.
+# By name, in lower case and with one kind of each quotation mark; the first match applies.
 NAMES = (
     (TANGENT, re.compile(r"tan\b|tan[_ (]*(d|\u03b4)|loss[ _]*(factor|tangent)|verlustfaktor|d\u00e4mpfung|damping")),
     (LOSS, re.compile(r"""^[eg]\s*(''|")|^[eg]2\b|^[eg][ _]?d(ouble)?[ _]?prime|loss|verlustmodul|module de perte""")),
@@ -39,7 +39,7 @@ PLACES_OF_UNITS = (  # "E' [MPa]", "E' (MPa)", "E' / MPa", "E_storage_MPa", "E' 
 )
 FREQUENCY_IN_NAME = re.compile(r"(?:^|[\s_@,(\[])(\d+(?:[.,p]\d+)?(?:e[+-]?\d+)?)\s*_?(hz|rad/s)\b", re.IGNORECASE)
 
-# Unit, as it is compared: (factor to SI or degC, offset).
+# Unit, in normalised spelling: (factor to SI or degC, offset).
 UNITS: dict[str, dict[str, tuple[float, float]]] = {
     TEMPERATURE: {
         "degC": (1.0, 0.0), "\u00b0C": (1.0, 0.0), "\u2103": (1.0, 0.0), "C": (1.0, 0.0), "Celsius": (1.0, 0.0),
@@ -67,8 +67,8 @@ DISTINCT = {"mhz"}  # units that differ by upper and lower case alone from anoth
 
 @dataclass(frozen=True)
 class DmaColumn:
-    """What a column holds: its place, name and role, the factor and offset to SI (degC), whether in shear, at which
-    frequency [Hz] if its name says so, and whether a column before it has the same name and unit.
+    """A column of a file: its index, name and role, the factor and offset to SI (degC), whether in shear, the
+    frequency [Hz] in its name if any, and whether a column before it has the same name and unit.
     """
 
     place: int
@@ -82,7 +82,7 @@ class DmaColumn:
 
 
 def role_of(name: str) -> str | None:
-    """What a column of a name holds."""
+    """Quantity of a column by its name."""
     plain = name.translate(QUOTES).replace("''", '"').strip().lower()
     if UNLIKE.search(plain):
         return None
@@ -101,7 +101,7 @@ def unit_of(text: str, role: str) -> tuple[float, float] | None:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a cell holds a unit, of whatever."""
+    """Whether a cell holds a unit of any quantity."""
     cell = text.strip()
     return bool(cell) and any(unit_of(cell, role) is not None for role in UNITS)
 
@@ -116,7 +116,7 @@ def frequency_in(name: str) -> float | None:
 
 
 def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) -> list[DmaColumn]:
-    """The columns that are used, by their names and the line of units below them where there is one.
+    """The columns in use, by their names and the line of units below them, if any.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) ->
     Raises
     ------
     InputError
-        A unit that is missing or none of its quantity; a second column of a quantity that has another name or unit.
+        A unit that is missing or does not fit its quantity; a second column of a quantity with another name or unit.
     """
     found: list[DmaColumn] = []
     for place, name in enumerate(names):
@@ -150,7 +150,7 @@ def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) ->
 
 
 def another_column(column: DmaColumn, first: DmaColumn, where: str) -> InputError:
-    """What is wrong with a second column of a quantity that is not the first once more."""
+    """Error of a second column of a quantity that does not repeat the first."""
     return InputError(
         f"{where}, column {column.place + 1}",
         column.name,

@@ -20,18 +20,18 @@ from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Vehicle
 
 SLOWEST_KMH = 5.0
-POINTS = 60  # a side of the grid on which what is covered is counted
+POINTS = 60  # points per side of the grid that measures coverage
 ROUNDING_K = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """What the belts of a vehicle have.
+    """Range of the belts of a vehicle.
 
     Parameters
     ----------
     coldest, hottest
-        Belt temperature [degC]: that of the coldest air of the file's range, and where the belt settles at the greatest speed in
+        Belt temperature [degC]: that of the coldest air of the file's range, and the steady one at the greatest speed in
         the hottest.
     slowest, fastest
         Frequency [Hz]: of the belt's turns at 5 km/h, and of a road wheel's passage at the greatest speed.
@@ -80,7 +80,7 @@ class Covered:
 
 
 def need_of(vehicle: Vehicle) -> Need:
-    """What the belts of a vehicle have."""
+    """Range of the belts of a vehicle."""
     air, top = vehicle.parameters["chassis.ambient"], vehicle.chassis.max_speed
     hottest = max(balance_degc(vehicle, name, loss_table(vehicle, name), top, air.high) for name in vehicle.tracks)
     longest = max(track.belt.loop_length for track in vehicle.tracks.values())
@@ -90,9 +90,9 @@ def need_of(vehicle: Vehicle) -> Need:
 
 
 def is_covered(fit: CompoundFit, frequency: NDArray[np.float64], temp_degc: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether data by superposition tell the moduli at frequencies [Hz] and temperatures [degC], broadcast.
+    """Whether data by superposition give the moduli at frequencies [Hz] and temperatures [degC], broadcast.
 
-    Of a belt hotter than any row nothing is known, at whatever frequency.
+    The moduli of a belt hotter than any row are unknown at any frequency.
     """
     equivalent = fit.shift.equivalent_degc(frequency, temp_degc, fit.master.at_frequency)
     inside = (equivalent >= fit.master.low_degc - ROUNDING_K) & (equivalent <= fit.master.high_degc + ROUNDING_K)

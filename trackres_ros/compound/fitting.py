@@ -3,8 +3,8 @@
 
 """Fits a compound: chooses the law of its shift, with intervals.
 
-The laws are Arrhenius', WLF, and WLF with the bend at the glass transition. A number more is taken where it gains evidence and
-its interval excludes that it is not needed.
+The laws are Arrhenius', WLF, and WLF with the bend at the glass transition. Another parameter is added if it gains evidence and
+its interval excludes the simpler law.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ Array = NDArray[np.float64]
 
 WLF, ARRHENIUS, KEPT = "WLF", "Arrhenius", "kept"
 SWEEP_FREQUENCY = RUBBER["sweep_frequency"]
-WIDEST_LOG_STD = 0.35  # of the strength of the shift: known less than that, it is not known
+WIDEST_LOG_STD = 0.35  # of the strength of the shift: with a larger error, it is unknown
 CLEAR_BIC = 6.0  # "strong" evidence: Kass and Raftery, J. Am. Stat. Assoc. 90 (1995) 773
-FEWEST_DECADES = 0.3  # of frequency, for a shift to be seen
+FEWEST_DECADES = 0.3  # of frequency, for a shift to be observable
 START_BELOW_K = (15.0, 50.0, 110.0)  # of the pole below the coldest row
 START_STRENGTHS = (200.0, 450.0, 900.0, 1600.0, 3000.0, 6000.0)
 BOTH_SIDES = 3  # isotherms on each side of a bend
-WIDEST_GLASS_K = 20.0  # an interval of the glass transition that is wider says nothing
+WIDEST_GLASS_K = 20.0  # a wider interval of the glass transition is uninformative
 MOST_ROWS = 2000  # that the shift is fitted to; of a longer sweep some are drawn
 BETTER_RMS = 0.1  # a vertical shift that betters rms by less is not worth a remark
-OVERLAPPING = 0.5  # of neighbouring isotherms: where fewer overlap, only the splines between them tell the shift
+OVERLAPPING = 0.5  # of neighbouring isotherms: with less overlap, only the splines between them determine the shift
 NO_BEND_K = 1.0  # above the pole: a glass transition that lies below all data
 
 
@@ -52,20 +52,20 @@ class CompoundFit:
     sweep
         The data.
     law, why
-        Law of the shift, and why that.
+        Law of the shift, and the reason for it.
     shift
         The shift.
     values
-        ``glass_transition``, ``wlf_c1``, ``wlf_c2`` as the vehicle file takes them.
+        ``glass_transition``, ``wlf_c1``, ``wlf_c2`` for the vehicle file.
     glass_is_seen
         Whether the glass transition is a result; else it is a reference by convention.
     energy
-        Activation energy [J/mol] where the law is Arrhenius'.
+        Activation energy [J/mol] for Arrhenius' law.
     power, with_power
-        Power of absolute temperature by which moduli rise beside the shift, and rms of both moduli with it; None where that is
-        not clear. The shift is that beside it; the model has no such vertical shift, and the moduli of the fit are without.
+        Power of absolute temperature in a vertical shift of the moduli, and rms of both moduli with it; None if that is
+        not clear. The shift is that fitted with it; the model has no vertical shift, and the moduli of the fit exclude it.
     master, prony
-        Master curve, and the Prony series that both moduli have in common.
+        Master curve, and the common Prony series of both moduli.
     """
 
     sweep: Sweep
@@ -88,19 +88,19 @@ class CompoundFit:
 
 
 def fit_compound(sweep: Sweep, vehicle: Vehicle) -> CompoundFit:
-    """Fit what a rubber file and the shift of a vehicle file hold.
+    """Fit the content of a rubber file and the shift of a vehicle file.
 
     Parameters
     ----------
     sweep
         Of one frequency or several.
     vehicle
-        Whose shift is kept where the data do not show one.
+        Its shift is kept if the data do not show one.
 
     Raises
     ------
     InputError
-        If the shift found is none that a vehicle file may hold.
+        If a vehicle file may not hold the fitted shift.
     """
     at = float(np.clip(sweep.frequencies[0], SWEEP_FREQUENCY.low, SWEEP_FREQUENCY.high))
     decades = float(np.log10(sweep.frequency.max() / sweep.frequency.min()))
@@ -206,10 +206,10 @@ def _laws(sweep: Sweep, vehicle: Vehicle) -> tuple[Law, Law, Law]:
 def _of_law(
     sweep: Sweep, vehicle: Vehicle, at: float, found: FittedShift, raised: FittedShift | None, seen: bool, why: str
 ) -> CompoundFit:
-    """The fit in the terms of the vehicle file: a glass transition that is not seen is a reference below the data.
+    """The fit in the terms of the vehicle file: an unobserved glass transition is a reference below the data.
 
-    Where moduli clearly rise beside the shift, the shift is that of `raised`: the other one follows which rows there are. The
-    model has nothing that rises so, and intervals hold both.
+    With a clear vertical shift, the shift is that of `raised`: the other one depends on the selection of rows. The
+    model has no vertical shift, and intervals include both.
     """
 
     def inner(theta: Array) -> Array:

@@ -28,7 +28,7 @@ KNOTS_K = 3.0  # the softening zone of a rubber is some 30 K wide
 MOST_KNOTS = 90
 DEGREE = 3
 PENALTIES = np.logspace(-6, 4, 21)
-MOST_USED = 0.8  # of the values, as coefficients in effect: what is left says how well they are known
+MOST_USED = 0.8  # of the values, as effective coefficients: the residual gives their uncertainty
 LIMITS = SWEEP_STORAGE, SWEEP_LOSS
 
 
@@ -40,7 +40,7 @@ class Basis:
 
     @classmethod
     def over(cls, sweep: Sweep, equivalent: Array) -> Basis:
-        """Evenly spaced over all equivalent temperatures; how many there are does not depend on the shift."""
+        """Evenly spaced over all equivalent temperatures; their number does not depend on the shift."""
         low, high = float(equivalent.min()), float(equivalent.max())
         pieces = int(np.clip(np.ceil(np.ptp(sweep.temp_degc) / KNOTS_K), 8, MOST_KNOTS))
         step = (high - low) / pieces
@@ -106,7 +106,7 @@ def chosen_penalty(sweep: Sweep, shift: Shift, at_frequency: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class MasterCurve:
-    """Both moduli at one frequency over temperature, and how sure they are.
+    """Both moduli at one frequency over temperature, and their uncertainty.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class MasterCurve:
     residuals
         Of the natural logarithms of storage and loss modulus, shape (n, 2).
     low_degc, high_degc
-        What the data cover.
+        Range of the data.
     """
 
     at_frequency: float

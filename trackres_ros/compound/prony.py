@@ -23,13 +23,13 @@ from trackres_ros.compound.shift import Shift
 
 Array = NDArray[np.float64]
 
-EACH_DECADE = 1.5  # terms: more are not told apart (Baumgaertel and Winter, Rheol. Acta 28 (1989) 511)
+EACH_DECADE = 1.5  # terms: more cannot be distinguished (Baumgaertel and Winter, Rheol. Acta 28 (1989) 511)
 BEYOND = 1.0  # decades on both sides of the data, whose tails reach in
 MOST_TERMS = 60
 REFERENCE_DEGC = 20.0
 GUIDE_EACH_DECADE = 5
-GUIDE_WEIGHT = 0.3  # of the master curve beside the data: between isotherms far apart a series would swing freely
-LEAST_WEIGHT = 0.01  # relative error below which no modulus is held to be known
+GUIDE_WEIGHT = 0.3  # weight of the master curve relative to the data: between isotherms far apart a series would oscillate
+LEAST_WEIGHT = 0.01  # minimum relative error of a modulus
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,13 +94,13 @@ def fit_prony(sweep: Sweep, shift: Shift, master: MasterCurve) -> Prony:
 
 
 def _rows(log_f: Array, tau: Array, moduli: tuple[Array, Array], weight: Array) -> Array:
-    """Rows of least squares: what each strength adds to both moduli, over their values and errors."""
+    """Rows of least squares: contribution of each strength to both moduli, over their values and errors."""
     terms = _terms(10.0**log_f, tau)
     return np.vstack([part * (w / modulus)[:, None] for part, w, modulus in zip(terms, weight, moduli, strict=True)])
 
 
 def _terms(frequency: Array, tau: Array) -> tuple[Array, Array]:
-    """What each strength adds to both moduli, shape (frequencies, 1 + terms); first that of infinite time."""
+    """Contribution of each strength to both moduli, shape (frequencies, 1 + terms); first that of infinite time."""
     x = 2.0 * np.pi * frequency[:, None] * tau
     x2 = np.minimum(x, 1e100) ** 2
     rubber, none = np.ones((len(frequency), 1)), np.zeros((len(frequency), 1))

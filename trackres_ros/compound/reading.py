@@ -73,7 +73,7 @@ class Sweep:
 
     @property
     def frequencies(self) -> Array:
-        """Each frequency once, rising; those within 2 % count as one."""
+        """Each frequency once, rising; those within 2 % are merged."""
         rising = np.sort(self.frequency)
         return np.asarray(rising[np.concatenate([[True], np.diff(np.log(rising)) > 0.02])])
 
@@ -87,12 +87,12 @@ def read_sweep(path: Path, frequency_hz: float | None = None) -> Sweep:
         Text with one line of column names (and perhaps one of units below), rows of numbers, and lines about the test above it or
         marked as comments. Separators are tab, semicolon or comma, decimals have a point or a comma.
     frequency_hz
-        Of the whole sweep [Hz], where the file does not say it.
+        Of the whole sweep [Hz], if the file does not give it.
 
     Raises
     ------
     InputError
-        With file, line and column: what was given and what is allowed.
+        With file, line and column: the given and the allowed values.
     """
     text, coding = _decoded(read_bytes(path, WHAT, MOST_BYTES))
     lines = text.splitlines()
@@ -174,7 +174,7 @@ def _header(lines: Sequence[str], name: str) -> tuple[int, str, list[str]]:
 
 
 def _incomplete(where: str, cells: Sequence[str], roles: Set[str | None]) -> InputError:
-    """What is wrong with columns that hold less than a sweep needs: it names each that is missing."""
+    """Error of columns that are insufficient for a sweep: it names each missing one."""
     missing = [text for needed, text in NEEDED.items() if not roles & set(needed)]
     return InputError(
         where, f"columns {', '.join(cells)}", f"columns with {', '.join(NEEDED.values())}", f"missing: {', '.join(missing)}"
@@ -190,7 +190,7 @@ def _stand_over_numbers(lines: Sequence[str], at: int, width: int) -> bool:
 
 
 def _complete(columns: Sequence[DmaColumn], cells: Sequence[str], where: str, frequency_hz: float | None) -> None:
-    """See that all is there that a sweep needs."""
+    """Check that all columns of a sweep are present."""
     roles, names = {c.role for c in columns}, ", ".join(cells)
     if not all(roles & set(needed) for needed in NEEDED):
         raise _incomplete(where, cells, roles)
@@ -210,7 +210,7 @@ def _complete(columns: Sequence[DmaColumn], cells: Sequence[str], where: str, fr
 def _lines_of_numbers(
     lines: Sequence[str], first: int, separator: str, width: int, repeated: set[str], name: str
 ) -> list[tuple[int, list[str]]]:
-    """Place and cells of each line that is no comment and none of the lines of names and units.
+    """Line number and cells of each line other than comments, names and units.
 
     Some programs write names between tabs and numbers between spaces.
     """
@@ -241,7 +241,7 @@ def _not_empty(columns: Sequence[DmaColumn], wanted: Sequence[tuple[int, list[st
 def _rows(
     wanted: Sequence[tuple[int, list[str]]], columns: Sequence[DmaColumn], name: str
 ) -> tuple[list[tuple[int, list[float]]], int]:
-    """Numbers of the wanted columns with their line, and how many rows were left out as one of their cells is empty."""
+    """Numbers of the wanted columns with their line, and the number of rows left out because of an empty cell."""
     texts = [cells[c.place] for _, cells in wanted for c in columns]
     comma = any("," in text for text in texts) and not any("." in text for text in texts)
     rows, left_out = [], 0
@@ -270,7 +270,7 @@ def _each_once(
 
 
 def _number(text: str, comma: bool, where: str) -> float:
-    """A number as it stands; where a comma and a point are mixed, nobody knows which is which."""
+    """A number in text; a mix of comma and point is ambiguous."""
     plain = text.replace(",", ".") if comma else text
     if not PLAIN.fullmatch(plain):
         allowed = "a number with a decimal comma" if comma else "a number with a decimal point"
@@ -301,7 +301,7 @@ class _Table:
         return [k for k, column in enumerate(self.columns) if column.role == role]
 
     def of_frequency(self, role: str, storage: DmaColumn) -> int | None:
-        """Place of the column of the storage modulus' frequency; one that says none is of the only storage modulus there is."""
+        """Index of the role's column at the storage modulus' frequency; one without a frequency fits the only storage modulus."""
         listed = self.of_role(role)
         same = [k for k in listed if self.columns[k].frequency == storage.frequency]
         if not same and len(listed) == 1 and None in (self.columns[listed[0]].frequency, storage.frequency):

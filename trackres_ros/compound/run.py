@@ -34,7 +34,7 @@ def fit_and_write(sweep_file: Path, vehicle_given: str, folder: Path, frequency_
     Raises
     ------
     InputError
-        If the sweep cannot be read, or its compound is none that a vehicle may have.
+        If the sweep cannot be read, or a vehicle may not have its compound.
     """
     if frequency_hz is not None:
         number(frequency_hz, "frequency_hz", FREQUENCIES.low, FREQUENCIES.high, "Hz")

@@ -56,7 +56,9 @@ class Shift:
         return np.asarray(self.strength / above - self.strength / span**2 * np.minimum(t - self.glass_transition, 0.0))
 
     def equivalent_degc(self, frequency: ArrayLike, temp_degc: ArrayLike, at_frequency: float) -> Array:
-        """Temperature [degC] at which one frequency [Hz] shows what others [Hz] show at theirs [degC]; broadcast."""
+        """Temperature [degC] at which one frequency [Hz] is equivalent to other pairs of frequency [Hz] and temperature [degC];
+        broadcast.
+        """
         y = np.log10(np.asarray(frequency, dtype=float) / at_frequency) + self.log_shift(temp_degc)
         span = self.glass_transition - self.pole
         y_glass = self.strength / span

@@ -29,7 +29,7 @@ FIRST_PENALTY, FIRST_SCALE = np.array([0.3, 0.3]), np.array([0.02, 0.04])
 ROUNDS, MOST_STEPS = 2, 60
 ISOTHERM_K = 2.5  # rows nearer than that may share an error: their temperature, their clamping
 UNDERSMOOTHED = 0.1  # of the penalty of the master curve: bends of the curve that are smoothed away are laid to the shift
-STEEPEST_POWER = 4.0  # of absolute temperature, by which moduli may rise or fall beside the shift
+STEEPEST_POWER = 4.0  # of absolute temperature: limits of a vertical shift
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class Value:
     high: float
 
     def joined(self, other: Value) -> Value:
-        """With an interval that holds another one too."""
+        """With an interval that includes another one."""
         return Value(self.value, min(self.low, other.low), max(self.high, other.high))
 
 
@@ -55,14 +55,14 @@ class Law:
     high: Array
     starts: tuple[Array, ...]
     power: Callable[[Array], float] = lambda _: 0.0
-    """Of absolute temperature, by which both moduli rise beside the shift."""
+    """Of absolute temperature, in the vertical shift of both moduli."""
 
     def smooth(self, sweep: Sweep, theta: Array, at: float, penalty: Array) -> Smooth:
         """The splines for some numbers."""
         return smooth(self.levelled(sweep, theta), self.shift(theta), at, penalty)
 
     def levelled(self, sweep: Sweep, theta: Array) -> Sweep:
-        """The sweep without what goes with a power of absolute temperature."""
+        """The sweep without its part proportional to a power of absolute temperature."""
         power = self.power(theta)
         if power == 0.0:
             return sweep
@@ -72,9 +72,9 @@ class Law:
 
 @dataclass(frozen=True, eq=False)
 class FittedShift:
-    """A law as fitted: its numbers, -2 ln likelihood with their price, and rms of both moduli.
+    """A law as fitted: its numbers, -2 ln likelihood with their penalty, and rms of both moduli.
 
-    Their covariances are of independent errors, of such as isotherms share, and of both; the widest counts.
+    Their covariances are those of independent errors, of errors common to an isotherm, and of both; the widest is used.
     """
 
     law: Law
@@ -160,7 +160,7 @@ def _jackknife(sweep: Sweep, law: Law, at: float, theta: Array, penalty: Array, 
 
 
 def with_power(found: FittedShift) -> Law:
-    """The law of a fit, with moduli that rise with a power of absolute temperature beside the shift."""
+    """The law of a fit with a vertical shift by a power of absolute temperature."""
     law = found.law
     return Law(
         law.name,

@@ -30,10 +30,10 @@ ROWS_K = 2.5  # between rows of a rubber file
 MOST_MEASURED_ROWS = 300
 ALIKE_K = 0.05  # temperatures that differ by less are one
 TWO_SIDED_95 = 1.96
-SCATTER = [0.8, 1.2]  # of the loss modulus, as the reference vehicle has it
+SCATTER = [0.8, 1.2]  # of the loss modulus, as in the reference vehicle
 SCATTER_REASON = "batch scatter and strain amplitude, which a sweep of one specimen does not determine"
 LONGEST_STEM = 40
-# What an earlier fit has put on top of the vehicle file, below what this one has.
+# Comment of an earlier fit at the top of the vehicle file, below that of this one.
 EARLIER = re.compile(r"(?<=\n)# Written by trackres compound fit .*\n(# (Of the file|Shift|Master curve).*\n)*")
 INSIDE = 1.0001  # of a limit, so that a value rounded to six figures stays inside
 MODULI_HEAD = "T_degC,E_storage_MPa,E_loss_MPa,tan_delta,E_storage_low_MPa,E_storage_high_MPa,E_loss_low_MPa,E_loss_high_MPa"
@@ -46,7 +46,7 @@ def stem_of(path: Path) -> str:
 
 
 def files_of(sweep: Path, folder: Path) -> dict[str, Path]:
-    """The files that are written for a sweep, by what they are.
+    """The files of a sweep, by kind.
 
     Raises
     ------
@@ -68,12 +68,12 @@ def files_of(sweep: Path, folder: Path) -> dict[str, Path]:
 
 
 def write_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -> Vehicle:
-    """Write rubber file, vehicle file and Prony series; the vehicle as it is read back.
+    """Write rubber file, vehicle file and Prony series; return the vehicle as it is read back.
 
     Raises
     ------
     InputError
-        If the compound is none that a vehicle may have.
+        If a vehicle may not have the compound.
     """
     _check_warm(fit)
     try:
@@ -91,7 +91,7 @@ def write_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -
 
 
 def table_degc(fit: CompoundFit) -> Array:
-    """Temperatures of the rows of a rubber file: those measured where there is one frequency, else evenly spaced."""
+    """Temperatures of the rows of a rubber file: the measured ones for one frequency, else evenly spaced."""
     low, high = max(fit.master.low_degc, SWEEP_DEGC.low), min(fit.master.high_degc, SWEEP_DEGC.high)
     measured = np.unique(fit.sweep.temp_degc)
     measured = measured[np.concatenate([[True], np.diff(measured) > ALIKE_K])]
@@ -116,7 +116,7 @@ def _name(vehicle: Vehicle, stem: str) -> str:
 
 
 def _provenance(fit: CompoundFit) -> list[str]:
-    """Where the compound is from, line by line."""
+    """Origin of the compound, line by line."""
     sweep = fit.sweep
     frequencies = sweep.frequencies
     span = (

@@ -186,8 +186,7 @@ def compare_designs(asked: ComparisonRequest, advance: Callable[[float], None] =
     dict
         Ready for JSON. `designs`: of each vehicle torque [Nm] and coefficient (resistance over weight) by belt temperature and
         speed, and the totals of the first drive. `steady` and `drives`: a row for each condition and outcome with both values
-        and their
-        difference. Its standard deviations are those by the ranges that both files have in common, and by all.
+        and their difference. Its standard deviations are those by the ranges that both files have in common, and by all.
     """
     names = shown_names(asked.vehicles)
     slopes = _Slopes(asked)

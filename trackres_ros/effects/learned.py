@@ -253,8 +253,7 @@ class Corner(EmpiricalEffect):
 
 class Latch(EmpiricalEffect):
     """A torque against travel with hysteresis: it switches on where a variable rises above one value and off where that falls
-    below
-    another. It is off in the beginning.
+    below another. It is off in the beginning.
 
     Parameters
     ----------

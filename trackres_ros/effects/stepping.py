@@ -4,9 +4,8 @@
 """Makes effects callable from the compiled step: each is a machine function of one signature, called by its address.
 
 An effect is a Python file; the step is compiled once. They are connected by a table. It has a row for each effect with the
-addresses
-of its `terms` and `lag`, and a row of values of its parameters. A function that cannot be compiled, such as a user's, has an
-address too, and runs in plain Python.
+addresses of its `terms` and `lag`, and a row of values of its parameters. A function that cannot be compiled, such as a user's,
+has an address too, and runs in plain Python.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from trackres_ros.units import STANDSTILL_MPS
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# One row of the table of effects: which effect's own state, what it is (see below), what it needs, and its two addresses.
+# One row of the table of effects: which effect's own state, its kind (see below), its required inputs, and its two addresses.
 STATE, KIND, NEEDS, TERMS_AT, LAG_AT = range(5)
 ROW = 5
 # Kinds. Fed forward is what belongs to the vehicle; what comes with an acceleration only where that is. A shifted row is the row

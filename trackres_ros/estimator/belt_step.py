@@ -54,8 +54,7 @@ def advance_belt(
     Notes
     -----
     T += dt phi_1(J dt) f, exponential Rosenbrock-Euler [5]: the model linearised at the start of the step is solved exactly. It
-    is
-    of second order in dt for the nonlinear model, without a limit on dt at rest. Heat in and out are integrals of the same
+    is of second order in dt for the nonlinear model, without a limit on dt at rest. Heat in and out are integrals of the same
     linear model, so their difference is the heat stored to rounding.
     """
     heat = heat_of(k, assembly, belt[0, TEMPERATURE], speed, log10_speed, log_load, drive_torque, ambient)

@@ -1,9 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The information of one recording about the base's parameters, in a form that adds up over recordings: a quadratic
-log-likelihood without
-the vehicle file's ranges, which would count once for each recording, and whatever wind there was.
+"""The information of one recording about the base's parameters, as a quadratic log-likelihood that adds up over recordings.
+
+It excludes the vehicle file's ranges, which would be added once per recording, and is marginal over the wind.
 """
 
 from __future__ import annotations

@@ -229,8 +229,7 @@ def _spreads(data: Vehicles) -> tuple[Array, Array]:
 
 class Scatter(NamedTuple):
     """Expected squares of the deviations, given all data: vehicles from their type, their sum, shape (p, p); recordings from
-    their
-    vehicle, shape (n, p, p); and the resulting weights, shape (n,).
+    their vehicle, shape (n, p, p); and the resulting weights, shape (n,).
     """
 
     vehicles: Array

@@ -18,7 +18,7 @@ from trackres_ros.units import MAD_TO_STD
 
 Array = NDArray[np.float64]
 
-BLOCK_S = 20  # seconds that count
+BLOCK_S = 20  # valid seconds
 MEMORY = 45.0  # blocks: a quarter of an hour
 CONTEST_MEMORY, SURELY = 90.0, 2.0  # blocks; standard errors by which learned values must be better before they act
 LEAST_BLOCKS = 6
@@ -29,7 +29,7 @@ PAST = 90  # blocks that are kept
 LAGS = (2, 3)  # blocks
 LEAST_PAIRS = 6
 LATE = 3  # blocks: a minute
-PAST_OUTLIER = 3.0  # typical levels: a wide prior
+PAST_OUTLIER = 3.0  # typical levels: larger ones are clipped
 CONFIRMED = 0.6  # of a step is still there a block later
 
 

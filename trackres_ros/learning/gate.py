@@ -199,7 +199,7 @@ class Gate:
         return self._outlying(stamp_ns, residual, INERTIA_DOUBT * abs(row[at.Results.inertia_nm]))
 
     def _outlying(self, stamp_ns: int, residual: float, doubt: float) -> int:
-        """Whether a sample is far from recent ones, by more than a doubt [Nm]; the level follows valid samples."""
+        """Whether a sample is far from recent ones, by more than a doubt [Nm]; each moves the level by a bounded amount."""
         samples = self.samples
         passed_ns = stamp_ns - samples.last_ns
         samples.last_ns = stamp_ns

@@ -50,8 +50,7 @@ def half_length_for_force(force: ArrayLike, modulus: ArrayLike, radius: float, l
     Notes
     -----
     The paper searches a = j R / 1000 until within 1 % of the load, equation (11). As F is proportional to a^3, one step moves F
-    by
-    3/j, so below j = 150 the search can step over the window and not end. Newton on the cube root of F, which is nearly
+    by 3/j, so below j = 150 the search can step over the window and not end. Newton on the cube root of F, which is nearly
     linear in a, converges from the small-contact solution in a few passes for any load.
     """
     force, modulus = np.broadcast_arrays(np.asarray(force, float), np.asarray(modulus, float))

@@ -69,7 +69,7 @@ class RubberModel:
         return np.asarray(np.clip(equivalent, r.sweep_degc[0], r.sweep_degc[-1]))
 
     def reduced(self, frequency: ArrayLike, belt_degc: ArrayLike) -> Array:
-        """log10(a_T f / Hz) at frequencies [Hz] and temperatures [degC], broadcast; frequency 0 counts as 1e-30 Hz."""
+        """log10(a_T f / Hz) at frequencies [Hz] and temperatures [degC], broadcast; frequency 0 is replaced by 1e-30 Hz."""
         return np.asarray(np.log10(np.maximum(frequency, 1e-30)) + self.log_shift(belt_degc))
 
     def storage_modulus(self, frequency: ArrayLike, belt_degc: ArrayLike) -> Array:

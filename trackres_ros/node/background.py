@@ -86,8 +86,7 @@ class ErrorLines:
 
 def _write_to_error(text: str) -> None:
     """Write on standard error, past its buffer, if it is a file. A blocked write would hold the buffer's lock, and the
-    interpreter
-    waits for that lock as it ends.
+    interpreter waits for that lock as it ends.
     """
     try:
         number = sys.stderr.fileno()

@@ -63,8 +63,7 @@ def input_topics(topics: Topics, on_route: bool = False, channels: Collection[st
 
     A position is needed only to follow a route, and signs of the ground only with a measured torque to learn from. Wheel speeds
     are needed only for the axles and assemblies in `channels`. Where messages wait on several topics, a transport passes them on
-    in
-    this order: inputs of a step come before its speed.
+    in this order: inputs of a step come before its speed.
     """
     needed = [
         role

@@ -55,8 +55,7 @@ class Inbox:
 
         Topics are polled from the last to the first and passed on from the first to the last. The last feeds the speed,
         so everything sent before a speed is present when the speed is passed on. With polling in the same order, a load could
-        arrive
-        just after its topic was found empty, and a later speed just before its own was.
+        arrive just after its topic was found empty, and a later speed just before its own was.
         """
         self._collected_ns = time.monotonic_ns()
         for index in reversed(range(len(self._inputs))):

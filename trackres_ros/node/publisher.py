@@ -27,10 +27,9 @@ class OutputPublisher:
     """Publishes the last estimate through a transport.
 
     While the speed is old, the last state is still published with its stamp, and the feed-forward fades to zero. So it is safe
-    even
-    for receivers that ignore the stamp. Between outputs the feed-forward moves by `feedforward_rate` at most, whatever the speeds
-    and their pauses. It continues from a step's intermediate value towards the last target, and from the faded value when a
-    speed returns. Its time is the controller's, `pace`: a steady clock, or the simulated one if that runs faster.
+    even for receivers that ignore the stamp. Between outputs the feed-forward moves by `feedforward_rate` at most, whatever the
+    speeds and their pauses. It continues from a step's intermediate value towards the last target, and from the faded value
+    when a speed returns. Its time is the controller's, `pace`: a steady clock, or the simulated one if that runs faster.
 
     A topic that cannot be published delays no other one; `failed` names it and the reason.
     """

@@ -37,8 +37,7 @@ class SendingOrder:
     """Holds messages back until all that were sent earlier have arrived.
 
     After a pause of this process, a middleware passes on one message of each topic in turn. So messages other than speeds are
-    held
-    back until a speed with a later sending time arrives, for `LONGEST_WAIT_NS` at most.
+    held back until a speed with a later sending time arrives, for `LONGEST_WAIT_NS` at most.
     """
 
     def __init__(self) -> None:

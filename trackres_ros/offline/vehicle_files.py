@@ -21,7 +21,7 @@ from trackres_ros.vehicle.writing.yaml_edit import Document
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
 RUNS_ON = {"tracks": "tracks", "road_load": "wheels, without belts"}
-LONGEST = 24  # of a text beside numbers
+LONGEST = 24  # of a text in a table of numbers
 UNSAID = ("reason", "flag")  # of a quantity: they do not define a vehicle
 
 

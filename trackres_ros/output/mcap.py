@@ -73,8 +73,7 @@ class BagWriter:
         Only ``mcap``.
     part : Path, optional
         File for writing until it is finished, which must be new. It stays if it cannot be finished; by default a hidden file in
-        the
-        same folder, which never stays.
+        the same folder, which never stays.
 
     Raises
     ------

@@ -101,7 +101,7 @@ def _notebook_figure() -> type[Figure]:
 
 @contextmanager
 def _look() -> Iterator[None]:
-    """The look of the package, whatever other settings of matplotlib the program makes."""
+    """The style of the package, independent of other settings of matplotlib in the program."""
     import matplotlib
 
     with matplotlib.rc_context():

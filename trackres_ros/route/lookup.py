@@ -103,8 +103,7 @@ def between(
     -------
     behind, ahead, share, sign_behind, sign_ahead
         Rows of `places`, -1 without a near one; the weight of the one ahead; and whether the direction of each is along the
-        travel (1)
-        or against it (-1).
+        travel (1) or against it (-1).
     """
     if not (abs(x) < CELL_M * (HALF - 2) and abs(y) < CELL_M * (HALF - 2)):
         return NOWHERE

@@ -101,7 +101,7 @@ class RoadVehicle:
 
     @property
     def chassis(self) -> Chassis:
-        """A track vehicle's quantities besides tracks; its bearing friction is the rolling resistance at a crawl."""
+        """A track vehicle's quantities other than tracks; its bearing friction is the rolling resistance at a crawl."""
         v = self.values
         return Chassis(
             v["rolling_coefficient"], v["drag_area"], 1.0, v["air_density"], v["rotating_mass_factor"], v["max_speed"], GRAVITY,

@@ -70,9 +70,8 @@ def robot(data: Path, name: str, folder: Path) -> Path:
     """Write one recording of a skid-steered robot.
 
     Its sides turn at different speeds: the torque is the power of both sides' currents over the mean speed. Heading and yaw rate
-    are
-    those of the laser scans' position, as one of the robots records no gyroscope. The position is relative to a point on the
-    equator.
+    are those of the laser scans' position, as one of the robots records no gyroscope. The position is relative to a point on
+    the equator.
     """
     text = gzip.decompress((data / "husky_warthog" / f"{name}.csv.gz").read_bytes()).decode()
     rows = list(csv.DictReader(io.StringIO(text)))

@@ -108,8 +108,7 @@ def start_states(fitted: Fit, stood_s: Sequence[float]) -> Starts:
     Notes
     -----
     The residual of a vehicle model has correlations over minutes, with the street for one. So the uncertainty of a start state
-    comes
-    from the same sum over the residuals of all drives from ten minutes on, when they are warm.
+    comes from the same sum over the residuals of all drives from ten minutes on, when they are warm.
     """
     sessions = fitted.problem.sessions
     cold, warm = (

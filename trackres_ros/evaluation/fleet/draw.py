@@ -29,7 +29,7 @@ START_S, DAY_S = 1_750_000_000.0, 86_400.0
 FASTEST_MPS = 16.7
 LOADS = (1.0, 0.8, 1.25)  # over the nominal weight
 VEHICLES_DIFFER = 0.05  # standard deviation of each of a vehicle's factors
-AIR_DEGC, SEASON_K, WEATHER_K = 14.0, 10.0, 4.0  # mean, amplitude over a year, and what a day differs by
+AIR_DEGC, SEASON_K, WEATHER_K = 14.0, 10.0, 4.0  # mean, amplitude over a year, and scatter of a day
 WIND_MPS = 3.0  # most, from anywhere
 RAIN_SHARE, RAIN = 0.12, (0.1, 0.8)  # of recordings; how much more a wet belt gives off
 MOST_LAG_S, MOST_OFFSET_NM, MOST_GAIN = 0.1, 15.0, 0.005  # of the torque sensor of each vehicle
@@ -65,7 +65,7 @@ class DrawnVehicle:
 def draw_fleet(
     vehicles: int, days: int, every: float, minutes: float, changes: Sequence[tuple[str, str, float]], seed: int
 ) -> list[DrawnVehicle]:
-    """Vehicles, the first drawn of which have the changes: parameter, kind and size of each; in an order that says nothing.
+    """Vehicles, the first drawn of which have the changes: parameter, kind and size of each; in random order.
 
     A vehicle with one recording has no change: nothing could show it.
 

@@ -60,8 +60,7 @@ TARGETS = "Targets: 95 % of changes of 10 % in bearing drag within 10 recordings
 @dataclass(frozen=True, slots=True)
 class ScoredVehicle:
     """The concealed change of a vehicle and the findings: the first change after it, its number of recordings, whether its name
-    is
-    right, alone or among equally good explanations; and the number of false changes.
+    is right, alone or among equally good explanations; and the number of false changes.
     """
 
     name: str

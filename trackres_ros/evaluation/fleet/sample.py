@@ -29,7 +29,7 @@ from trackres_ros.evaluation.fleet.draw import (
 
 SAMPLE_CHANGES = ((BEARING, RAMP, 0.4), (BEARING, STEP, 0.2), (LOSS, STEP, 0.15))
 ANSWERS, FLEET, RECORDINGS = "answers.json", "fleet.yaml", "recordings"
-BEARING_LIMIT = 0.012  # the upper end of what the vehicle file says a bearing may have
+BEARING_LIMIT = 0.012  # upper limit of a bearing in the vehicle file
 
 
 def write_sample(
@@ -41,12 +41,12 @@ def write_sample(
     seed: int,
     on_begin: Callable[[int], Callable[[float], None]],
 ) -> list[DrawnVehicle]:
-    """A fleet to try things on, of which up to three vehicles change; answers.json says which.
+    """A simulated fleet for trials, in which up to three vehicles change; answers.json lists them.
 
     Raises
     ------
     InputError
-        If a recording is longer than the time between two, or the folder holds something else.
+        If a recording is longer than the time between two, or the folder has other content.
     """
     fleet = draw_fleet(vehicles, days, every, minutes, SAMPLE_CHANGES, seed)
     if folder.exists() and any(folder.iterdir()) and not (folder / FLEET).exists():

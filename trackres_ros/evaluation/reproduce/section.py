@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Defines what a part of the reproduction returns: figures, tables, and the paper's claims with a computed verdict each."""
+"""Defines the result of a part of the reproduction: figures, tables, and the paper's claims with a computed verdict each."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ UNEXPLAINED = "No reason is on file for this outcome: the model or the vehicle f
 
 @dataclass(frozen=True)
 class Claim:
-    """A statement of the paper, what the program shows of it, and why.
+    """A statement of the paper, the program's result on it, and reasons.
 
     Parameters
     ----------
     key, where, paper
-        A stable name; the place in the paper; what the paper says.
+        A stable name; the place in the paper; its statement.
     holds
-        The outcome of the predicate by model combination, or under an empty name where no combination enters; nothing where
+        The outcome of the predicate by model combination, or under an empty name without combinations; empty if
         the claim cannot be checked.
     shows
-        What the program shows, with its numbers.
+        The program's result, with its numbers.
     why
         Reasons by verdict: of `HOLDS`, `FAILS` and `IN_PART` those that are understood.
     numbers
         The numbers behind the verdict, by name and unit.
     details
-        What the program shows of each model combination: texts by heading, then by combination.
+        The program's result for each model combination: texts by heading, then by combination.
     """
 
     key: str
@@ -68,7 +68,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture with its data: file names in the output folder, and what it shows."""
+    """A picture with its data: file names in the output folder, and its caption."""
 
     png: str
     csv: str

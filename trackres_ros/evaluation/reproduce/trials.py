@@ -31,7 +31,7 @@ STRAIGHT_KMH = 50.0
 ACCELERATION = STRAIGHT_KMH / KMH_PER_MPS / (2.0 * (STRAIGHT_S - STRAIGHT_M * KMH_PER_MPS / STRAIGHT_KMH))
 STOP_S = 20.0  # assumed: to stop and save the data; the paper gives no duration
 OTHER_STOPS_S = (5.0, 60.0)
-LONG_RUN = 10  # times a lap test's duration, to see what it tends to
+LONG_RUN = 10  # times a lap test's duration, to find its steady state
 LEAST_HELD = 4  # samples of a stretch at full speed that counts
 LINES = ((BLUE, "-"), (SKY, "--"), (VERMILION, "-"), (ORANGE, "--"))  # of `COMBINATIONS`
 

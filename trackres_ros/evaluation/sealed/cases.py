@@ -242,16 +242,16 @@ def sensors_of(case: Case) -> Sensors:
 
 @dataclass(frozen=True)
 class TownDrives:
-    """What the drives of a case in a town have that is not hidden.
+    """Known properties of the drives of a case in a town.
 
     Attributes
     ----------
     steepest
-        Slope that was surveyed, so that it is recorded; 0 of a level town and of one whose slope is hidden.
+        Surveyed slope, which is recorded; 0 of a level town and of one with a hidden slope.
     shares
-        Weight of each drive, over the nominal one, without what differs by stretch.
+        Weight of each drive, over the nominal one, without differences by stretch.
     load
-        How recorded loads differ by stretch; None where they do not.
+        Differences of recorded loads by stretch; None without.
     load_measured
         Whether the load is recorded.
     """
@@ -263,8 +263,8 @@ class TownDrives:
 
 
 def streets_of(case: Case) -> TownDrives:
-    """Half of the towns whose slope is not hidden are level, half were surveyed. A load that is not hidden is recorded and
-    differs by stretch, is recorded and differs by drive, or is what the vehicle file says and not recorded, equally often.
+    """Of the towns without a hidden slope half are level, half were surveyed. A load that is not hidden is recorded and
+    differs by stretch, is recorded and differs by drive, or is the vehicle file's and not recorded, equally often.
     """
     rng = draws(case, "streets")
     surveyed, kind = rng.random() < 0.5, int(rng.integers(3))

@@ -20,7 +20,7 @@ RESTING_MPS, HARDEST_MPS2 = 0.05, 1.6
 
 @dataclass(frozen=True, eq=False)
 class OnStreet:
-    """Where a drive through a town is, and what it meets there, series of shape (n,).
+    """Position of a drive in a town, and conditions there, series of shape (n,).
 
     Attributes
     ----------
@@ -29,13 +29,13 @@ class OnStreet:
     slope, height
         Of the street in the direction of travel [rise over run], and of the ground [m].
     softness
-        Of the ground, 1 where the town is softest.
+        Of the ground, 1 at the softest place of the town.
     covered
-        Where no satellite is seen.
+        Without satellites.
     stretch
-        Number of the stretch between two stops at which loads change.
+        Number of the stretch between two stops with changes of the load.
     brakes
-        Share of a torque that brakes which friction brakes take; 1 where they hold the vehicle.
+        Friction brakes' share of a braking torque; 1 where they hold the vehicle.
     """
 
     x: Array
@@ -137,7 +137,7 @@ def _targets(n: int, fastest: float, restless: float, rng: np.random.Generator) 
 
 
 def _eased(target: Array, brisk: float) -> Array:
-    """What a vehicle makes of it: bounded acceleration, smoothed jerk."""
+    """The vehicle's version of it: bounded acceleration, smoothed jerk."""
     speed, now, accel = np.empty(len(target)), 0.0, 0.0
     for i, aim in enumerate(target):
         wanted = np.clip((aim - now) / 1.5, -1.4 * brisk, brisk)

@@ -35,22 +35,22 @@ ADDITION, LARGEST_ADDITION = "addition", 5.0  # times the true value
 
 @dataclass(frozen=True)
 class OracleAnswer:
-    """What an oracle finds in one case.
+    """Findings of an oracle in one case.
 
     Attributes
     ----------
     gain
         In log-likelihood, of the true effects over the re-fitted base.
     alike
-        Effects that look the same as the first true one here (cosine above 0.95), itself among them; of what is outside the
+        Effects that look the same as the first true one here (cosine above 0.95), including itself; for physics outside the
         catalogue the names that fit as well.
     identifiable
-        Whether the gain is plain, no other effect looks alike, and the base does not take it up; of what is outside the
-        catalogue, whether the gain is plain.
+        Whether the gain is clear, no other effect looks alike, and the base does not absorb it; for physics outside the
+        catalogue, whether the gain is clear.
     plain_both
-        Of two effects: whether each gains as much beside the other.
+        Of two effects: whether each gains as much in addition to the other.
     mae_base, mae
-        Mean error on held-out laps [Nm] without and with the true effects.
+        Mean error on hold-out laps [Nm] without and with the true effects.
     """
 
     gain: float

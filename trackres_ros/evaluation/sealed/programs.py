@@ -96,7 +96,7 @@ FUNCTIONS: dict[str, tuple[tuple[tuple[float, float], ...], Callable[..., Array]
     "step": (((0.2, 0.75), (1e-3, 0.03)), lambda u, at, soft: 0.5 + 0.5 * np.tanh((u - at) / soft)),
     "monotone curve with kinks": (((0.02, 1.0),) * 10, _kinked),
 }
-"""Functions of a scaled variable, between about -1 and 1: ranges of what is drawn, and the function."""
+"""Functions of a scaled variable, between about -1 and 1: ranges of the draws, and the function."""
 
 
 def _lag(x: Array, at: Journey, _: np.random.Generator, log_s: float) -> Array:
@@ -143,7 +143,7 @@ MEMORIES: dict[str, tuple[str, tuple[tuple[float, float], ...], Callable[..., Ar
     "chatter": ("coming and going by chance", ((2.0, 60.0), (5.0, 120.0)), _chatter),
     "counter": ("growing with each time it comes", ((0.2, 0.6), (3.0, 15.0)), _counter),
 }
-"""Memories: words, ranges of what is drawn, and what becomes of a series in a drive with its own chance."""
+"""Memories: words, ranges of the draws, and the transformation of a series in a drive with its own chance."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -174,6 +174,6 @@ def _timetable(path: Path, speeds_up: float, slows_down: float) -> tuple[Array, 
 
 
 def _brakes(speed: Array, accel: Array) -> Array:
-    """Share of a torque that brakes which friction brakes take; they hold it where it stands."""
+    """Friction brakes' share of a braking torque; they hold a standing vehicle."""
     helped = MOST_TAKEN * np.clip((-accel - HARD_MPS2) / (HARDEST_MPS2 - HARD_MPS2), 0.0, 1.0)
     return np.where(speed > 0.0, helped, 1.0)

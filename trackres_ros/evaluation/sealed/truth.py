@@ -94,7 +94,7 @@ def simulate_truth(path: Path, build: Build, hidden: Hidden, drives: Sequence[Se
         added = {}
         for name in hidden:
             without = _one(design, build, _without(hidden, name), drive, driven)
-            where = 1 if name == PROGRAM or drive.street is not None else 0  # brakes take a part of what a town adds
+            where = 1 if name == PROGRAM or drive.street is not None else 0  # brakes supply a part of the torques of a town
             added[name] = with_all[where] - without[where]
         found.append(TruthRun(*with_all, added, _with_load(hidden, drive, driven).weight))
         driven += float(np.abs(drive.speed).sum() * drive.step)

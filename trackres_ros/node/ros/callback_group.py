@@ -16,8 +16,7 @@ class OneAtATime(MutuallyExclusiveCallbackGroup):  # type: ignore[misc]
     """The group of all callbacks of a node: any executor runs one at a time, so messages keep the order in which they are taken.
 
     Sometimes the executor excludes some of them from its wait. rclpy builds its wait set again for each message, from every
-    entity
-    that may run. With dozens of services and event handlers in it that takes longer than the estimate itself.
+    entity that may run. With dozens of services and event handlers in it that takes longer than the estimate itself.
 
     Attributes
     ----------

@@ -338,8 +338,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         """Wait for messages where they trigger outputs, or where fast simulated time stamps their arrival.
 
         Elsewhere each tick collects them. Outputs at a fixed rate change at a tick only, so nothing is lost. rclpy, in which
-        waiting
-        for a message is half of all work, then waits half as often.
+        waiting for a message is half of all work, then waits half as often.
         """
         rate_hz = application.parameters.number("output_rate_hz")
         self._group.waits_for_inputs = rate_hz < COLLECTED_FROM_HZ or application.parameters.sim_time

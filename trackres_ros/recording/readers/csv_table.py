@@ -301,7 +301,7 @@ class _Lines:
             yield line
 
     def rows(self, reader: Iterable[list[str]]) -> Iterator[list[str]]:
-        """Pass on the rows that a reader makes of these lines."""
+        """Pass on the rows of a reader of these lines."""
         for row in reader:
             self._of_row = 0
             yield row

@@ -135,8 +135,7 @@ def set_quantity(
     document: Document, path: Sequence[str], old: Quantity, value: float, learned: Range, limits: QuantityLimits, by: str
 ) -> None:
     """A fitted value with its interval as the range, which is read as +-2 standard deviations. Without one it keeps the old
-    range,
-    and unchanged values keep their notation.
+    range, and unchanged values keep their notation.
 
     `by` is the command that found it.
     """
