@@ -9,6 +9,7 @@ In compiled code a row is a record at the address of the array, so a name costs 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from importlib import import_module
 from typing import Any, overload
 
@@ -66,16 +67,8 @@ class Reals:
         raise NotImplementedError
 
 
-class _Number(property):
-    """Replacement of a `Real`, `Whole` or `Reals`."""
-
-    place: int | slice
-
-
 class _Places(type):
-    def __getattribute__(cls, name: str) -> Any:
-        found = super().__getattribute__(name)
-        return found.place if isinstance(found, _Number) else found
+    """The class of a row class; that of each row has its places as properties."""
 
 
 class Row(metaclass=_Places):
@@ -92,20 +85,27 @@ class Row(metaclass=_Places):
         declared = {name: one for name, one in vars(cls).items() if isinstance(one, Real | Whole | Reals)}
         cls.names = tuple(name for name, one in declared.items() for _ in range(math.prod(one.shape)))
         cls.columns = len(cls.names)
+        places: dict[str, int | slice] = {}
         for name, one in declared.items():
             first = cls.names.index(name)
-            setattr(cls, name, _number(slice(first, first + one.shape[0]) if one.shape else first))
+            places[name] = slice(first, first + one.shape[0]) if one.shape else first
+            setattr(cls, name, _number(places[name]))
+        # The class finds a property of its own class first: of the class, a name is a place.
+        of_class = {name: property(_constant(place)) for name, place in places.items()}
+        cls.__class__ = type("Places", (_Places,), of_class)  # type: ignore[method-assign]
         if HAVE_NUMBA:
             _compile(cls, [(name, one.kind, one.shape) for name, one in declared.items()])
 
 
-def _number(place: int | slice) -> _Number:
+def _constant(place: int | slice) -> Callable[[Any], int | slice]:
+    return lambda _: place
+
+
+def _number(place: int | slice) -> property:
     """The property of an index, which is a constant in the code: Python is a tenth faster so."""
     where, known = f"{place.start}:{place.stop}" if isinstance(place, slice) else place, dict[str, Any]()
     exec(f"def get(row):\n    return row.numbers[{where}]\ndef change(row, value):\n    row.numbers[{where}] = value", known)
-    number = _Number(known["get"], known["change"])
-    number.place = place
-    return number
+    return property(known["get"], known["change"])
 
 
 if HAVE_NUMBA:

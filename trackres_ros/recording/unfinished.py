@@ -141,7 +141,7 @@ class UnfinishedBag:
         self.remark = (
             f"the recording is unfinished: its {self.messages} messages are read, its index is truncated"
             if found.ended
-            else f"the recording was not finished: {self.messages} messages up to its last whole block are read, "
+            else f"the recording is unfinished: {self.messages} messages up to its last whole block are read, "
             f"the {self.lost_bytes} bytes behind it are incomplete; messages that were not written yet do not show"
         )
 
