@@ -71,7 +71,7 @@ def test_a_killed_recording_loses_less_than_a_second(node, tmp_path, topics, goo
     assert not (tmp_path / "drive.mcap").exists()
     speed, notes = messages_of(part, topics)
     assert (killed_ns - int(speed.stamp_ns[-1])) * 1e-9 < 1.0
-    assert "was not finished" in notes[0]
+    assert "is unfinished" in notes[0]
     good("recover", part, "-o", tmp_path / "again.mcap")
     again, notes = messages_of(tmp_path / "again.mcap", topics)
     assert len(again) == len(speed) > 100
