@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import textwrap
 from collections.abc import Iterator
@@ -92,6 +93,7 @@ class CSource:
         ]
         channels = [f"    TRACKRES_CHANNEL_{in_c(channel).upper()} = {i}," for i, channel in enumerate(self.estimator.channels)]
         return {
+            "VEHICLE": json.dumps(_ascii(self.estimator.vehicle.source.stem)),
             "REASONS": _without_last_comma(reasons),
             "CHANNELS": _without_last_comma(channels),
             "INPUTS": "\n".join(f"    trackres_real {in_c(name)};" for name in self.inputs.values()),

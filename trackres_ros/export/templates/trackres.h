@@ -17,6 +17,9 @@ extern "C" {
 
 typedef @REAL@ trackres_real;
 
+/* The vehicle file, without its suffix. */
+#define TRACKRES_VEHICLE @VEHICLE@
+
 /* Of a state: another vehicle, other settings or another version of the program have another number. */
 #define TRACKRES_VERSION UINT32_C(@VERSION@)
 
