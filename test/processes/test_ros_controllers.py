@@ -162,6 +162,21 @@ def test_the_exported_step_in_a_controller_is_the_replay(built, manager, tmp_pat
     replayed = np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
     assert np.abs(added - replayed[:, 0]).max() <= EQUAL * max(1.0, np.abs(replayed[:, 0]).max())
     assert np.abs(given - replayed[:, 1]).max() <= EQUAL * max(1.0, np.abs(replayed[:, 1]).max())
-    assert (added.max() > 1000.0) is (speed_mps > 0.0)
-    if not speed_mps:
-        assert not added.any()
+    assert added.max() > 1000.0 if speed_mps else not added.any()
+
+
+def test_the_export_of_another_vehicle_is_refused(built, manager, tmp_path, wire, repository):
+    example = repository / "examples" / "ros2_feedforward" / "config"
+    described = wire.publisher("/robot_description", TEXT, depth=1, latched=True)
+    described.publish(data=(example / "carrier.urdf").read_text())
+    parameters = tmp_path / "other.yaml"
+    parameters.write_text((example / "in_process.yaml").read_text().replace("xgd24d", "agri3t"))
+    try:
+        with running([manager / "ros2_control_node", "--ros-args", "--params-file", parameters], built, tmp_path) as (process, log):
+            with running([manager / "spawner", "in_process"], built, tmp_path) as (spawner, _):
+                assert wait_for(lambda: spawner.poll() is not None, working=process.pid), log.read_text()
+            assert spawner.returncode != 0
+            assert "'agri3t', but the export is of 'xgd24d'" in log.read_text()
+            assert process.poll() is None
+    finally:
+        described.close()
