@@ -10,7 +10,6 @@ import pytest
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.evaluation.learned.ageing import age
 from trackres_ros.evaluation.learned.cases import (
     KINDS,
     OFF,
@@ -24,7 +23,8 @@ from trackres_ros.evaluation.learned.cases import (
 )
 from trackres_ros.evaluation.learned.delay import LONGEST_S, _sampled, draw, page, score, seal
 from trackres_ros.evaluation.learned.page import _of_hostile, _of_mass
-from trackres_ros.evaluation.sealed.drives import drive
+from trackres_ros.evaluation.learned.score import age
+from trackres_ros.evaluation.sealed.drives import SealedDrive, drive
 from trackres_ros.evaluation.sealed.generate import START_S
 
 STEP_S = 0.1
@@ -50,10 +50,12 @@ def test_each_thing_misleads_and_nothing_else_does(kind):
     random = np.random.default_rng(3)
     speed = 6.0 + 4.0 * np.sin(np.arange(9000) / 500.0)
     speed[4000:4100] = 0.0
+    level = np.zeros(len(speed))
+    one = SealedDrive(STEP_S, speed, np.gradient(speed, STEP_S), level, level, np.full(len(speed), 272e3), level)
     torque = 3000.0 + random.normal(0.0, 30.0, len(speed))
     changed = []
     for of in (case_of(kind), case_of("")):
-        added = added_torque(of, speed, np.cumsum(speed) * STEP_S, STEP_S, 1000.0, np.full(len(speed), 272e3), 0.36)
+        added = added_torque(of, one, 272e3, 0.36)
         shown = misled(of, torque, STEP_S, random)
         loaded = weight_shares(of, speed)
         changed.append([bool(np.any(added)), not np.array_equal(shown, torque), bool(np.any(loaded != 1.0))])

@@ -15,8 +15,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.evaluation.reproduce import reproduce
 from trackres_ros.evaluation.reproduce.ambients import _warmer_is_larger_later
 from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Bench, Stable
-from trackres_ros.evaluation.reproduce.common_claims import falls, same_stable
-from trackres_ros.evaluation.reproduce.families import Family
+from trackres_ros.evaluation.reproduce.families import Family, falls, same_stable
 from trackres_ros.evaluation.reproduce.indentation import indentation, search_error
 from trackres_ros.evaluation.reproduce.page import page
 from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, IN_PART, OPEN, UNEXPLAINED, Claim

@@ -67,7 +67,7 @@ def circle(minutes: float, speed: float, weight: float) -> SealedDrive:
 
 def _diagnosed(folder: Path, sheet: Path, drives: list[SealedDrive], rng: np.random.Generator) -> Diagnosis:
     folder.mkdir(parents=True, exist_ok=True)
-    vehicle = write_vehicle(folder / "vehicle.yaml", "core_surface")
+    vehicle = write_vehicle(folder / "vehicle.yaml", lumped=False)
     radius = read_data_sheet(sheet)["track.sprocket_radius"]
     paths = []
     for i, (one, run) in enumerate(zip(drives, simulate_truth(sheet, Build(), HIDDEN, drives), strict=True)):

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.evaluation.reproduce.bench import Bench
-from trackres_ros.evaluation.reproduce.output import INK, write_csv
-from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, Claim, Figure, Section, Table
+from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, INK, Claim, Figure, Section, Table, write_csv
 from trackres_ros.model.operating_point import explain
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.output.style import BLUE, GREEN, VERMILION, picture

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.evaluation.reproduce.bench import Bench
-from trackres_ros.evaluation.reproduce.output import write_csv
-from trackres_ros.evaluation.reproduce.section import HOLDS, Claim, Figure, Section, listed, percent
+from trackres_ros.evaluation.reproduce.section import HOLDS, Claim, Figure, Section, listed, percent, write_csv
 from trackres_ros.model.contact import contact_force, half_length_for_force, largest_strain
 from trackres_ros.output.style import BLUE, VERMILION, picture
 

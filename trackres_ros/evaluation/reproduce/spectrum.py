@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.evaluation.reproduce.bench import Bench
-from trackres_ros.evaluation.reproduce.output import INK, write_csv
-from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, Claim, Figure, Section, Table, percent
+from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, INK, Claim, Figure, Section, Table, percent, write_csv
 from trackres_ros.model.belt import axial_stiffness
 from trackres_ros.model.hysteresis import LossForce, RainflowCount
 from trackres_ros.model.operating_point import explain

@@ -16,8 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Bench, Runs, Series, at_times
-from trackres_ros.evaluation.reproduce.output import write_csv
-from trackres_ros.evaluation.reproduce.section import HOLDS, IN_PART, OPEN, Claim, Figure, Section, Table, percent, percents
+from trackres_ros.evaluation.reproduce.section import (
+    HOLDS,
+    IN_PART,
+    OPEN,
+    Claim,
+    Figure,
+    Section,
+    Table,
+    percent,
+    percents,
+    write_csv,
+)
 from trackres_ros.offline.simulate import SimulatedDrive, laps, simulate, through_points
 from trackres_ros.output.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_beside, picture, thinned
 from trackres_ros.units import KMH_PER_MPS
