@@ -84,7 +84,9 @@ def main(arguments: list[str]) -> int:
     """Run the benchmarks of some titles, or all; print them and write the page, in which the others stay as they are."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("titles", nargs="*", metavar="TITLE", help=f"one of: {', '.join(BENCHMARKS)}; all without any")
-    titles = parser.parse_args(arguments).titles
+    parser.add_argument("--print", action="store_true", dest="only_print", help="print the numbers, and leave the page as it is")
+    given = parser.parse_args(arguments)
+    titles = given.titles
     if unknown := [title for title in titles if title not in BENCHMARKS]:
         parser.error(f"no benchmark {unknown[0]!r}; there are: {', '.join(BENCHMARKS)}")
     load_before = os.getloadavg()[0]
@@ -96,6 +98,8 @@ def main(arguments: list[str]) -> int:
         results = module.run()
         sections[title] = "\n".join([f"## {title}", "", (module.__doc__ or "").strip(), "", *rows(results, module.TARGETS)])
         print(sections[title], flush=True)
+    if given.only_print:
+        return 0
     ordered = [sections[title] for title in BENCHMARKS if title in sections]
     missed = [
         f"- {title}: {line.split(' | ')[0].removeprefix('| ')}"
