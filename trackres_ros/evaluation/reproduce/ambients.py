@@ -74,9 +74,8 @@ def ambients(bench: Bench, out: Path) -> Section:
     }
     kept_shares = [f"With {c.replace('/', ' and ')} it keeps {percents(shares, 0)}." for c, shares in kept.items()]
     text = [
-        f"Constant {SPEED_KMH:g} km/h and {WEIGHT_N / 1e3:g} kN from the start, without a ramp, as in the paper. The run goes "
-        "on to "
-        f"{DURATION_S:g} s beyond the paper's {PAPER_END_S:g} s. The belt starts at the ambient temperature.",
+        f"Constant {SPEED_KMH:g} km/h and {WEIGHT_N / 1e3:g} kN from the start, without a ramp, as in the paper. The run goes on "
+        f"to {DURATION_S:g} s beyond the paper's {PAPER_END_S:g} s. The belt starts at the ambient temperature.",
         " ".join(["The stable belt keeps a part of a difference in ambient temperature.", *kept_shares]),
     ]
     return section_of(bench, family, "Figure 26: ambient temperature", TIMES_S, figures, claims, text, kept_share=kept)

@@ -88,13 +88,9 @@ def reproduce(
         weights(bench, out_dir),
         ambients(bench, out_dir),
     ]
+    vehicle = bench.vehicle
     summary = {
-        "vehicle": {
-            "name": bench.vehicle.name,
-            "title": bench.vehicle.title,
-            "weight_n": bench.vehicle.weight,
-            "methods": bench.shipped,
-        },
+        "vehicle": {"name": vehicle.name, "title": vehicle.title, "weight_n": vehicle.weight, "methods": bench.shipped},
         "dt_s": dt,
         "text": _introduction(bench),
         "sections": [section.summary() for section in sections],
@@ -116,8 +112,7 @@ def _introduction(bench: Bench) -> list[str]:
         "So the size of a torque here is the program's, not the paper's.",
         "",
         "Where it matters, four combinations are shown. The loss is by `spectral` (exact for linear viscoelasticity) or "
-        "`rainflow` "
-        "(the paper's), the belt temperature by `lumped` (the paper's) or `core_surface`. The vehicle file names "
+        "`rainflow` (the paper's), the belt temperature by `lumped` (the paper's) or `core_surface`. The vehicle file names "
         f"{bench.shipped.replace('/', ' and ')}; the paper's own is rainflow and lumped. A verdict is that of a predicate on "
         "the run; where the combinations disagree it says for which the claim holds.",
         "",
