@@ -23,12 +23,12 @@ from trackres_ros.evaluation.sealed.cases import LOADS, SOURCES, Case, draw_case
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import Array, SealedDrive, drive, recorded, trapezoids
 from trackres_ros.evaluation.sealed.profiles import read_profiles
-from trackres_ros.evaluation.sealed.sensors import record
+from trackres_ros.evaluation.sealed.sensors import Sensors, record
 from trackres_ros.evaluation.sealed.size import sized
 from trackres_ros.evaluation.sealed.street import loaded
 from trackres_ros.evaluation.sealed.street_drives import street_drive
 from trackres_ros.evaluation.sealed.town import draw_town
-from trackres_ros.evaluation.sealed.truth import Build, TruthRun, simulate_truth
+from trackres_ros.evaluation.sealed.truth import Build, Hidden, TruthRun, simulate_truth
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 
@@ -65,14 +65,15 @@ def make_case(task: tuple[Path, Case, float]) -> None:
     into = folder / "cases" / case.name
     into.mkdir(exist_ok=True)
     vehicle = write_vehicle(into / "vehicle.yaml", case.lumped)
-    profiles = _profiles(folder)
+    profiles, build = _profiles(folder), Build(**case.build)
     if case.compensated:
-        _, paths = _record(case, into, "before", _drives(case, minutes, "before", profiles))
+        before = _drives(case, minutes, "before", profiles)
+        _, paths = record_all(into, "before", build, case.hidden, before, sensors_of(case), draws(case, "before"))
         refit(paths, vehicle, vehicle, "fitted to earlier drives")  # as users do, whatever is hidden in them
         for path in paths:
             path.unlink()
     driven = _drives(case, minutes, "drive", profiles)
-    runs, _ = _record(case, into, "drive", driven)
+    runs, _ = record_all(into, "drive", build, case.hidden, driven, sensors_of(case), draws(case, "drive"))
     kept, partial = folder / "sealed" / f"{case.name}.npz", folder / "sealed" / f"{case.name}.part.npz"
     np.savez_compressed(partial, **_kept(case, driven, runs))
     partial.rename(kept)
@@ -178,13 +179,15 @@ def _in_town(case: Case, minutes: float, weight: float, rng: np.random.Generator
     return drives
 
 
-def _record(case: Case, into: Path, name: str, drives: Sequence[SealedDrive]) -> tuple[list[TruthRun], list[Path]]:
+def record_all(
+    into: Path, name: str, build: Build, hidden: Hidden, drives: Sequence[SealedDrive], sensors: Sensors, rng: np.random.Generator
+) -> tuple[list[TruthRun], list[Path]]:
+    """Make drives of a vehicle, two weeks apart, and record them: true values and paths."""
     _, radius = weight_and_radius()
-    runs = simulate_truth(find_vehicle(VEHICLE), Build(**case.build), case.hidden, drives)
+    runs = simulate_truth(find_vehicle(VEHICLE), build, hidden, drives)
     paths = [into / f"{name}_{i + 1}.csv" for i in range(len(drives))]
-    rng = draws(case, name)
     for i, (path, one, true) in enumerate(zip(paths, drives, runs, strict=True)):
-        record(path, one, true, sensors_of(case), radius, START_S + i * APART_S, rng)
+        record(path, one, true, sensors, radius, START_S + i * APART_S, rng)
     return runs, paths
 
 
