@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Last process: opens the labels, counts, and writes the page.
+"""Last process: opens the seal, counts, and writes the page.
 
 `python -m trackres_ros.evaluation.learned.score FOLDER HOURS`
 """
@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.evaluation.learned.cases import DRIVES
+from trackres_ros.evaluation.learned.cases import DRIVES, LearningCase, sealed
 from trackres_ros.evaluation.learned.page import write_page
-from trackres_ros.evaluation.processes import read_json, read_labels
+from trackres_ros.evaluation.processes import check_seal, read_json, read_labels
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
@@ -44,6 +45,7 @@ def main(arguments: Sequence[str]) -> None:
     """See above."""
     folder, hours = Path(arguments[0]), float(arguments[1])
     labels = read_labels(folder)
+    check_seal(folder, sealed(labels["seed"], [LearningCase(**case) for case in labels["cases"]]))
     found = [score_case(folder, case) for case in labels["cases"] if (folder / "results" / f"{case['name']}.json").exists()]
     aged = _aged(folder, labels["seed"], hours) if hours > 0.0 else None
     scores = {
@@ -140,4 +142,7 @@ def _error(rows: Array, truth: Any, drive: int) -> tuple[float, float, bool]:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    try:
+        main(sys.argv[1:])
+    except InputError as refused:
+        sys.exit(f"trackres: error: {refused}")
