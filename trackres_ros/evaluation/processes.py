@@ -67,3 +67,11 @@ def each(work: Callable[[Task], Result], tasks: Sequence[Task], done: str = "") 
 def run_command(*words: str | Path) -> None:
     """Run a command of `trackres`."""
     subprocess.run([sys.executable, "-m", "trackres_ros", *map(str, words)], check=True, capture_output=True)
+
+
+def run_main(main: Callable[[Sequence[str]], None]) -> None:
+    """Run a process of a proof with its arguments; a refusal is one line."""
+    try:
+        main(sys.argv[1:])
+    except InputError as refused:
+        sys.exit(f"trackres: error: {refused}")

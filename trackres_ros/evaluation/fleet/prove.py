@@ -10,7 +10,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
@@ -20,7 +19,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
-from trackres_ros.errors import InputError
 from trackres_ros.evaluation.fleet.draw import (
     BEARING,
     DAY_S,
@@ -35,7 +33,7 @@ from trackres_ros.evaluation.fleet.draw import (
     seal,
 )
 from trackres_ros.evaluation.fleet.sample import write_recordings
-from trackres_ros.evaluation.processes import check_seal, read_json
+from trackres_ros.evaluation.processes import check_seal, read_json, run_main
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.pooling import Vehicles, pool
 from trackres_ros.fleet.trends import NUMBERS, TEXTS
@@ -238,7 +236,4 @@ def main(arguments: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except InputError as refused:
-        sys.exit(f"trackres: error: {refused}")
+    run_main(main)

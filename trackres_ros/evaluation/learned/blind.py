@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import read_beside, save
 from trackres_ros.evaluation.learned.generate import REFIT
-from trackres_ros.evaluation.processes import each
+from trackres_ros.evaluation.processes import each, run_main
 from trackres_ros.evaluation.sealed.generate import APART_S, refit
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
@@ -127,4 +126,4 @@ def _learned(case: Path, drives: Sequence[Path], vehicle: Path, rows: dict[str, 
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_main(main)

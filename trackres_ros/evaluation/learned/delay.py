@@ -10,7 +10,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -18,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.evaluation.learned.cases import (
@@ -31,7 +29,7 @@ from trackres_ros.evaluation.learned.cases import (
     misled,
     weight_shares,
 )
-from trackres_ros.evaluation.processes import check_seal, digest, each, read_labels, write_sealed
+from trackres_ros.evaluation.processes import check_seal, digest, each, read_labels, run_main, write_sealed
 from trackres_ros.evaluation.sealed.drives import Array, SealedDrive, drive, trapezoids
 from trackres_ros.evaluation.sealed.generate import FASTEST_MPS, START_S, VEHICLE, weight_and_radius, write_vehicle
 from trackres_ros.evaluation.sealed.sensors import HEAVY_TAILS, Sensors, drawn_sensors, lagging, road_slopes
@@ -258,7 +256,4 @@ def main(arguments: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except InputError as refused:
-        sys.exit(f"trackres: error: {refused}")
+    run_main(main)

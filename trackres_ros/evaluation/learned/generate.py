@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -29,7 +28,7 @@ from trackres_ros.evaluation.learned.cases import (
     sealed,
     weight_shares,
 )
-from trackres_ros.evaluation.processes import each, write_sealed
+from trackres_ros.evaluation.processes import each, run_main, write_sealed
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import drive
 from trackres_ros.evaluation.sealed.generate import APART_S, FASTEST_MPS, START_S, VEHICLE, write_vehicle
@@ -93,4 +92,4 @@ def _mislead(path: Path, case: LearningCase, step: float, rng: np.random.Generat
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_main(main)

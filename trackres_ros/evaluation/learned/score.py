@@ -9,7 +9,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,12 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.evaluation.learned.cases import DRIVES, LearningCase, sealed
 from trackres_ros.evaluation.learned.page import write_page
-from trackres_ros.evaluation.processes import check_seal, read_json, read_labels
+from trackres_ros.evaluation.processes import check_seal, read_json, read_labels, run_main
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
@@ -142,7 +140,4 @@ def _error(rows: Array, truth: Any, drive: int) -> tuple[float, float, bool]:
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except InputError as refused:
-        sys.exit(f"trackres: error: {refused}")
+    run_main(main)

@@ -19,7 +19,7 @@ from functools import partial
 from pathlib import Path
 
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.processes import each
+from trackres_ros.evaluation.processes import each, run_main
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -47,4 +47,4 @@ def _diagnose(results: Path, checkout: Path, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_main(main)

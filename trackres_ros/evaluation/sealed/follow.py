@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from trackres_ros.evaluation.processes import each, read_json, read_labels
+from trackres_ros.evaluation.processes import each, read_json, read_labels, run_main
 from trackres_ros.evaluation.sealed.answers import of_report
 from trackres_ros.evaluation.sealed.blind import HELD_OUT
 from trackres_ros.evaluation.sealed.cases import Case, first_by_name
@@ -92,4 +91,4 @@ def planned(manoeuvre: str, before: Path, last: SealedDrive) -> SealedDrive:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_main(main)

@@ -9,7 +9,6 @@ drive at the recorded speeds of real ones.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from trackres_ros.evaluation.processes import each, write_sealed
+from trackres_ros.evaluation.processes import each, run_main, write_sealed
 from trackres_ros.evaluation.sealed.cases import LOADS, SOURCES, Case, draw_cases, draws, sealed, sensors_of, streets_of
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import Array, SealedDrive, drive, recorded, trapezoids
@@ -223,4 +222,4 @@ def refit(paths: Sequence[Path], vehicle: Path, into: Path, remark: str) -> Path
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_main(main)

@@ -9,7 +9,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -19,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.findings.locate import evenly_filled
-from trackres_ros.errors import InputError
-from trackres_ros.evaluation.processes import check_seal, each, read_json, read_labels
+from trackres_ros.evaluation.processes import check_seal, each, read_json, read_labels, run_main
 from trackres_ros.evaluation.sealed.answers import BASELINES, DESCRIBED, EARLIER, Answer, of_names, of_report
 from trackres_ros.evaluation.sealed.baselines import by_trees
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, NOT_IN_CATALOGUE, RIGHT_FORMS, Case, first_by_name, sealed
@@ -161,7 +159,4 @@ def _resolved(folder: Path, case: Case, report: dict[str, Any]) -> bool | None:
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except InputError as refused:
-        sys.exit(f"trackres: error: {refused}")
+    run_main(main)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.processes import each, read_json
+from trackres_ros.evaluation.processes import each, read_json, run_main
 from trackres_ros.evaluation.sealed.answers import ABOUT, BASELINES, DESCRIBED, of_names, of_report, words
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, Case
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer, fit_truth
@@ -130,4 +129,4 @@ def _comparable(effects: Sequence[Mapping[str, Any]], report: Mapping[str, Any])
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_main(main)
