@@ -60,12 +60,8 @@ def draw_fleet(
 ) -> list[DrawnVehicle]:
     """Vehicles, the first drawn of which have the changes: parameter, kind and size of each; in random order.
 
-    A vehicle with one recording has no change: nothing could show it.
-
-    Raises
-    ------
-    InputError
-        If a recording is longer than the time between two.
+    A vehicle with one recording has no change: nothing could show it. InputError if a recording is longer than the time between
+    two.
     """
     rng = np.random.default_rng([seed, *b"fleet"])
     found = []

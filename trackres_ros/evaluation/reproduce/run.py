@@ -41,31 +41,11 @@ def reproduce(
 ) -> dict[str, Any]:
     """Reproduce the paper's Figures 6, 10, 11, 16 to 22 and 24 to 26, and check the claims of its text.
 
-    Parameters
-    ----------
-    out_dir
-        Folder for the pictures (PNG), their data (CSV), `summary.json` with every number the page cites, and `index.md`, the
-        page.
-    progress
-        Called with what was done last and the share done, 0 to 1.
-    page
-        Another place to write the page to, with links from there into `out_dir`.
-    dt
-        Time step of the drives [s], at most `LONGEST_STEP_S`.
-    cache
-        Folder of the loss tables; by default the user's cache folder.
-
-    Returns
-    -------
-    dict
-        The content of `summary.json`.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    InputError
-        On a step that is not positive or is too long for the ramps.
+    The folder then has the pictures (PNG), their data (CSV), `summary.json` with every number the page cites, which is returned,
+    and `index.md`, the page. `page` is another place to write it to, with links from there into the folder. `progress` is called
+    with what was done last and the share done, 0 to 1. `dt` is the time step of the drives [s]; InputError if it is not positive
+    or too long for the ramps. `cache` is the folder of the loss tables, by default the user's. MissingExtraError without
+    matplotlib.
     """
     if not 0.0 < dt <= LONGEST_STEP_S:
         raise InputError("dt", dt, f"a time step of more than 0 and at most {LONGEST_STEP_S:g} s")

@@ -65,16 +65,9 @@ class WithAddition(TrackBase):
 
 
 def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = (), rivals: Sequence[str] = ()) -> OracleAnswer:
-    """Fit the true structure to the laps of a case.
+    """Fit the true structure to the laps of a case: its effects in the catalogue, or the torque added by other physics.
 
-    Parameters
-    ----------
-    true
-        Its effects in the catalogue.
-    added
-        Torque of physics outside the catalogue in each second of each drive [Nm].
-    rivals
-        Names that may fit as well: those with nearly the same gain are `alike`.
+    That torque is given in each second of each drive [Nm]. Of the `rivals`, those with nearly the same gain are `alike`.
     """
     paths, loaded = opened(folder)
     base = loaded.base
