@@ -96,9 +96,8 @@ def run(minutes: float = 60.0, step_s: float = 0.01, quick: bool = False) -> dic
     recordings, stages = _diagnosed(loaded, 1, minutes, step_s, quick)
     whole = _lasted(stages)
     found = {"whole diagnosis of an hour at 100 Hz [s]": whole}
-    found["whole diagnosis of three drives of 20 minutes at 10 Hz [s]"] = _lasted(
-        _diagnosed(loaded, 3, minutes / 3.0, 0.1, quick)[1]
-    )
+    _, of_three = _diagnosed(loaded, 3, minutes / 3.0, 0.1, quick)
+    found["whole diagnosis of three drives of 20 minutes at 10 Hz [s]"] = _lasted(of_three)
     shares: dict[str, float] = {}
     for (name, since), (_, after) in pairwise(stages):
         shares[name] = shares.get(name, 0.0) + after - since
@@ -114,16 +113,11 @@ def _diagnosed(loaded: Any, count: int, minutes: float, step_s: float, quick: bo
         paths = write_recordings(loaded.base, Path(folder), sessions, [Active(effect, effect.values())], rng)
         stages = [("reading", time.perf_counter())]
         recordings = read_recordings(paths, None)
-        diagnosis = diagnose(
-            recordings,
-            loaded,
-            DiagnosisOptions(
-                seed=SEED,
-                quick=quick,
-                on_stage=lambda stage: stages.append((_STAGE.match(stage)[0].rstrip(), time.perf_counter())),
-            ),
-        )
-        assert diagnosis.verdict.sentence
+
+        def on_stage(stage: str) -> None:
+            stages.append((_STAGE.match(stage)[0].rstrip(), time.perf_counter()))
+
+        assert diagnose(recordings, loaded, DiagnosisOptions(seed=SEED, quick=quick, on_stage=on_stage)).verdict.sentence
     return recordings, [*stages, ("", time.perf_counter())]
 
 

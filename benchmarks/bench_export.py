@@ -111,15 +111,7 @@ def of_float(vehicle: AnyVehicle, hours: float) -> dict[str, float]:
 
 
 def run(steps: int = STEPS, rounds: int = ROUNDS, hours: float = 2.0) -> dict[str, float]:
-    """Measure; empty where there is no compiler.
-
-    Parameters
-    ----------
-    steps, rounds
-        Steps a round, of which the fastest counts: others wait for what else the machine does.
-    hours
-        Of the drive on which float and double are compared.
-    """
+    """Measure the fastest of some rounds, and float against double on a drive of hours; empty where there is no compiler."""
     if not (shutil.which("cc") and shutil.which("size")):
         return {}
     result: dict[str, float] = {}
@@ -131,13 +123,3 @@ def run(steps: int = STEPS, rounds: int = ROUNDS, hours: float = 2.0) -> dict[st
     ):
         result |= {f"{name}: {what}": value for what, value in measured(vehicle, single, steps, rounds).items()}
     return result | {f"xgd24d as float: {what}": value for what, value in of_float(load_any("xgd24d"), hours).items()}
-
-
-def main() -> None:
-    """Print the table."""
-    for name, value in run().items():
-        print(f"{name:60} {value:10.3f}")
-
-
-if __name__ == "__main__":
-    main()

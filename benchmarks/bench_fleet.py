@@ -29,15 +29,7 @@ TARGETS = {
 
 
 def run(recordings: int = 1000, minutes: float = 10.0, analysed: int = 24) -> dict[str, float]:
-    """Measure.
-
-    Parameters
-    ----------
-    recordings
-        How many go through the engine with next to no work in them.
-    minutes, analysed
-        Length and number of the recordings that are analysed.
-    """
+    """Measure the engine on `recordings` with next to no work in them, and the work on some that are analysed."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (vehicle,) = draw_fleet(1, analysed, 1.0, minutes, (), seed=1)

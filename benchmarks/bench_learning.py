@@ -98,20 +98,7 @@ class Drive:
 
 
 def run(seconds: float = SECONDS, rounds: int = ROUNDS) -> dict[str, float]:
-    """Processor times by turns, and their ratios.
-
-    Parameters
-    ----------
-    seconds
-        Of driving a round.
-    rounds
-        Whose median counts.
-
-    Returns
-    -------
-    dict of str to float
-        Processor time of a second of driving at 50 Hz [ms], and what learning adds.
-    """
+    """Processor time of a second of driving at 50 Hz, and what learning adds; medians of rounds of some seconds of driving."""
     with tempfile.TemporaryDirectory() as folder:
         topics = Path(folder) / "topics.yaml"
         topics.write_text(TOPICS, encoding="utf-8")
@@ -131,13 +118,3 @@ def run(seconds: float = SECONDS, rounds: int = ROUNDS) -> dict[str, float]:
         added = [one - off for one, off in zip(times[mode], times["off"], strict=True)]
         result[f"learning {mode}: of what a node may take [1]"] = max(statistics.median(added), 1e-9) / seconds / NODE_SHARE
     return result
-
-
-def main() -> None:
-    """Print the table."""
-    for name, value in run().items():
-        print(f"{name:60} {value:10.3f}")
-
-
-if __name__ == "__main__":
-    main()

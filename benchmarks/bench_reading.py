@@ -163,21 +163,7 @@ def _timed(path: Path, estimator: Estimator, name: str, repeats: int) -> dict[st
 
 
 def run(messages: int = SPEED_MESSAGES, repeats: int = REPEATS) -> dict[str, float]:
-    """Measure.
-
-    Parameters
-    ----------
-    messages : int
-        Messages of speed in the bag.
-    repeats : int
-        Runs of each kind, alternated; the median counts.
-
-    Returns
-    -------
-    dict of str to float
-        By storage: times of a message, ratios of one to the other, and peaks of memory of a bag ten times as long over
-        those of the short one.
-    """
+    """Measure, by storage, on a bag with so many messages of speed; the median of repeats counts."""
     result = {}
     estimator = Estimator(load("xgd24d"))
     with tempfile.TemporaryDirectory() as folder:
@@ -197,13 +183,3 @@ def run(messages: int = SPEED_MESSAGES, repeats: int = REPEATS) -> dict[str, flo
                 result["mcap: replay to a bag, peak resident memory, 10 times the length"] = peaks[1] / peaks[0]
                 result["mcap: replay to a bag, peak resident memory [MB]"] = peaks[0] / 1e6
     return result
-
-
-def main() -> None:
-    """Print the table."""
-    for name, value in run().items():
-        print(f"{name:75} {value:8.2f}")
-
-
-if __name__ == "__main__":
-    main()

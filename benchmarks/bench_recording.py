@@ -127,12 +127,10 @@ def _against_lsoda(estimator: Estimator, name: str, road: Road, repeats: int) ->
 
 def _with_effects(estimator: Estimator, road: Road, repeats: int) -> dict[str, float]:
     """Three effects, with the ranges that a diagnosis writes, over none."""
-    shipped = catalogue()
     effects = []
-    for name in EFFECTS:
-        values = shipped[name].values()
-        ranges = {q: (0.9 * value, 1.1 * value) for q, value in values.items()}
-        effects.append(Active(shipped[name], values, ranges))
+    for effect in (catalogue()[name] for name in EFFECTS):
+        values = effect.values()
+        effects.append(Active(effect, values, {q: (0.9 * value, 1.1 * value) for q, value in values.items()}))
     loaded = Estimator(replace(estimator.vehicle, effects=tuple(effects)))
     rivals = {
         "run": lambda: by_run(estimator, road),
@@ -188,16 +186,9 @@ def _against_paper(method: str, road: Road, samples: int) -> dict[str, float]:
 def run(
     duration_s: float = DURATION_S, repeats: int = REPEATS, exact_samples: int = EXACT_SAMPLES, restarted: int = RESTARTED_SAMPLES
 ) -> dict[str, float]:
-    """Measure.
+    """Measure a recording of a length [s] at 100 Hz; the median of repeats counts.
 
-    Parameters
-    ----------
-    duration_s
-        Length of the recording [s], at 100 Hz.
-    repeats
-        Runs of each rival, alternated; medians count.
-    exact_samples, restarted
-        Samples at which the paper's algorithm, and the LSODA that starts anew each time, are timed.
+    The paper's algorithm is timed at `exact_samples`, the LSODA that starts anew each time at so many samples.
     """
     estimator = Estimator(load("xgd24d"))
     result: dict[str, float] = {}
@@ -212,13 +203,3 @@ def run(
     for method in ("rainflow", "spectral"):
         result |= _against_paper(method, drives["laps"], exact_samples)
     return result
-
-
-def main() -> None:
-    """Print the table."""
-    for name, value in run().items():
-        print(f"{name:75} {value:10.3f}")
-
-
-if __name__ == "__main__":
-    main()

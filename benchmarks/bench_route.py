@@ -77,13 +77,7 @@ def times(steps: int, entries: Entries) -> dict[str, list[float]]:
 
 
 def run(steps: int = STEPS) -> dict[str, float]:
-    """Measure.
-
-    Parameters
-    ----------
-    steps
-        Speeds; a twentieth as many in plain Python.
-    """
+    """Measure so many speeds; a twentieth as many in plain Python."""
     result = {}
     for kind, entries, count in (("compiled", COMPILED, steps), ("interpreted", interpreted_entries(), max(steps // 20, 20))):
         found = times(count, entries)
@@ -93,8 +87,3 @@ def run(steps: int = STEPS) -> dict[str, float]:
         mean = {name: statistics.mean(sorted(of)[: int(0.999 * len(of))]) for name, of in found.items()}
         result[f"{kind}: a speed in {TOWN} over one with {WITHOUT}, mean"] = mean[TOWN] / mean[WITHOUT]
     return result
-
-
-if __name__ == "__main__":
-    for name, value in run().items():
-        print(f"{name:70} {value:10.3f}")

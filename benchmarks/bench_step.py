@@ -127,19 +127,9 @@ def resident_kb() -> float:
 
 
 def run(steps: int = STEPS, messages: int = LONG_RUN) -> dict[str, float]:
-    """Measure, each in a process of its own.
+    """Measure steps against as many messages there and back, and growth over `messages`, each in a process of its own.
 
-    Parameters
-    ----------
-    steps
-        Steps, and messages there and back.
-    messages
-        Messages in the run that looks for growth.
-
-    Returns
-    -------
-    dict of str to float
-        Without the rows that compare where `cyclonedds` is not installed.
+    Without `cyclonedds` there are no rows that compare.
     """
     result: dict[str, float] = {}
     kinds = {"compiled": {}, "interpreted": {"TRACKRES_INTERPRETED": "1"}} if HAVE_NUMBA else {"interpreted": {}}
@@ -154,15 +144,6 @@ def run(steps: int = STEPS, messages: int = LONG_RUN) -> dict[str, float]:
     return result
 
 
-def main() -> None:
-    """Print the table; with `measure` or `growth` and a number be one of the processes it starts."""
-    if len(sys.argv) == 3:
-        print(json.dumps({"measure": measure, "growth": growth}[sys.argv[1]](int(sys.argv[2]))), flush=True)
-        sys.stdout.flush()
-        os._exit(0)  # the middleware's threads need no goodbye
-    for name, value in run().items():
-        print(f"{name:60} {value:10.3f}")
-
-
-if __name__ == "__main__":
-    main()
+if __name__ == "__main__":  # one of the processes that `run` starts
+    print(json.dumps({"measure": measure, "growth": growth}[sys.argv[1]](int(sys.argv[2]))), flush=True)
+    os._exit(0)  # the middleware's threads need no goodbye

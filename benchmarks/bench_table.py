@@ -44,17 +44,7 @@ TARGETS = {
 
 
 def run(repeats: int = REPEATS, points: int = POINTS, replays: int = REPEATS) -> dict[str, float]:
-    """Measure.
-
-    Parameters
-    ----------
-    repeats
-        Builds and starts; the median counts, and the cold start is done once.
-    points
-        Random points over the whole range at which the table is held against the exact method.
-    replays
-        How often a first replay is made.
-    """
+    """Measure builds and starts, the median of repeats, the error at random points of the whole range, and first replays."""
     result = {}
     for method in ("spectral", "rainflow"):
         vehicle = with_methods(load("xgd24d"), method)
@@ -92,9 +82,8 @@ def first_replay(repeats: int) -> dict[str, float]:
         for i in range(repeats):
             plain.append(took(f"plain_{i}", TRACKRES_INTERPRETED="1"))
             first.append(took(f"first_{i}"))
-            while HAVE_NUMBA and not list(
-                (folder / f"first_{i}").rglob("*feed_all.entry*")
-            ):  # it goes on compiling for the next one
+            cache = folder / f"first_{i}"  # it goes on compiling for the next one
+            while HAVE_NUMBA and not list(cache.rglob("*feed_all.entry*")):
                 time.sleep(0.2)
         compiling = child(["-m", "trackres_ros.estimator.warm_up"], {"XDG_CACHE_HOME": str(folder / "all")})
         warm = [took("all") for _ in range(repeats)]
@@ -105,13 +94,3 @@ def first_replay(repeats: int) -> dict[str, float]:
             WAITED: statistics.median(first) - statistics.median(plain),
             "the same, all compiled [s]": statistics.median(warm),
         }
-
-
-def main() -> None:
-    """Print the table."""
-    for name, value in run().items():
-        print(f"{name:50} {value:10.3f}")
-
-
-if __name__ == "__main__":
-    main()

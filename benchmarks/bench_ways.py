@@ -51,146 +51,86 @@ class Way:
 
 WAYS = (
     Way(
-        "a belt's step as a part of the vehicle's",
-        True,
-        STEP,
-        (
-            ("estimator/belt_step.py", "@inlined\ndef advance_belt(", "@compiled\ndef advance_belt("),
-            ("estimator/belt_step.py", "@inlined\ndef roll(", "@compiled\ndef roll("),
-        ),
+        "a belt's step as a part of the vehicle's", True, STEP,
+        (("estimator/belt_step.py", "@inlined\ndef advance_belt(", "@compiled\ndef advance_belt("),
+         ("estimator/belt_step.py", "@inlined\ndef roll(", "@compiled\ndef roll(")),
     ),
     Way(
-        "a message and its step as one function",
-        True,
-        STEP,
-        (
-            ("estimator/entry_points.py", "import HAVE_NUMBA, inlined", "import HAVE_NUMBA, compiled, inlined"),
-            ("estimator/entry_points.py", "@inlined\ndef feed(", "@compiled\ndef feed("),
-            ("estimator/kernel.py", "compiled import inlined", "compiled import compiled, inlined"),
-            ("estimator/kernel.py", "@inlined\ndef advance(", "@compiled\ndef advance("),
-        ),
+        "a message and its step as one function", True, STEP,
+        (("estimator/entry_points.py", "import HAVE_NUMBA, inlined", "import HAVE_NUMBA, compiled, inlined"),
+         ("estimator/entry_points.py", "@inlined\ndef feed(", "@compiled\ndef feed("),
+         ("estimator/kernel.py", "compiled import inlined", "compiled import compiled, inlined"),
+         ("estimator/kernel.py", "@inlined\ndef advance(", "@compiled\ndef advance(")),
     ),
     Way(
-        "the direction of travel reckoned once a step",
-        False,
-        STEP,
-        (
-            ("estimator/road.py", "    number = k.number\n", "    number, sign = k.number, direction(speed)\n"),
-            ("estimator/road.py", "        direction(speed),\n", "        sign,\n"),
-            (
-                "estimator/road.py",
-                "bearing_force(speed, weight, rolling)",
-                "rolling * weight * sign",
-            ),
-            ("estimator/kernel.py", "abs(direction(speed))", "abs(road.sign)"),
-        ),
+        "the direction of travel reckoned once a step", False, STEP,
+        (("estimator/road.py", "    number = k.number\n", "    number, sign = k.number, direction(speed)\n"),
+         ("estimator/road.py", "        direction(speed),\n", "        sign,\n"),
+         ("estimator/road.py", "bearing_force(speed, weight, rolling)", "rolling * weight * sign"),
+         ("estimator/kernel.py", "abs(direction(speed))", "abs(road.sign)")),
     ),
     Way(
-        "the logarithm of a load kept while the load is the same",
-        False,
-        STEP,
-        (
-            (
-                "estimator/columns.py",
-                "    twin = Real()  # the assembly that it is computed as\n",
-                "    twin = Real()\n    load = Real()\n    log_load = Real()\n",
-            ),
-            ("estimator/constants.py", "np.empty(parts_and_belts)", "np.full(parts_and_belts, np.nan)"),
-            (
-                "estimator/assembly_step.py",
-                "    share, log_load, reasons, mean = load / road.weight, math.log(load), 0, Belt(belt[0])\n",
-                "    share, reasons, mean = load / road.weight, 0, Belt(belt[0])\n"
-                "    if part.load != load:\n"
-                "        part.load, part.log_load = load, math.log(load)\n"
-                "    log_load = part.log_load\n",
-            ),
-        ),
+        "the logarithm of a load kept while the load is the same", False, STEP,
+        (("estimator/columns.py",
+          "    twin = Real()  # the assembly that it is computed as\n",
+          "    twin = Real()\n    load = Real()\n    log_load = Real()\n"),
+         ("estimator/constants.py", "np.empty(parts_and_belts)", "np.full(parts_and_belts, np.nan)"),
+         ("estimator/assembly_step.py",
+          "    share, log_load, reasons, mean = load / road.weight, math.log(load), 0, Belt(belt[0])\n",
+          "    share, reasons, mean = load / road.weight, 0, Belt(belt[0])\n"
+          "    if part.load != load:\n"
+          "        part.load, part.log_load = load, math.log(load)\n"
+          "    log_load = part.log_load\n")),
     ),
     Way(
-        "reasons counted only where there are any",
-        False,
-        STEP,
-        (
-            (
-                "estimator/entry_points.py",
-                "    for bit in range(memory.reasons.shape[0]):\n",
-                "    for bit in range(memory.reasons.shape[0] if found else 0):\n",
-            ),
-        ),
+        "reasons counted only where there are any", False, STEP,
+        (("estimator/entry_points.py",
+          "    for bit in range(memory.reasons.shape[0]):\n",
+          "    for bit in range(memory.reasons.shape[0] if found else 0):\n"),),
     ),
     Way(
-        "sums in any order and reciprocals, for the limit too (fastmath, but for what is not a number)",
-        False,
-        STEP,
-        (
-            (
-                "jit/compiled.py",
-                '"error_model": "numpy", "_nrt"',
-                '"error_model": "numpy", "fastmath": {"contract", "reassoc", "arcp", "nsz"}, "_nrt"',
-            ),
-        ),
+        "sums in any order and reciprocals, for the limit too (fastmath, but for what is not a number)", False, STEP,
+        (("jit/compiled.py",
+          '"error_model": "numpy", "_nrt"',
+          '"error_model": "numpy", "fastmath": {"contract", "reassoc", "arcp", "nsz"}, "_nrt"'),),
     ),
     Way(
-        "a batch of messages decoded column by column",
-        True,
-        READING,
-        (
-            (
-                "recording/rosbag.py",
-                "stamps, raws = [one[1] for one in batch], [one[2] for one in batch]",
-                "_, stamps, raws = zip(*batch, strict=True)",
-            ),
-        ),
+        "a batch of messages decoded column by column", True, READING,
+        (("recording/rosbag.py",
+          "stamps, raws = [one[1] for one in batch], [one[2] for one in batch]",
+          "_, stamps, raws = zip(*batch, strict=True)"),),
     ),
     Way(
-        "the files of a bag read one by one, past what joins them",
-        True,
-        READING,
+        "the files of a bag read one by one, past what joins them", True, READING,
         (("recording/bag_opening.py", "[*files] if files else [(reader, wanted)]", "[(reader, wanted)]"),),
     ),
     Way(
-        "batches of 512 messages",
-        False,
-        READING,
+        "batches of 512 messages", False, READING,
         (("recording/rosbag.py", "BATCH_ROWS, BATCH_BYTES = 2048,", "BATCH_ROWS, BATCH_BYTES = 512,"),),
     ),
     Way(
-        "batches of 8192 messages",
-        False,
-        READING,
+        "batches of 8192 messages", False, READING,
         (("recording/rosbag.py", "BATCH_ROWS, BATCH_BYTES = 2048,", "BATCH_ROWS, BATCH_BYTES = 8192,"),),
     ),
     Way(
-        "no entry from Python for what compiled code alone calls",
-        True,
-        COMPILING,
+        "no entry from Python for what compiled code alone calls", True, COMPILING,
         (("jit/compiled.py", '{**options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}', "options"),),
     ),
     Way(
-        "LLVM optimising less (level 1)",
-        False,
-        COMPILING,
+        "LLVM optimising less (level 1)", False, COMPILING,
         (("jit/compiled.py", "    _library = numba\n", "    _library = numba\n    numba.config.OPT = 1\n"),),
     ),
     Way(
-        "loops not vectorised",
-        False,
-        COMPILING,
+        "loops not vectorised", False, COMPILING,
         (("jit/compiled.py", "    _library = numba\n", "    _library = numba\n    numba.config.LOOP_VECTORIZE = 0\n"),),
     ),
     Way(
-        "only whole entries kept, not what they are made of",
-        False,
-        COMPILING,
-        (
-            (
-                "jit/compiled.py",
-                "    dispatcher._cache = CodeCache(cast(FunctionType, function), code_folder)\n",
-                "    if not into_callers:\n        dispatcher._cache = CodeCache(cast(FunctionType, function), code_folder)\n",
-            ),
-        ),
+        "only whole entries kept, not what they are made of", False, COMPILING,
+        (("jit/compiled.py",
+          "    dispatcher._cache = CodeCache(cast(FunctionType, function), code_folder)\n",
+          "    if not into_callers:\n        dispatcher._cache = CodeCache(cast(FunctionType, function), code_folder)\n"),),
     ),
-)
+)  # fmt: skip
 
 
 class Constants(NamedTuple):

@@ -11,7 +11,6 @@ import platform
 import re
 import sys
 from importlib import metadata
-from pathlib import Path
 
 import bench_controller
 import bench_diagnosis
@@ -27,7 +26,10 @@ import bench_table
 import bench_ways
 from measuring import ROOT, Target
 
-PAGE = ROOT / "docs" / "performance.md"
+sys.path.append(str(ROOT / "tools"))
+from marks import write_page
+
+PAGE = "docs/performance.md"
 PACKAGES = ("numpy", "scipy", "numba", "rosbags", "cyclonedds")
 BENCHMARKS = {
     "One step": bench_step,
@@ -74,7 +76,8 @@ def machine() -> str:
 
 def kept() -> dict[str, str]:
     """Sections of the page as it is, by title."""
-    parts = re.split(r"^## (.*)\n", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:] if PAGE.exists() else []
+    sections = (ROOT / PAGE).read_text(encoding="utf-8").partition("<!-- /sections -->")[0]
+    parts = re.split(r"^## (.*)\n", sections, flags=re.MULTILINE)[1:]
     return {
         title: f"## {title}\n{text.rstrip()}" for title, text in zip(parts[::2], parts[1::2], strict=True) if title in BENCHMARKS
     }
@@ -84,11 +87,12 @@ def main(arguments: list[str]) -> int:
     """Run the benchmarks of some titles, or all; print them and write the page, in which the others stay as they are."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("titles", nargs="*", metavar="TITLE", help=f"one of: {', '.join(BENCHMARKS)}; all without any")
-    titles = parser.parse_args(arguments).titles
+    parser.add_argument("--print", action="store_true", dest="only_print", help="print the numbers, and leave the page as it is")
+    given = parser.parse_args(arguments)
+    titles = given.titles
     if unknown := [title for title in titles if title not in BENCHMARKS]:
         parser.error(f"no benchmark {unknown[0]!r}; there are: {', '.join(BENCHMARKS)}")
     load_before = os.getloadavg()[0]
-    template = Path(__file__).with_name("performance.in.md").read_text(encoding="utf-8")
     sections = kept()
     for title in titles or list(BENCHMARKS):
         module = BENCHMARKS[title]
@@ -96,6 +100,8 @@ def main(arguments: list[str]) -> int:
         results = module.run()
         sections[title] = "\n".join([f"## {title}", "", (module.__doc__ or "").strip(), "", *rows(results, module.TARGETS)])
         print(sections[title], flush=True)
+    if given.only_print:
+        return 0
     ordered = [sections[title] for title in BENCHMARKS if title in sections]
     missed = [
         f"- {title}: {line.split(' | ')[0].removeprefix('| ')}"
@@ -103,10 +109,8 @@ def main(arguments: list[str]) -> int:
         for line in sections.get(title, "").splitlines()
         if "**no**" in line
     ]
-    page = template.format(
-        machine=machine(), load=f"{load_before:.1f}", sections="\n\n".join(ordered), missed="\n".join(missed) or "None."
-    )
-    PAGE.write_text(re.sub(r"\n{3,}", "\n\n", page), encoding="utf-8")
+    parts = {"load": f"{load_before:.1f}", "sections": "\n\n".join(ordered), "missed": "\n".join(missed) or "None."}
+    write_page(PAGE, machine=machine(), **parts)
     return 0
 
 

@@ -6,8 +6,9 @@
 import inspect
 import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
+
+from marks import page_with
 
 import trackres_ros as tr
 
@@ -32,12 +33,11 @@ SECTIONS = ("Parameters", "Attributes", "Returns", "Raises", "Examples")
 
 def page() -> str:
     """The whole page."""
-    return (
-        (Path(__file__).parent / "api.in.md")
-        .read_text(encoding="utf-8")
-        .replace("{functions}", "\n".join(_described(f"`{name}`", getattr(tr, name)) for name in FUNCTIONS).rstrip())
-        .replace("{effects}", _plain(inspect.getdoc(tr.effects) or ""))
-        .replace("{objects}", "\n".join(_of_class(name, getattr(tr, name)) for name in CLASSES).rstrip())
+    return page_with(
+        "docs/api.md",
+        functions="\n".join(_described(f"`{name}`", getattr(tr, name)) for name in FUNCTIONS),
+        effects=_plain(inspect.getdoc(tr.effects) or ""),
+        objects="\n".join(_of_class(name, getattr(tr, name)) for name in CLASSES),
     )
 
 

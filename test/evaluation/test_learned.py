@@ -4,13 +4,13 @@
 """Draws for the proof of the learning: reproducible from a seed, sealed, and each disturbance has an effect."""
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.evaluation.learned.ageing import age
 from trackres_ros.evaluation.learned.cases import (
     KINDS,
     OFF,
@@ -24,7 +24,9 @@ from trackres_ros.evaluation.learned.cases import (
 )
 from trackres_ros.evaluation.learned.delay import LONGEST_S, _sampled, draw, page, score, seal
 from trackres_ros.evaluation.learned.page import _of_hostile, _of_mass
-from trackres_ros.evaluation.sealed.drives import drive
+from trackres_ros.evaluation.learned.score import age, main
+from trackres_ros.evaluation.processes import write_sealed
+from trackres_ros.evaluation.sealed.drives import SealedDrive, drive
 from trackres_ros.evaluation.sealed.generate import START_S
 
 STEP_S = 0.1
@@ -45,15 +47,26 @@ def test_a_seed_gives_the_same_cases_and_another_seal():
         assert OFF[0] - 1e-9 <= abs(1.0 / case.build["loss"] - 1.0) <= OFF[1] + 1e-9
 
 
+def test_the_learning_is_not_scored_by_labels_unlike_the_seal(tmp_path):
+    cases = [asdict(case) for case in draw_cases(11, 1, 1)]
+    write_sealed(tmp_path, "2 vehicles", sealed(11, draw_cases(11, 1, 1)), {"seed": 11, "minutes": 1.0, "cases": cases})
+    labels = tmp_path / "sealed" / "labels.json"
+    labels.write_text(labels.read_text().replace(cases[0]["name"], "v00000"))
+    with pytest.raises(InputError, match="not those that were sealed"):
+        main([str(tmp_path), "0"])
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_thing_misleads_and_nothing_else_does(kind):
     random = np.random.default_rng(3)
     speed = 6.0 + 4.0 * np.sin(np.arange(9000) / 500.0)
     speed[4000:4100] = 0.0
+    level = np.zeros(len(speed))
+    one = SealedDrive(STEP_S, speed, np.gradient(speed, STEP_S), level, level, np.full(len(speed), 272e3), level)
     torque = 3000.0 + random.normal(0.0, 30.0, len(speed))
     changed = []
     for of in (case_of(kind), case_of("")):
-        added = added_torque(of, speed, np.cumsum(speed) * STEP_S, STEP_S, 1000.0, np.full(len(speed), 272e3), 0.36)
+        added = added_torque(of, one, 272e3, 0.36)
         shown = misled(of, torque, STEP_S, random)
         loaded = weight_shares(of, speed)
         changed.append([bool(np.any(added)), not np.array_equal(shown, torque), bool(np.any(loaded != 1.0))])

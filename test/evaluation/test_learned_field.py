@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from trackres_ros.evaluation.field.data import car, trips
-from trackres_ros.evaluation.field.learned import taught
+from trackres_ros.evaluation.field.live import taught
 from trackres_ros.vehicle import load_any
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"

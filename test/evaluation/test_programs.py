@@ -13,24 +13,14 @@ from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.sealed.cases import (
-    CATALOGUE,
-    D_PRIME,
-    MOST_GAIN,
-    MOST_LAG_S,
-    MOST_OFFSET_NM,
-    SOURCES,
-    Case,
-    draw_cases,
-    sensors_of,
-)
+from trackres_ros.evaluation.sealed.cases import CATALOGUE, D_PRIME, SOURCES, Case, draw_cases, sensors_of
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import HARDEST_MPS2, SealedDrive, drive, recorded, trapezoids
 from trackres_ros.evaluation.sealed.generate import AIRS_DEGC, EVERY, _drives, means
 from trackres_ros.evaluation.sealed.phenomenon import Journey
 from trackres_ros.evaluation.sealed.profiles import read_profiles
 from trackres_ros.evaluation.sealed.programs import ENTRIES, FUNCTIONS, MEMORIES, PROGRAM, VARIABLES, Seen, draw_program
-from trackres_ros.evaluation.sealed.sensors import Sensors, lagging, record
+from trackres_ros.evaluation.sealed.sensors import MOST_GAIN, MOST_LAG_S, MOST_OFFSET_NM, Sensors, lagging, record
 from trackres_ros.evaluation.sealed.size import LEAST, sized
 from trackres_ros.evaluation.sealed.truth import Build, TruthRun, simulate_truth
 from trackres_ros.files.resources import find_vehicle

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Findings on real recordings outside the diagnosis: start states, and residuals tied to position."""
+"""Findings on real recordings outside the diagnosis: residuals tied to position, and learned streets."""
 
 from pathlib import Path
 
@@ -9,26 +9,13 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, load_base, read_recordings
-from trackres_ros.evaluation.closed_loop import left_by_diagnosis
 from trackres_ros.evaluation.field.bus import LONG_STRETCH_S, TOPICS, VEHICLE, mass_of_joined, missions
 from trackres_ros.evaluation.field.data import car
 from trackres_ros.evaluation.field.live import all_drives, live_errors
-from trackres_ros.evaluation.field.run import NOTHING, TWICE, UPHILL, WARM, FieldTrial, start_state, twice
+from trackres_ros.evaluation.field.run import NOTHING, TWICE, UPHILL, FieldTrial, twice
 from trackres_ros.recording.bindings import Topics
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
-
-
-@pytest.mark.long
-def test_drives_that_all_begin_cold_have_a_start_state_of_one(tmp_path):
-    left = left_by_diagnosis(tmp_path, {"warmup": {"torque": 600.0, "seconds": 400.0}}, 12.0, -1, 3)
-    tried = FieldTrial("drives", "a cold drive train", WARM, NOTHING, left.found)
-    assert tried.outcome == "right"
-    states = [start_state(tried, i) for i in range(len(left.found.sessions))]
-    assert len(states) == 2
-    for state, std in states:
-        assert 0.0 < std < 0.3
-        assert abs(state - 1.0) < 0.4
 
 
 @pytest.mark.long

@@ -15,10 +15,9 @@ from trackres_ros.errors import InputError
 from trackres_ros.evaluation.reproduce import reproduce
 from trackres_ros.evaluation.reproduce.ambients import _warmer_is_larger_later
 from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Bench, Stable
-from trackres_ros.evaluation.reproduce.common_claims import falls, same_stable
-from trackres_ros.evaluation.reproduce.families import Family
+from trackres_ros.evaluation.reproduce.families import Family, falls, same_stable
 from trackres_ros.evaluation.reproduce.indentation import indentation, search_error
-from trackres_ros.evaluation.reproduce.page import page
+from trackres_ros.evaluation.reproduce.run import page_of
 from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, IN_PART, OPEN, UNEXPLAINED, Claim
 from trackres_ros.evaluation.reproduce.spectrum import spectrum
 from trackres_ros.evaluation.reproduce.speeds import _order_from
@@ -112,7 +111,7 @@ def test_the_page_elsewhere_leads_into_the_folder(made):
 
 def test_links_of_the_overview_lead_to_headings(made):
     _, summary, _ = made
-    text = page(summary)
+    text = page_of(summary)
     headings = {re.sub(r"[^\w-]", "", line[3:].lower().replace(" ", "-")) for line in text.splitlines() if line.startswith("## ")}
     targets = set(re.findall(r"\]\(#([^)]+)\)", text))
     assert targets
@@ -141,9 +140,9 @@ def test_every_verdict_has_its_reason(made):
 def test_the_page_in_the_repository_is_what_the_command_writes(made, docs):
     _, summary, _ = made
     stored = json.loads((docs / "reproduction" / "summary.json").read_text(encoding="utf-8"))
-    assert (docs / "reproduction.md").read_text(encoding="utf-8") == page(stored, "reproduction/")
-    assert (docs / "reproduction" / "index.md").read_text(encoding="utf-8") == page(stored)
-    linked = set(re.findall(r"\]\(reproduction/([^)#]+)\)", page(stored, "reproduction/")))
+    assert (docs / "reproduction.md").read_text(encoding="utf-8") == page_of(stored, "reproduction/")
+    assert (docs / "reproduction" / "index.md").read_text(encoding="utf-8") == page_of(stored)
+    linked = set(re.findall(r"\]\(reproduction/([^)#]+)\)", page_of(stored, "reproduction/")))
     assert linked == {path.name for path in (docs / "reproduction").iterdir()} - {"index.md", "summary.json"}
     old, new = claims_of(stored), claims_of(summary)
     assert {key: claim["verdict"] for key, claim in old.items()} == {key: claim["verdict"] for key, claim in new.items()}

@@ -10,10 +10,19 @@ import pytest
 
 from trackres_ros.evaluation.sealed.answers import error_left, of_report
 from trackres_ros.evaluation.sealed.cases import RIGHT_FORMS, Case, first_by_name, sensors_of
-from trackres_ros.evaluation.sealed.masses import MassError, mass_errors
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer
 from trackres_ros.evaluation.sealed.page import TARGETS, learned_table, outside_table, side_by_side, write_all
-from trackres_ros.evaluation.sealed.scored import OURS, Scored, comparable, own_shares, shares, sizes, true_values
+from trackres_ros.evaluation.sealed.scored import (
+    OURS,
+    MassError,
+    Scored,
+    comparable,
+    mass_errors,
+    own_shares,
+    shares,
+    sizes,
+    true_values,
+)
 
 PARAMETERS = {"time": {"value": 0.3, "ci95": [0.25, 0.35]}}
 

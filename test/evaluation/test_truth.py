@@ -104,7 +104,7 @@ def test_each_phenomenon_changes_the_torque_on_its_own(drives):
 
 def test_the_base_refits_to_a_truth_without_effects(sheet, tmp_path):
     """Two nodes replace fifteen conducting layers, a loss table another one: the torque differs by one percent."""
-    vehicle = write_vehicle(tmp_path / "vehicle.yaml", "core_surface")
+    vehicle = write_vehicle(tmp_path / "vehicle.yaml", lumped=False)
     rng = np.random.default_rng(1)
     made = [
         drive(12.0, share * sheet["weight"], air, 16.7, rng)

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
+from trackres_ros.evaluation.processes import run_command
 from trackres_ros.evaluation.sealed.cases import Case
 from trackres_ros.evaluation.sealed.generate import make_case
 from trackres_ros.evaluation.sealed.truth import Hidden
@@ -84,8 +83,7 @@ def close_loop(folder: Path, seed: int = 5) -> ClosedLoop:
 
 
 def _replayed(recording: Path, vehicle: Path, out: Path) -> NDArray[np.void]:
-    command = [sys.executable, "-m", "trackres_ros", "replay", recording, "--vehicle", vehicle, "-o", out]
-    subprocess.run(list(map(str, command)), check=True, capture_output=True)
+    run_command("replay", recording, "--vehicle", vehicle, "-o", out)
     return np.genfromtxt(out, delimiter=",", names=True)
 
 
@@ -102,12 +100,8 @@ def draw(loop: ClosedLoop, path: Path) -> None:
     with picture(path, 8.0, 3.4) as figure:
         axes = figure.subplots()
         minutes = loop.time / 60.0
-        axes.plot(
-            minutes,
-            np.where(np.isfinite(loop.torque), _smooth(loop.torque), np.nan),
-            color=GREY,
-            label="measured, less inertia",
-        )
+        measured = np.where(np.isfinite(loop.torque), _smooth(loop.torque), np.nan)
+        axes.plot(minutes, measured, color=GREY, label="measured, less inertia")
         axes.plot(minutes, loop.before, color=VERMILION, label="feed-forward with the vehicle file as it was")
         axes.plot(minutes, loop.after, color=BLUE, label="with the one that the diagnosis left")
         axes.set_xlabel("time [min]", color=BLACK)
@@ -119,13 +113,8 @@ def draw(loop: ClosedLoop, path: Path) -> None:
 def page(loop: ClosedLoop, name: str) -> str:
     """The numbers, with the picture of a name."""
     everywhere, cold = np.isfinite(loop.torque), loop.time < 300.0
-    rows = (
-        ("the whole drive", everywhere),
-        ("the first five minutes", cold),
-        ("bends", loop.turning),
-        ("straights", ~loop.turning),
-    )
+    parts = {"the whole drive": everywhere, "the first five minutes": cold, "bends": loop.turning, "straights": ~loop.turning}
     lines = [f"The diagnosis of two drives: {loop.sentence}", "", f"![A third drive, which it never saw.]({name})", ""]
     lines += ["| Of a third drive | Mean error before [Nm] | After [Nm] |", "|---|---|---|"]
-    lines += [f"| {what} | {loop.error(loop.before, at):.0f} | {loop.error(loop.after, at):.0f} |" for what, at in rows]
+    lines += [f"| {what} | {loop.error(loop.before, at):.0f} | {loop.error(loop.after, at):.0f} |" for what, at in parts.items()]
     return "\n".join(lines) + "\n"

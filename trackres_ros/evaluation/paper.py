@@ -16,12 +16,10 @@ import numpy as np
 
 from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
 from trackres_ros.evaluation.sealed.cases import LOADS
-from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import STEP_S, SealedDrive, drive
-from trackres_ros.evaluation.sealed.generate import APART_S, FASTEST_MPS, START_S, VEHICLE, write_vehicle
-from trackres_ros.evaluation.sealed.sensors import Sensors, record
-from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
-from trackres_ros.files.resources import find_vehicle
+from trackres_ros.evaluation.sealed.generate import FASTEST_MPS, record_all, weight_and_radius, write_vehicle
+from trackres_ros.evaluation.sealed.sensors import Sensors
+from trackres_ros.evaluation.sealed.truth import Build
 
 RADIUS_M = 100.0
 HIDDEN = {
@@ -43,14 +41,13 @@ class PaperCase:
 
 def diagnose_all(folder: Path, seed: int = 3) -> list[PaperCase]:
     """Diagnose the paper's circle, and drives that distinguish its causes."""
-    sheet = find_vehicle(VEHICLE)
-    weight = read_data_sheet(sheet)["weight"]
+    weight, _ = weight_and_radius()
     rng = np.random.default_rng(seed)
     circles = [circle(MINUTES, speed, weight) for speed in LAP_SPEEDS_MPS]
     courses = [drive(MINUTES, share * weight, 15.0, FASTEST_MPS, rng) for share in LOADS]
     return [
-        PaperCase("laps of one circle at three speeds", _diagnosed(folder / "circle", sheet, circles, rng)),
-        PaperCase("a course with bends and straights, three loads", _diagnosed(folder / "course", sheet, courses, rng)),
+        PaperCase("laps of one circle at three speeds", _diagnosed(folder / "circle", circles, rng)),
+        PaperCase("a course with bends and straights, three loads", _diagnosed(folder / "course", courses, rng)),
     ]
 
 
@@ -65,14 +62,10 @@ def circle(minutes: float, speed: float, weight: float) -> SealedDrive:
     )
 
 
-def _diagnosed(folder: Path, sheet: Path, drives: list[SealedDrive], rng: np.random.Generator) -> Diagnosis:
+def _diagnosed(folder: Path, drives: list[SealedDrive], rng: np.random.Generator) -> Diagnosis:
     folder.mkdir(parents=True, exist_ok=True)
-    vehicle = write_vehicle(folder / "vehicle.yaml", "core_surface")
-    radius = read_data_sheet(sheet)["track.sprocket_radius"]
-    paths = []
-    for i, (one, run) in enumerate(zip(drives, simulate_truth(sheet, Build(), HIDDEN, drives), strict=True)):
-        paths.append(folder / f"drive_{i + 1}.csv")
-        record(paths[-1], one, run, Sensors(), radius, START_S + i * APART_S, rng)
+    vehicle = write_vehicle(folder / "vehicle.yaml", lumped=False)
+    _, paths = record_all(folder, "drive", Build(), HIDDEN, drives, Sensors(), rng)
     return diagnose(read_recordings(paths, None), load_base(vehicle))
 
 
@@ -95,12 +88,8 @@ def page(cases: list[PaperCase]) -> str:
         lines.append(f"| {a.what} | {named} | {', '.join(hit) or '-'} | {errors} |")
     for a in cases:
         lines += ["", f"## {a.what[0].upper()}{a.what[1:]}", "", a.found.verdict.sentence, ""]
-        lines += [
-            "Base, re-fitted along: "
-            + ", ".join(f"{name} {value:.3g}" for name, value in a.found.final.base_values.items())
-            + ".",
-            "",
-        ]
+        fitted = ", ".join(f"{name} {value:.3g}" for name, value in a.found.final.base_values.items())
+        lines += [f"Base, re-fitted along: {fitted}.", ""]
         hidden = [n for n in a.found.steps[-1].separability.not_visible if n.name in HIDDEN]
         lines += [f"- {n.name} cannot be seen: {n.why}" for n in hidden]
         for x in a.found.advice[:1]:

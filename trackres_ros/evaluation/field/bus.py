@@ -1,13 +1,14 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The trolley bus: channels are concealed one by one, and the findings are compared with them.
+"""The trolley bus: channels are concealed one by one, and the findings are compared with them on a page.
 
 Widmer, Ritter, Onder, "ZTBus: A Large Dataset of Time-Resolved City Bus Driving Missions", Scientific Data 10 (2023) 687.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,8 +18,10 @@ from scipy.spatial import cKDTree
 
 from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.evaluation.field.run import NOTHING, UPHILL, WARM, FieldTrial
+from trackres_ros.output.style import BLUE, GREY, VERMILION, picture
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.route.track import Frame
+from trackres_ros.text.numbers import figures
 from trackres_ros.units import GRAVITY
 
 Array = NDArray[np.float64]
@@ -28,48 +31,30 @@ SAME_PLACE_M = 15.0
 SLOPE_OVER_M = 300.0
 LONG_STRETCH_S = 300.0  # of driving
 CLOSE = 0.08  # of the passengers' weight
+SECONDS_PER_MIN = 60.0
 
 
 @dataclass(frozen=True)
 class SlopeFound:
-    """Comparison of the found slope with that of the altitude, averaged over all passes of a place and over 300 m.
-
-    Attributes
-    ----------
-    correlation, coefficient
-        Of the found slope with that of the altitude, and its regression on the latter.
-    """
+    """Comparison of the found slope with that of the altitude, averaged over all passes of a place and over 300 m."""
 
     correlation: float
-    coefficient: float
+    coefficient: float  # of a regression of the found one on that of the altitude
 
 
 @dataclass(frozen=True)
 class PayloadFound:
-    """Comparison of the found payload with the passengers.
-
-    Attributes
-    ----------
-    begin_s, end_s, mass, std, true
-        Of each stretch; masses relative to their mean [kg].
-    correlation
-        Of the found masses with the passengers', weighted by time.
-    close, long
-        Of consecutive stretches, joined until they have more than 5 minutes of driving: those with a mean mass
-        within 8 % of the passengers' weight, and all.
-    longest_s
-        Driving in the longest stretch [s].
-    """
+    """Comparison of the found payload with the passengers: values of each stretch, masses relative to their mean [kg]."""
 
     begin_s: Array
     end_s: Array
     mass: Array
     std: Array
     true: Array
-    correlation: float
-    close: int
-    long: int
-    longest_s: float
+    correlation: float  # of the found masses with the passengers', weighted by time
+    close: int  # joined stretches, see `mass_of_joined`, with a mean mass within `CLOSE` of the passengers' weight
+    long: int  # all joined stretches
+    longest_s: float  # driving in the longest stretch
 
 
 def missions(data: Path) -> list[Path]:
@@ -167,3 +152,50 @@ def mass_of_joined(mass: Array, driven: Array) -> Array:
             joined.append(float(np.average(mass[begin:end], weights=driven[begin:end])))
             begin = end
     return np.array(joined)
+
+
+def bus_page(tried: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -> list[str]:
+    """Lines of the page; pictures go to a folder, and links to them begin with `of_pictures`. None without a mission."""
+    if not tried:
+        return []
+    given = next(t for t in tried if t.hidden == "nothing")
+    lines = ["## The trolley bus, unsealed", ""]
+    slopes = [(t.hidden, slope) for t in tried if (slope := slope_found(t, given)) is not None]
+    if slopes:
+        lines += ["The slope found, against that of the altitude averaged over all passes of a place and taken over 300 m:", ""]
+        lines += ["| Concealed | Correlation | Coefficient |", "|---|---|---|"]
+        lines += [f"| {hidden} | {slope.correlation:.2f} | {slope.coefficient:.2f} |" for hidden, slope in slopes]
+        lines.append("")
+    else:
+        lines += ["No slope was found.", ""]
+    hidden = next(t for t in tried if t.hidden == "passengers")
+    payload = payload_found(hidden, given)
+    if payload is None:
+        return [*lines, "With the passengers concealed no payload was found.", ""]
+    differ, error, stated = (
+        figures(float(x)) for x in (payload.true.std(), np.sqrt(np.mean((payload.mass - payload.true) ** 2)), payload.std.mean())
+    )
+    lines.append(
+        f"With the passengers concealed, the masses of {len(payload.mass)} stretches have a correlation of "
+        f"{payload.correlation:.2f} with those of the passengers (70 kg each). These differ by {differ} kg. The masses are "
+        f"{error} kg off; their stated standard deviation is {stated} kg. No stretch has more than {payload.longest_s:.0f} s of "
+        f"driving. Joined until they have {LONG_STRETCH_S:.0f} s, {payload.close} of {payload.long} are within {CLOSE:.0%} of "
+        "the passengers' weight."
+    )
+    _draw_payload(folder / "payload.png", payload)
+    return [*lines, "", f"![Masses of stretches between stops, found and of passengers.]({of_pictures}payload.png)", ""]
+
+
+def _draw_payload(path: Path, payload: PayloadFound) -> None:
+    with picture(path, 9.0, 3.4) as figure:
+        axes = figure.subplots()
+        middle = 0.5 * (payload.begin_s + payload.end_s) / SECONDS_PER_MIN
+        axes.errorbar(
+            middle, payload.mass, 1.96 * payload.std, fmt="o", markersize=3, color=VERMILION, linewidth=1.0,
+            label="found, and its 95 % interval",
+        )  # fmt: skip
+        axes.step(payload.begin_s / SECONDS_PER_MIN, payload.true, where="post", color=BLUE, label="passengers, 70 kg each")
+        axes.axhline(0.0, color=GREY, linewidth=0.8)
+        axes.set_xlabel("time [min]")
+        axes.set_ylabel("mass less its mean [kg]")
+        axes.legend()

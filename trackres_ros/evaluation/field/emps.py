@@ -43,13 +43,7 @@ class SlideTrial:
 
 
 def try_slide(recording: Path, folder: Path) -> SlideTrial:
-    """Diagnose a recording of the positioning system; the second vehicle file goes to `folder`.
-
-    Raises
-    ------
-    InputError
-        If the recording is not there.
-    """
+    """Diagnose the recording of the positioning system; InputError without one. The second vehicle file goes to `folder`."""
     if not recording.is_file():
         raise InputError("--emps", str(recording), "the recording of the positioning system, emps.csv.gz")
     file = yaml.safe_load((config_dir() / "emps.yaml").read_text(encoding="utf-8"))

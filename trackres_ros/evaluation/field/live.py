@@ -1,51 +1,52 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Closes the loop on real vehicles by the commands: some drives are diagnosed, others are replayed with the resulting files.
+"""Closes the loop on real vehicles: some drives are diagnosed, or the vehicle is learned in them; others are replayed with that.
 
-The replay gives the same results as the live node.
+The replay gives the same results as the live node. Learned values are carried from drive to drive by a state file, and are used
+only if the learner itself finds them better. Learning continues during the hold-out drives, as in a vehicle.
 """
 
 from __future__ import annotations
 
 import gzip
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.evaluation.field import bus
 from trackres_ros.evaluation.field.data import car, robot, trips
+from trackres_ros.evaluation.processes import run_command
+from trackres_ros.learning.learner import Learner
+from trackres_ros.node.parameters import make_parameters
+from trackres_ros.offline.replay import replay
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.text.numbers import figures
-from trackres_ros.vehicle import RoadVehicle, load_any
+from trackres_ros.units import NANOSECOND
+from trackres_ros.vehicle import AnyVehicle, RoadVehicle, load_any
+from trackres_ros.vehicle.surroundings import with_surroundings
 
 Array = NDArray[np.float64]
 
 DIAGNOSED = 0.7  # of the only recording
 MEAN_S = 4.0  # as the diagnosis compares a torque that comes once a second
 SLOWEST_MPS = 0.5
+GROUND = {"": "no altitude", "altitude_m": "with the altitude", "grade": "with a slope made of it afterwards"}
 
 
 @dataclass(frozen=True)
 class Drives:
-    """Drives of one vehicle: those for diagnosis, and those for replay.
-
-    Attributes
-    ----------
-    what
-        Description.
-    vehicle, topics
-        Names of the shipped files.
-    """
+    """Drives of one vehicle: the first for diagnosis, the rest for replay; vehicle and topics name the shipped files."""
 
     what: str
     vehicle: str
@@ -56,28 +57,17 @@ class Drives:
 
 @dataclass(frozen=True)
 class LiveError:
-    """Residual torque in a replay of the other drives.
+    """Residual torque in a replay of the other drives."""
 
-    Attributes
-    ----------
-    what
-        The files in use.
-    error_nm
-        Mean absolute residual, in means over `MEAN_S` while driving without a friction brake.
-    minutes
-        Duration of all of these.
-    """
-
-    what: str
-    error_nm: float
-    minutes: float
+    what: str  # the files in use
+    error_nm: float  # mean absolute residual, in means over `MEAN_S` while driving without a friction brake
+    minutes: float  # duration of all of these
 
 
 def all_drives(data: Path, folder: Path) -> Iterator[Drives]:
     """Of the bus, the car and a robot, as far as their recordings are there; tables go to `folder`."""
     for mission in bus.missions(data):
-        with gzip.open(mission, "rt", encoding="utf-8") as lines:
-            first, rest = parted(lines.read(), folder, "mission")
+        first, rest = parted(gzip.decompress(mission.read_bytes()).decode(), folder, "mission")
         yield Drives("the trolley bus, one mission", bus.VEHICLE, bus.TOPICS, (first,), (rest,))
     if (data / "bmw_i3" / "trips.csv").is_file():
         winter = [car(data, name, folder) for name in trips(data) if name.startswith("TripB")]
@@ -88,10 +78,10 @@ def all_drives(data: Path, folder: Path) -> Iterator[Drives]:
         yield Drives("the robot on wet grass, one drive", "husky", "default", (first,), (rest,))
 
 
-def parted(table: str, folder: Path, name: str) -> tuple[Path, Path]:
-    """The first part of a table and the rest, as separate files."""
+def parted(table: str, folder: Path, name: str, share: float = DIAGNOSED) -> tuple[Path, Path]:
+    """The first share of a table and the rest, as separate files."""
     head, *rows = table.splitlines()
-    cut = int(DIAGNOSED * len(rows))
+    cut = int(share * len(rows))
     files = folder / f"{name}_first.csv", folder / f"{name}_rest.csv"
     for file, part in zip(files, (rows[:cut], rows[cut:]), strict=True):
         file.write_text("\n".join([head, *part]) + "\n", encoding="utf-8")
@@ -113,11 +103,6 @@ def live_errors(drives: Drives, folder: Path) -> list[LiveError]:
         left = np.concatenate([_left(drives, rest, files, folder / "replay.csv") for rest in drives.rest])
         found.append(LiveError(what, float(np.abs(left).mean()), MEAN_S * len(left) / 60.0))
     return found
-
-
-def run_command(*words: str | Path) -> None:
-    """Run a command of `trackres`."""
-    subprocess.run([sys.executable, "-m", "trackres_ros", *map(str, words)], check=True, capture_output=True)
 
 
 def _left(drives: Drives, recording: Path, vehicle: Sequence[str | Path], out: Path) -> Array:
@@ -169,4 +154,78 @@ def live_page(data: Path) -> list[str]:
         for drives in all_drives(data, Path(folder)):
             errors = live_errors(drives, Path(folder))
             lines += [f"| {drives.what} | {figures(e.minutes, 2)} | {e.what} | {figures(e.error_nm)} |" for e in errors]
+    return [*lines, ""]
+
+
+class Taught(NamedTuple):
+    """Mean error on hold-out drives [Nm], with the file and with values learned from the others."""
+
+    what: str
+    file_nm: float
+    learned_nm: float
+
+
+def of_car(data: Path, folder: Path) -> Iterator[Taught]:
+    """Either half of the winter trips teaches, the other is looked at."""
+    for ground, words in GROUND.items():
+        winter = [car(data, name, folder / ground, False, ground) for name in trips(data) if name.startswith("TripB")]
+        halves = {"every other trip, from the first": winter[::2], "every other trip, from the second": winter[1::2]}
+        for (name, first), other in zip(halves.items(), reversed(halves.values()), strict=True):
+            yield taught(f"the car, winter, {words}: {name}", load_any("bmw_i3"), "default", first, other)
+
+
+def of_bus(data: Path, folder: Path) -> Iterator[Taught]:
+    """Either half of a mission teaches, the other is looked at."""
+    for mission in bus.missions(data):
+        files = parted(gzip.decompress(mission.read_bytes()).decode(), folder, "half", 0.5)
+        for name, first, other in (("first", files[0], files[1]), ("second", files[1], files[0])):
+            what = f"the trolley bus, one mission: the {name} half"
+            yield taught(what, load_any(bus.VEHICLE), bus.TOPICS, [first], [other])
+            report = folder / name
+            run_command("diagnose", first, "--vehicle", bus.VEHICLE, "--topics", bus.TOPICS, "-o", report)
+            vehicle = with_surroundings(load_any(report / "vehicle.yaml"), report / "surroundings.yaml")
+            yield taught(f"{what}, on the road that its diagnosis found", vehicle, bus.TOPICS, [first], [other])
+
+
+def taught(what: str, vehicle: AnyVehicle, topics_name: str, first: Sequence[Path], other: Sequence[Path]) -> Taught:
+    """Values learned from drives of a vehicle, for the others."""
+    topics = Topics.load(topics_name)
+    estimator = Estimator(vehicle, settings_for(make_parameters({}).settings(), topics, ()))
+    learner = Learner(estimator, "on")
+    for path in first:
+        _left_learning(path, topics, estimator, learner)
+    without, with_it = (
+        np.concatenate([_left_learning(path, topics, estimator, one) for path in other]) for one in (None, learner)
+    )
+    return Taught(what, float(np.abs(without).mean()), float(np.abs(with_it).mean()))
+
+
+def _left_learning(path: Path, topics: Topics, estimator: Estimator, learner: Learner | None) -> Array:
+    """Residual of a replay; without braking torques, where friction brakes may assist."""
+    kept: list[Steps] = []
+    if learner is not None:
+        learner.restart()
+    replay(open_source([path], topics), estimator, kept.append, learner=learner)
+    rows, stamps = np.concatenate([steps.rows for steps in kept]), np.concatenate([steps.stamp_ns for steps in kept])
+    speed, residual, measured = (
+        rows[:, estimator.column_index[name]] for name in ("speed_mps", "residual_nm", "measured_torque_nm")
+    )
+    return means((stamps - stamps[0]) * NANOSECOND, speed, residual, measured < 0.0)
+
+
+def learned_page(data: Path) -> list[str]:
+    """Lines of the page."""
+    lines = [
+        "## What one drive teaches the other",
+        "",
+        "The vehicles are learned while they drive (`learning: on`) on some drives. The error is that on the other drives, where "
+        "learning goes on. In the last two lines of the car a slope is an input, which the estimate uses too.",
+        "",
+        "| What teaches | The vehicle file [Nm] | With what was learned [Nm] | |",
+        "|---|---|---|---|",
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        for one in (*of_car(data, Path(folder)), *of_bus(data, Path(folder))):
+            change = f"{one.learned_nm / one.file_nm - 1.0:+.0%}"
+            lines.append(f"| {one.what} | {figures(one.file_nm)} | {figures(one.learned_nm)} | {change} |")
     return [*lines, ""]

@@ -16,10 +16,9 @@ from scipy.stats import spearmanr
 from trackres_ros.diagnosis.findings.locate import evenly_filled
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95
-from trackres_ros.evaluation.field.bus_page import bus_page
+from trackres_ros.evaluation.field.bus import bus_page
 from trackres_ros.evaluation.field.data import SECONDS_PER_H
-from trackres_ros.evaluation.field.learned import learned_page
-from trackres_ros.evaluation.field.live import live_page
+from trackres_ros.evaluation.field.live import learned_page, live_page
 from trackres_ros.evaluation.field.run import (
     COLD_AFTER_H,
     COLD_S,
@@ -45,13 +44,7 @@ SETTLED_STD = 1.0  # of a start state: a less certain one is not used
 
 
 def write_page(data: Path, tried: Sequence[FieldTrial], of_bus: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -> str:
-    """Draw the pictures into a folder and return the page, whose links to them begin with `of_pictures`.
-
-    Parameters
-    ----------
-    tried, of_bus
-        Results of `run.try_all` and `bus.try_bus`.
-    """
+    """Draw the pictures of `run.try_all` and `bus.try_bus` into a folder; the page, whose links begin with `of_pictures`."""
     winter = tried[0]
     route = next(t for t in tried if "twice" in t.what)
     grass = next(t for t in tried if t.wanted == TURNING and t.hidden.startswith("nothing"))

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_base, read_recordings
-from trackres_ros.diagnosis.inference.noise import whitened
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.field.data import car, robot, trips
@@ -32,33 +31,18 @@ SHOWS_TURNING = (*BUT_WHEELS, "wheel_speed")
 COLD_S = 180.0
 COLD_AFTER_H = 5.0
 EVERY_M, SMOOTHED = 50.0, 5
-WARM_PERCENTILE = 5.0  # of an effect's contribution over all trips: its warm contribution
 
 
 @dataclass(frozen=True, eq=False)
 class FieldTrial:
-    """One trial.
+    """One trial."""
 
-    Attributes
-    ----------
-    what, hidden
-        The recordings and the concealed channel, as text.
-    wanted
-        Effects one of which should be named; empty if none should.
-    never
-        Effects that must not be named: given or impossible ones.
-    found
-        The diagnosis.
-    beside
-        Effects that may be named too, as they are present and no given channel shows them.
-    """
-
-    what: str
-    hidden: str
-    wanted: frozenset[str]
-    never: frozenset[str]
+    what: str  # the recordings, as text
+    hidden: str  # the concealed channel, as text
+    wanted: frozenset[str]  # effects one of which should be named; empty if none should
+    never: frozenset[str]  # effects that must not be named: given or impossible ones
     found: Diagnosis
-    beside: frozenset[str] = NOTHING
+    beside: frozenset[str] = NOTHING  # effects that may be named too: they are present and no given channel shows them
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
@@ -86,13 +70,7 @@ class FieldTrial:
 
 
 def try_all(data: Path, folder: Path) -> list[FieldTrial]:
-    """Diagnose everything; the tables go to `folder`.
-
-    Raises
-    ------
-    InputError
-        If the recordings are not there.
-    """
+    """Diagnose everything; the tables go to `folder`. InputError if the recordings are not there."""
     if not (data / "bmw_i3" / "trips.csv").is_file():
         raise InputError("--data", str(data), "a folder with bmw_i3/trips.csv and its trips, and husky_warthog")
     winter, warm = [n for n in trips(data) if n.startswith("TripB")], [n for n in trips(data) if n.startswith("TripA1")]
@@ -125,24 +103,14 @@ def try_all(data: Path, folder: Path) -> list[FieldTrial]:
 
 @dataclass(frozen=True)
 class Start:
-    """Start of one trip, and the concealed facts.
-
-    Attributes
-    ----------
-    lacks
-        Torque missing in the base, re-fitted to all trips, in the first three minutes [Nm]; nan without
-        comparable data there.
-    state, std
-        Start state fitted to this trip alone, with its standard deviation: 0 as warm as after a long drive, 1 as cold as an
-        average trip; nan if no effect of warming up was named.
-    """
+    """Start of one trip, and the concealed facts."""
 
     trip: str
     stood_h: float
     ambient: float
-    lacks: float
-    state: float
-    std: float
+    lacks: float  # torque missing in the base, re-fitted to all trips, in the first three minutes [Nm]; nan if not comparable
+    state: float = np.nan  # fitted to this trip alone, see `warmth.Starts`
+    std: float = np.nan
 
     @property
     def cold(self) -> bool:
@@ -151,29 +119,14 @@ class Start:
 
 
 def starts(data: Path, tried: FieldTrial) -> list[Start]:
-    """Unsealed standing time and ambient temperature, with each trip's missing torque and start state at its beginning."""
+    """Unsealed standing time and ambient temperature, with each trip's missing torque at its beginning."""
     rows, found = trips(data), []
     for i, session in enumerate(tried.found.sessions):
         row, early = rows[Path(session.name).stem], session.used & (session.time < COLD_S)
         stood = float(row["hours_since_previous_trip_ended"] or "nan")
         lacks = float(tried.found.refitted.residuals[i][early].mean()) if early.any() else float("nan")
-        found.append(Start(row["trip"], stood, float(row["ambient_degc"]), lacks, *start_state(tried, i)))
+        found.append(Start(row["trip"], stood, float(row["ambient_degc"]), lacks))
     return found
-
-
-def start_state(tried: FieldTrial, index: int) -> tuple[float, float]:
-    """Scale of the effect's contribution in a trip relative to a warm drive, by weighted least squares."""
-    warms = next((f for f in tried.found.found if set(f.step.members) & WARM), None)
-    if warms is None:
-        return float("nan"), float("nan")
-    final, session = tried.found.final, tried.found.sessions[index]
-    warm = float(np.percentile(np.concatenate(warms.adds), WARM_PERCENTILE))
-    cold = warms.adds[index] - warm
-    left = final.residuals[index] + cold
-    noise = tried.found.noise
-    white = whitened(np.column_stack((left, cold)), session.used, noise.phi) / noise.std
-    y, x = white[np.isfinite(white).all(axis=1)].T
-    return float(x @ y / (x @ x)), float(1.0 / np.sqrt(x @ x))
 
 
 def acts_early(tried: FieldTrial, index: int) -> float:
@@ -205,18 +158,13 @@ def twice(tried: FieldTrial) -> RepeatedRoute:
         used = session.used
         residuals.append(_smooth(np.interp(grid, far[used], tried.found.refitted.residuals[i][used])))
         table = np.genfromtxt(session.name, delimiter=",", names=True)
-        slopes.append(
-            _smooth(np.interp(grid, far, np.interp(session.time, table["time_s"] - table["time_s"][0], table["grade"])))
-        )
+        grade = np.interp(session.time, table["time_s"] - table["time_s"][0], table["grade"])
+        slopes.append(_smooth(np.interp(grid, far, grade)))
     n = min(map(len, residuals))
     both, mean = np.array([r[:n] for r in residuals]), np.asarray(np.mean([s[:n] for s in slopes], axis=0), dtype=float)
-    return RepeatedRoute(
-        np.arange(500.0, 500.0 + n * EVERY_M, EVERY_M)[:n],
-        both,
-        mean,
-        float(np.corrcoef(both[0], both[1])[0, 1]),
-        float(np.corrcoef(both.mean(axis=0), mean)[0, 1]),
-    )
+    distance = np.arange(500.0, 500.0 + n * EVERY_M, EVERY_M)[:n]
+    repeats, follows = (float(np.corrcoef(*pair)[0, 1]) for pair in ((both[0], both[1]), (both.mean(axis=0), mean)))
+    return RepeatedRoute(distance, both, mean, repeats, follows)
 
 
 def _smooth(series: Array) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
+from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.effects.vehicle.warmup import WarmUp
@@ -32,52 +33,28 @@ SURE_STD = 1.0  # of a start state: a less certain one is of a drive whose begin
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Start states of drives, 0 as warm as after a drive like it, 1 as cold as the ambient; arrays of shape (drives,).
+    """Start states of drives, 0 as warm as after a drive like it, 1 as cold as the ambient; arrays of shape (drives,)."""
 
-    Attributes
-    ----------
-    alone, alone_std
-        Fitted to each drive alone.
-    stood_s
-        Standing time before.
-    """
-
-    alone: Array
+    alone: Array  # fitted to each drive alone
     alone_std: Array
-    stood_s: Array
+    stood_s: Array  # standing time before
 
 
 @dataclass(frozen=True, eq=False)
 class PooledStarts:
-    """Joint start states of drives: A (1 - exp(-stood / tau)), with a scatter about it.
+    """Joint start states of drives: A (1 - exp(-stood / tau)), with a scatter about it."""
 
-    Attributes
-    ----------
-    time_constant_s, low_s, high_s
-        tau, and its 95 % interval, which is open at an end of the search range.
-    height, spread
-        A, and the standard deviation of start states about the model.
-    state, std
-        Joint estimate of each drive's start state.
-    rank_alone, rank_together
-        Rank correlation of the standing time with the start states, fitted alone and together.
-    chance
-        Share of random permutations of the standing times that fit the start states as well.
-    reached
-        Probability that the rank correlation of states fitted alone reaches 0.6 under this model.
-    """
-
-    time_constant_s: float
-    low_s: float
+    time_constant_s: float  # tau
+    low_s: float  # its 95 % interval, which is open at an end of the search range
     high_s: float
-    height: float
-    spread: float
-    state: Array
+    height: float  # A
+    spread: float  # standard deviation of start states about the model
+    state: Array  # joint estimate of each drive's start state
     std: Array
-    rank_alone: float
-    rank_together: float
-    chance: float
-    reached: float
+    rank_alone: float  # rank correlation of the standing time with the start states, fitted alone
+    rank_together: float  # and fitted together
+    chance: float  # share of random permutations of the standing times that fit the start states as well
+    reached: float  # probability that the rank correlation of states fitted alone reaches `WANTED_RANK` under this model
 
     @property
     def settled(self) -> bool:
@@ -98,12 +75,7 @@ def warming(refitted: Fit) -> Fit:
 def start_states(fitted: Fit, stood_s: Sequence[float]) -> Starts:
     """The start state of each drive by least squares: the share of a cold start's extra torque over a warm one.
 
-    Parameters
-    ----------
-    fitted
-        With an effect that warms up, and values by levels.
-    stood_s
-        Standing time of each; nan where unknown.
+    The fit has an effect that warms up, and values by levels; an unknown standing time is nan.
 
     Notes
     -----
@@ -111,12 +83,12 @@ def start_states(fitted: Fit, stood_s: Sequence[float]) -> Starts:
     comes from the same sum over the residuals of all drives from ten minutes on, when they are warm.
     """
     sessions = fitted.problem.sessions
-    cold, warm = (
-        fitted.problem.base.predict(
-            [replace(s, gap=gap, after_unseen=unseen) for s in sessions], fitted.base_values, fitted.acting
-        )
-        for gap, unseen in ((np.inf, False), (0.0, True))
-    )
+
+    def begun(gap: float, unseen: bool) -> list[Predicted]:
+        changed = [replace(s, gap=gap, after_unseen=unseen) for s in sessions]
+        return fitted.problem.base.predict(changed, fitted.base_values, fitted.acting)
+
+    cold, warm = begun(np.inf, False), begun(0.0, True)
     every = np.concatenate([r[s.used] for r, s in zip(fitted.residuals, sessions, strict=True)])
     most = OUTLIER * MAD_TO_STD * float(np.median(np.abs(every - np.median(every))))
     later = [
@@ -125,10 +97,9 @@ def start_states(fitted: Fit, stood_s: Sequence[float]) -> Starts:
     ]
     states, stds = [], []
     for session, at_cold, at_warm in zip(sessions, cold, warm, strict=True):
-        shape = np.where(session.time < WARM_AFTER_S, at_cold.torque - at_warm.torque, 0.0)[: int(WARM_AFTER_S / session.step)]
-        left = np.where(
-            session.used, np.clip(session.torque - at_warm.torque, -most, most + np.abs(at_cold.torque - at_warm.torque)), np.nan
-        )
+        extra = at_cold.torque - at_warm.torque
+        shape = np.where(session.time < WARM_AFTER_S, extra, 0.0)[: int(WARM_AFTER_S / session.step)]
+        left = np.where(session.used, np.clip(session.torque - at_warm.torque, -most, most + np.abs(extra)), np.nan)
         states.append(_share(shape, left[: len(shape)]))
         apart = [_share(shape, row[i : i + len(shape)]) for row in later for i in range(0, len(row) - len(shape), EVERY_STEPS)]
         known = np.array(apart)[np.isfinite(apart)]
@@ -157,19 +128,12 @@ def pool(starts: Starts, rng: np.random.Generator) -> PooledStarts:
     state = expected + np.where(sure, trust * (starts.alone - expected), 0.0)
     as_good = [_likelihood(alone, std, rng.permutation(stood), constants)[0].max() >= likelihood[best] for _ in range(DRAWS)]
     drawn = expected[sure] + np.hypot(std, spread) * rng.normal(size=(DRAWS, len(alone)))
+    rank_alone, rank_together = (float(spearmanr(stood, one).statistic) for one in (alone, state[sure]))
+    reached = float(np.mean([spearmanr(stood, row).statistic >= WANTED_RANK for row in drawn]))
     return PooledStarts(
-        float(constants[best[0]]),
-        float(near[0]),
-        float(near[-1]),
-        height,
-        spread,
-        state,
-        np.sqrt(trust) * starts.alone_std,
-        float(spearmanr(stood, alone).statistic),
-        float(spearmanr(stood, state[sure]).statistic),
-        float(np.mean(as_good)),
-        float(np.mean([spearmanr(stood, row).statistic >= WANTED_RANK for row in drawn])),
-    )
+        float(constants[best[0]]), float(near[0]), float(near[-1]), height, spread, state, np.sqrt(trust) * starts.alone_std,
+        rank_alone, rank_together, float(np.mean(as_good)), reached,
+    )  # fmt: skip
 
 
 def _likelihood(alone: Array, std: Array, stood: Array, constants: Array) -> tuple[Array, Array]:

@@ -5,24 +5,20 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
+from trackres_ros.evaluation.processes import digest
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import SealedDrive, drive
-from trackres_ros.evaluation.sealed.sensors import Sensors, record
+from trackres_ros.evaluation.sealed.sensors import drawn_sensors, record
 from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
 from trackres_ros.files.own_files import PART
 from trackres_ros.files.resources import find_vehicle
-
-Array = NDArray[np.float64]
 
 VEHICLE = "xgd24d"
 START_S, DAY_S = 1_750_000_000.0, 86_400.0
@@ -32,13 +28,10 @@ VEHICLES_DIFFER = 0.05  # standard deviation of each of a vehicle's factors
 AIR_DEGC, SEASON_K, WEATHER_K = 14.0, 10.0, 4.0  # mean, amplitude over a year, and scatter of a day
 WIND_MPS = 3.0  # most, from anywhere
 RAIN_SHARE, RAIN = 0.12, (0.1, 0.8)  # of recordings; how much more a wet belt gives off
-MOST_LAG_S, MOST_OFFSET_NM, MOST_GAIN = 0.1, 15.0, 0.005  # of the torque sensor of each vehicle
-SPEED_STEPS_MPS = (0.02, 0.05)
 MOVES_S, MOVES_MPS = 90.0, 1.0  # at least: a recording with less than 60 s of driving is not compared
 EARLIEST, LATEST = 0.1, 0.9  # when a recording begins, as a share of the time between two
 BEARING, LOSS, GAIN = "bearing_friction", "loss_modulus_scale", "torque_gain.error"
 NONE, STEP, RAMP = "none", "step", "ramp"
-RIGHT = {BEARING: (BEARING,), LOSS: (LOSS,), GAIN: (GAIN,)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +60,8 @@ def draw_fleet(
 ) -> list[DrawnVehicle]:
     """Vehicles, the first drawn of which have the changes: parameter, kind and size of each; in random order.
 
-    A vehicle with one recording has no change: nothing could show it.
-
-    Raises
-    ------
-    InputError
-        If a recording is longer than the time between two.
+    A vehicle with one recording has no change: nothing could show it. InputError if a recording is longer than the time between
+    two.
     """
     rng = np.random.default_rng([seed, *b"fleet"])
     found = []
@@ -89,19 +78,14 @@ def draw_fleet(
         if i < len(changes) and count > 1:
             parameter, kind, size = changes[i]
             hidden = Hidden(parameter, kind, int(rng.integers(max(1, count // 4), max(2, count // 2 + 1))), size)
-        names = ("loss", "bearing", "drag", "film", "capacity")
-        found.append(
-            DrawnVehicle(
-                "", dict(zip(names, map(float, build), strict=True)), int(rng.integers(2**31)), tuple(map(float, begins)), hidden
-            )
-        )
+        factors = dict(zip(("loss", "bearing", "drag", "film", "capacity"), map(float, build), strict=True))
+        found.append(DrawnVehicle("", factors, int(rng.integers(2**31)), tuple(map(float, begins)), hidden))
     return [replace(found[j], name=f"truck-{i + 1:02d}") for i, j in enumerate(rng.permutation(vehicles))]
 
 
 def seal(seed: int, fleet: Sequence[DrawnVehicle]) -> str:
     """Hash of the seed and of all concealed values."""
-    content = json.dumps({"seed": seed, "fleet": [asdict(vehicle) for vehicle in fleet]}, sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()
+    return digest({"seed": seed, "fleet": [asdict(vehicle) for vehicle in fleet]})
 
 
 def come(hidden: Hidden, number: int, count: int) -> float:
@@ -130,7 +114,7 @@ def write_recording(folder: Path, vehicle: DrawnVehicle, number: int, minutes: f
     weather = {"headwind": {"wind": rng.uniform(0.0, WIND_MPS), "towards": rng.uniform(0.0, 2.0 * np.pi)}}
     if rng.random() < RAIN_SHARE:
         weather["rain"] = {"factor": 1.0 + rng.uniform(*RAIN)}
-    build, sensors = Build(**vehicle.build), _sensors(vehicle)
+    build, sensors = Build(**vehicle.build), drawn_sensors(np.random.default_rng([vehicle.seed, *b"sensors"]))
     if vehicle.hidden is not None:
         share = 1.0 + vehicle.hidden.size * come(vehicle.hidden, number, len(vehicle.days))
         if vehicle.hidden.parameter == GAIN:
@@ -146,15 +130,3 @@ def write_recording(folder: Path, vehicle: DrawnVehicle, number: int, minutes: f
 
 def _moves_s(one: SealedDrive) -> float:
     return float((one.speed > MOVES_MPS).sum()) * one.step
-
-
-def _sensors(vehicle: DrawnVehicle) -> Sensors:
-    """The instruments of a vehicle: good ones, each with a lag, an offset and a gain of its own."""
-    rng = np.random.default_rng([vehicle.seed, *b"sensors"])
-    return Sensors(
-        belt_measured=False,
-        speed_step_mps=float(rng.uniform(*SPEED_STEPS_MPS)),
-        torque_lag_s=float(rng.uniform(0.0, MOST_LAG_S)),
-        torque_offset_nm=float(rng.uniform(-MOST_OFFSET_NM, MOST_OFFSET_NM)),
-        torque_gain=float(1.0 + rng.uniform(-MOST_GAIN, MOST_GAIN)),
-    )

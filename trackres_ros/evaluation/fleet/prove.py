@@ -10,7 +10,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
@@ -20,14 +19,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
-from trackres_ros.errors import InputError
 from trackres_ros.evaluation.fleet.draw import (
     BEARING,
     DAY_S,
     GAIN,
     LOSS,
     RAMP,
-    RIGHT,
     START_S,
     STEP,
     DrawnVehicle,
@@ -36,6 +33,7 @@ from trackres_ros.evaluation.fleet.draw import (
     seal,
 )
 from trackres_ros.evaluation.fleet.sample import write_recordings
+from trackres_ros.evaluation.processes import check_seal, read_json, run_main
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.pooling import Vehicles, pool
 from trackres_ros.fleet.trends import NUMBERS, TEXTS
@@ -86,28 +84,21 @@ def generate(folder: Path, seed: int, vehicles: int, days: int, every: float, mi
     print(f"sealed: {len(fleet)} vehicles, SHA-256 {digest}", flush=True)
     (folder / "seal.txt").write_text(digest + "\n", encoding="utf-8")
     (folder / SEALED / "fleet.json").write_text(json.dumps({"seed": seed, "fleet": [asdict(v) for v in fleet]}), encoding="utf-8")
-    write_recordings(folder / OPEN, fleet, minutes, lambda total: _counting(total))
+    write_recordings(folder / OPEN, fleet, minutes, _counting)
 
 
 def score(folder: Path) -> dict[str, Any]:
-    """Open the seal and count.
-
-    Raises
-    ------
-    InputError
-        If the concealed values do not match the seal.
-    """
-    labels = json.loads((folder / SEALED / "fleet.json").read_text(encoding="utf-8"))
+    """Open the seal and count."""
+    labels = read_json(folder / SEALED / "fleet.json")
     fleet = [
         DrawnVehicle(**{**v, "days": tuple(v["days"]), "hidden": Hidden(**v["hidden"]) if v["hidden"] else None})
         for v in labels["fleet"]
     ]
-    if seal(labels["seed"], fleet) != (folder / "seal.txt").read_text(encoding="utf-8").strip():
-        raise InputError(str(folder / SEALED), "labels that are not those that were sealed", "those as drawn", "begin anew")
-    found = json.loads((folder / "found.json").read_text(encoding="utf-8"))
+    sealed = seal(labels["seed"], fleet)
+    check_seal(folder, sealed)
+    found = read_json(folder / "found.json")
     scored = [score_vehicle(v, found["vehicles"].get(v.name, {"changes": []})) for v in fleet]
-    counted = summary(scored, labels["seed"], (folder / "seal.txt").read_text(encoding="utf-8").strip())
-    return counted | {"known_of_the_type": known_of_the_type(FleetDataset(folder / RESULTS))}
+    return summary(scored, labels["seed"], sealed) | {"known_of_the_type": known_of_the_type(FleetDataset(folder / RESULTS))}
 
 
 def known_of_the_type(dataset: FleetDataset) -> list[dict[str, Any]]:
@@ -145,21 +136,17 @@ def score_vehicle(vehicle: DrawnVehicle, found: Mapping[str, Any]) -> ScoredVehi
         return ScoredVehicle(vehicle.name, hidden, False, None, False, False, len(changes), months)
     first = min(after, key=lambda c: c["known_s"])
     passed = sum(begun <= START_S + day * DAY_S <= first["known_s"] + 1.0 for day in vehicle.days)
-    right = RIGHT[hidden.parameter]
-    named = first["parameter"] in right
-    of_these = named or any(name in right for name in first["alike"])
+    named = first["parameter"] == hidden.parameter
+    of_these = named or hidden.parameter in first["alike"]
     return ScoredVehicle(vehicle.name, hidden, True, passed, named, of_these, len(changes) - 1, months)
 
 
 def summary(scored: Sequence[ScoredVehicle], seed: int, digest: str) -> dict[str, Any]:
     """Counts, ready for JSON."""
     changed = [s for s in scored if s.hidden is not None]
-    tenths = [
-        s
-        for s in changed
-        if s.hidden and s.hidden.parameter == BEARING and s.hidden.kind == STEP and abs(abs(s.hidden.size) - TEN_PERCENT) < 1e-9
-    ]
-    soon = [s for s in tenths if s.found and s.recordings is not None and s.recordings <= SOON]
+    tenth = BEARING, STEP, TEN_PERCENT
+    tenths = [s for s in changed if s.hidden and (s.hidden.parameter, s.hidden.kind, abs(s.hidden.size)) == tenth]
+    soon = [s for s in tenths if s.recordings is not None and s.recordings <= SOON]
     months, false = sum(s.months for s in scored), sum(s.false for s in scored)
     return {
         "seed": seed,
@@ -249,7 +236,4 @@ def main(arguments: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except InputError as refused:
-        sys.exit(f"trackres: error: {refused}")
+    run_main(main)

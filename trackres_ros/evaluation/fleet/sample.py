@@ -17,6 +17,7 @@ import yaml
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.fleet.draw import (
     BEARING,
+    DAY_S,
     LOSS,
     RAMP,
     START_S,
@@ -43,17 +44,14 @@ def write_sample(
 ) -> list[DrawnVehicle]:
     """A simulated fleet for trials, in which up to three vehicles change; answers.json lists them.
 
-    Raises
-    ------
-    InputError
-        If a recording is longer than the time between two, or the folder has other content.
+    InputError if a recording is longer than the time between two, or the folder has other content.
     """
     fleet = draw_fleet(vehicles, days, every, minutes, SAMPLE_CHANGES, seed)
     if folder.exists() and any(folder.iterdir()) and not (folder / FLEET).exists():
         raise InputError("-o", str(folder), "a folder that is empty, or that holds an earlier sample")
     write_recordings(folder, fleet, minutes, on_begin)
     answers = [
-        {"vehicle": v.name, **asdict(v.hidden), "since_s": START_S + v.days[v.hidden.first] * 86400.0} for v in fleet if v.hidden
+        {"vehicle": v.name, **asdict(v.hidden), "since_s": START_S + v.days[v.hidden.first] * DAY_S} for v in fleet if v.hidden
     ]
     (folder / ANSWERS).write_text(json.dumps(answers, indent=1) + "\n", encoding="utf-8")
     return fleet

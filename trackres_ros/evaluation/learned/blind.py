@@ -10,33 +10,27 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from collections.abc import Sequence
-from multiprocessing import Pool, cpu_count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis import load_base, read_recordings
-from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.inference.levels import with_levels
-from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import read_beside, save
 from trackres_ros.evaluation.learned.generate import REFIT
-from trackres_ros.evaluation.sealed.generate import APART_S
+from trackres_ros.evaluation.processes import each, run_main
+from trackres_ros.evaluation.sealed.generate import APART_S, refit
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
 from trackres_ros.learning.store import stored, take
 from trackres_ros.offline.replay import replay
 from trackres_ros.recording.opening import open_source
 from trackres_ros.vehicle import load
-from trackres_ros.vehicle.writing.changes import FileChanges
 
 Array = NDArray[np.float64]
 KEY = re.compile(r"\(?[+-]?\d+ (%|Nm|s)|( of the|of)(?= *$)| (since|for) *$|, of the kind.*")  # varies from run to run
@@ -68,10 +62,7 @@ def main(arguments: Sequence[str]) -> None:
     (folder / "results").mkdir(exist_ok=True)
     chosen = sorted((folder / "cases").iterdir())[: int(arguments[1]) if len(arguments) > 1 else None]
     missing = [p for p in chosen if not (folder / "results" / f"{p.name}.json").exists()]
-    with Pool(cpu_count()) as pool:
-        for done, _ in enumerate(pool.imap(learn_and_fit, [(p, folder / "results") for p in missing]), start=1):
-            print(f"\rlearned {done} of {len(missing)}", end="", flush=True)
-    print(flush=True)
+    each(learn_and_fit, [(p, folder / "results") for p in missing], "learned")
 
 
 def learn_and_fit(task: tuple[Path, Path]) -> None:
@@ -87,7 +78,7 @@ def learn_and_fit(task: tuple[Path, Path]) -> None:
     ways = (("refit_one", drives[:1]), ("refit", drives[:-1]), ("oracle", drives)) if (case / REFIT).exists() else ()
     for name, which in ways:
         try:
-            rows[f"{name}_{len(drives)}"] = _plain(drives[-1], _refitted(which, vehicle, case / f"{name}.yaml"))
+            rows[f"{name}_{len(drives)}"] = _plain(drives[-1], refit(which, vehicle, case / f"{name}.yaml", "re-fitted"))
         except InputError as error:  # of a recording that a re-fit refuses nothing is learned
             rows[f"{name}_{len(drives)}"] = rows[f"file_{len(drives)}"]
             said[f"{name} refused"] = str(error)[:200]
@@ -134,14 +125,5 @@ def _learned(case: Path, drives: Sequence[Path], vehicle: Path, rows: dict[str, 
     return said
 
 
-def _refitted(paths: Sequence[Path], vehicle: Path, into: Path) -> Path:
-    """The vehicle file with the parameters that `trackres diagnose` begins with re-fitted to recordings."""
-    loaded = load_base(vehicle)
-    sessions = gate(read_recordings(paths, None), loaded.known).sessions
-    found = with_levels(fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions))))
-    loaded.base.write(into, FileChanges(found.base_values, (), {}), "re-fitted")
-    return into
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_main(main)

@@ -5,17 +5,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackres_ros.evaluation.sealed.sensors import Sensors
-
-Array = NDArray[np.float64]
+from trackres_ros.evaluation.processes import digest
+from trackres_ros.evaluation.sealed.drives import Array, SealedDrive
 
 OFF = (0.05, 0.20)  # by which the loss of a file is off
 OTHERS_OFF = 0.10  # at most, of bearings, drag, cooling and heat capacity
@@ -23,6 +19,7 @@ DRIVES = 3
 LOADS, AIRS_DEGC = (1.0, 0.85, 1.15), (5.0, 15.0, 25.0)
 AIR_OFF_K = 1.5  # standard deviation, from drive to drive: a thermometer on a vehicle sees sun and exhaust
 NONE = ""
+ROLLING_SHARE = 0.01  # of weight times radius: about the rolling resistance
 # Sensor faults leave the drive unchanged. Faults of the vehicle or the ground change the true torque.
 SENSORS = ("gain_step", "stuck", "half_missing", "outliers", "sign_flips")
 REAL = ("payload", "mud", "pump", "brake", "hill")
@@ -31,23 +28,13 @@ KINDS = (*SENSORS, *REAL)
 
 @dataclass(frozen=True)
 class LearningCase:
-    """One vehicle. `name` is uninformative.
+    """One vehicle."""
 
-    Attributes
-    ----------
-    build
-        Differences from its file, see `sealed.truth.Build`.
-    hostile
-        Disturbance, one of `KINDS`; empty without one.
-    size
-        Relative to its largest: 0 to 1.
-    """
-
-    name: str
-    build: dict[str, float]
-    lumped: bool
-    hostile: str
-    size: float
+    name: str  # uninformative
+    build: dict[str, float]  # differences from its file, see `sealed.truth.Build`
+    lumped: bool  # the vehicle file has no core temperature of the belt
+    hostile: str  # disturbance, one of `KINDS`; empty without one
+    size: float  # of the disturbance, relative to its largest: 0 to 1
     seed: int
 
 
@@ -69,25 +56,13 @@ def draw_cases(seed: int, vehicles: int, hostile: int) -> list[LearningCase]:
 
 def sealed(seed: int, cases: Sequence[LearningCase]) -> str:
     """SHA-256 of the seed and all labels."""
-    return hashlib.sha256(json.dumps([seed, [asdict(case) for case in cases]], sort_keys=True).encode()).hexdigest()
+    return digest([seed, [asdict(case) for case in cases]])
 
 
-def sensors_of(rng: np.random.Generator) -> Sensors:
-    """Instruments as in the sealed cases of the diagnosis; no belt temperature is measured."""
-    return Sensors(
-        belt_measured=False,
-        speed_step_mps=float(rng.uniform(0.02, 0.05)),
-        torque_lag_s=float(rng.uniform(0.0, 0.1)),
-        torque_offset_nm=float(rng.uniform(-15.0, 15.0)),
-        torque_gain=float(1.0 + rng.uniform(-0.005, 0.005)),
-    )
-
-
-def added_torque(
-    case: LearningCase, speed: Array, distance: Array, step: float, rolling: float, weight: Array, radius: float
-) -> Array:
-    """Torque of the ground or the vehicle on a drive [Nm], shape of the speed."""
-    time, ahead = np.arange(len(speed)) * step, np.tanh(speed / 0.05)
+def added_torque(case: LearningCase, one: SealedDrive, nominal: float, radius: float) -> Array:
+    """Torque of the ground or the vehicle on a drive [Nm], shape of the speed; the nominal weight is in newtons."""
+    speed, distance, rolling = one.speed, np.cumsum(one.speed) * one.step, ROLLING_SHARE * nominal * radius
+    time, ahead = np.arange(len(speed)) * one.step, np.tanh(speed / 0.05)
     if case.hostile == "mud":  # stretches of a kilometre that come again
         return np.asarray((0.15 + 0.25 * case.size) * rolling * (np.sin(2.0 * np.pi * distance / 2500.0) > 0.5) * ahead)
     if case.hostile == "pump":
@@ -98,7 +73,7 @@ def added_torque(
         return np.asarray((0.08 + 0.12 * case.size) * rolling * drags * ahead)
     if case.hostile == "hill":
         slope = (0.006 + 0.01 * case.size) * np.sin(2.0 * np.pi * distance / (600.0 + 1500.0 * case.size))
-        return np.asarray(weight * radius * slope)
+        return np.asarray(one.weight * radius * slope)
     return np.zeros(len(speed))
 
 

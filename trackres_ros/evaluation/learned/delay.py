@@ -9,19 +9,14 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from multiprocessing import Pool, cpu_count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.evaluation.learned.cases import (
@@ -32,14 +27,12 @@ from trackres_ros.evaluation.learned.cases import (
     added_torque,
     draw_cases,
     misled,
-    sensors_of,
     weight_shares,
 )
-from trackres_ros.evaluation.learned.generate import ROLLING_SHARE
-from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
-from trackres_ros.evaluation.sealed.drives import SealedDrive, drive, trapezoids
-from trackres_ros.evaluation.sealed.generate import FASTEST_MPS, START_S, VEHICLE, write_vehicle
-from trackres_ros.evaluation.sealed.sensors import HEAVY_TAILS, Sensors, lagging, road_slopes
+from trackres_ros.evaluation.processes import check_seal, digest, each, read_labels, run_main, write_sealed
+from trackres_ros.evaluation.sealed.drives import Array, SealedDrive, drive, trapezoids
+from trackres_ros.evaluation.sealed.generate import FASTEST_MPS, START_S, VEHICLE, weight_and_radius, write_vehicle
+from trackres_ros.evaluation.sealed.sensors import HEAVY_TAILS, Sensors, drawn_sensors, lagging, road_slopes
 from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.learning.columns import LEARNED
@@ -47,8 +40,6 @@ from trackres_ros.learning.learner import Learner
 from trackres_ros.offline.replay import replay
 from trackres_ros.recording.opening import open_source
 from trackres_ros.vehicle import load
-
-Array = NDArray[np.float64]
 
 LONGEST_S = 0.5
 RATES_HZ = (1.0, 100.0)
@@ -62,11 +53,11 @@ RATES_OF = ((1.0, 3.0), (3.0, 10.0), (10.0, 30.0), (30.0, 100.0))
 
 @dataclass(frozen=True)
 class Delayed:
-    """Concealed values of a vehicle: `case` as for the proof of the learning; the delay [s] and a filter's share of it [s]."""
+    """Concealed values of a vehicle."""
 
-    case: LearningCase
+    case: LearningCase  # as for the proof of the learning
     delay_s: float
-    filter_s: float
+    filter_s: float  # a filter's share of the delay
     speed_hz: float
     torque_hz: float
     jitter: float
@@ -91,41 +82,34 @@ def draw(seed: int, vehicles: int, hostile: int) -> list[Delayed]:
 
 def seal(seed: int, drawn: Sequence[Delayed]) -> str:
     """SHA-256 of the seed and all concealed values."""
-    return hashlib.sha256(json.dumps([seed, [asdict(one) for one in drawn]], sort_keys=True).encode()).hexdigest()
+    return digest([seed, [asdict(one) for one in drawn]])
 
 
 def generate(folder: Path, seed: int, minutes: float, vehicles: int, hostile: int) -> None:
     """Draw, seal and record."""
     drawn = draw(seed, vehicles, hostile)
-    for sub in ("cases", "sealed"):
-        (folder / sub).mkdir(parents=True, exist_ok=True)
-    digest = seal(seed, drawn)
-    print(f"sealed: {len(drawn)} vehicles, SHA-256 {digest}", flush=True)
-    (folder / "seal.txt").write_text(digest + "\n", encoding="utf-8")
     labels = {"seed": seed, "minutes": minutes, "drawn": [asdict(one) for one in drawn]}
-    (folder / "sealed" / "labels.json").write_text(json.dumps(labels, indent=1), encoding="utf-8")
+    write_sealed(folder, f"{len(drawn)} vehicles", seal(seed, drawn), labels)
     missing = [one for one in drawn if not (folder / "cases" / one.case.name / "drive.csv").exists()]
-    _each(record_one, [(folder, one, minutes) for one in missing], "recorded")
+    each(record_one, [(folder, one, minutes) for one in missing], "recorded")
 
 
 def record_one(task: tuple[Path, Delayed, float]) -> None:
     """Write the vehicle file and the recording of one vehicle: a line for each sample of a sensor, by its stamp."""
     folder, one, minutes = task
-    case, sheet = one.case, find_vehicle(VEHICLE)
+    case = one.case
     into = folder / "cases" / case.name
     into.mkdir(exist_ok=True)
-    write_vehicle(into / "vehicle.yaml", "lumped" if case.lumped else "core_surface")
-    numbers = read_data_sheet(sheet)
-    weight, radius = numbers["weight"], numbers["track.sprocket_radius"]
+    write_vehicle(into / "vehicle.yaml", case.lumped)
+    weight, radius = weight_and_radius()
     rng = np.random.default_rng([case.seed, 2])
     make = trapezoids if one.stop_and_go else drive
     planned = make(minutes, float(rng.choice(LOADS)) * weight, float(rng.choice(AIRS_DEGC)), FASTEST_MPS, rng)
     driven = replace(planned, weight=planned.weight * weight_shares(case, planned.speed))
-    (run,) = simulate_truth(sheet, Build(**case.build), {}, [driven])
-    sensors, distance = sensors_of(rng), np.cumsum(planned.speed) * planned.step
-    rolling = ROLLING_SHARE * weight * radius
+    (run,) = simulate_truth(find_vehicle(VEHICLE), Build(**case.build), {}, [driven])
+    sensors = drawn_sensors(rng)
     torque = run.shown + road_slopes(driven, sensors, rng) * driven.weight * radius
-    torque = torque + added_torque(case, driven.speed, distance, driven.step, rolling, driven.weight, radius)
+    torque = torque + added_torque(case, driven, weight, radius)
     rows = [*_speeds(one, driven, sensors, rng), *_torques(one, driven, torque, sensors, rng)]
     lines = [
         f"{stamp:.6f},{speed},{measured},{planned.weight[0]:.1f},{planned.ambient[0]:.1f}"
@@ -172,11 +156,8 @@ def find(folder: Path) -> None:
     """Learn from every recording."""
     (folder / "results").mkdir(exist_ok=True)
     paths = sorted((folder / "cases").iterdir())
-    _each(
-        find_one,
-        [(path, folder / "results") for path in paths if not (folder / "results" / f"{path.name}.npy").exists()],
-        "learned",
-    )
+    missing = [path for path in paths if not (folder / "results" / f"{path.name}.npy").exists()]
+    each(find_one, [(path, folder / "results") for path in missing], "learned")
 
 
 def find_one(task: tuple[Path, Path]) -> None:
@@ -192,20 +173,13 @@ def find_one(task: tuple[Path, Path]) -> None:
 
 
 def score(folder: Path) -> dict[str, Any]:
-    """Open the seal and compare.
-
-    Raises
-    ------
-    InputError
-        If the concealed values do not match the seal.
-    """
-    labels = json.loads((folder / "sealed" / "labels.json").read_text(encoding="utf-8"))
+    """Open the seal and compare."""
+    labels = read_labels(folder)
     drawn = [Delayed(**{**one, "case": LearningCase(**one["case"])}) for one in labels["drawn"]]
-    digest = (folder / "seal.txt").read_text(encoding="utf-8").strip()
-    if seal(labels["seed"], drawn) != digest:
-        raise InputError(str(folder / "sealed"), "labels that are not those that were sealed", "those as drawn", "begin anew")
-    each = [_scored(one, np.load(folder / "results" / f"{one.case.name}.npy")) for one in drawn]
-    return {"seed": labels["seed"], "minutes": labels["minutes"], "seal": digest, "each": each}
+    sealed = seal(labels["seed"], drawn)
+    check_seal(folder, sealed)
+    scored = [_scored(one, np.load(folder / "results" / f"{one.case.name}.npy")) for one in drawn]
+    return {"seed": labels["seed"], "minutes": labels["minutes"], "seal": sealed, "each": scored}
 
 
 def _scored(one: Delayed, rows: Array) -> dict[str, Any]:
@@ -266,13 +240,6 @@ def _line(name: str, some: Sequence[dict[str, Any]]) -> str:
     )
 
 
-def _each(work: Any, tasks: Sequence[Any], word: str) -> None:
-    with Pool(cpu_count()) as pool:
-        for done, _ in enumerate(pool.imap(work, tasks), start=1):
-            print(f"\r{word} {done} of {len(tasks)}", end="", flush=True)
-    print(flush=True)
-
-
 def main(arguments: Sequence[str]) -> None:
     """See above."""
     folder = Path(arguments[1])
@@ -289,7 +256,4 @@ def main(arguments: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except InputError as refused:
-        sys.exit(f"trackres: error: {refused}")
+    run_main(main)

@@ -8,11 +8,8 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from multiprocessing import Pool, cpu_count
 from pathlib import Path
 from typing import Any
 
@@ -29,37 +26,28 @@ from trackres_ros.evaluation.learned.cases import (
     draw_cases,
     misled,
     sealed,
-    sensors_of,
     weight_shares,
 )
+from trackres_ros.evaluation.processes import each, run_main, write_sealed
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import drive
 from trackres_ros.evaluation.sealed.generate import APART_S, FASTEST_MPS, START_S, VEHICLE, write_vehicle
-from trackres_ros.evaluation.sealed.sensors import record
+from trackres_ros.evaluation.sealed.sensors import drawn_sensors, record
 from trackres_ros.evaluation.sealed.truth import Build, G, simulate_truth
 from trackres_ros.files.resources import find_vehicle
 
 REFIT = "refit"  # marks a vehicle that is re-fitted too, the slowest part
-ROLLING_SHARE = 0.01  # of weight times radius: about the rolling resistance
 
 
 def main(arguments: Sequence[str]) -> None:
     """See above."""
     folder, seed, minutes = Path(arguments[0]), int(arguments[1]), float(arguments[2])
     cases = draw_cases(seed, int(arguments[3]), int(arguments[4]))
-    for sub in ("cases", "sealed"):
-        (folder / sub).mkdir(parents=True, exist_ok=True)
-    seal = sealed(seed, cases)
-    print(f"sealed: {len(cases)} vehicles, SHA-256 {seal}", flush=True)
-    (folder / "seal.txt").write_text(seal + "\n", encoding="utf-8")
     labels = {"seed": seed, "minutes": minutes, "cases": [asdict(case) for case in cases]}
-    (folder / "sealed" / "labels.json").write_text(json.dumps(labels, indent=1), encoding="utf-8")
+    write_sealed(folder, f"{len(cases)} vehicles", sealed(seed, cases), labels)
     chosen = cases[: int(arguments[5]) if len(arguments) > 5 else None]  # by their names, which are drawn
     missing = [case for case in chosen if not (folder / "sealed" / f"{case.name}.npz").exists()]
-    with Pool(cpu_count()) as pool:
-        for done, _ in enumerate(pool.imap(make_case, [(folder, case, minutes) for case in missing]), start=1):
-            print(f"\rrecorded {done} of {len(missing)}", end="", flush=True)
-    print(flush=True)
+    each(make_case, [(folder, case, minutes) for case in missing], "recorded")
 
 
 def make_case(task: tuple[Path, LearningCase, float]) -> None:
@@ -67,34 +55,23 @@ def make_case(task: tuple[Path, LearningCase, float]) -> None:
     folder, case, minutes = task
     into, sheet = folder / "cases" / case.name, find_vehicle(VEHICLE)
     into.mkdir(exist_ok=True)
-    write_vehicle(into / "vehicle.yaml", "lumped" if case.lumped else "core_surface")
+    write_vehicle(into / "vehicle.yaml", case.lumped)
     if not case.hostile:
         (into / REFIT).touch()
     numbers = read_data_sheet(sheet)
     weight, radius = numbers["weight"], numbers["track.sprocket_radius"]
     rng = np.random.default_rng([case.seed, 1])
-    planned = [
-        drive(minutes, share * weight, air, FASTEST_MPS, rng)
-        for share, air in zip(LOADS, rng.permutation(AIRS_DEGC), strict=True)
-    ]
+    airs = rng.permutation(AIRS_DEGC)
+    planned = [drive(minutes, share * weight, air, FASTEST_MPS, rng) for share, air in zip(LOADS, airs, strict=True)]
     driven = [replace(one, weight=one.weight * weight_shares(case, one.speed)) for one in planned]
     runs = simulate_truth(sheet, Build(**case.build), {}, driven)
-    sensors = sensors_of(rng)
+    sensors = drawn_sensors(rng)
     kept: dict[str, Any] = {}
     for i, (told, one, run) in enumerate(zip(planned, driven, runs, strict=True)):
-        distance = np.cumsum(one.speed) * one.step
-        rolling = ROLLING_SHARE * weight * radius
-        added = added_torque(case, one.speed, distance, one.step, rolling, one.weight, radius)
-        path = into / f"drive_{i + 1}.csv"
-        record(
-            path,
-            told,
-            replace(run, torque=run.torque + added, shown=run.shown + added),
-            replace(sensors, ambient_off_k=float(rng.normal(0.0, AIR_OFF_K))),
-            radius,
-            START_S + i * APART_S,
-            rng,
-        )
+        added = added_torque(case, one, weight, radius)
+        path, off = into / f"drive_{i + 1}.csv", float(rng.normal(0.0, AIR_OFF_K))
+        with_added = replace(run, torque=run.torque + added, shown=run.shown + added)
+        record(path, told, with_added, replace(sensors, ambient_off_k=off), radius, START_S + i * APART_S, rng)
         if case.hostile in SENSORS:
             _mislead(path, case, one.step, rng)
         inertia = radius * numbers["chassis.rotating_mass_factor"] * one.weight / G * one.accel
@@ -115,4 +92,4 @@ def _mislead(path: Path, case: LearningCase, step: float, rng: np.random.Generat
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_main(main)

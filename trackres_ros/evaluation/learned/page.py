@@ -39,10 +39,8 @@ def write_page(folder: Path, scores: dict[str, Any]) -> str:
     plain = [case for case in scores["cases"] if not case["hostile"]]
     hostile = [case for case in scores["cases"] if case["hostile"]]
     draw(plain, folder / PICTURE)
-    text = (
-        "\n".join([*_head(scores, plain, hostile), *_of_vehicles(plain), *_of_hostile(hostile), *_of_age(scores["ageing"])])
-        + "\n"
-    )
+    parts = _head(scores, plain, hostile), _of_vehicles(plain), _of_hostile(hostile), _of_age(scores["ageing"])
+    text = "\n".join(line for part in parts for line in part) + "\n"
     (folder / PAGE).write_text(text, encoding="utf-8")
     return text
 
@@ -117,12 +115,10 @@ def _of_hostile(hostile: list[Any]) -> list[str]:
             continue
         worse = [float(x) for case in of for x in case["worse"]]
         bad = sum(x > MOST_WORSE for x in worse)
-        said = _said(of)
+        outside = sum(case["outside"] for case in of)
         where = "sensor" if kind in SENSORS else "vehicle or ground"
-        lines.append(
-            f"| {kind} ({where}) | {len(of)} | {100.0 * max(worse):+.1f} | {bad} of {len(worse)} | "
-            f"{sum(case['outside'] for case in of)} | {said} |"
-        )
+        shares = f"{100.0 * max(worse):+.1f} | {bad} of {len(worse)}"
+        lines.append(f"| {kind} ({where}) | {len(of)} | {shares} | {outside} | {_said(of)} |")
     drives = [float(x) for case in hostile for x in case["worse"]]
     bad = sum(x > MOST_WORSE for x in drives)
     silent = [case["hostile"] for case in hostile for i in range(DRIVES) if not case["said"][str(i + 1)]["said_s"]]
@@ -145,10 +141,8 @@ def _said(cases: list[Any]) -> str:
                 short = next((said for words, said in SHORT.items() if words in text), text)
                 seconds[short] = seconds.get(short, 0.0) + s
     found = sorted(((s, text) for text, s in seconds.items()), reverse=True)
-    return (
-        "; ".join(f"{text}: {s / len(cases) / DRIVES:.0f}" for s, text in found[:3] if s >= 0.5 * len(cases) * DRIVES)
-        or "nothing"
-    )
+    drives = len(cases) * DRIVES
+    return "; ".join(f"{text}: {s / len(cases) / DRIVES:.0f}" for s, text in found[:3] if s >= 0.5 * drives) or "nothing"
 
 
 def _of_age(aged: list[dict[str, float]] | None) -> list[str]:
@@ -175,9 +169,8 @@ def draw(plain: list[Any], path: Path) -> None:
         for (key, name), colour, mark in zip(WAYS, (GREY, BLUE, VERMILION, BLUE, VERMILION, BLACK), "osodD+", strict=True):
             if key in (f"after_one_{LAST}", f"refit_one_{LAST}"):
                 continue
-            axes.plot(
-                [100.0 * plain[i]["errors"][key] for i in order], mark, color=colour, markersize=4, label=name, linestyle="none"
-            )
+            errors = [100.0 * plain[i]["errors"][key] for i in order]
+            axes.plot(errors, mark, color=colour, markersize=4, label=name, linestyle="none")
         axes.set_xlabel("vehicles, by what their file is off", color=BLACK)
         axes.set_ylabel("error of the feed-forward [% of torque]")
         axes.set_ylim(bottom=0.0)

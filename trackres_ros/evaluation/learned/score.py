@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Last process: opens the labels, counts, and writes the page.
+"""Last process: opens the seal, counts, and writes the page.
 
 `python -m trackres_ros.evaluation.learned.score FOLDER HOURS`
 """
@@ -9,7 +9,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,21 +16,34 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.evaluation.learned.ageing import age
-from trackres_ros.evaluation.learned.cases import DRIVES
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.evaluation.learned.cases import DRIVES, LearningCase, sealed
 from trackres_ros.evaluation.learned.page import write_page
+from trackres_ros.evaluation.processes import check_seal, read_json, read_labels, run_main
+from trackres_ros.files.resources import find_vehicle
+from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.parameters import VEHICLES_OWN
+from trackres_ros.learning.store import stored
+from trackres_ros.vehicle import load
 
 Array = NDArray[np.float64]
 
 ROLLS_MPS = 1.0
 WITHIN_STD = 1.96
 SETTLED_S = 60.0  # of a drive, after which speeds and feed-forward have settled
+# Of the ageing run.
+STEP_NS = 500_000_000
+TRUE_LOSS = 0.12
+NOISE_NM, WANDERS_NM, WANDERS_S = 60.0, 60.0, 300.0
+START_NS = 1_700_000_000_000_000_000
 
 
 def main(arguments: Sequence[str]) -> None:
     """See above."""
     folder, hours = Path(arguments[0]), float(arguments[1])
-    labels = json.loads((folder / "sealed" / "labels.json").read_text(encoding="utf-8"))
+    labels = read_labels(folder)
+    check_seal(folder, sealed(labels["seed"], [LearningCase(**case) for case in labels["cases"]]))
     found = [score_case(folder, case) for case in labels["cases"] if (folder / "results" / f"{case['name']}.json").exists()]
     aged = _aged(folder, labels["seed"], hours) if hours > 0.0 else None
     scores = {
@@ -50,7 +62,7 @@ def _aged(folder: Path, seed: int, hours: float) -> list[dict[str, float]]:
     """The ageing run, kept in the folder as it takes minutes."""
     kept = folder / "ageing.json"
     if kept.exists():
-        found: list[dict[str, float]] = json.loads(kept.read_text(encoding="utf-8"))
+        found: list[dict[str, float]] = read_json(kept)
         if len(found) == round(hours):
             return found
     found = age(seed, hours)
@@ -58,16 +70,51 @@ def _aged(folder: Path, seed: int, hours: float) -> list[dict[str, float]]:
     return found
 
 
+def age(seed: int, hours: float, vehicle: str = "xgd24d") -> list[dict[str, float]]:
+    """Drive so many hours at 2 Hz with a sensor that has its noise and nothing else: no value drifts, and memory stays as it is.
+
+    Returns of each hour the error of the acting values [share of the torque] and the state size [bytes].
+    """
+    estimator = Estimator(load(find_vehicle(vehicle)))
+    true, session, learner = estimator.session(), estimator.session(), Learner(estimator, "on")
+    true.learned[at.Learned.on], at.Learned(true.learned).departures[at.OF_LOSS] = 1.0, TRUE_LOSS
+    rng = np.random.default_rng([seed, 200])
+    keep = np.exp(-0.5 / WANDERS_S)
+    slow, found = 0.0, []
+    per_hour = int(3600.0 / (STEP_NS * 1e-9))
+    for hour in range(max(1, round(hours))):
+        shocks = rng.normal(0.0, WANDERS_NM * np.sqrt(1.0 - keep * keep), per_hour).tolist()
+        noise = rng.normal(0.0, NOISE_NM, per_hour).tolist()
+        errors = []
+        for i in range(per_hour):
+            number = hour * per_hour + i
+            stamp = START_NS + number * STEP_NS
+            time = number * 0.5
+            speed = max(0.0, 8.0 + 6.0 * np.sin(time / 70.0) + 2.0 * np.sin(time / 900.0))
+            slow = keep * slow + shocks[i]
+            torque = true.handle(at.SPEED, stamp, stamp, speed)
+            assert torque is not None
+            session.handle(at.TORQUE, stamp, stamp, torque["drive_torque_nm"] + slow + noise[i])
+            estimate = session.handle(at.SPEED, stamp, stamp, speed)
+            assert estimate is not None
+            learner.take(stamp, estimate.row.tolist(), session)
+            if i % 20 == 0 and speed > 1.0:
+                errors.append((estimate.resistance_torque_nm - torque.resistance_torque_nm) / torque.resistance_torque_nm)
+        size = float(len(json.dumps(stored(learner))))
+        own = [float(learner.learned.applied[state]) for state in VEHICLES_OWN]
+        found.append({"hour": hour + 1.0, "error": float(np.mean(np.abs(errors))), "bias": float(np.mean(errors)), "bytes": size,
+                      "largest_departure": max(map(abs, own))})  # fmt: skip
+    return found
+
+
 def score_case(folder: Path, case: dict[str, Any]) -> dict[str, Any]:
     """Errors of one vehicle, over the torque that rolling takes."""
     name = case["name"]
-    said = json.loads((folder / "results" / f"{name}.json").read_text(encoding="utf-8"))
+    said = read_json(folder / "results" / f"{name}.json")
     with np.load(folder / "results" / f"{name}.npz") as rows, np.load(folder / "sealed" / f"{name}.npz") as truth:
-        errors: dict[str, float] = {}
-        for key in rows:
-            errors[key] = _error(rows[key], truth, int(key.rpartition("_")[2]))[0]
-        inside = [_error(rows[f"learned_{i + 1}"], truth, i + 1)[1] for i in range(DRIVES)]
-        mean_inside = [_error(rows[f"learned_{i + 1}"], truth, i + 1)[2] for i in range(DRIVES)]
+        found = {key: _error(rows[key], truth, int(key.rpartition("_")[2])) for key in rows}
+    errors = {key: error for key, (error, _, _) in found.items()}
+    inside, mean_inside = ([found[f"learned_{i + 1}"][part] for i in range(DRIVES)] for part in (1, 2))
     return {
         "name": name, "hostile": case["hostile"], "size": case["size"], "build": case["build"], "lumped": case["lumped"],
         "errors": errors, "inside": inside, "mean_inside": mean_inside, "said": said,
@@ -93,4 +140,4 @@ def _error(rows: Array, truth: Any, drive: int) -> tuple[float, float, bool]:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_main(main)

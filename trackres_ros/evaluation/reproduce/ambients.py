@@ -11,16 +11,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, METHODS, THERMAL, Bench, at_times
-from trackres_ros.evaluation.reproduce.common_claims import falls, same_stable, section_of
+from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, METHODS, THERMAL, Bench
 from trackres_ros.evaluation.reproduce.families import (
     Family,
     colours,
     draw_combinations,
     draw_family,
+    falls,
+    mark_time,
     run_family,
+    same_stable,
+    section_of,
 )
-from trackres_ros.evaluation.reproduce.output import mark_time
 from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, IN_PART, Claim, Figure, Section, listed, percents
 from trackres_ros.offline.simulate import ramp_and_hold
 from trackres_ros.output.style import legend_beside, picture, thinned
@@ -44,23 +46,13 @@ def ambients(bench: Bench, out: Path) -> Section:
     """The figure and its claims."""
     drive = ramp_and_hold(SPEED_KMH / KMH_PER_MPS, 0.0, DURATION_S, bench.dt)
     family = run_family(bench, "fig26_ambients", "ambient [°C]", "degc", AMBIENTS_DEGC, lambda degc: (drive, WEIGHT_N, degc))
-    methods = bench.shipped.replace("/", ", ")
+    caption = "Resistance torque and belt temperature at four ambient temperatures (the paper's Figure 26)"
+    title = f"constant {SPEED_KMH:g} km/h, {WEIGHT_N / 1e3:g} kN, belt at ambient at the start"
+    combined = "Torque with every combination of loss method and thermal model; dashes at the right: the stable values."
     figures = [
-        draw_family(
-            out,
-            family,
-            bench.shipped,
-            f"Resistance torque and belt temperature at four ambient temperatures (the paper's Figure 26); {methods}.",
-            f"constant {SPEED_KMH:g} km/h, {WEIGHT_N / 1e3:g} kN, belt at ambient at the start; {methods}",
-            {CROSSING_S: CROSSING, PAPER_END_S: "paper's end"},
-        ),
+        draw_family(out, family, bench.shipped, caption, title, {CROSSING_S: CROSSING, PAPER_END_S: "paper's end"}),
         _draw_differences(out, family),
-        draw_combinations(
-            out,
-            family,
-            "Torque with every combination of loss method and thermal model; dashes at the right: the stable values.",
-            {CROSSING_S: CROSSING},
-        ),
+        draw_combinations(out, family, combined, {CROSSING_S: CROSSING}),
     ]
     claims = [
         falls("ambients", WHERE, family, 2 * bench.dt),
@@ -82,9 +74,8 @@ def ambients(bench: Bench, out: Path) -> Section:
     }
     kept_shares = [f"With {c.replace('/', ' and ')} it keeps {percents(shares, 0)}." for c, shares in kept.items()]
     text = [
-        f"Constant {SPEED_KMH:g} km/h and {WEIGHT_N / 1e3:g} kN from the start, without a ramp, as in the paper. The run goes "
-        "on to "
-        f"{DURATION_S:g} s beyond the paper's {PAPER_END_S:g} s. The belt starts at the ambient temperature.",
+        f"Constant {SPEED_KMH:g} km/h and {WEIGHT_N / 1e3:g} kN from the start, without a ramp, as in the paper. The run goes on "
+        f"to {DURATION_S:g} s beyond the paper's {PAPER_END_S:g} s. The belt starts at the ambient temperature.",
         " ".join(["The stable belt keeps a part of a difference in ambient temperature.", *kept_shares]),
     ]
     return section_of(bench, family, "Figure 26: ambient temperature", TIMES_S, figures, claims, text, kept_share=kept)
@@ -177,10 +168,7 @@ def _warmer_is_larger_later(family: Family) -> Claim:
 
 
 def _colder_warms_more(family: Family) -> Claim:
-    rise = {
-        c: np.array([float(at_times(s, "belt_degc", CROSSING_S) - s["belt_degc"][0]) for s in family.series(c)])
-        for c in COMBINATIONS
-    }
+    rise = family.warmed(CROSSING_S)
     return Claim(
         "colder_warms_more",
         WHERE,

@@ -39,24 +39,12 @@ class Stable(NamedTuple):
 
 @dataclass
 class Bench:
-    """The vehicle as its file names the methods, and as every other combination.
-
-    Parameters
-    ----------
-    vehicle
-        The vehicle.
-    dt
-        Time step of the drives [s].
-    advance
-        Called after each run with what was run.
-    cache
-        Folder of the loss tables; by default the cache folder of the user.
-    """
+    """The vehicle as its file names the methods, and as every other combination."""
 
     vehicle: Vehicle
-    dt: float
-    advance: Callable[[str], None]
-    cache: Path | None = None
+    dt: float  # time step of the drives [s]
+    advance: Callable[[str], None]  # called after each run with what was run
+    cache: Path | None = None  # folder of the loss tables; by default the cache folder of the user
     _estimators: dict[str, Estimator] = field(default_factory=dict)
 
     @property

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.evaluation.reproduce.bench import Bench
-from trackres_ros.evaluation.reproduce.output import INK, write_csv
-from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, Claim, Figure, Section, Table
+from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, INK, Claim, Figure, Section, Table, write_csv
 from trackres_ros.model.operating_point import explain
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.output.style import BLUE, GREEN, VERMILION, picture
@@ -72,26 +71,18 @@ def compound(bench: Bench, out: Path) -> Section:
     figure = Figure(
         "fig16_compound.png",
         "fig16_moduli.csv",
-        f"Storage modulus, loss modulus and loss tangent at {frequency:g} Hz (the paper's Figure 16), and the "
-        f"master curve at {MASTER_DEGC:g} °C (equations 3 and 4). Dots: the sweep of the "
-        "vehicle's rubber file.",
+        f"Storage modulus, loss modulus and loss tangent at {frequency:g} Hz (the paper's Figure 16), and the master curve at "
+        f"{MASTER_DEGC:g} °C (equations 3 and 4). Dots: the sweep of the vehicle's rubber file.",
     )
     curves.write(out)
     _draw(out / figure.png, curves, lowest, highest)
     text = [
-        "The paper's measured sweep is a picture without numbers. The vehicle's rubber file holds a representative curve of "
-        "the same recipe, not the "
-        "paper's measurement: every torque on this page rests on it. "
-        "The data of the master curve are in [fig16_master.csv]({prefix}fig16_master.csv); it ends where the sweep ends."
+        "The paper's measured sweep is a picture without numbers. The vehicle's rubber file holds a representative curve of the "
+        "same recipe, not the paper's measurement: every torque on this page rests on it. The data of the master curve are in "
+        "[fig16_master.csv]({prefix}fig16_master.csv); it ends where the sweep ends."
     ]
-    return Section(
-        "Figure 16: the compound",
-        text,
-        [figure],
-        [_claim(curves)],
-        [_table(curves)],
-        {"lowest_hz": lowest, "highest_hz": highest},
-    )
+    numbers = {"lowest_hz": lowest, "highest_hz": highest}
+    return Section("Figure 16: the compound", text, [figure], [_claim(curves)], [_table(curves)], numbers)
 
 
 def _draw(path: Path, curves: Curves, lowest: float, highest: float) -> None:
@@ -121,15 +112,8 @@ def _draw(path: Path, curves: Curves, lowest: float, highest: float) -> None:
         panels[1, 1].set_xlabel("frequency [Hz]")
         for axes in panels[:, 1]:
             axes.axvspan(lowest, highest, color="#F2F2F2", zorder=0)
-        panels[1, 1].annotate(
-            f"loop to contact,\n{SPEEDS_KMH[0]:g} to {SPEEDS_KMH[1]:g} km/h",
-            (np.sqrt(lowest * highest), 0.95),
-            xycoords=("data", "axes fraction"),
-            ha="center",
-            va="top",
-            fontsize=8,
-            color=INK,
-        )
+        remark, at = f"loop to contact,\n{SPEEDS_KMH[0]:g} to {SPEEDS_KMH[1]:g} km/h", (np.sqrt(lowest * highest), 0.95)
+        panels[1, 1].annotate(remark, at, xycoords=("data", "axes fraction"), ha="center", va="top", fontsize=8, color=INK)
 
 
 def _loss_mpa(model: RubberModel) -> dict[float, float]:
@@ -163,16 +147,6 @@ def _claim(curves: Curves) -> Claim:
 def _table(curves: Curves) -> Table:
     model = curves.model
     frequency, at = model.rubber.sweep_frequency, _loss_mpa(model)
-    return Table(
-        f"Moduli of the compound at {frequency:g} Hz.",
-        ["°C", "E′ [MPa]", "E″ [MPa]", "tan δ"],
-        [
-            [
-                f"{t:g}",
-                f"{float(model.storage_modulus(frequency, t)) / 1e6:.2f}",
-                f"{at[t]:.2f}",
-                f"{at[t] * 1e6 / float(model.storage_modulus(frequency, t)):.3f}",
-            ]
-            for t in SHOWN_DEGC
-        ],
-    )
+    storage = {t: float(model.storage_modulus(frequency, t)) for t in SHOWN_DEGC}
+    rows = [[f"{t:g}", f"{e / 1e6:.2f}", f"{at[t]:.2f}", f"{at[t] * 1e6 / e:.3f}"] for t, e in storage.items()]
+    return Table(f"Moduli of the compound at {frequency:g} Hz.", ["°C", "E′ [MPa]", "E″ [MPa]", "tan δ"], rows)

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.evaluation.reproduce.bench import Bench
-from trackres_ros.evaluation.reproduce.output import write_csv
-from trackres_ros.evaluation.reproduce.section import HOLDS, Claim, Figure, Section, listed, percent
+from trackres_ros.evaluation.reproduce.section import HOLDS, Claim, Figure, Section, listed, percent, write_csv
 from trackres_ros.model.contact import contact_force, half_length_for_force, largest_strain
 from trackres_ros.output.style import BLUE, VERMILION, picture
 
@@ -76,24 +75,18 @@ def indentation(bench: Bench, out: Path) -> Section:
             HOLDS: "A contact carries F = 2 E L a³ / (3 R H) as long as it is small against the wheel. So a grows as the cube "
             "root of the load and the strain, a²/(2 R H), as the square of a."
         },
-        {
-            "half_length_m": at_loads.tolist(),
-            "strain": strain_at.tolist(),
-            "exponent_half_length": growth[0],
-            "exponent_strain": growth[1],
-        },
-    )
+        {"half_length_m": at_loads.tolist(), "strain": strain_at.tolist(),
+         "exponent_half_length": growth[0], "exponent_strain": growth[1]},
+    )  # fmt: skip
+    ended = "Here every load is met."
+    if missed:
+        nearest = listed([percent(e) for e in errors if e >= SEARCH_TOLERANCE])
+        ended = f"Here no step comes that near at {listed(missed)} (nearest: {nearest}): the search would not end."
     text = [
         f"The paper names the modulus, the wheel and the loads. Belt thickness ({thickness * 1e3:g} mm) and axial contact "
         f"length ({length:g} m) are those of the vehicle file, which assumes them.",
         f"The paper's own search for the half length (11) steps by R/{SEARCH_PARTS} and stops within "
-        f"{percent(SEARCH_TOLERANCE, 0)} of the load. "
-        + (
-            f"Here no step comes that near at {listed(missed)} (nearest: "
-            f"{listed([percent(e) for e in errors if e >= SEARCH_TOLERANCE])}): the search would not end."
-            if missed
-            else "Here every load is met."
-        ),
+        f"{percent(SEARCH_TOLERANCE, 0)} of the load. {ended}",
     ]
     return Section("Figure 6: contact of a road wheel", text, [figure], [claim], numbers={"search_error": errors})
 

@@ -5,11 +5,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 HOLDS, FAILS, IN_PART, OPEN = "holds", "does not hold", "holds in part", "cannot be checked"
+INK = "#404040"
 UNEXPLAINED = "No reason is on file for this outcome: the model or the vehicle file has changed since the reasons were written."
 
 
@@ -17,31 +23,18 @@ UNEXPLAINED = "No reason is on file for this outcome: the model or the vehicle f
 class Claim:
     """A statement of the paper, the program's result on it, and reasons.
 
-    Parameters
-    ----------
-    key, where, paper
-        A stable name; the place in the paper; its statement.
-    holds
-        The outcome of the predicate by model combination, or under an empty name without combinations; empty if
-        the claim cannot be checked.
-    shows
-        The program's result, with its numbers.
-    why
-        Reasons by verdict: of `HOLDS`, `FAILS` and `IN_PART` those that are understood.
-    numbers
-        The numbers behind the verdict, by name and unit.
-    details
-        The program's result for each model combination: texts by heading, then by combination.
+    `holds` is the outcome of the predicate by model combination, or under an empty name without combinations; it is empty if the
+    claim cannot be checked.
     """
 
-    key: str
-    where: str
-    paper: str
+    key: str  # a stable name
+    where: str  # the place in the paper
+    paper: str  # its statement
     holds: Mapping[str, bool]
-    shows: str
-    why: Mapping[str, str]
-    numbers: Mapping[str, Any]
-    details: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    shows: str  # the program's result, with its numbers
+    why: Mapping[str, str]  # reasons by verdict: of `HOLDS`, `FAILS` and `IN_PART` those that are understood
+    numbers: Mapping[str, Any]  # behind the verdict, by name and unit
+    details: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # results by heading, then by combination
 
     @property
     def verdict(self) -> str:
@@ -102,12 +95,20 @@ class Section:
             "text": list(self.text),
             "figures": [asdict(figure) for figure in self.figures],
             "claims": [claim.summary() for claim in self.claims],
-            "tables": [
-                {"caption": table.caption, "header": list(table.header), "rows": [list(row) for row in table.rows]}
-                for table in self.tables
-            ],
+            "tables": [asdict(table) for table in self.tables],
             "numbers": rounded(self.numbers),
         }
+
+
+def write_csv(path: Path, columns: Mapping[str, ArrayLike]) -> None:
+    """Columns of one length, numbers with six significant digits, nan as an empty cell; names end in the unit."""
+
+    def cell(value: float | str) -> str:
+        return value if isinstance(value, str) else "" if math.isnan(value) else f"{value:.6g}"
+
+    rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
+    lines = [",".join(columns), *(",".join(map(cell, row)) for row in rows)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def rounded(value: Any) -> Any:

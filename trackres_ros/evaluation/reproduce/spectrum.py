@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.evaluation.reproduce.bench import Bench
-from trackres_ros.evaluation.reproduce.output import INK, write_csv
-from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, Claim, Figure, Section, Table, percent
+from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, INK, Claim, Figure, Section, Table, percent, write_csv
 from trackres_ros.model.belt import axial_stiffness
 from trackres_ros.model.hysteresis import LossForce, RainflowCount
 from trackres_ros.model.operating_point import explain
@@ -21,7 +20,6 @@ from trackres_ros.model.strain_history import along_belt, through_thickness
 from trackres_ros.model.track import TrackModel, steady_tension, track_model
 from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PALETTE, VERMILION, picture
 from trackres_ros.units import KMH_PER_MPS
-from trackres_ros.vehicle import WrappedWheel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -118,20 +116,14 @@ def spectrum(bench: Bench, out: Path) -> Section:
         },
         {"range": ranges, "tension_strain": strains.tension},
     )
-    return Section(
-        "Figures 10 and 11: strain round the loop",
-        text,
-        figures,
-        [claim],
-        [_loss_table(losses)],
-        {
-            "speed_kmh": SPEED_KMH,
-            "belt_degc": BELT_DEGC,
-            "load_n": load,
-            "drive_torque_nm": drive_torque,
-            "loss_force_n": {name: {k: float(v) for k, v in loss._asdict().items()} for name, loss in losses.items()},
-        },
-    )
+    numbers = {
+        "speed_kmh": SPEED_KMH,
+        "belt_degc": BELT_DEGC,
+        "load_n": load,
+        "drive_torque_nm": drive_torque,
+        "loss_force_n": {name: {k: float(v) for k, v in loss._asdict().items()} for name, loss in losses.items()},
+    }
+    return Section("Figures 10 and 11: strain round the loop", text, figures, [claim], [_loss_table(losses)], numbers)
 
 
 def _loss_table(losses: dict[str, LossForce]) -> Table:
@@ -154,9 +146,8 @@ def _spectrum_figure(out: Path, s: Spectrum) -> Figure:
     figure = Figure(
         "fig10_spectrum.png",
         "fig10_spectrum.csv",
-        "Strain load spectrum round the loop, by component (the paper's Figure 10). It is shown through the thickness, "
-        "along "
-        "the belt at three heights and over position and height, and the small parts by tension and drive.",
+        "Strain load spectrum round the loop, by component (the paper's Figure 10). It is shown through the thickness, along the "
+        "belt at three heights and over position and height, and the small parts by tension and drive.",
     )
     belt = s.counter.track.belt
     cord = int(np.argmin(np.abs(s.height - belt.cord_height)))
@@ -226,15 +217,12 @@ def _name_wheels(through: Axes, along: Axes, s: Spectrum) -> None:
     loop, top = s.counter.loop, float(along.get_ylim()[1])
     along.set_ylim(top=1.2 * top)
     for (start, end, _), wheel in zip(loop.arcs, loop.track.wrapped_wheels, strict=True):
-        along.annotate(_name(wheel), ((start + end) / 2, 1.17 * top), ha="center", va="top", fontsize=8, color=INK)
+        name = wheel.name.replace("_", " ")
+        along.annotate(name, ((start + end) / 2, 1.17 * top), ha="center", va="top", fontsize=8, color=INK)
     highest = float(s.through.max())
     through.set_ylim(0.0, 100 * 1.25 * highest)
     for number, x in enumerate(loop.wheel_positions, 1):
         through.annotate(f"{number}", (x, 100 * 1.03 * highest), ha="center", va="bottom", fontsize=8, color=INK)
-
-
-def _name(wheel: WrappedWheel) -> str:
-    return wheel.name.replace("_", " ")
 
 
 def _rainflow_figure(out: Path, s: Spectrum) -> Figure:
@@ -244,9 +232,9 @@ def _rainflow_figure(out: Path, s: Spectrum) -> Figure:
         "Strain rainflow matrix of one loop (the paper's Figure 11): range, mean and count of each cycle, those "
         "along the belt at every height.",
     )
-    rows: list[tuple[str, float, float, float, float]] = []
-    for cycle in (c.cycle for c in s.counter.indentation_cycles(s.half_lengths)):
-        rows.append(("through", float("nan"), cycle.range, cycle.mean, cycle.number))
+    rows = [
+        ("through", np.nan, c.cycle.range, c.cycle.mean, c.cycle.number) for c in s.counter.indentation_cycles(s.half_lengths)
+    ]
     for height in s.height:
         cycles = [c.cycle for c in s.counter.along_cycles(float(height), s.drive_strain, s.tension)]
         for cycle in sorted(cycles, key=lambda c: -c.range):
@@ -258,14 +246,8 @@ def _rainflow_figure(out: Path, s: Spectrum) -> Figure:
     with picture(out / figure.png, 9.0, 4.0) as drawn:
         left, right = drawn.subplots(1, 2, width_ratios=(1.3, 1.0))
         distinct, counts = _counted(data[~along, 1:])
-        left.scatter(
-            100 * data[along, 1],
-            100 * data[along, 2],
-            c=1e3 * data[along, 0],
-            cmap="cividis",
-            s=16,
-            label="along the belt, by height",
-        )
+        height_mm, size, mean = 1e3 * data[along, 0], 100 * data[along, 1], 100 * data[along, 2]
+        left.scatter(size, mean, c=height_mm, cmap="cividis", s=16, label="along the belt, by height")
         left.scatter(100 * distinct[:, 0], 100 * distinct[:, 1], marker="D", color=VERMILION, s=45, label="through the thickness")
         for (x, y), count in zip(100 * distinct, counts, strict=True):
             left.annotate(

@@ -10,16 +10,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Bench, at_times
-from trackres_ros.evaluation.reproduce.common_claims import falls, same_stable, section_of
+from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Bench
 from trackres_ros.evaluation.reproduce.families import (
     Family,
     draw_combinations,
     draw_family,
+    falls,
     run_family,
+    same_stable,
+    section_of,
 )
 from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, IN_PART, Claim, Section, percent, percents, span
-from trackres_ros.offline.simulate import ramp_and_hold
+from trackres_ros.offline.simulate import SimulatedDrive, ramp_and_hold
 from trackres_ros.units import KMH_PER_MPS
 
 Array = NDArray[np.float64]
@@ -37,31 +39,18 @@ ENDS = f"{SPEEDS_KMH[0]:g} and {SPEEDS_KMH[-1]:g} km/h"
 
 def speeds(bench: Bench, out: Path) -> Section:
     """The figure and its claims."""
-    family = run_family(
-        bench,
-        "fig24_speeds",
-        "speed [km/h]",
-        "kmh",
-        SPEEDS_KMH,
-        lambda kmh: (ramp_and_hold(kmh / KMH_PER_MPS, RAMP_S, DURATION_S, bench.dt), None, None),
-    )
-    vehicle, methods = bench.vehicle, bench.shipped.replace("/", ", ")
-    reached = {RAMP_S: "speed reached"}
+
+    def case(kmh: float) -> tuple[SimulatedDrive, None, None]:
+        return ramp_and_hold(kmh / KMH_PER_MPS, RAMP_S, DURATION_S, bench.dt), None, None
+
+    family = run_family(bench, "fig24_speeds", "speed [km/h]", "kmh", SPEEDS_KMH, case)
+    vehicle, reached = bench.vehicle, {RAMP_S: "speed reached"}
+    caption = "Resistance torque and belt temperature at five speeds (the paper's Figure 24)"
+    title = f"{vehicle.weight / 1e3:g} kN, ambient {vehicle.chassis.ambient:g} °C, ramp of {RAMP_S:g} s"
+    combined = "The same with every combination of loss method and thermal model; dashes at the right: the stable values."
     figures = [
-        draw_family(
-            out,
-            family,
-            bench.shipped,
-            f"Resistance torque and belt temperature at five speeds (the paper's Figure 24); {methods}.",
-            f"{vehicle.weight / 1e3:g} kN, ambient {vehicle.chassis.ambient:g} °C, ramp of {RAMP_S:g} s; {methods}",
-            reached,
-        ),
-        draw_combinations(
-            out,
-            family,
-            "The same with every combination of loss method and thermal model; dashes at the right: the stable values.",
-            reached,
-        ),
+        draw_family(out, family, bench.shipped, caption, title, reached),
+        draw_combinations(out, family, combined, reached),
     ]
     held = RAMP_S + 2 * bench.dt  # the belt strain by the drive lags one step behind the torque
     claims = [
@@ -106,10 +95,7 @@ def settling_times(family: Family, combination: str, start_s: float) -> tuple[Ar
 
 
 def _warms_faster(family: Family, start_s: float) -> Claim:
-    rise = {
-        c: np.array([float(at_times(s, "belt_degc", COMPARED_S) - s["belt_degc"][0]) for s in family.series(c)])
-        for c in COMBINATIONS
-    }
+    rise = family.warmed(COMPARED_S)
     ordered = {}
     for c in COMBINATIONS:
         belts = np.stack([s["belt_degc"][s["time_s"] >= start_s - 1e-9] for s in family.series(c)])

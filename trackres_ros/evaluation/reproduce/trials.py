@@ -16,8 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Bench, Runs, Series, at_times
-from trackres_ros.evaluation.reproduce.output import write_csv
-from trackres_ros.evaluation.reproduce.section import HOLDS, IN_PART, OPEN, Claim, Figure, Section, Table, percent, percents
+from trackres_ros.evaluation.reproduce.section import (
+    HOLDS,
+    IN_PART,
+    OPEN,
+    Claim,
+    Figure,
+    Section,
+    Table,
+    percent,
+    percents,
+    write_csv,
+)
 from trackres_ros.offline.simulate import SimulatedDrive, laps, simulate, through_points
 from trackres_ros.output.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_beside, picture, thinned
 from trackres_ros.units import KMH_PER_MPS
@@ -96,27 +106,15 @@ def trials(bench: Bench, out: Path) -> Iterator[Section]:
         claims.append(_stated_error(bench, trial, runs))
         tables = [_table(runs)] + ([_stop_table(bench, trial)] if trial.laps else [])
         title = f"Figures {trial.figures}: {'laps' if trial.laps else 'straight'} at {trial.speed_kmh:g} km/h"
-        yield Section(
-            title,
-            [_profile_text(bench, trial)],
-            [figure],
-            claims,
-            tables,
-            {"acceleration_mps2": ACCELERATION, "stop_s": STOP_S if trial.laps else None},
-        )
+        numbers = {"acceleration_mps2": ACCELERATION, "stop_s": STOP_S if trial.laps else None}
+        yield Section(title, [_profile_text(bench, trial)], [figure], claims, tables, numbers)
 
 
 def _profile_text(bench: Bench, trial: Trial) -> str:
-    way = (
-        f"laps of a circle of 100 m radius ({LAP_M:.0f} m), a stop of {STOP_S:g} s after each"
-        if trial.laps
-        else f"{STRAIGHT_M:g} m straight"
-    )
-    assumed = (
-        "How long a stop lasts is assumed, and so are weight and ambient temperature. The model does not know the turn."
-        if trial.laps
-        else "Weight and ambient temperature are assumed."
-    )
+    way, assumed = f"{STRAIGHT_M:g} m straight", "Weight and ambient temperature are assumed."
+    if trial.laps:
+        way = f"laps of a circle of 100 m radius ({LAP_M:.0f} m), a stop of {STOP_S:g} s after each"
+        assumed = "How long a stop lasts is assumed, and so are weight and ambient temperature. The model does not know the turn."
     return (
         f"{trial.speed_kmh:g} km/h, {trial.duration_s:g} s: {way}; {bench.vehicle.weight / 1e3:g} kN, "
         f"{bench.vehicle.chassis.ambient:g} °C. The recorded speed is not public, so the profile follows the text. The "
@@ -143,12 +141,8 @@ def _draw(bench: Bench, out: Path, trial: Trial, runs: Runs) -> Figure:
         speed.plot(*thinned(main["time_s"], main["speed_mps"] * KMH_PER_MPS), color=BLACK)
         speed.set_ylim(0.0, 1.1 * trial.speed_kmh)
         speed.set_ylabel("speed [km/h]")
-        torque.plot(
-            *thinned(main["time_s"], main["drive_torque_nm"] / 1e3),
-            color=GREY,
-            linewidth=0.9,
-            label="drive torque,\nwith inertia",
-        )
+        driving = thinned(main["time_s"], main["drive_torque_nm"] / 1e3)
+        torque.plot(*driving, color=GREY, linewidth=0.9, label="drive torque,\nwith inertia")
         torque.plot(*thinned(main["time_s"], main["resistance_torque_nm"] / 1e3), color=BLUE, label="resistance")
         torque.set_title(bench.shipped.replace("/", ", "))
         torque.set_ylabel("torque [kNm]")
@@ -262,28 +256,18 @@ def _stated_error(bench: Bench, trial: Trial, runs: Runs) -> Claim:
 def _table(runs: Runs) -> Table:
     rows = []
     for c in COMBINATIONS:
-        parts = list(held(runs[c]))
-        torque = runs[c]["resistance_torque_nm"]
-        rows.append(
-            [
-                c.replace("/", ", "),
-                f"{torque[parts[0].start]:.0f}",
-                f"{torque[parts[-1].stop - 1]:.0f}",
-                f"{runs[c]['belt_degc'][-1]:.1f}",
-                f"{runs[c]['drive_torque_nm'].max():.0f}",
-            ]
-        )
-    return Table(
-        "Whole vehicle, over the record.",
-        [
-            "methods",
-            "resistance when full speed is reached [Nm]",
-            "resistance at the end of full speed [Nm]",
-            "belt at the end [°C]",
-            "largest drive torque, with inertia [Nm]",
-        ],
-        rows,
-    )
+        parts, torque = list(held(runs[c])), runs[c]["resistance_torque_nm"]
+        torques = torque[parts[0].start], torque[parts[-1].stop - 1], runs[c]["drive_torque_nm"].max()
+        first, last, largest = (f"{nm:.0f}" for nm in torques)
+        rows.append([c.replace("/", ", "), first, last, f"{runs[c]['belt_degc'][-1]:.1f}", largest])
+    header = [
+        "methods",
+        "resistance when full speed is reached [Nm]",
+        "resistance at the end of full speed [Nm]",
+        "belt at the end [°C]",
+        "largest drive torque, with inertia [Nm]",
+    ]
+    return Table("Whole vehicle, over the record.", header, rows)
 
 
 def _stop_table(bench: Bench, trial: Trial) -> Table:

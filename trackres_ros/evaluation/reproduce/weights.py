@@ -8,11 +8,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Bench
-from trackres_ros.evaluation.reproduce.common_claims import SAME, falls, section_of
-from trackres_ros.evaluation.reproduce.families import Family, draw_family, run_family
+from trackres_ros.evaluation.reproduce.families import SAME, Family, draw_family, falls, run_family, section_of
 from trackres_ros.evaluation.reproduce.section import HOLDS, Claim, Section, percent
 from trackres_ros.offline.simulate import ramp_and_hold
 from trackres_ros.units import KMH_PER_MPS
@@ -30,17 +28,9 @@ def weights(bench: Bench, out: Path) -> Section:
     """The figure and its claims."""
     drive = ramp_and_hold(SPEED_KMH / KMH_PER_MPS, RAMP_S, DURATION_S, bench.dt)
     family = run_family(bench, "fig25_weights", "weight [kN]", "kn", WEIGHTS_KN, lambda kn: (drive, kn * 1e3, None))
-    methods = bench.shipped.replace("/", ", ")
-    figures = [
-        draw_family(
-            out,
-            family,
-            bench.shipped,
-            f"Resistance torque and belt temperature at four weights (the paper's Figure 25); {methods}.",
-            f"{SPEED_KMH:g} km/h, ambient {bench.vehicle.chassis.ambient:g} °C, ramp of {RAMP_S:g} s; {methods}",
-            {RAMP_S: "speed reached"},
-        )
-    ]
+    caption = "Resistance torque and belt temperature at four weights (the paper's Figure 25)"
+    title = f"{SPEED_KMH:g} km/h, ambient {bench.vehicle.chassis.ambient:g} °C, ramp of {RAMP_S:g} s"
+    figures = [draw_family(out, family, bench.shipped, caption, title, {RAMP_S: "speed reached"})]
     claims = [falls("weights", WHERE, family, RAMP_S + 2 * bench.dt), _different_stable(family), _heavier_is_larger(family)]
     text = [
         f"From rest to {SPEED_KMH:g} km/h in {RAMP_S:g} s, then held to {DURATION_S:g} s. The weight is that of the whole "
@@ -71,9 +61,7 @@ def _different_stable(family: Family) -> Claim:
 
 
 def _heavier_is_larger(family: Family) -> Claim:
-    moving: dict[str, NDArray[np.float64]] = {}
-    for c in COMBINATIONS:
-        moving[c] = np.stack([s["resistance_torque_nm"][s["speed_mps"] > 0.0] for s in family.series(c)])
+    moving = {c: np.stack([s["resistance_torque_nm"][s["speed_mps"] > 0.0] for s in family.series(c)]) for c in COMBINATIONS}
     least = {c: float(np.min(np.diff(m, axis=0))) for c, m in moving.items()}
     exponent = {c: float(np.log(m[-1, -1] / m[0, -1]) / np.log(WEIGHTS_KN[-1] / WEIGHTS_KN[0])) for c, m in moving.items()}
     return Claim(

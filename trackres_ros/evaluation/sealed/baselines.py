@@ -30,25 +30,12 @@ FEWEST_TO_LEARN = 30
 
 @dataclass(frozen=True)
 class Simple:
-    """Answers of the simpler methods for a recording.
+    """Answers of the simpler methods for a recording, and the features by which a classifier is trained."""
 
-    Attributes
-    ----------
-    naive
-        The effect that explains most of the residual by itself, if that is more than chance for white noise.
-    aic
-        Base and effects in one linear regression, effects added while Akaike's criterion falls.
-    sparse
-        The effects of a cross-validated lasso on the residual, largest first.
-    features
-        Of each effect the signed correlation of its shape with the residual, and the F value of its regression: for a
-        classifier.
-    """
-
-    naive: list[str]
-    aic: list[str]
-    sparse: list[str]
-    features: dict[str, tuple[float, float]]
+    naive: list[str]  # the effect that explains most of the residual by itself, if that is more than chance for white noise
+    aic: list[str]  # base and effects in one linear regression, effects added while Akaike's criterion falls
+    sparse: list[str]  # the effects of a cross-validated lasso on the residual, largest first
+    features: dict[str, tuple[float, float]]  # signed correlation of each effect with the residual, and its F value
 
 
 def simple_answers(refitted: Fit, seen: Separability) -> Simple:
@@ -130,24 +117,15 @@ def _by_lasso(residual: Array, own: Array, shapes: dict[str, Array]) -> list[str
     parts = {name: columns @ np.where([o == name for o in owners], found, 0.0) for name in shapes}
     sizes = {name: float(part.std()) for name, part in parts.items()}
     least = LEAST_SHARE * float(np.sum(list(parts.values()), axis=0).std())
-    return _largest(sizes, least)
-
-
-def _largest(sizes: dict[str, float], least: float) -> list[str]:
     named = [name for name, size in sizes.items() if size > max(least, 1e-9)]
     return sorted(named, key=lambda name: -sizes[name])[:MOST]
 
 
 def by_trees(features: Sequence[dict[str, tuple[float, float]]], labels: Sequence[str], names: Sequence[str]) -> list[str]:
-    """The effect that boosted trees predict for each case, trained on the other parts of a ten-fold split; empty where there are
-    too few cases to learn from.
+    """The effect that boosted trees predict for each case, trained on the other parts of a ten-fold split.
 
-    Parameters
-    ----------
-    features, labels
-        Of each case, see `Simple.features`; the label of a case with several effects is the first.
-    names
-        Effects, in the order of the features.
+    Features and label of each case, the first of several effects, and the names of all effects come in. The result is empty
+    where there are too few cases to learn from.
     """
     from sklearn.ensemble import HistGradientBoostingClassifier
     from sklearn.model_selection import KFold

@@ -8,12 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackres_ros.evaluation.sealed.data_sheet import DataSheet
+from trackres_ros.evaluation.sealed.data_sheet import Array, DataSheet
 from trackres_ros.evaluation.sealed.material import Material
-
-Array = NDArray[np.float64]
 
 POINTS = 8192  # round the loop
 LOG_SPEEDS = np.linspace(-6.0, 8.0, 141)  # log10 of speed [m/s] times a_T
@@ -23,18 +20,10 @@ ITERATIONS = 30
 
 @dataclass(frozen=True, eq=False)
 class BeltLoss:
-    """Tables of the loss per metre of travel [N] of one assembly over `LOG_SPEEDS`.
+    """Tables of the loss per metre of travel [N] of one assembly over `LOG_SPEEDS`."""
 
-    Attributes
-    ----------
-    indentation
-        Evenly through the thickness, shape (loads, speeds).
-    bending
-        Of a belt all at one temperature, shape (speeds,).
-    """
-
-    indentation: Array
-    bending: Array
+    indentation: Array  # evenly through the thickness, shape (loads, speeds)
+    bending: Array  # of a belt all at one temperature, shape (speeds,)
 
 
 def belt_loss(sheet: DataSheet, material: Material) -> BeltLoss:
@@ -57,11 +46,8 @@ def _dissipated(amplitudes: Array, material: Material, loop: float, speed: float
 
 
 def _indentation(sheet: DataSheet, material: Material, load: float, speed: float) -> float:
-    loop, thickness, width = (
-        sheet["track.belt.loop_length"],
-        sheet["track.belt.thickness"],
-        sheet["track.road_wheels.contact_length"],
-    )
+    loop, thickness = sheet["track.belt.loop_length"], sheet["track.belt.thickness"]
+    width = sheet["track.road_wheels.contact_length"]
     radius, wheels = sheet["track.road_wheels.radius"], sheet.wheel_positions
     on_wheel = load / len(wheels)
     half = 0.02

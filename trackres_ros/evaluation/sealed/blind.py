@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from trackres_ros.evaluation.processes import run_main
 
 if TYPE_CHECKING:
     from trackres_ros.diagnosis import Diagnosis
@@ -78,4 +79,4 @@ def _diagnose(folder: Path, results: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_main(main)

@@ -5,17 +5,15 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from trackres_ros.evaluation.processes import digest
 from trackres_ros.evaluation.sealed.programs import PROGRAM, draw_program
-from trackres_ros.evaluation.sealed.sensors import Sensors
-from trackres_ros.evaluation.sealed.truth import Build
+from trackres_ros.evaluation.sealed.sensors import Sensors, drawn_sensors
 
 Values = dict[str, float]
 Draw = Callable[[np.random.Generator, float], Values]
@@ -29,9 +27,6 @@ NOT_IN_CATALOGUE = ("outside", "street")  # levels
 SOURCES = ("course", "trapezoids", "town", "recorded")  # of drives; the last only where speeds of real vehicles are given
 LOADS = (1.0, 0.8, 1.25)  # of the three drives, over the nominal one
 MASKED_SIZE = (0.2, 0.4)  # of a clear one
-# Errors of any instrument, which are no finding: less than a hidden `delay`, `torque_offset` or `torque_gain` adds.
-SPEED_STEPS_MPS = (0.02, 0.05)
-MOST_LAG_S, MOST_OFFSET_NM, MOST_GAIN = 0.1, 15.0, 0.005
 # In towns: share of the cases that are recorded once in a second, and the error of positions and altitudes [m].
 SLOW_SHARE, SLOW_S = 1.0 / 3.0, 1.0
 POSITION_M, ALTITUDE_M = (3.0, 8.0), (2.0, 5.0)
@@ -39,39 +34,19 @@ POSITION_M, ALTITUDE_M = (3.0, 8.0), (2.0, 5.0)
 
 @dataclass(frozen=True)
 class Case:
-    """One case. `name` is uninformative.
+    """One case."""
 
-    Attributes
-    ----------
-    hidden
-        Phenomena and the values of their parameters, see `truth`.
-    build
-        Differences of the vehicle from its data sheet.
-    lumped
-        Whether the vehicle file has no core temperature of the belt.
-    compensated
-        Whether the vehicle file was fitted to other drives of the same vehicle beforehand.
-    dull
-        Whether the drives have little excitation: one load, no bends, hardly a change of speed, no belt temperature.
-    seed
-        Of drives and sensors.
-    source
-        Source of its drives, of `SOURCES`; a dull case and a case in a town have their own drives.
-    program
-        Description of a hidden program, see `programs.Program.description`; empty without.
-    """
-
-    name: str
+    name: str  # uninformative
     level: str
-    hidden: dict[str, Values]
-    build: dict[str, float]
-    lumped: bool
-    compensated: bool
-    dull: bool
+    hidden: dict[str, Values]  # phenomena and the values of their parameters, see `truth`
+    build: dict[str, float]  # differences of the vehicle from its data sheet, see `truth.Build`
+    lumped: bool  # the vehicle file has no core temperature of the belt
+    compensated: bool  # the vehicle file was fitted to other drives of the same vehicle beforehand
+    dull: bool  # little excitation: one load, no bends, hardly a change of speed, no belt temperature
     belt_measured: bool
-    seed: int
-    source: str = "course"
-    program: dict[str, Any] = field(default_factory=dict)
+    seed: int  # of drives and sensors
+    source: str = "course"  # of its drives, of `SOURCES`; a dull case and a case in a town have their own
+    program: dict[str, Any] = field(default_factory=dict)  # see `programs.Program.description`; empty without
 
     @property
     def title(self) -> str:
@@ -169,8 +144,7 @@ def first_by_name(cases: Sequence[Case], first: int | None) -> list[Case]:
 
 def sealed(seed: int, cases: list[Case]) -> str:
     """Hash of the seed and all labels."""
-    content = json.dumps({"seed": seed, "cases": [asdict(case) for case in cases]}, sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()
+    return digest({"seed": seed, "cases": [asdict(case) for case in cases]})
 
 
 def _case(level: str, i: int, rng: np.random.Generator, sources: Sequence[str]) -> Case:
@@ -207,28 +181,15 @@ def _case(level: str, i: int, rng: np.random.Generator, sources: Sequence[str]) 
     )
 
 
-def build_of(case: Case) -> Build:
-    """The vehicle of a case."""
-    return Build(**case.build)
-
-
 def draws(case: Case, what: str) -> np.random.Generator:
     """A generator of its own for each thing that is drawn, so that each can be drawn again by itself."""
     return np.random.default_rng([case.seed, *what.encode()])
 
 
 def sensors_of(case: Case) -> Sensors:
-    """The instruments of a case: good ones, each with a lag, an offset and a gain of its own; in a town those of a
-    road vehicle.
-    """
+    """The instruments of a case; in a town those of a road vehicle."""
     rng = draws(case, "sensors")
-    sensors = Sensors(
-        belt_measured=case.belt_measured,
-        speed_step_mps=float(rng.uniform(*SPEED_STEPS_MPS)),
-        torque_lag_s=float(rng.uniform(0.0, MOST_LAG_S)),
-        torque_offset_nm=float(rng.uniform(-MOST_OFFSET_NM, MOST_OFFSET_NM)),
-        torque_gain=float(1.0 + rng.uniform(-MOST_GAIN, MOST_GAIN)),
-    )
+    sensors = drawn_sensors(rng, case.belt_measured)
     if case.level != "street":
         return sensors
     return replace(
@@ -242,24 +203,12 @@ def sensors_of(case: Case) -> Sensors:
 
 @dataclass(frozen=True)
 class TownDrives:
-    """Known properties of the drives of a case in a town.
+    """Known properties of the drives of a case in a town."""
 
-    Attributes
-    ----------
-    steepest
-        Surveyed slope, which is recorded; 0 of a level town and of one with a hidden slope.
-    shares
-        Weight of each drive, over the nominal one, without differences by stretch.
-    load
-        Differences of recorded loads by stretch; None without.
-    load_measured
-        Whether the load is recorded.
-    """
-
-    steepest: float
-    shares: tuple[float, float, float]
-    load: Values | None
-    load_measured: bool
+    steepest: float  # surveyed slope, which is recorded; 0 of a level town and of one with a hidden slope
+    shares: tuple[float, float, float]  # weight of each drive, over the nominal one, without differences by stretch
+    load: Values | None  # differences of recorded loads by stretch
+    load_measured: bool  # it is recorded
 
 
 def streets_of(case: Case) -> TownDrives:

@@ -20,48 +20,30 @@ RESTING_MPS, HARDEST_MPS2 = 0.05, 1.6
 
 @dataclass(frozen=True, eq=False)
 class OnStreet:
-    """Position of a drive in a town, and conditions there, series of shape (n,).
+    """Position of a drive in a town, and conditions there, series of shape (n,)."""
 
-    Attributes
-    ----------
-    x, y
-        To the east and to the north [m].
-    slope, height
-        Of the street in the direction of travel [rise over run], and of the ground [m].
-    softness
-        Of the ground, 1 at the softest place of the town.
-    covered
-        Without satellites.
-    stretch
-        Number of the stretch between two stops with changes of the load.
-    brakes
-        Friction brakes' share of a braking torque; 1 where they hold the vehicle.
-    """
-
-    x: Array
-    y: Array
-    slope: Array
-    height: Array
-    softness: Array
-    covered: NDArray[np.bool_]
-    stretch: NDArray[np.int64]
-    brakes: Array
+    x: Array  # to the east [m]
+    y: Array  # to the north [m]
+    slope: Array  # of the street in the direction of travel [rise over run]
+    height: Array  # of the ground [m]
+    softness: Array  # of the ground, 1 at the softest place of the town
+    covered: NDArray[np.bool_]  # without satellites
+    stretch: NDArray[np.int64]  # number of the stretch between two stops with changes of the load
+    brakes: Array  # friction brakes' share of a braking torque; 1 where they hold the vehicle
 
 
 @dataclass(frozen=True, eq=False)
 class SealedDrive:
-    """One drive, series of shape (n,): speed [m/s], acceleration [m/s^2], yaw rate [rad/s], heading, weight [N], air [degC], the
-    slope where it was surveyed [rise over run], and where in a town it was.
-    """
+    """One drive, series of shape (n,)."""
 
-    step: float
-    speed: Array
-    accel: Array
-    yaw_rate: Array
-    heading: Array
-    weight: Array
-    ambient: Array
-    slope: Array | None = None
+    step: float  # [s]
+    speed: Array  # [m/s]
+    accel: Array  # [m/s^2]
+    yaw_rate: Array  # [rad/s]
+    heading: Array  # [rad]
+    weight: Array  # [N]
+    ambient: Array  # air [degC]
+    slope: Array | None = None  # where it was surveyed [rise over run]
     street: OnStreet | None = None
 
     def __len__(self) -> int:
@@ -114,15 +96,8 @@ def _on_a_course(speed: Array, weight: float, ambient: float, rng: np.random.Gen
     sideways = MOST_SIDEWAYS_MPS2 / np.maximum(speed, 0.5)
     yaw_rate = np.clip(curvature * speed, -sideways, sideways)
     air = ambient + rng.normal(0.0, 1.0) * np.sin(np.arange(n) * STEP_S / 1500.0)
-    return SealedDrive(
-        STEP_S,
-        speed,
-        np.gradient(speed, STEP_S),
-        yaw_rate,
-        rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(yaw_rate) * STEP_S,
-        np.full(n, weight),
-        air,
-    )
+    heading = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(yaw_rate) * STEP_S
+    return SealedDrive(STEP_S, speed, np.gradient(speed, STEP_S), yaw_rate, heading, np.full(n, weight), air)
 
 
 def _targets(n: int, fastest: float, restless: float, rng: np.random.Generator) -> Array:

@@ -15,10 +15,11 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 from trackres_ros.errors import InputError
+from trackres_ros.evaluation.processes import each, run_main
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -29,13 +30,10 @@ def main(arguments: Sequence[str]) -> None:
         raise InputError("--earlier", str(checkout), "a checkout of an earlier version, with its folder trackres_ros")
     results.mkdir(parents=True, exist_ok=True)
     folders = [f for f in sorted(cases.glob("*"))[:first] if not (results / f"{f.name}.json").exists()]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for done, _ in enumerate(pool.map(lambda folder: _diagnose(folder, results, checkout), folders), start=1):
-            print(f"\rdiagnosed by the earlier version {done} of {len(folders)}", end="", flush=True)
-    print(flush=True)
+    each(partial(_diagnose, results, checkout), folders, "diagnosed by the earlier version")
 
 
-def _diagnose(folder: Path, results: Path, checkout: Path) -> None:
+def _diagnose(results: Path, checkout: Path, folder: Path) -> None:
     with tempfile.TemporaryDirectory() as report:
         drives = [str(path) for path in sorted(folder.glob("drive_*.csv"))]
         command = [sys.executable, "-m", "trackres_ros", "diagnose", *drives, "--vehicle", str(folder / "vehicle.yaml")]
@@ -49,4 +47,4 @@ def _diagnose(folder: Path, results: Path, checkout: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_main(main)

@@ -10,16 +10,14 @@ seal; `blind` then diagnoses the recordings including the new one.
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from trackres_ros.evaluation.processes import each, read_json, read_labels, run_main
 from trackres_ros.evaluation.sealed.answers import of_report
 from trackres_ros.evaluation.sealed.blind import HELD_OUT
 from trackres_ros.evaluation.sealed.cases import Case, first_by_name
@@ -33,18 +31,14 @@ def main(arguments: Sequence[str]) -> None:
     """See above."""
     folder, minutes, most = Path(arguments[0]), float(arguments[1]), int(arguments[2])
     first = int(arguments[3]) if len(arguments) > 3 else None
-    labels = json.loads((folder / "sealed" / "labels.json").read_text(encoding="utf-8"))
     tasks = []
-    for case in first_by_name([Case(**c) for c in labels["cases"]], first):
-        report = json.loads((folder / "results" / f"{case.name}.json").read_text(encoding="utf-8"))["report"]
+    for case in first_by_name([Case(**c) for c in read_labels(folder)["cases"]], first):
+        report = read_json(folder / "results" / f"{case.name}.json")["report"]
         advice = advised(report, set(case.hidden))
         if advice is not None:
             held_out = [Path(lap).name for lap in report["heldout"]["laps"]]
             tasks.append((folder, case, minutes, str(advice["manoeuvre"]), held_out))
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        for done, _ in enumerate(pool.map(_follow, tasks[:most]), start=1):
-            print(f"\rdriven as advised {done} of {len(tasks[:most])}", end="", flush=True)
-    print(flush=True)
+    each(_follow, tasks[:most], "driven as advised")
 
 
 def advised(report: dict[str, Any], true: set[str]) -> dict[str, Any] | None:
@@ -97,4 +91,4 @@ def planned(manoeuvre: str, before: Path, last: SealedDrive) -> SealedDrive:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_main(main)

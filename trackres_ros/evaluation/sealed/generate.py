@@ -9,42 +9,27 @@ drive at the recorded speeds of real ones.
 
 from __future__ import annotations
 
-import json
-import os
-import sys
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
-from trackres_ros.evaluation.sealed.cases import (
-    LOADS,
-    SOURCES,
-    Case,
-    build_of,
-    draw_cases,
-    draws,
-    sealed,
-    sensors_of,
-    streets_of,
-)
-from trackres_ros.evaluation.sealed.drives import SealedDrive, drive, recorded, trapezoids
+from trackres_ros.evaluation.processes import each, run_main, write_sealed
+from trackres_ros.evaluation.sealed.cases import LOADS, SOURCES, Case, draw_cases, draws, sealed, sensors_of, streets_of
+from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
+from trackres_ros.evaluation.sealed.drives import Array, SealedDrive, drive, recorded, trapezoids
 from trackres_ros.evaluation.sealed.profiles import read_profiles
-from trackres_ros.evaluation.sealed.sensors import record
+from trackres_ros.evaluation.sealed.sensors import Sensors, record
 from trackres_ros.evaluation.sealed.size import sized
 from trackres_ros.evaluation.sealed.street import loaded
 from trackres_ros.evaluation.sealed.street_drives import street_drive
 from trackres_ros.evaluation.sealed.town import draw_town
-from trackres_ros.evaluation.sealed.truth import TruthRun, simulate_truth
+from trackres_ros.evaluation.sealed.truth import Build, Hidden, TruthRun, simulate_truth
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
-
-Array = NDArray[np.float64]
 
 VEHICLE = "xgd24d"
 PROFILES = "profiles"
@@ -62,24 +47,15 @@ def main(arguments: Sequence[str]) -> None:
     folder, seed, minutes = Path(arguments[0]), int(arguments[1]), float(arguments[2])
     given = dict(a.split("=", 1) for a in arguments[3:])
     data = given.pop(PROFILES, None)
-    for sub in ("cases", "sealed"):
-        (folder / sub).mkdir(parents=True, exist_ok=True)
     if data:
+        (folder / "sealed").mkdir(parents=True, exist_ok=True)
         np.savez_compressed(folder / "sealed" / f"{PROFILES}.npz", *read_profiles(Path(data)))
     drawn = draw_cases({level: int(count) for level, count in given.items()}, seed, SOURCES if data else SOURCES[:-1])
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        cases = list(pool.map(_sized, [(folder, case, minutes) for case in drawn]))
-    seal = sealed(seed, cases)
-    print(f"sealed: {len(cases)} cases, SHA-256 {seal}", flush=True)
-    (folder / "seal.txt").write_text(seal + "\n", encoding="utf-8")
-    (folder / "sealed" / "labels.json").write_text(
-        json.dumps({"seed": seed, "cases": [asdict(case) for case in cases]}, indent=1), encoding="utf-8"
-    )
+    cases = each(_sized, [(folder, case, minutes) for case in drawn])
+    labels = {"seed": seed, "cases": [asdict(case) for case in cases]}
+    write_sealed(folder, f"{len(cases)} cases", sealed(seed, cases), labels)
     missing = [case for case in cases if not (folder / "sealed" / f"{case.name}.npz").exists()]
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        for done, _ in enumerate(pool.map(make_case, [(folder, case, minutes) for case in missing]), start=1):
-            print(f"\rrecorded {done} of {len(missing)}", end="", flush=True)
-    print(flush=True)
+    each(make_case, [(folder, case, minutes) for case in missing], "recorded")
 
 
 def make_case(task: tuple[Path, Case, float]) -> None:
@@ -87,15 +63,16 @@ def make_case(task: tuple[Path, Case, float]) -> None:
     folder, case, minutes = task
     into = folder / "cases" / case.name
     into.mkdir(exist_ok=True)
-    vehicle = write_vehicle(into / "vehicle.yaml", "lumped" if case.lumped else "core_surface")
-    profiles = _profiles(folder)
+    vehicle = write_vehicle(into / "vehicle.yaml", case.lumped)
+    profiles, build = _profiles(folder), Build(**case.build)
     if case.compensated:
-        _, paths = _record(case, into, "before", _drives(case, minutes, "before", profiles))
-        _prefit(paths, vehicle)
+        before = _drives(case, minutes, "before", profiles)
+        _, paths = record_all(into, "before", build, case.hidden, before, sensors_of(case), draws(case, "before"))
+        refit(paths, vehicle, vehicle, "fitted to earlier drives")  # as users do, whatever is hidden in them
         for path in paths:
             path.unlink()
     driven = _drives(case, minutes, "drive", profiles)
-    runs, _ = _record(case, into, "drive", driven)
+    runs, _ = record_all(into, "drive", build, case.hidden, driven, sensors_of(case), draws(case, "drive"))
     kept, partial = folder / "sealed" / f"{case.name}.npz", folder / "sealed" / f"{case.name}.part.npz"
     np.savez_compressed(partial, **_kept(case, driven, runs))
     partial.rename(kept)
@@ -136,19 +113,19 @@ def drive_next(folder: Path, case: Case, minutes: float, name: str, planned: Cal
     """Let the vehicle of a case drive once more, after all its drives, and record it; `planned` gets its last drive."""
     driven = _drives(case, minutes, "drive", _profiles(folder))
     more = planned(driven[-1])
-    run = simulate_truth(find_vehicle(VEHICLE), build_of(case), case.hidden, [*driven, more])[-1]
+    run = simulate_truth(find_vehicle(VEHICLE), Build(**case.build), case.hidden, [*driven, more])[-1]
     path = folder / "cases" / case.name / f"{name}.csv"
-    _, radius = _weight_and_radius(find_vehicle(VEHICLE))
+    _, radius = weight_and_radius()
     record(path, more, run, sensors_of(case), radius, START_S + len(driven) * APART_S, draws(case, name))
     return path
 
 
-def write_vehicle(path: Path, thermal: str) -> Path:
-    """Write the data sheet as a vehicle file with a thermal model."""
+def write_vehicle(path: Path, lumped: bool) -> Path:
+    """Write the data sheet as a vehicle file, without or with a core temperature of the belt."""
     sheet = find_vehicle(VEHICLE)
     content = read_yaml(sheet)
     content["rubber"]["file"] = str((sheet.parent / content["rubber"]["file"]).resolve())
-    content["model"]["thermal"] = thermal
+    content["model"]["thermal"] = "lumped" if lumped else "core_surface"
     path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     return path
 
@@ -167,7 +144,7 @@ def _profiles(folder: Path) -> list[Array]:
 
 def _drives(case: Case, minutes: float, name: str, profiles: Sequence[Array] = ()) -> list[SealedDrive]:
     rng = draws(case, f"route of {name}")
-    weight, _ = _weight_and_radius(find_vehicle(VEHICLE))
+    weight, _ = weight_and_radius()
     if case.level == "street":
         return _in_town(case, STREET_TIMES * minutes, weight, rng)
     town = draw_town(draws(case, "town")) if case.source == "town" and not case.dull else None
@@ -201,14 +178,15 @@ def _in_town(case: Case, minutes: float, weight: float, rng: np.random.Generator
     return drives
 
 
-def _record(case: Case, into: Path, name: str, drives: Sequence[SealedDrive]) -> tuple[list[TruthRun], list[Path]]:
-    sheet = find_vehicle(VEHICLE)
-    _, radius = _weight_and_radius(sheet)
-    runs = simulate_truth(sheet, build_of(case), case.hidden, drives)
+def record_all(
+    into: Path, name: str, build: Build, hidden: Hidden, drives: Sequence[SealedDrive], sensors: Sensors, rng: np.random.Generator
+) -> tuple[list[TruthRun], list[Path]]:
+    """Make drives of a vehicle, two weeks apart, and record them: true values and paths."""
+    _, radius = weight_and_radius()
+    runs = simulate_truth(find_vehicle(VEHICLE), build, hidden, drives)
     paths = [into / f"{name}_{i + 1}.csv" for i in range(len(drives))]
-    rng = draws(case, name)
     for i, (path, one, true) in enumerate(zip(paths, drives, runs, strict=True)):
-        record(path, one, true, sensors_of(case), radius, START_S + i * APART_S, rng)
+        record(path, one, true, sensors, radius, START_S + i * APART_S, rng)
     return runs, paths
 
 
@@ -222,15 +200,14 @@ def _dull(minutes: float, weight: float, rng: np.random.Generator) -> SealedDriv
     return SealedDrive(made.step, speed, np.gradient(speed, made.step), still, still, made.weight, made.ambient)
 
 
-def _weight_and_radius(sheet: Path) -> tuple[float, float]:
-    from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
-
-    numbers = read_data_sheet(sheet)
+def weight_and_radius() -> tuple[float, float]:
+    """Nominal weight of the vehicle [N], and radius of its sprockets [m]."""
+    numbers = read_data_sheet(find_vehicle(VEHICLE))
     return numbers["weight"], numbers["track.sprocket_radius"]
 
 
-def _prefit(paths: Sequence[Path], vehicle: Path) -> None:
-    """Write a vehicle file fitted to drives beforehand, as users do, whatever is hidden in them."""
+def refit(paths: Sequence[Path], vehicle: Path, into: Path, remark: str) -> Path:
+    """Write the vehicle file with the parameters that a diagnosis begins with re-fitted to recordings."""
     from trackres_ros.diagnosis import load_base, read_recordings
     from trackres_ros.diagnosis.inference.fitting import Problem, fit
     from trackres_ros.diagnosis.inference.levels import with_levels
@@ -240,8 +217,9 @@ def _prefit(paths: Sequence[Path], vehicle: Path) -> None:
     loaded = load_base(vehicle)
     sessions = gate(read_recordings(paths, None), loaded.known).sessions
     found = with_levels(fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions))))
-    loaded.base.write(vehicle, FileChanges(found.base_values, (), {}), "fitted to earlier drives")
+    loaded.base.write(into, FileChanges(found.base_values, (), {}), remark)
+    return into
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_main(main)

@@ -8,12 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
-from trackres_ros.evaluation.sealed.data_sheet import DataSheet
-
-Array = NDArray[np.float64]
+from trackres_ros.evaluation.sealed.data_sheet import Array, DataSheet
 
 ELEMENTS_PER_DECADE = 2
 SHIFT_ABOVE_TG_K = 50.0

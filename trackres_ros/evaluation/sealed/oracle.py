@@ -35,30 +35,14 @@ ADDITION, LARGEST_ADDITION = "addition", 5.0  # times the true value
 
 @dataclass(frozen=True)
 class OracleAnswer:
-    """Findings of an oracle in one case.
+    """Findings of an oracle in one case. Physics outside the catalogue is identifiable if its gain is clear."""
 
-    Attributes
-    ----------
-    gain
-        In log-likelihood, of the true effects over the re-fitted base.
-    alike
-        Effects that look the same as the first true one here (cosine above 0.95), including itself; for physics outside the
-        catalogue the names that fit as well.
-    identifiable
-        Whether the gain is clear, no other effect looks alike, and the base does not absorb it; for physics outside the
-        catalogue, whether the gain is clear.
-    plain_both
-        Of two effects: whether each gains as much in addition to the other.
-    mae_base, mae
-        Mean error on hold-out laps [Nm] without and with the true effects.
-    """
-
-    gain: float
-    alike: tuple[str, ...]
-    identifiable: bool
-    plain_both: bool
-    mae_base: float
-    mae: float
+    gain: float  # in log-likelihood, of the true effects over the re-fitted base
+    alike: tuple[str, ...]  # effects that look like the first true one (cosine above 0.95), or outside the catalogue fit as well
+    identifiable: bool  # the gain is clear, no other effect looks alike, and the base does not absorb it
+    plain_both: bool  # of two effects: each gains as much in addition to the other
+    mae_base: float  # mean error on hold-out laps [Nm] without the true effects
+    mae: float  # and with them
 
 
 class WithAddition(TrackBase):
@@ -81,16 +65,9 @@ class WithAddition(TrackBase):
 
 
 def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = (), rivals: Sequence[str] = ()) -> OracleAnswer:
-    """Fit the true structure to the laps of a case.
+    """Fit the true structure to the laps of a case: its effects in the catalogue, or the torque added by other physics.
 
-    Parameters
-    ----------
-    true
-        Its effects in the catalogue.
-    added
-        Torque of physics outside the catalogue in each second of each drive [Nm].
-    rivals
-        Names that may fit as well: those with nearly the same gain are `alike`.
+    That torque is given in each second of each drive [Nm]. Of the `rivals`, those with nearly the same gain are `alike`.
     """
     paths, loaded = opened(folder)
     base = loaded.base

@@ -60,14 +60,15 @@ def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int, draw
     if alone:
         _draw_confusion(folder / CONFUSION, alone)
     found = {method: shares(scored, method) for method in (OURS, *BASELINES) if all(method in s.answers for s in scored)}
+
+    def counted(rows: Mapping[str, tuple[int, int]]) -> dict[str, Any]:
+        return {name: {"hits": hits, "of": of, "interval": wilson(hits, of)} for name, (hits, of) in rows.items()}
+
     kept = {
         "seed": seed,
         "seal": seal,
-        "scores": {
-            method: {name: {"hits": hits, "of": of, "interval": wilson(hits, of)} for name, (hits, of) in rows.items()}
-            for method, rows in found.items()
-        },
-        "own": {name: {"hits": hits, "of": of, "interval": wilson(hits, of)} for name, (hits, of) in own_shares(scored).items()},
+        "scores": {method: counted(rows) for method, rows in found.items()},
+        "own": counted(own_shares(scored)),
         "sizes": sizes(scored),
         "cases": [
             {

@@ -9,12 +9,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.evaluation.sealed.data_sheet import DataSheet
-from trackres_ros.evaluation.sealed.drives import SealedDrive
-
-Array = NDArray[np.float64]
+from trackres_ros.evaluation.sealed.drives import Array, SealedDrive
 
 CREEP_MPS = 0.04  # over it friction changes its sign
 
@@ -61,6 +58,10 @@ class Journey:
     def distance(self) -> Array:
         """Distance driven so far, earlier drives included [m]."""
         return self.driven + np.cumsum(self.travel) * self.step
+
+    def climbing(self, rise: float | Array) -> Array:
+        """Torque of a slope [rise over run] at the sprockets [Nm]."""
+        return np.asarray(self.drive.weight * self.sheet["track.sprocket_radius"] * np.sin(np.arctan(rise)))
 
     def lagged(self, target: Array, seconds: float, start: float) -> Array:
         """A series as something follows it that takes its time."""

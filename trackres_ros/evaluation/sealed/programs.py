@@ -148,27 +148,13 @@ MEMORIES: dict[str, tuple[str, tuple[tuple[float, float], ...], Callable[..., Ar
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Randomly drawn hidden physics.
+    """Randomly drawn hidden physics."""
 
-    Attributes
-    ----------
-    entry
-        Entry point, of `ENTRIES`.
-    parts
-        Variables, functions and their draws: one or two, which are multiplied.
-    gate
-        A variable, a threshold of its scaled value, its side and its softness; None if it always acts.
-    memory
-        One of `MEMORIES` and its draws; None without.
-    words
-        Description, for people.
-    """
-
-    entry: str
-    parts: tuple[tuple[str, str, Array], ...]
-    gate: tuple[str, float, float, float] | None
-    memory: tuple[str, Array] | None
-    words: str
+    entry: str  # of `ENTRIES`
+    parts: tuple[tuple[str, str, Array], ...]  # variables, functions and their draws: one or two, which are multiplied
+    gate: tuple[str, float, float, float] | None  # variable, threshold of its scaled value, side, softness; None: always acts
+    memory: tuple[str, Array] | None  # one of `MEMORIES` and its draws
+    words: str  # description, for people
     seed: int
 
     @property

@@ -7,23 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from trackres_ros.evaluation.sealed.answers import DESCRIBED, Answer, error_left
-from trackres_ros.evaluation.sealed.cases import (
-    NOT_IN_CATALOGUE,
-    RIGHT_NAMES,
-    STREET,
-    Case,
-    sensors_of,
-)
-from trackres_ros.evaluation.sealed.masses import CLOSE, LONG_S, MassError
+from trackres_ros.evaluation.sealed.cases import NOT_IN_CATALOGUE, RIGHT_NAMES, STREET, Case, sensors_of
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer
 
+Array = NDArray[np.float64]
+Tried = TypeVar("Tried")
+
 OURS = "diagnosis"
+# Of the masses of a described payload.
+DRIVING_MPS = 0.3
+LEAST_KNOWN = 0.5  # of the driving: hold-out laps are not fitted
+LONG_S = 300.0  # of driving
+CLOSE = 0.08  # of the greatest load
+NORMAL_95 = 1.96  # standard deviations
 LEAST_REDUCTION = 0.01  # of the error
 NO_WORSE = 1.01  # than the re-fitted base: a percent is chance
 RIGHTLY_TOLD = {
@@ -42,40 +45,46 @@ COMPARABLE = {
 """Effects of which one parameter means nearly the same in both forms: its name here, and in the catalogue."""
 
 
+@dataclass(frozen=True)
+class MassError:
+    """Driving time between two changes of the load [s], error of the mass, relative to the greatest load, and whether its
+    95 % interval covers the true one.
+    """
+
+    driving_s: float
+    off: float
+    covered: bool = True
+
+    @property
+    def long(self) -> bool:
+        """Whether it drove so long that the mass should show."""
+        return self.driving_s > LONG_S
+
+    @property
+    def close(self) -> bool:
+        """Whether the mass is near the true one."""
+        return self.off <= CLOSE
+
+
 @dataclass(frozen=True, eq=False)
 class Scored:
     """One case, the answers to it, and the oracle's result.
 
-    Attributes
-    ----------
-    answers
-        By method.
-    overlap, jaccard
-        Of the first true effect that was named: in time, and over the range of its variable; nan without one.
-    resolved
-        Whether after the advised manoeuvre the true effect is still named, and the effects to be separated from it are not;
-        None if no manoeuvre was advised or driven.
-    learned
-        Errors on hold-out laps, see `discrepancy.learned_errors`.
-    stated
-        Whether the first description is true of the hidden physics; None without one to judge.
-    comparable
-        Of hidden effects: an equivalent parameter in the report, and its true value.
-    masses
-        Of a payload that was hidden and described.
+    `resolved` says whether after the advised manoeuvre the true effect is still named, and the effects to be separated from it
+    are not; None if no manoeuvre was advised or driven.
     """
 
     case: Case
     report: dict[str, Any]
     known: OracleAnswer
-    answers: Mapping[str, Answer]
-    overlap: float
-    jaccard: float
+    answers: Mapping[str, Answer]  # by method
+    overlap: float  # of the first true effect that was named, in time; nan without one
+    jaccard: float  # and over the range of its variable
     resolved: bool | None
-    learned: Mapping[str, float]
-    stated: bool | None = None
-    comparable: Mapping[str, tuple[str, float]] = field(default_factory=dict)
-    masses: Sequence[MassError] = ()
+    learned: Mapping[str, float]  # errors on hold-out laps, see `discrepancy.learned_errors`
+    stated: bool | None = None  # whether the first description is true of the hidden physics; None without one to judge
+    comparable: Mapping[str, tuple[str, float]] = field(default_factory=dict)  # an equivalent parameter, and its true value
+    masses: Sequence[MassError] = ()  # of a payload that was hidden and described
 
     @property
     def true(self) -> set[str]:
@@ -219,20 +228,16 @@ def own_shares(scored: Sequence[Scored]) -> dict[str, tuple[int, int]]:
     driven = [s.resolved for s in scored if s.resolved is not None]
     none, outside = ([s for s in scored if s.case.level == level] for level in ("none", "outside"))
     within = [s for s in scored if s.case.level not in ("none", *NOT_IN_CATALOGUE) and s.known.identifiable]
-
-    def share(of: Sequence[Scored], hit: Callable[[Scored], bool]) -> tuple[int, int]:
-        return sum(map(hit, of)), len(of)
-
     return {
-        "none: false description": share(none, lambda s: s.answer.status == DESCRIBED),
-        "outside, seen by the oracle: described, and the statement is true": share(
+        "none: false description": _share(none, lambda s: s.answer.status == DESCRIBED),
+        "outside, seen by the oracle: described, and the statement is true": _share(
             [s for s in outside if s.known.identifiable], lambda s: s.rightly_described
         ),
-        "outside, described: the statement is true": share(
+        "outside, described: the statement is true": _share(
             [s for s in outside if s.answer.status == DESCRIBED], lambda s: s.rightly_described
         ),
-        "in the catalogue and identifiable: described instead of named": share(within, lambda s: s.answer.status == DESCRIBED),
-        "held-out laps: never worse than the base": share(scored, lambda s: s.no_worse),
+        "in the catalogue and identifiable: described instead of named": _share(within, lambda s: s.answer.status == DESCRIBED),
+        "held-out laps: never worse than the base": _share(scored, lambda s: s.no_worse),
         **_own_of_streets([s for s in scored if s.case.level == "street"]),
         "95 % intervals cover": (sum(covers), len(covers)),
         "recommended manoeuvre resolves the tie": (sum(driven), len(driven)),
@@ -242,21 +247,21 @@ def own_shares(scored: Sequence[Scored]) -> dict[str, tuple[int, int]]:
 def _own_of_streets(of: Sequence[Scored]) -> dict[str, tuple[int, int]]:
     """Hits and tries in towns."""
     seen = [s for s in of if s.true and s.known.identifiable]
-    kinds = {kind: [s for s in of if kind in s.true] for kind in STREET}
     masses = [m for s in of for m in s.masses]
-    long = [m for m in masses if m.long]
+    close = f"street, load described: masses within {CLOSE:.0%} of the load"
     return {
-        "street, seen by the oracle: rightly named or described": (sum(s.rightly_told for s in seen), len(seen)),
-        **{
-            f"street, {RIGHTLY_TOLD[kind]}": (sum(s.rightly_told for s in cases), len(cases)) for kind, cases in kinds.items()
-        },
-        f"street, load described: masses within {CLOSE:.0%} of the load, over {LONG_S:.0f} s of driving": (
-            sum(m.close for m in long), len(long),
-        ),
-        f"street, load described: masses within {CLOSE:.0%} of the load, all": (sum(m.close for m in masses), len(masses)),
-        "street, load described: 95 % intervals of masses cover": (sum(m.covered for m in masses), len(masses)),
-        "street: held-out laps never worse than the base": (sum(s.no_worse for s in of), len(of)),
+        "street, seen by the oracle: rightly named or described": _share(seen, lambda s: s.rightly_told),
+        **{f"street, {told}": _share([s for s in of if kind in s.true], lambda s: s.rightly_told)
+           for kind, told in RIGHTLY_TOLD.items()},
+        f"{close}, over {LONG_S:.0f} s of driving": _share([m for m in masses if m.long], lambda m: m.close),
+        f"{close}, all": _share(masses, lambda m: m.close),
+        "street, load described: 95 % intervals of masses cover": _share(masses, lambda m: m.covered),
+        "street: held-out laps never worse than the base": _share(of, lambda s: s.no_worse),
     }  # fmt: skip
+
+
+def _share(of: Sequence[Tried], hit: Callable[[Tried], bool]) -> tuple[int, int]:
+    return sum(map(hit, of)), len(of)
 
 
 def sizes(scored: Sequence[Scored]) -> dict[str, list[float]]:
@@ -277,20 +282,38 @@ def sizes(scored: Sequence[Scored]) -> dict[str, list[float]]:
 
 
 def _sizes_of_streets(of: Sequence[Scored]) -> dict[str, list[float]]:
-    removed = {
+    found = {
         f"street, {kind.replace('_', ' ')}: held-out error removed, of what the oracle removes (median)": [
             s.removed for s in of if kind in s.true and s.reducible
         ]
         for kind in STREET
     }
-    masses = [m for s in of for m in s.masses]
-    return {
-        **removed,
-        f"street, load described: masses off, of the load, over {LONG_S:.0f} s of driving (median)": [
-            m.off for m in masses if m.long
-        ],
-        "street, load described: masses off, of the load, all (median)": [m.off for m in masses],
-    }
+    masses, off = [m for s in of for m in s.masses], "street, load described: masses off, of the load"
+    found[f"{off}, over {LONG_S:.0f} s of driving (median)"] = [m.off for m in masses if m.long]
+    found[f"{off}, all (median)"] = [m.off for m in masses]
+    return found
+
+
+def mass_errors(speed: Array, mass: Array, told: Sequence[Mapping[str, Any]], greatest: float) -> list[MassError]:
+    """Errors of the masses of one recording, one for each time between two changes of the load that is described by half.
+
+    Speed [m/s] and load in addition to the empty vehicle [kg] are those of each second. `told` are stretches of a report:
+    `begin_s`, `end_s`, the `mass` in addition to the model's and its standard deviation `std` [kg]. The largest possible load
+    is `greatest` [kg].
+    """
+    second, driving = np.arange(len(mass)), np.abs(speed) > DRIVING_MPS
+    estimate, std = np.full((2, len(mass)), np.nan)
+    for one in told:
+        there = (second >= one["begin_s"]) & (second < one["end_s"])
+        estimate[there], std[there] = one["mass"], one["std"]
+    found = []
+    for piece in np.split(second, np.flatnonzero(np.diff(mass)) + 1):
+        drives = piece[driving[piece]]
+        known = drives[np.isfinite(estimate[drives])]
+        if len(drives) and len(known) >= LEAST_KNOWN * len(drives):
+            off = abs(float(estimate[known].mean()) - float(mass[piece[0]]))
+            found.append(MassError(float(len(drives)), off / greatest, off <= NORMAL_95 * float(std[known].mean())))
+    return found
 
 
 def comparable(scored: Sequence[Scored]) -> tuple[list[bool], list[float]]:

@@ -11,12 +11,8 @@ omitted.
 from __future__ import annotations
 
 import hashlib
-import json
-import os
 import re
-import sys
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError
+from trackres_ros.evaluation.processes import each, read_json, run_main
 from trackres_ros.evaluation.sealed.answers import ABOUT, BASELINES, DESCRIBED, of_names, of_report, words
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, Case
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer, fit_truth
@@ -48,8 +45,7 @@ def main(arguments: Sequence[str]) -> None:
     source, folder = Path(arguments[0]), Path(arguments[1])
     labels = read_labels(source)
     chosen = sorted(labels["cases"], key=lambda label: label["case"])[: int(arguments[2]) if len(arguments) > 2 else None]
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        scored = list(pool.map(_scored, [(source / "cases", folder / "results", label) for label in chosen]))
+    scored = each(_scored, [(source / "cases", folder / "results", label) for label in chosen])
     seal = hashlib.sha256((source / "labels.json").read_bytes()).hexdigest()
     print(write_all(folder, scored, seal, labels["seed"], len(labels["cases"]), source / "cases"))
 
@@ -58,7 +54,7 @@ def read_labels(source: Path) -> dict[str, Any]:
     """The labels of a folder, of which each case has recordings and a kind of physics that can be scored."""
     path, expected = source / "labels.json", "a folder with labels.json and cases/NAME/session1.csv"
     try:
-        labels: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        labels: dict[str, Any] = read_json(path)
         given = [(case["case"], case["level"], [effect["name"] for effect in case["effects"]]) for case in labels["cases"]]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(str(path), f"{type(error).__name__}: {error}", expected) from None
@@ -75,7 +71,7 @@ def read_labels(source: Path) -> dict[str, Any]:
 
 def _scored(task: tuple[Path, Path, Mapping[str, Any]]) -> Scored:
     cases, results, label = task
-    result = json.loads((results / f"{label['case']}.json").read_text(encoding="utf-8"))
+    result = read_json(results / f"{label['case']}.json")
     report, effects = result["report"], label["effects"]
     level = {"parameters_off": "none"}.get(label["level"], label["level"])
     names = [e["name"] for e in effects]
@@ -133,4 +129,4 @@ def _comparable(effects: Sequence[Mapping[str, Any]], report: Mapping[str, Any])
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_main(main)

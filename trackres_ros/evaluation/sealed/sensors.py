@@ -12,16 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from trackres_ros.evaluation.sealed.drives import OnStreet, SealedDrive
+from trackres_ros.evaluation.sealed.drives import Array, OnStreet, SealedDrive
 from trackres_ros.evaluation.sealed.truth import TruthRun
-
-Array = NDArray[np.float64]
 
 POSITION = ("latitude_deg", "longitude_deg")
 RESTING_MPS = 1e-3  # a standing encoder gives no counts
 HEAVY_TAILS = 5.0  # degrees of freedom of the torque's white noise
 EARTH_M, LATITUDE_DEG, LONGITUDE_DEG = 6_371_000.0, 48.0, 9.0  # radius, and where the towns are
 SECOND_S, MINUTE_S = 1.0, 60.0  # between positions; correlation length of their error
+# Errors of any instrument, which are no finding: less than a hidden `delay`, `torque_offset` or `torque_gain` adds.
+SPEED_STEPS_MPS = (0.02, 0.05)
+MOST_LAG_S, MOST_OFFSET_NM, MOST_GAIN = 0.1, 15.0, 0.005
 LOST_S, SEEN_S = (20.0, 60.0), 900.0  # how long narrow streets hide the satellites, and for how long they are seen in the mean
 
 
@@ -48,6 +49,17 @@ class Sensors:
     position_white_m: float = 1.0
     altitude_m: float = 4.0
     altitude_white_m: float = 0.5
+
+
+def drawn_sensors(rng: np.random.Generator, belt_measured: bool = False) -> Sensors:
+    """Good instruments, each with a lag, an offset and a gain of its own."""
+    return Sensors(
+        belt_measured=belt_measured,
+        speed_step_mps=float(rng.uniform(*SPEED_STEPS_MPS)),
+        torque_lag_s=float(rng.uniform(0.0, MOST_LAG_S)),
+        torque_offset_nm=float(rng.uniform(-MOST_OFFSET_NM, MOST_OFFSET_NM)),
+        torque_gain=float(1.0 + rng.uniform(-MOST_GAIN, MOST_GAIN)),
+    )
 
 
 def record(

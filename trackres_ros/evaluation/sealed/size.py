@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from trackres_ros.evaluation.sealed.cases import Case, build_of
+from trackres_ros.evaluation.sealed.cases import Case
 from trackres_ros.evaluation.sealed.drives import Array, SealedDrive
 from trackres_ros.evaluation.sealed.programs import ENTRIES, PROGRAM, draw_program
-from trackres_ros.evaluation.sealed.truth import simulate_truth
+from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
 
 SLOW_NM, SLOW_S, WHITE_NM = 50.0, 6.0, 15.0  # a torque's noise over a second: a road that no one measured, and white
 CHANGE = 0.03  # of each value of the build, to find the part absorbed by a re-fit
@@ -26,7 +26,7 @@ def sized(case: Case, sheet: Path, drives: Sequence[SealedDrive]) -> Case:
     """The case with the size of its program and its detectability; an undetectable program is replaced by another."""
     if PROGRAM not in case.hidden:
         return case
-    build, wanted = build_of(case), case.hidden[PROGRAM]["d_prime"]
+    build, wanted = Build(**case.build), case.hidden[PROGRAM]["d_prime"]
     plain = _whitened([run.shown for run in simulate_truth(sheet, build, {}, drives)], drives)
     others = [replace(build, **{name: (1.0 + CHANGE) * value}) for name, value in case.build.items()]
     base = [_whitened([run.shown for run in simulate_truth(sheet, other, {}, drives)], drives) - plain for other in others]

@@ -34,16 +34,9 @@ MEANT = {
 
 
 def is_true(term: Mapping[str, Any], over: Mapping[str, Array], added: Array, lengths: Array) -> bool:
-    """Whether a described term is true of the hidden torque.
+    """Whether a described term of report.json is true of the hidden torque.
 
-    Parameters
-    ----------
-    term
-        As in report.json.
-    over, added
-        Variables of the drives and torque of the hidden physics [Nm], by seconds, one drive after the other.
-    lengths
-        Of the drives.
+    Variables and torque of the hidden physics [Nm] are by seconds, one drive after the other; `lengths` are those of the drives.
     """
     form = str(term["form"])
     series = {**over, **_since_stops(over, lengths)}

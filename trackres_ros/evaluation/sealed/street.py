@@ -38,7 +38,7 @@ def loaded(drive: SealedDrive, p: Mapping[str, float], driven: float) -> SealedD
 def _slope(at: Journey, _p: Mapping[str, float], _: Array) -> Array:
     """The slope of a street that was not surveyed: its steepness is that of the town."""
     assert at.drive.street is not None
-    return np.asarray(at.drive.weight * at.sheet["track.sprocket_radius"] * np.sin(np.arctan(at.drive.street.slope)))
+    return at.climbing(at.drive.street.slope)
 
 
 def _ground(at: Journey, p: Mapping[str, float], _: Array) -> Array:

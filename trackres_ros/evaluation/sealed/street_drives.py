@@ -33,23 +33,13 @@ MEAN_MPS = 11.0  # more than it drives in the mean
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A way through a town, by points that are `SPACING_M` apart.
+    """A way through a town, by points that are `SPACING_M` apart."""
 
-    Attributes
-    ----------
-    x, y, heading
-        Of each point [m], [rad, from east to north, without jumps].
-    fastest
-        At each point [m/s].
-    halts
-        Points at which it halts, for how long [s], and whether that is at a stop, where loads change.
-    """
-
-    x: Array
-    y: Array
-    heading: Array
-    fastest: Array
-    halts: tuple[Indices, Array, NDArray[np.bool_]]
+    x: Array  # to the east [m]
+    y: Array  # to the north [m]
+    heading: Array  # [rad, from east to north, without jumps]
+    fastest: Array  # [m/s]
+    halts: tuple[Indices, Array, NDArray[np.bool_]]  # points, for how long [s], and whether at a stop, where loads change
 
 
 def street_drive(

@@ -48,30 +48,17 @@ class Patch:
 class Town:
     """Streets on a grid, and the ground below them.
 
-    Attributes
-    ----------
-    east, north
-        Of the streets that run north, shape (columns,), and of those that run east, shape (rows,) [m].
-    waves
-        Of the height: wave numbers to the east and to the north [rad/m], phases [rad] and amplitudes [m], shape (4, waves); the
-        steepest place of all streets has a slope of 1.
-    soft
-        Parts of streets on which driving is harder.
-    covered
-        Part of a street where no satellite is seen.
-    radius
-        Of the bends at crossings, in the middle of the street [m].
-    stops
-        Of the streets that have a stop: how far along it is, as a share, from the crossing that comes first in order.
+    `waves` are those of the height: wave numbers to the east and to the north [rad/m], phases [rad] and amplitudes [m], shape
+    (4, waves); the steepest place of all streets has a slope of 1.
     """
 
-    east: Array
-    north: Array
+    east: Array  # of the streets that run north [m], shape (columns,)
+    north: Array  # of those that run east [m], shape (rows,)
     waves: Array
-    soft: tuple[Patch, ...]
-    covered: Patch | None
-    radius: float
-    stops: dict[tuple[Crossing, Crossing], float]
+    soft: tuple[Patch, ...]  # parts of streets on which driving is harder
+    covered: Patch | None  # part of a street where no satellite is seen
+    radius: float  # of the bends at crossings, in the middle of the street [m]
+    stops: dict[tuple[Crossing, Crossing], float]  # by street its place as a share, from the crossing that comes first in order
 
     def at(self, crossing: Crossing) -> Array:
         """Where a crossing is [m], shape (2,)."""
@@ -122,14 +109,8 @@ def draw_town(rng: np.random.Generator) -> Town:
     east, north = (_grid(count, rng) for count in (COLUMNS, int(rng.choice(ROWS))))
     length, towards = rng.uniform(*WAVES_M, WAVES), rng.uniform(0.0, 2.0 * np.pi, WAVES)
     number = 2.0 * np.pi / length
-    waves = np.array(
-        [
-            number * np.cos(towards),
-            number * np.sin(towards),
-            rng.uniform(0.0, 2.0 * np.pi, WAVES),
-            rng.normal(size=WAVES) / number,
-        ]
-    )
+    phase, size = rng.uniform(0.0, 2.0 * np.pi, WAVES), rng.normal(size=WAVES) / number
+    waves = np.array([number * np.cos(towards), number * np.sin(towards), phase, size])
     bare = Town(east, north, waves, (), None, float(rng.uniform(10.0, 18.0)), {})
     waves[3] /= _steepest(bare)
     streets = bare.streets

@@ -12,20 +12,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.evaluation.sealed import street
 from trackres_ros.evaluation.sealed.belt_heat import KELVIN, LAYERS, roll
 from trackres_ros.evaluation.sealed.belt_loss import LOAD_SHARES, LOG_SPEEDS, BeltLoss, belt_loss
 from trackres_ros.evaluation.sealed.data_sheet import DataSheet, read_data_sheet
-from trackres_ros.evaluation.sealed.drives import SealedDrive
+from trackres_ros.evaluation.sealed.drives import Array, SealedDrive
 from trackres_ros.evaluation.sealed.material import BELOW_TG_K, SHIFT_ABOVE_TG_K, Material, fit_material
 from trackres_ros.evaluation.sealed.phenomenon import Adds, Journey
 from trackres_ros.evaluation.sealed.programs import PROGRAM, Seen, acting
 
-Array = NDArray[np.float64]
 Hidden = Mapping[str, Mapping[str, float]]
 """Phenomena that are switched on, by the catalogue's names, with the values of their parameters here."""
 
@@ -47,30 +46,17 @@ class Build:
 
 @dataclass(frozen=True, eq=False)
 class TruthRun:
-    """True values of a drive, series of shape (n,).
+    """True values of a drive, series of shape (n,)."""
 
-    Attributes
-    ----------
-    torque, shown
-        At the sprockets, and at the sensor [Nm].
-    belt, surface
-        Temperatures of the belt [degC].
-    added
-        Torque added by the phenomena; for a program, or with friction brakes: at the sensor [Nm].
-    weight
-        Including the load [N].
-    """
-
-    torque: Array
-    shown: Array
-    belt: Array
-    surface: Array
-    added: dict[str, Array]
-    weight: Array
+    torque: Array  # at the sprockets [Nm]
+    shown: Array  # at the sensor [Nm]
+    belt: Array  # mean temperature [degC]
+    surface: Array  # temperature outside [degC]
+    added: dict[str, Array]  # torque of each phenomenon [Nm]; for a program, or with friction brakes: at the sensor
+    weight: Array  # including the load [N]
 
 
-@dataclass(frozen=True, eq=False)
-class _Design:
+class _Design(NamedTuple):
     """Constants of all vehicles of a data sheet."""
 
     sheet: DataSheet
@@ -245,13 +231,9 @@ def _sensor(torque: Array, hidden: Hidden, at: Journey) -> Array:
     return shown
 
 
-def _grade(at: Journey, p: Mapping[str, float], _: Array) -> Array:
-    return np.asarray(at.drive.weight * at.sheet["track.sprocket_radius"] * np.sin(np.arctan(p["grade"])))
-
-
 def _grade_profile(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     rise = p["rise"] * np.cos(at.drive.heading - p["towards"]) + 0.1 * p["rise"] * np.cos(2.0 * at.drive.heading)
-    return np.asarray(at.drive.weight * at.sheet["track.sprocket_radius"] * np.sin(np.arctan(rise)))
+    return at.climbing(rise)
 
 
 def _turning_scrub(at: Journey, p: Mapping[str, float], _: Array) -> Array:
@@ -268,10 +250,6 @@ def _viscous_bearing(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     warm = at.lagged(at.drive.ambient + p["rise"] * at.travel**0.9, p["seconds"], float(at.drive.ambient[0]))
     thin = np.exp(p["activation"] * (1.0 / (warm + KELVIN) - 1.0 / (20.0 + KELVIN)))
     return p["coefficient"] * at.travel**0.6 * thin * at.direction
-
-
-def _stribeck(at: Journey, p: Mapping[str, float], _: Array) -> Array:
-    return (p["constant"] + p["breakaway"] / (1.0 + (at.travel / p["speed"]) ** 2)) * at.direction
 
 
 def _headwind(at: Journey, p: Mapping[str, float], _: Array) -> Array:
@@ -291,30 +269,22 @@ def _roadwheel_tyres(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     return p["torque"] * at.load**1.3 * np.exp(p["activation"] * (1.0 / (warm + KELVIN) - 1.0 / 293.15)) * at.direction
 
 
-def _soft_ground(at: Journey, p: Mapping[str, float], _: Array) -> Array:
-    return p["torque"] * (0.9 * at.load ** p["power"] + 0.1) * at.direction
-
-
-def _vibration(at: Journey, p: Mapping[str, float], _: Array) -> Array:
-    return p["torque"] * np.exp(-0.5 * ((at.travel - p["speed"]) / p["width"]) ** 2) * at.direction
-
-
 def _warmup(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     cold = 1.0 - at.lagged((at.travel > 0.3).astype(float), p["seconds"], 0.0)
     return p["torque"] * (0.7 * cold + 0.3 * cold**2) * at.direction
 
 
 PHENOMENA: dict[str, Adds] = {
-    "grade": _grade,
+    "grade": lambda at, p, _: at.climbing(p["grade"]),
     "grade_profile": _grade_profile,
     "turning_scrub": _turning_scrub,
     "cornering": _cornering,
     "viscous_bearing": _viscous_bearing,
-    "stribeck": _stribeck,
+    "stribeck": lambda at, p, _: (p["constant"] + p["breakaway"] / (1.0 + (at.travel / p["speed"]) ** 2)) * at.direction,
     "headwind": _headwind,
     "roadwheel_tyres": _roadwheel_tyres,
-    "soft_ground": _soft_ground,
-    "vibration": _vibration,
+    "soft_ground": lambda at, p, _: p["torque"] * (0.9 * at.load ** p["power"] + 0.1) * at.direction,
+    "vibration": lambda at, p, _: p["torque"] * np.exp(-0.5 * ((at.travel - p["speed"]) / p["width"]) ** 2) * at.direction,
     "warmup": _warmup,
     "lug_friction": _lug_friction,
     **street.PHENOMENA,

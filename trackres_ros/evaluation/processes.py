@@ -1,0 +1,77 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the processes of all proofs share: labels sealed before the first recording is written, and all cores on the cases."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any, TypeVar
+
+from trackres_ros.errors import InputError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+def digest(labels: object) -> str:
+    """SHA-256 of labels."""
+    return hashlib.sha256(json.dumps(labels, sort_keys=True).encode()).hexdigest()
+
+
+def write_sealed(folder: Path, what: str, seal: str, labels: Mapping[str, Any]) -> None:
+    """Print the seal of the labels, and write both; folders for cases and truth are made."""
+    for sub in ("cases", "sealed"):
+        (folder / sub).mkdir(parents=True, exist_ok=True)
+    print(f"sealed: {what}, SHA-256 {seal}", flush=True)
+    (folder / "seal.txt").write_text(seal + "\n", encoding="utf-8")
+    (folder / "sealed" / "labels.json").write_text(json.dumps(labels, indent=1), encoding="utf-8")
+
+
+def read_labels(folder: Path) -> dict[str, Any]:
+    """The labels of a run."""
+    return dict(read_json(folder / "sealed" / "labels.json"))
+
+
+def check_seal(folder: Path, seal: str, remedy: str = "begin anew") -> None:
+    """Raise InputError if a seal, computed from the labels, differs from the one that was written."""
+    if seal != (folder / "seal.txt").read_text(encoding="utf-8").strip():
+        raise InputError(str(folder / "sealed"), "labels that are not those that were sealed", "the labels as drawn", remedy)
+
+
+def read_json(path: Path) -> Any:
+    """Content of a JSON file."""
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def each(work: Callable[[Task], Result], tasks: Sequence[Task], done: str = "") -> list[Result]:
+    """Results of independent tasks, in their order, by one process a core; `done` is printed with their number."""
+    found = []
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        for result in pool.map(work, tasks):
+            found.append(result)
+            if done:
+                print(f"\r{done} {len(found)} of {len(tasks)}", end="", flush=True)
+    if done:
+        print(flush=True)
+    return found
+
+
+def run_command(*words: str | Path) -> None:
+    """Run a command of `trackres`."""
+    subprocess.run([sys.executable, "-m", "trackres_ros", *map(str, words)], check=True, capture_output=True)
+
+
+def run_main(main: Callable[[Sequence[str]], None]) -> None:
+    """Run a process of a proof with its arguments; a refusal is one line."""
+    try:
+        main(sys.argv[1:])
+    except InputError as refused:
+        sys.exit(f"trackres: error: {refused}")
