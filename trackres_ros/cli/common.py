@@ -9,7 +9,7 @@ import inspect
 import json
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -29,11 +29,23 @@ if TYPE_CHECKING:
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
+METHODS = click.Choice(["rainflow", "spectral"])
+PATH, FOLDER = click.Path(path_type=Path), click.Path(path_type=Path, file_okay=False)
 DISTRIBUTIONS = {"sklearn": "scikit-learn"}  # if its name is not that of the module
-
-
+SHIPPED_TOPICS = shipped_topics()
 DBC = f"{__name__}.dbc"
 """Key of a command's context under which the CAN databases are stored."""
+
+
+class Number(click.FloatRange):
+    """A finite number in a range; click's own accepts nan."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """See `click.FloatRange`."""
+        converted = super().convert(value, param, ctx)
+        if converted != converted:
+            self.fail(f"{value} is not a number", param, ctx)
+        return converted
 
 
 class Command(click.Command):
@@ -70,16 +82,19 @@ def vehicles_to_complete(_context: click.Context, _option: click.Parameter, begu
 
 def topics_to_complete(_context: click.Context, _option: click.Parameter, begun: str) -> list[CompletionItem]:
     """Shipped topics files and files, for the shell."""
-    return _to_complete(shipped_topics(), begun)
+    return _to_complete(SHIPPED_TOPICS, begun)
 
 
 def _to_complete(names: Iterable[str], begun: str) -> list[CompletionItem]:
     return [*(CompletionItem(name) for name in names if name.startswith(begun)), CompletionItem(begun, type="file")]
 
 
-def default_of(function: Callable[..., Any], argument: str) -> Any:
-    """The default of a function's argument, for the option of the same meaning."""
-    return inspect.signature(function).parameters[argument].default
+def option_of(
+    function: Callable[..., Any], argument: str, kind: Any, text: str, metavar: str | None = None
+) -> Callable[[Decorated], Decorated]:
+    """The option of a function's argument, with its default."""
+    default = inspect.signature(function).parameters[argument].default
+    return click.option(f"--{argument.replace('_', '-')}", type=kind, default=default, metavar=metavar, help=text)
 
 
 @contextmanager
@@ -93,63 +108,33 @@ def print_warnings() -> Iterator[None]:
 
 def folder_option(text: str) -> Callable[[Decorated], Decorated]:
     """`-o`, `--output`: the folder that a command writes into."""
-    kind = click.Path(path_type=Path, file_okay=False)
-    return click.option("-o", "--output", type=kind, required=True, metavar="DIR", help=text)
+    return click.option("-o", "--output", type=FOLDER, required=True, metavar="DIR", help=text)
 
 
-def vehicle_option(command: Decorated) -> Decorated:
-    """`--vehicle`: a path or the name of a shipped vehicle."""
-    return click.option(
-        "--vehicle",
-        required=True,
-        metavar="FILE|NAME",
-        shell_complete=vehicles_to_complete,
-        help=f"Vehicle file, or the name of a shipped one: {', '.join([*shipped_vehicles(), *shipped_road_vehicles()])}.",
-    )(command)
+vehicle_option = click.option(
+    "--vehicle",
+    required=True,
+    metavar="FILE|NAME",
+    shell_complete=vehicles_to_complete,
+    help=f"Vehicle file, or the name of a shipped one: {', '.join([*shipped_vehicles(), *shipped_road_vehicles()])}.",
+)
 
 
 def topics_option(text: str, with_dbc: bool = True) -> Callable[[Decorated], Decorated]:
     """`--topics`: a path or the name of a shipped topics file; with `--dbc` for recordings."""
-    names = ", ".join(shipped_topics())
     option = click.option(
         "--topics",
         metavar="FILE|NAME",
         shell_complete=topics_to_complete,
-        callback=_with_databases if with_dbc else None,
-        help=f"Topics file, or the name of a shipped one ({names}): {text}",
+        callback=with_databases if with_dbc else None,
+        help=f"Topics file, or the name of a shipped one ({', '.join(SHIPPED_TOPICS)}): {text}",
     )
     return (lambda command: dbc_option(option(command))) if with_dbc else option
 
 
-def params_option(command: Decorated) -> Decorated:
-    """`--params`: a parameter file of the node; only the estimator's settings are used."""
-    return click.option(
-        "--params",
-        type=click.Path(path_type=Path),
-        metavar="P.yaml",
-        help="Parameter file, flat or as the live node reads it; only settings of the estimator are used.",
-    )(command)
-
-
-def dbc_option(command: Decorated) -> Decorated:
-    """`--dbc`: databases of the buses whose frames were logged."""
-    return click.option(
-        "--dbc",
-        multiple=True,
-        type=click.Path(path_type=Path),
-        is_eager=True,
-        expose_value=False,
-        callback=lambda context, _, files: context.meta.update({DBC: files}),
-        help="Database of a CAN bus, for recorded frames; may be repeated. Overrides dbc in the topics file.",
-    )(command)
-
-
-def _with_databases(context: click.Context, _option: click.Parameter, topics: str | None) -> Topics | str | None:
-    return with_databases(topics, context.meta.get(DBC, ()))
-
-
-def with_databases(topics: str | None, files: Sequence[Path]) -> Topics | Any:
-    """A topics file, or none, with the databases of `--dbc`."""
+def with_databases(context: click.Context, _option: click.Parameter | None, topics: str | None) -> Topics | Any:
+    """The given topics file, or none, with the databases of `--dbc`."""
+    files = context.meta.get(DBC, ())
     if not files:
         return topics
     from trackres_ros.recording.bindings import Topics
@@ -158,19 +143,40 @@ def with_databases(topics: str | None, files: Sequence[Path]) -> Topics | Any:
     return loaded.with_databases(files)
 
 
-def surroundings_option(command: Decorated) -> Decorated:
-    """`--surroundings`: a file of the site, the weather and the ground, as `trackres diagnose` writes it."""
-    return click.option(
-        "--surroundings",
-        type=click.Path(path_type=Path),
-        metavar="S.yaml",
-        help="Current effects of site, weather and ground, as trackres diagnose writes them; never fed forward.",
-    )(command)
+dbc_option = click.option(
+    "--dbc",
+    multiple=True,
+    type=PATH,
+    is_eager=True,
+    expose_value=False,
+    callback=lambda context, _, files: context.meta.update({DBC: files}),
+    help="Database of a CAN bus, for recorded frames; may be repeated. Overrides dbc in the topics file.",
+)
+params_option = click.option(
+    "--params",
+    type=PATH,
+    metavar="P.yaml",
+    help="Parameter file, flat or as the live node reads it; only settings of the estimator are used.",
+)
+surroundings_option = click.option(
+    "--surroundings",
+    type=PATH,
+    metavar="S.yaml",
+    help="Current effects of site, weather and ground, as trackres diagnose writes them; never fed forward.",
+)
+ambient_option = click.option(
+    "--ambient-degc", type=Number(-60, 60), help="Ambient temperature [degC]; default the vehicle file's."
+)
+weight_option = click.option(
+    "--weight-kn", type=Number(0.1, 1e5), help="Weight of the whole vehicle [kN]; default the vehicle file's."
+)
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
+SEEDS, WORKERS = click.IntRange(0, 2**32 - 1), click.IntRange(1, 1024)
 
 
-def json_option(command: Decorated) -> Decorated:
-    """`--json`: the same content for programs."""
-    return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")(command)
+def seed_option(default: int) -> Callable[[Decorated], Decorated]:
+    """`--seed` of all random draws."""
+    return click.option("--seed", type=SEEDS, default=default, help="Seed of all random draws.")
 
 
 def method_options(command: Decorated) -> Decorated:
@@ -180,31 +186,9 @@ def method_options(command: Decorated) -> Decorated:
     )(command)
     return click.option(
         "--method",
-        type=click.Choice(["rainflow", "spectral"]),
+        type=METHODS,
         help="Hysteresis method instead of the vehicle file's: rainflow as in the paper, or the exact spectral one.",
     )(command)
-
-
-def number(low: float, high: float) -> click.FloatRange:
-    """A finite number in a range; click's own accepts nan."""
-    return _Finite(low, high)
-
-
-def whole(low: int, high: int) -> click.IntRange:
-    """A whole number in a range."""
-    return click.IntRange(low, high)
-
-
-SEEDS = whole(0, 2**32 - 1)
-WORKERS = whole(1, 1024)
-
-
-class _Finite(click.FloatRange):
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        converted = super().convert(value, param, ctx)
-        if converted != converted:
-            self.fail(f"{value} is not a number", param, ctx)
-        return converted
 
 
 def needs(feature: str, extra: str, *modules: str) -> None:
@@ -225,6 +209,12 @@ def picture_beside(path: Path) -> Path:
     """Path of the picture that belongs to an output file."""
     name = path.name[: -len(".gz")] if path.name.lower().endswith(".csv.gz") else path.name
     return path.with_name(f"{Path(name).stem}.png")
+
+
+def with_written(text: str, written: Iterable[object]) -> str:
+    """A text, and the files that were written, if any."""
+    files = ", ".join(map(str, written))
+    return f"{text}\nWritten: {files}" if files else text
 
 
 def emit(result: dict[str, Any], as_json: bool, text: Callable[[], str]) -> None:

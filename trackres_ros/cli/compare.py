@@ -6,11 +6,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import Command, emit, json_option, needs, output_folder, print_warnings, progress
+from trackres_ros.cli.common import FOLDER, Command, emit, json_option, needs, output_folder, print_warnings, progress
 
 A_NUMBER = "A|A:B|A,B,C"
 
@@ -29,21 +30,9 @@ A_NUMBER = "A|A:B|A,B,C"
     help="Of two designs: a drive. A recording, a speed profile as simulate takes it, or stages or laps; may be repeated. "
     "stages without.",
 )
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Folder for pictures of both."
-)
+@click.option("-o", "--output", type=FOLDER, metavar="DIR", help="Folder for pictures of both.")
 @json_option
-def compare_command(
-    one: str,
-    other: str,
-    speed_kmh: str | None,
-    belt_degc: str | None,
-    ambient_degc: str | None,
-    weight_kn: str | None,
-    cycle: tuple[str, ...],
-    output: Path | None,
-    as_json: bool,
-) -> None:
+def compare_command(one: str, other: str, cycle: tuple[str, ...], output: Path | None, as_json: bool, **asked_for: Any) -> None:
     """Show the significant differences between two days, vehicles, reports or designs.
 
     ONE and OTHER are each a folder of trackres fleet, all of it or a part (results:truck-01, results:truck-01@2026-03,
@@ -67,7 +56,7 @@ def compare_command(
 
     with print_warnings():
         found = compare(one, other)
-    asked, designs = asked_of((one, other), ComparisonOptions(speed_kmh, belt_degc, ambient_degc, weight_kn, cycle)), None
+    asked, designs = asked_of((one, other), ComparisonOptions(**asked_for, cycles=cycle)), None
     try:
         found["values"] = values = differences(one, other)
         text = "\n".join(["Values that differ", differences_text(one, other, values)])

@@ -40,7 +40,10 @@ from trackres_ros.errors import one_line
 BAD_INPUT = 2
 
 
-@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 110, "show_default": True}
+
+
+@click.group(cls=Commands, context_settings=SETTINGS)
 @click.version_option(__version__, package_name="trackres_ros")
 def cli() -> None:
     """Rolling-resistance torque and temperature of rubber tracks.

@@ -24,9 +24,9 @@ def begin() -> None:
     _began_ns = time.time_ns()
 
 
-def watch(*places: Path) -> None:
+def watch(*places: Path | None) -> None:
     """Register the files or folders that a command writes."""
-    _places.extend(places)
+    _places.extend(place for place in places if place)
 
 
 def places() -> str:

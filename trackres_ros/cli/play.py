@@ -12,16 +12,14 @@ from pathlib import Path
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import emit, json_option, number, progress
+from trackres_ros.cli.common import PATH, Number, emit, json_option, progress
 
 LISTENERS_WITHIN_S = 30.0
 
 
 @click.command("play")
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option(
-    "--rate", type=number(0.01, 1000.0), default=1.0, show_default=True, help="Speed of playback relative to the recording."
-)
+@click.argument("recording", type=PATH)
+@click.option("--rate", type=Number(0.01, 1000.0), default=1.0, help="Speed of playback relative to the recording.")
 @click.option("--wait-for", multiple=True, metavar="TOPIC", help="Start once this topic has a subscriber; may be repeated.")
 @json_option
 def play_command(recording: Path, rate: float, wait_for: tuple[str, ...], as_json: bool) -> None:

@@ -10,13 +10,13 @@ from pathlib import Path
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import Command, emit, json_option
+from trackres_ros.cli.common import PATH, Command, emit, json_option
 from trackres_ros.cli.partial_output import watch
 
 
 @click.command("recover", cls=Command)
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="File to write, .mcap.")
+@click.argument("recording", type=PATH)
+@click.option("-o", "--output", type=PATH, required=True, help="File to write, .mcap.")
 @json_option
 def recover_command(recording: Path, output: Path, as_json: bool) -> None:
     """Repair an MCAP recording that a kill, a crash or a power cut left unfinished. The original file stays.

@@ -11,18 +11,12 @@ from typing import Any
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import emit, json_option, needs, output_folder, progress
+from trackres_ros.cli.common import FOLDER, emit, json_option, needs, output_folder, progress
 from trackres_ros.cli.partial_output import watch
 
 
 @click.command("reproduce")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, file_okay=False),
-    required=True,
-    help="Folder for pictures, tables and the page.",
-)
+@click.option("-o", "--output", type=FOLDER, required=True, help="Folder for pictures, tables and the page.")
 @click.option(
     "--page", type=click.Path(path_type=Path, dir_okay=False), help="Write the page here too, with links into the folder."
 )
@@ -39,8 +33,7 @@ def reproduce_command(output: Path, page: Path | None, as_json: bool) -> None:
     if page is not None and not page.parent.is_dir():
         raise InputError("--page", str(page), "a file in a folder that exists")
     output_folder(output)
-    if page is not None:
-        watch(page)
+    watch(page)
     with progress("figures", 1.0) as advance:
         done = 0.0
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from trackres_ros.cli.common import DBC, Command, Commands, dbc_option, emit, json_option, with_databases
+from trackres_ros.cli.common import PATH, Command, Commands, dbc_option, emit, json_option, with_databases
 
 
 @click.group("topics", cls=Commands)
@@ -28,7 +28,7 @@ def list_command(as_json: bool) -> None:
 
 
 @topics_group.command("guess", cls=Command)
-@click.argument("recording", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("recording", nargs=-1, required=True, type=PATH)
 @dbc_option
 @json_option
 @click.pass_context
@@ -41,5 +41,5 @@ def guess_command(context: click.Context, recording: tuple[Path, ...], as_json: 
     """
     from trackres_ros.recording.guessed_topics import guessed_topics
 
-    lines = guessed_topics(recording, with_databases(None, context.meta[DBC]))
+    lines = guessed_topics(recording, with_databases(context, None, None))
     emit({"lines": lines}, as_json, lambda: "\n".join(lines))
