@@ -117,13 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _refuse_empty(given: Sequence[str]) -> None:
-    """Refuse an empty text: as a path it would mean the current folder.
-
-    Raises
-    ------
-    InputError
-        For an empty text, with its option.
-    """
+    """Refuse an empty text: as a path it would mean the current folder. Raises InputError for an empty text, with its option."""
     for before, argument in zip(["trackres", *given], given, strict=False):
         option, equals, value = argument.partition("=")
         if not argument.strip() or (equals and not value.strip() and option.startswith("--")):

@@ -90,17 +90,8 @@ class CompoundFit:
 def fit_compound(sweep: Sweep, vehicle: Vehicle) -> CompoundFit:
     """Fit the content of a rubber file and the shift of a vehicle file.
 
-    Parameters
-    ----------
-    sweep
-        Of one frequency or several.
-    vehicle
-        Its shift is kept if the data do not show one.
-
-    Raises
-    ------
-    InputError
-        If a vehicle file may not hold the fitted shift.
+    `sweep`: of one frequency or several; `vehicle`: its shift is kept if the data do not show one. Raises InputError if a vehicle
+    file may not hold the fitted shift.
     """
     at = float(np.clip(sweep.frequencies[0], SWEEP_FREQUENCY.low, SWEEP_FREQUENCY.high))
     decades = float(np.log10(sweep.frequency.max() / sweep.frequency.min()))

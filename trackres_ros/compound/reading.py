@@ -81,6 +81,8 @@ class Sweep:
 def read_sweep(path: Path, frequency_hz: float | None = None) -> Sweep:
     """Read a DMA sweep.
 
+    Raises InputError with file, line and column: the given and the allowed values.
+
     Parameters
     ----------
     path
@@ -88,11 +90,6 @@ def read_sweep(path: Path, frequency_hz: float | None = None) -> Sweep:
         marked as comments. Separators are tab, semicolon or comma, decimals have a point or a comma.
     frequency_hz
         Of the whole sweep [Hz], if the file does not give it.
-
-    Raises
-    ------
-    InputError
-        With file, line and column: the given and the allowed values.
     """
     text, coding = _decoded(read_bytes(path, WHAT, MOST_BYTES))
     lines = text.splitlines()

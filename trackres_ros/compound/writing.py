@@ -46,13 +46,7 @@ def stem_of(path: Path) -> str:
 
 
 def files_of(sweep: Path, folder: Path) -> dict[str, Path]:
-    """The files of a sweep, by kind.
-
-    Raises
-    ------
-    InputError
-        If one of them is the sweep itself, or the folder is a diagnosis'.
-    """
+    """The files of a sweep, by kind. Raises InputError if one of them is the sweep itself, or the folder is a diagnosis'."""
     stem = stem_of(sweep)
     found = {
         "vehicle": folder / f"{stem}.yaml",
@@ -70,10 +64,7 @@ def files_of(sweep: Path, folder: Path) -> dict[str, Path]:
 def write_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -> Vehicle:
     """Write rubber file, vehicle file and Prony series; return the vehicle as it is read back.
 
-    Raises
-    ------
-    InputError
-        If a vehicle may not have the compound.
+    Raises InputError if a vehicle may not have the compound.
     """
     _check_warm(fit)
     try:

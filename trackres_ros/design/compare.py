@@ -102,10 +102,7 @@ class ComparisonOptions:
 def asked_of(given: Sequence[str], options: ComparisonOptions) -> ComparisonRequest | None:
     """Conditions to compare two vehicle files with tracks; None for anything else.
 
-    Raises
-    ------
-    InputError
-        If an option is not valid, or is given for something else.
+    Raises InputError if an option is not valid, or is given for something else.
     """
     files = vehicle_files(given, "tracks")
     if not files:
@@ -149,10 +146,7 @@ def vehicle_files(given: Sequence[str], section: str) -> list[Path]:
 def numbers(option: str, given: str, limits: tuple[float, float]) -> tuple[float, ...]:
     """The numbers of `A`, `A:B`, `A:B:N` and `A,B,C`; `A:B` is five, evenly spaced.
 
-    Raises
-    ------
-    InputError
-        On anything else, or beyond the limits.
+    Raises InputError on anything else, or beyond the limits.
     """
     low, high = limits
     try:
@@ -176,10 +170,7 @@ def numbers(option: str, given: str, limits: tuple[float, float]) -> tuple[float
 def compare_designs(asked: ComparisonRequest, advance: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
     """Two vehicles at the same conditions.
 
-    Parameters
-    ----------
-    advance
-        Called after each point.
+    `advance`: called after each point.
 
     Returns
     -------

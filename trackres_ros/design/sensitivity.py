@@ -162,6 +162,8 @@ def sensitivity(
 ) -> SensitivityResult:  # fmt: skip
     """Share of each outcome's uncertainty due to each value of a vehicle file, if all are uniform in their ranges.
 
+    Raises InputError on an invalid number of samples, or inconsistent ranges; MissingExtraError if SALib is not installed.
+
     Parameters
     ----------
     file
@@ -174,13 +176,6 @@ def sensitivity(
         Of the draws.
     progress
         Takes a description and the number of steps, and returns a function that takes the number of finished ones.
-
-    Raises
-    ------
-    InputError
-        On an invalid number of samples, or inconsistent ranges.
-    MissingExtraError
-        SALib is not installed.
     """
     checks.whole(samples, "samples", LEAST_SAMPLES, MOST_SAMPLES)
     if samples & (samples - 1):

@@ -123,6 +123,8 @@ class Held:
 def steady(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = None) -> Steady:
     """The steady state of a vehicle, by the exact methods.
 
+    Raises InputError beyond the speeds of the vehicle.
+
     Parameters
     ----------
     vehicle
@@ -138,11 +140,6 @@ def steady(vehicle: Vehicle, speed: float, ambient: float, weight: float | None 
     -------
     Steady
         Steady values, see there.
-
-    Raises
-    ------
-    InputError
-        Beyond the speeds of the vehicle.
     """
     check_speed(vehicle, speed)
     if vehicle.active:

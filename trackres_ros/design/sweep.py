@@ -138,6 +138,8 @@ def sweep(
 ) -> Swept:
     """Compute all points, on the fleet's engine if there are many.
 
+    Raises InputError if there are too many points, or none is a possible vehicle.
+
     Parameters
     ----------
     asked
@@ -146,11 +148,6 @@ def sweep(
         See `engine.engine`.
     advance
         Called after each point.
-
-    Raises
-    ------
-    InputError
-        If there are too many points, or none is a possible vehicle.
     """
     points, twice = asked.points, [path for path in asked.paths if asked.paths.count(path) > 1]
     if twice:

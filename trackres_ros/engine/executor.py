@@ -39,17 +39,8 @@ class EngineGoneError(InputError):
 def engine(address: str, workers: int | None = None) -> Iterator[Client]:
     """A client of a scheduler, or of a cluster that lives as long as this.
 
-    Parameters
-    ----------
-    address
-        ``local``, or the address of a scheduler.
-    workers
-        Processes of a local cluster; by default as many as processors.
-
-    Raises
-    ------
-    InputError
-        If there is no scheduler.
+    `address`: ``local``, or the address of a scheduler; `workers`: processes of a local cluster; by default as many as
+    processors. Raises InputError if there is no scheduler.
     """
     try:
         import dask
@@ -108,13 +99,8 @@ def dashboard(client: Client) -> str:
 def done(client: Client, function: Callable[[Work], Any], work: Iterable[Work]) -> Iterator[tuple[Work, Any]]:
     """Each piece of work with its result, or with the exception that ended it, in order of completion.
 
-    Dask has only a few at a time, so that memory does not grow with the number of pieces. It blames a worker's death on all
-    tasks of the worker. Those it gives up are repeated at the end, one at a time.
-
-    Raises
-    ------
-    EngineGoneError
-        If the scheduler is gone.
+    Dask has only a few at a time, so that memory does not grow with the number of pieces. It blames a worker's death on all tasks
+    of the worker. Those it gives up are repeated at the end, one at a time. Raises EngineGoneError if the scheduler is gone.
     """
     from distributed import KilledWorker
 

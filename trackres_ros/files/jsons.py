@@ -13,13 +13,7 @@ MOST_DIGITS = 300  # of an integer: a longer one fits into no float
 
 
 def parse_json(data: bytes | str) -> Any:
-    """Plain data of JSON in UTF-8.
-
-    Raises
-    ------
-    ValueError
-        If it is no JSON, has a number that is not finite, or nests too deep.
-    """
+    """Plain data of JSON in UTF-8. Raises ValueError if it is no JSON, has a number that is not finite, or nests too deep."""
     try:
         return json.loads(data, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
     except RecursionError:

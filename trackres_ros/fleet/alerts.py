@@ -33,10 +33,7 @@ COLUMNS = ("vehicle", *OF_CHANGE, "alike", *OF_LIMIT, "text")
 def alerts(found: Mapping[str, Any]) -> list[dict[str, Any]]:
     """One row for each change of each vehicle, with the columns `COLUMNS`; None for a missing value.
 
-    Parameters
-    ----------
-    found
-        From `trends.trends`.
+    `found`: from `trends.trends`.
     """
     rows = []
     for name, vehicle in found["vehicles"].items():
@@ -66,13 +63,7 @@ class _NoRedirect(HTTPRedirectHandler):
 
 
 def checked_url(url: str) -> str:
-    """The address, if a message can be sent to it.
-
-    Raises
-    ------
-    InputError
-        Otherwise.
-    """
+    """The address, if a message can be sent to it. Raises InputError otherwise."""
     try:
         parts = urlsplit(url)
         usable = parts.scheme in ("http", "https") and bool(parts.hostname) and (parts.port or 1) > 0

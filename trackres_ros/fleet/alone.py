@@ -21,10 +21,7 @@ LOCK, MOST_READ = "run.lock", 200
 def alone(folder: Path) -> Iterator[None]:
     """Hold the lock of a folder. The system frees it when the process ends, however it ends.
 
-    Raises
-    ------
-    InputError
-        If another run holds it.
+    Raises InputError if another run holds it.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / LOCK).open("a+", encoding="utf-8", errors="replace") as lock:

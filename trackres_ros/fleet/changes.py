@@ -149,12 +149,7 @@ class Gains:
 def gains(of: VehicleHistory, known: Sequence[tuple[int, Array]], draws: Array) -> Gains:
     """Gain of each possible change in addition to the known ones.
 
-    Parameters
-    ----------
-    known
-        Parameter and shape of each.
-    draws
-        Of `VehicleHistory.linear`, shape (draws, n, p).
+    `known`: parameter and shape of each; `draws`: of `VehicleHistory.linear`, shape (draws, n, p).
     """
     n = len(of.linear)
     design, whole, right = _model(of, known, draws)

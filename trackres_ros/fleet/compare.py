@@ -47,10 +47,7 @@ class Side:
 def compare(one: str, other: str) -> dict[str, Any]:
     """Compute the differences between two results, ready for JSON; see `trackres compare`.
 
-    Raises
-    ------
-    InputError
-        If one cannot be compared, or both have nothing in common.
+    Raises InputError if one cannot be compared, or both have nothing in common.
     """
     sides = side(one), side(other)
     names = [name for name in sides[0].names if name in sides[1].names]
@@ -108,13 +105,7 @@ def compare_text(found: Mapping[str, Any]) -> str:
 
 
 def side(given: str) -> Side:
-    """Result of a name: see `ALLOWED`.
-
-    Raises
-    ------
-    InputError
-        If it is none of those.
-    """
+    """Result of a name: see `ALLOWED`. Raises InputError if it is none of those."""
     folder, vehicle, day = _parts(given)
     if (folder / ROWS).is_dir():
         return _of_fleet(folder, vehicle, day, given)

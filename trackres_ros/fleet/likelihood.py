@@ -86,10 +86,7 @@ class Evidence:
 def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = ()) -> Evidence:
     """Fit the base to one recording, and expand its likelihood about the fit.
 
-    Raises
-    ------
-    InputError
-        If the recording cannot be compared, with the reason.
+    Raises InputError if the recording cannot be compared, with the reason.
     """
     gated = gate([recording], loaded.known, hide)
     (session,) = gated.sessions
@@ -143,12 +140,7 @@ def weather(session: DriveSession, base: Base) -> list[Effect]:
 def whatever_others(precision: Array, linear: Array, kept: NDArray[np.bool_]) -> tuple[Array, Array]:
     """A marginal quadratic log-likelihood of some parameters; the others have a prior standard deviation of 1.
 
-    Parameters
-    ----------
-    precision, linear
-        Of all p parameters, shapes (p, p) and (p,).
-    kept
-        Which are kept, shape (p,).
+    `precision`, `linear`: of all p parameters, shapes (p, p) and (p,); `kept`: which are kept, shape (p,).
     """
     across = precision[np.ix_(kept, ~kept)]
     by = np.linalg.solve(precision[np.ix_(~kept, ~kept)] + np.eye(int((~kept).sum())), across.T).T

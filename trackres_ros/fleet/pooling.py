@@ -145,12 +145,8 @@ class Pooled:
 def softened(precision: Array, linear: Array, spread: Array) -> tuple[Array, Array]:
     """Likelihoods of the mean of scattered parameters.
 
-    Parameters
-    ----------
-    precision, linear
-        Of the scattered parameters, shapes (..., p, p) and (..., p).
-    spread
-        Covariance of the scatter, shape (p, p), or of each (..., p, p).
+    `precision`, `linear`: of the scattered parameters, shapes (..., p, p) and (..., p); `spread`: covariance of the scatter,
+    shape (p, p), or of each (..., p, p).
     """
     mixed = np.eye(precision.shape[-1]) + precision @ spread
     softer = np.asarray(np.linalg.solve(mixed, precision))
@@ -174,13 +170,8 @@ def with_air(precision: Array, linear: Array, air: Array) -> tuple[Array, Array]
 def pool(data: Vehicles) -> Pooled:
     """Fit type, vehicles and scatter together: the most probable covariances, and the means given those.
 
-    Recordings of one vehicle scatter due to weather and load, which affect several parameters at once, mostly the
-    poorly separable ones. So the scatter has correlations.
-
-    Raises
-    ------
-    InputError
-        If there is no recording.
+    Recordings of one vehicle scatter due to weather and load, which affect several parameters at once, mostly the poorly
+    separable ones. So the scatter has correlations. Raises InputError if there is no recording.
     """
     if not len(data):
         raise InputError("recordings", "no comparable recording", "at least one")

@@ -43,10 +43,7 @@ class FoundRecording:
 def find_recordings(given: Sequence[str]) -> Iterator[FoundRecording]:
     """All recordings at some places, each once, in the order of the places and of their names.
 
-    Raises
-    ------
-    MissingExtraError
-        Without fsspec, or its library for such a URL.
+    Raises MissingExtraError without fsspec, or its library for such a URL.
     """
     seen: set[str] = set()
     for place in given:

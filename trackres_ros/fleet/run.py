@@ -53,6 +53,8 @@ def run(
 ) -> RunCounts:
     """Make a row for each recording that is new or has changed.
 
+    Raises InputError if nothing could be done: no recording, or no engine.
+
     Parameters
     ----------
     recordings
@@ -65,11 +67,6 @@ def run(
         Takes the number of tasks, and returns a function to call after each.
     on_dashboard
         Takes the address of the engine's own page, if it has one.
-
-    Raises
-    ------
-    InputError
-        If nothing could be done: no recording, or no engine.
     """
     for channel in hide:
         one_of(base_role(channel), "--hide", ROLES)

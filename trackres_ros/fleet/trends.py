@@ -65,6 +65,8 @@ def trends(
 ) -> dict[str, Any]:
     """All findings in a dataset.
 
+    Raises InputError if there is nothing to compare, a limit of an unknown parameter, or no such vehicle.
+
     Parameters
     ----------
     limits
@@ -73,11 +75,6 @@ def trends(
         Of false alarms, per vehicle and year.
     vehicle
         The only one to check for changes; by default all.
-
-    Raises
-    ------
-    InputError
-        If there is nothing to compare, a limit of an unknown parameter, or no such vehicle.
     """
     rows = dataset.rows([*TEXTS, *NUMBERS])
     kept, overlapping = without_overlaps(rows)

@@ -69,13 +69,7 @@ class Fleet:
     vehicles: Mapping[str, FleetVehicle]
 
     def vehicle_of(self, url: str) -> FleetVehicle:
-        """Vehicle of a recording.
-
-        Raises
-        ------
-        InputError
-            If it belongs to none, or to several.
-        """
+        """Vehicle of a recording. Raises InputError if it belongs to none, or to several."""
         of = [vehicle for vehicle in self.vehicles.values() if vehicle.owns(url)]
         if len(of) == 1:
             return of[0]
@@ -98,13 +92,7 @@ def one_vehicle(path_or_name: str, topics_path_or_name: str | None) -> Fleet:
 
 
 def read_fleet(path: Path) -> Fleet:
-    """Read a fleet.yaml; paths in it are relative to it.
-
-    Raises
-    ------
-    InputError
-        If it cannot be used.
-    """
+    """Read a fleet.yaml; paths in it are relative to it. Raises InputError if it cannot be used."""
     content = read_yaml(path, ALLOWED)
     unknown = [key for key in content if key != "vehicles"]
     if unknown:
@@ -152,13 +140,7 @@ def _beside(path: Path, given: object, where: str) -> Path:
 
 
 def digest(path: Path) -> str:
-    """Digest of a vehicle or topics file, and of the files in it that its lines name.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read.
-    """
+    """Digest of a vehicle or topics file, and of the files in it that its lines name. Raises InputError if it cannot be read."""
     content = read_yaml(path)
     found = hashlib.sha256(path.read_bytes())
     for name in sorted(_files_named(content)):

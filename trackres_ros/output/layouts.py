@@ -42,10 +42,7 @@ class LayoutPlot:
 def write_layouts(vehicle: AnyVehicle, folder: Path, base: str = DEFAULT_BASE) -> list[Path]:
     """Write `plotjuggler.xml` and `foxglove.json` for a vehicle's topics below a node's full name.
 
-    Raises
-    ------
-    InputError
-        If the folder cannot be made or written to.
+    Raises InputError if the folder cannot be made or written to.
     """
     folder = output_folder(folder, "--output")
     folder.mkdir(parents=True, exist_ok=True)

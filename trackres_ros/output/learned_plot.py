@@ -49,10 +49,7 @@ def draw_values(axes: Axes, x: Array, columns: Mapping[str, Array]) -> None:
 def draw_coverage(axes: Axes, seconds: Array) -> None:
     """Seconds that were learned from, by belt temperature and speed; loads are summed up.
 
-    Parameters
-    ----------
-    seconds
-        Shape (speeds, belt temperatures, loads), as `learning.buckets` counts them.
+    `seconds`: shape (speeds, belt temperatures, loads), as `learning.buckets` counts them.
     """
     shown = np.asarray(seconds.sum(axis=2))
     most = max(float(shown.max()), FILLED_S)

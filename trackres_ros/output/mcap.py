@@ -61,9 +61,10 @@ class BagTopic:
 class BagWriter:
     """Writes one MCAP file, as Foxglove, PlotJuggler and ``ros2 bag play`` open it.
 
-    The file is put in place only when the `with` block ends without an exception. Messages are sorted by log time within
-    a batch, which ends when a topic is written again. A chunk is written completely or not at all, so the file can be read
-    up to its last chunk at any time, whatever ends the program or fills the disk.
+    The file is put in place only when the `with` block ends without an exception. Messages are sorted by log time within a batch,
+    which ends when a topic is written again. A chunk is written completely or not at all, so the file can be read up to its last
+    chunk at any time, whatever ends the program or fills the disk. Raises MissingExtraError if rosbags is not installed; it
+    provides the message types.
 
     Parameters
     ----------
@@ -74,11 +75,6 @@ class BagWriter:
     part : Path, optional
         File for writing until it is finished, which must be new. It stays if it cannot be finished; by default a hidden file in
         the same folder, which never stays.
-
-    Raises
-    ------
-    MissingExtraError
-        rosbags is not installed; it provides the message types.
     """
 
     def __init__(self, path: Path, storage: Literal["mcap"] = "mcap", part: Path | None = None) -> None:
@@ -138,6 +134,8 @@ class BagWriter:
     def topic(self, name: str, msgtype: str, template: object = None, fields: Sequence[str] = ()) -> BagTopic:
         """Announce a topic.
 
+        Raises InputError for an unknown type, or a field path that does not lead to a number of the template.
+
         Parameters
         ----------
         name, msgtype : str
@@ -146,11 +144,6 @@ class BagWriter:
             For `write_block`: constant strings and sequences.
         fields : sequence of str
             Paths of the k numbers that `write_block` sets.
-
-        Raises
-        ------
-        InputError
-            An unknown type, or a field path that does not lead to a number of the template.
         """
         try:
             types = definitions(message_fields(self.typestore), msgtype)
@@ -228,10 +221,7 @@ class BagWriter:
     def flush(self) -> None:
         """Write pending messages in the order of log time; a program that is killed afterwards does not lose them.
 
-        Raises
-        ------
-        OSError
-            Pending messages are then lost, and the file ends with its last complete chunk: writing can continue.
+        After an OSError, pending messages are lost, and the file ends with its last complete chunk: writing can continue.
         """
         try:
             self._append(self._new)

@@ -63,6 +63,9 @@ def estimate_figure(
 ) -> Figure:
     """Speed, torques and belt temperature over one time axis.
 
+    Raises MissingExtraError if matplotlib is not installed; InputError on an empty series, a measured one of another name, or one
+    whose length is not that of the time.
+
     Parameters
     ----------
     time_s
@@ -78,13 +81,6 @@ def estimate_figure(
         includes the inertia, so the estimated drive torque is drawn with it. By default the column `measured_torque_nm`.
     coverage
         Seconds used for learning, as counted by `learning.buckets`; drawn as a map below the learned values.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    InputError
-        On an empty series, a measured one of another name, or one whose length is not that of the time.
     """
     with empty_figure(*ESTIMATE_INCHES) as figure:
         _draw_estimate(figure, time_s, columns, title, measured, coverage)

@@ -34,7 +34,8 @@ class TableWriter:
     """Writes a table block by block; it is put in place only when the `with` block ends without an exception.
 
     In CSV a NaN becomes an empty cell, every other number the shortest text that reads back as the same number. Equal numbers
-    give equal bytes, except in MDF, which contains the time of writing.
+    give equal bytes, except in MDF, which contains the time of writing. Raises InputError for another suffix, or no such folder;
+    MissingExtraError if the library for Parquet or MDF is not installed.
 
     Parameters
     ----------
@@ -45,13 +46,6 @@ class TableWriter:
     estimates : bool
         Whether all numbers except times are estimates. Parquet and MDF store these in single precision: seven digits, a thousand
         times finer than their accuracy.
-
-    Raises
-    ------
-    InputError
-        Another suffix, or no such folder.
-    MissingExtraError
-        The library for Parquet or MDF is not installed.
     """
 
     def __init__(self, path: Path, names: Sequence[str], estimates: bool = False) -> None:
@@ -138,6 +132,8 @@ class TableWriter:
 def write_table(path: Path, columns: Mapping[str, NDArray[Any]], estimates: bool = False) -> None:
     """Write a whole table; see `TableWriter`.
 
+    Raises InputError for another suffix, no such folder, or columns of different lengths.
+
     Parameters
     ----------
     path : Path
@@ -146,11 +142,6 @@ def write_table(path: Path, columns: Mapping[str, NDArray[Any]], estimates: bool
         Numbers or texts by name.
     estimates : bool
         As there.
-
-    Raises
-    ------
-    InputError
-        Another suffix, no such folder, or columns of different lengths.
     """
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) != 1:

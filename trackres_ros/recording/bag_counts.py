@@ -65,15 +65,7 @@ class MessageCounts:
 
 
 def counts_of(reader: Any, path: Path) -> MessageCounts:
-    """Return the counts of a bag that is open.
-
-    Parameters
-    ----------
-    reader : rosbags reader
-        Of ROS 1 or 2.
-    path : Path
-        The bag.
-    """
+    """Return the counts of a bag that is open. `reader`: of ROS 1 or 2; `path`: the bag."""
     counts = MessageCounts()
     if hasattr(reader, "chunk_infos"):
         _count_ros1(reader, path, counts)

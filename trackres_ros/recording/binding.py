@@ -136,12 +136,8 @@ class TopicBinding:
     def read(self, message: object) -> float:
         """Return the value of this role in a decoded message, in the unit of the role; nan of a receiver without a fix.
 
-        Raises
-        ------
-        LookupError
-            The message has no such element (of a joint that is not in it, for one).
-        AttributeError
-            The type of the message has no such field.
+        Raises LookupError if the message has no such element (of a joint that is not in it, for one); AttributeError if the type
+        of the message has no such field.
         """
         if self.fix and attrgetter(self.fix)(message) == NO_FIX:
             return math.nan
@@ -161,10 +157,7 @@ class TopicBinding:
 def field_steps(path: str) -> tuple[FieldStep, ...]:
     """Split a field path into its steps: ``twist.linear.x``, ``effort[NAME]``, ``data[3]``.
 
-    Raises
-    ------
-    ValueError
-        It is no field path.
+    Raises ValueError if it is no field path.
     """
     steps, rest = [], path
     while True:
@@ -189,10 +182,7 @@ def field_steps(path: str) -> tuple[FieldStep, ...]:
 def message_type(name: str) -> str:
     """Return a message type as ``package/msg/Name``, also from the ``package/Name`` of ROS 1.
 
-    Raises
-    ------
-    ValueError
-        It is no message type.
+    Raises ValueError if it is no message type.
     """
     match = MESSAGE_TYPE.fullmatch(name)
     if not match:

@@ -100,10 +100,7 @@ class Topics:
     def load(cls, path_or_name: str | PathLike[str]) -> Topics:
         """Read a topics file, given by its path or by the name of a shipped one.
 
-        Raises
-        ------
-        InputError
-            The file is missing or no YAML, or has an invalid entry: names role and key.
+        Raises InputError if the file is missing or no YAML, or has an invalid entry: names role and key.
         """
         path = find_topics(path_or_name)
         content = read_yaml(path, "a mapping with one line per role", f"write for example: {EXAMPLE}")
@@ -113,6 +110,8 @@ class Topics:
     def parse(cls, content: object, origin: str = "topics", folder: Path = Path()) -> Topics:
         """Check the content of a topics file.
 
+        Raises InputError for unknown role or key, missing or impossible value.
+
         Parameters
         ----------
         content : mapping of str to mapping
@@ -121,11 +120,6 @@ class Topics:
             Its file, for messages.
         folder : Path
             Folder of relative paths in it.
-
-        Raises
-        ------
-        InputError
-            Unknown role or key, missing or impossible value.
         """
         if not isinstance(content, Mapping) or not content:
             raise InputError(origin, content, "a mapping with one line per role", f"write for example: {EXAMPLE}")

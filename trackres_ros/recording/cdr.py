@@ -186,10 +186,7 @@ def layout_of(
 ) -> Layout:
     """Decode one message to its end and return the offsets of the wanted numbers.
 
-    Raises
-    ------
-    MalformedError
-        The bytes are no message of this type.
+    Raises MalformedError if the bytes are no message of this type.
     """
     walk = _Walk(raw, types, encoding)
     walk.message(msgtype, list(enumerate(paths)))
@@ -235,6 +232,8 @@ class Decoded:
 class FieldReader:
     """Reads some numbers, and the stamp, of messages of one type.
 
+    Raises InputError for a field path that does not lead to a number.
+
     Parameters
     ----------
     types : Definitions
@@ -247,11 +246,6 @@ class FieldReader:
         CDR or ROS 1.
     where : str
         For messages to the user.
-
-    Raises
-    ------
-    InputError
-        A field path that does not lead to a number.
     """
 
     def __init__(
@@ -328,6 +322,8 @@ class FieldReader:
 class Template:
     """One serialised message, the template of many copies with other stamps and numbers.
 
+    Raises InputError for a field path that does not lead to a number of the message.
+
     Parameters
     ----------
     raw : bytes
@@ -338,11 +334,6 @@ class Template:
         ``package/msg/Name``.
     fields : sequence of str
         Paths of the k numbers that change.
-
-    Raises
-    ------
-    InputError
-        A field path that does not lead to a number of the message.
     """
 
     def __init__(self, raw: bytes, types: Definitions, msgtype: str, fields: Sequence[str]) -> None:

@@ -146,13 +146,7 @@ def time_note(column: str, text: str) -> str:
 
 
 def check_dates(time: ChosenChannel, name: str, are_dates: bool) -> None:
-    """Refuse numbers with an unknown unit, and a scale of dates.
-
-    Raises
-    ------
-    InputError
-        With the line of the topics file.
-    """
+    """Refuse numbers with an unknown unit, and a scale of dates. Raises InputError with the line of the topics file."""
     if not are_dates and time.dates_only:
         remedy = f"give the unit in a topics file: time: {{column: {time.name}, scale: 1.0}}, or name the column time_s"
         raise InputError(f"{name}: {time.name}", "numbers of an unknown unit", "dates with times", remedy)

@@ -71,10 +71,7 @@ class DateTimes:
     def decide(self, where: str) -> None:
         """Settle the order of day and month from the cells so far.
 
-        Raises
-        ------
-        InputError
-            The column does not show it, or shows both.
+        Raises InputError if the column does not show it, or shows both.
         """
         if not self.is_open:
             return
@@ -89,10 +86,7 @@ class DateTimes:
     def ns(self, text: str) -> int:
         """Time since 1970 in UTC [ns]; digits below a nanosecond are cut off.
 
-        Raises
-        ------
-        ValueError
-            Another notation than that of the first cell, or an invalid date or time.
+        Raises ValueError for another notation than that of the first cell, or an invalid date or time.
         """
         match = self._pattern.fullmatch(text.strip())
         if not match or match["mark"] != self._mark or bool(match["zone"]) is not self._has_zone:

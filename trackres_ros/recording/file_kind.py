@@ -48,12 +48,7 @@ class FileKind:
     def source(self, paths: Sequence[Path], topics: Topics | None) -> BoundSource:
         """Open one file.
 
-        Raises
-        ------
-        InputError
-            Several files, or one that cannot be read.
-        MissingExtraError
-            A library is not installed.
+        Raises InputError for several files, or one that cannot be read; MissingExtraError if a library is not installed.
         """
         if len(paths) > 1:
             given = ", ".join(str(path) for path in paths)

@@ -83,12 +83,8 @@ RULES = (
 def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
     """Guess the bindings from message types, and from topic names where types do not decide.
 
-    Acceleration is never guessed: that of an IMU contains gravity on a slope, and is treated as a specific force.
-
-    Parameters
-    ----------
-    available : mapping of str to str
-        Message type by topic.
+    Acceleration is never guessed: that of an IMU contains gravity on a slope, and is treated as a specific force. `available`:
+    message type by topic. Raises InputError if no topic is recognised as the speed; the text lists every topic and type.
 
     Returns
     -------
@@ -96,11 +92,6 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
         The guesses.
     notes : list of str
         One sentence per role, with alternatives.
-
-    Raises
-    ------
-    InputError
-        No topic is recognised as the speed; the text lists every topic and type.
     """
     found: dict[str, list[tuple[TopicBinding, str]]] = {}
     for rule in RULES:
@@ -132,12 +123,7 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
 def guess_channels(channels: Sequence[Channel], there: Collection[str]) -> tuple[dict[str, TopicBinding], dict[str, list[str]]]:
     """Guess by name and unit the channels of roles without one; without a unit there is no guess.
 
-    Parameters
-    ----------
-    channels
-        With unique names.
-    there
-        Roles that have a channel.
+    `channels`: with unique names; `there`: roles that have a channel.
 
     Returns
     -------

@@ -18,17 +18,8 @@ ALSO = "also possible: "
 def guessed_topics(recording: Sequence[Path], topics: Topics | None) -> list[str]:
     """Lines of a topics file, with alternatives.
 
-    Parameters
-    ----------
-    recording
-        Bags, or one other file.
-    topics
-        Which names the databases of a bus, if needed.
-
-    Raises
-    ------
-    InputError
-        A file that cannot be read, or without a speed that can be guessed.
+    `recording`: bags, or one other file; `topics`: which names the databases of a bus, if needed. Raises InputError for a file
+    that cannot be read, or without a speed that can be guessed.
     """
     source = open_source(recording, topics)
     lines = [f"# Guessed from {source.name}: check each line."]

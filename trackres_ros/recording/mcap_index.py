@@ -45,6 +45,8 @@ class Statistics:
 class McapIndex:
     """The index of a file.
 
+    Raises McapError if it cannot be read; TooLargeError if a chunk states an unpacked size above the ceiling.
+
     Parameters
     ----------
     path : Path
@@ -58,13 +60,6 @@ class McapIndex:
         Name of the topic of each channel.
     statistics : Statistics or None
         None if the file has none.
-
-    Raises
-    ------
-    McapError
-        It cannot be read.
-    TooLargeError
-        A chunk states an unpacked size above the ceiling.
     """
 
     def __init__(self, path: Path) -> None:

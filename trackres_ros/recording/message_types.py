@@ -71,17 +71,8 @@ def message_fields(store: Typestore) -> Typesdict:
 def definitions(fielddefs: Mapping[str, tuple[object, object]], msgtype: str) -> Definitions:
     """Return the fields of a message type and of all nested types.
 
-    Parameters
-    ----------
-    fielddefs : mapping
-        `fielddefs` of a rosbags typestore.
-    msgtype : str
-        ``package/msg/Name``.
-
-    Raises
-    ------
-    KeyError
-        A type is not in the typestore.
+    `fielddefs`: `fielddefs` of a rosbags typestore; `msgtype`: ``package/msg/Name``. Raises KeyError if a type is not in the
+    typestore.
     """
     found: dict[str, tuple[Field, ...]] = {}
     wanted = [msgtype]
@@ -108,6 +99,8 @@ def definitions(fielddefs: Mapping[str, tuple[object, object]], msgtype: str) ->
 def check_size(types: Definitions, msgtype: str, where: str, most: int) -> None:
     """Refuse a type with messages too large to read: a few letters define an array of any length.
 
+    Raises InputError for a fixed array or nesting that is too long, or a recursive type.
+
     Parameters
     ----------
     types : Definitions
@@ -118,11 +111,6 @@ def check_size(types: Definitions, msgtype: str, where: str, most: int) -> None:
         For messages to the user.
     most : int
         Largest message that is read [bytes].
-
-    Raises
-    ------
-    InputError
-        A fixed array or nesting that is too long, or a recursive type.
     """
     sizes: dict[str, int] = {}
 
@@ -159,10 +147,7 @@ def stamp_path(types: Definitions, msgtype: str) -> tuple[FieldStep, ...]:
 def check_field(types: Definitions, msgtype: str, path: str, where: str) -> tuple[FieldStep, ...]:
     """Return the steps of a field path, after checking that it leads to one number.
 
-    Raises
-    ------
-    InputError
-        No such field, no number, an array without index, an index outside of a fixed array.
+    Raises InputError for no such field, no number, an array without index, an index outside of a fixed array.
     """
     steps = field_steps(path)
     within = msgtype

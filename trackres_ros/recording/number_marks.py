@@ -74,7 +74,8 @@ def decide(columns: Mapping[str, ColumnMarks], name: str, commas_separate: bool 
     """The decimal mark of each column.
 
     A column decides for itself. In an ambiguous one, a mark is the decimal one if it surely is in other columns of the table and
-    the other mark is in none; or if it is a point and commas separate the cells.
+    the other mark is in none; or if it is a point and commas separate the cells. Raises InputError if neither the column nor the
+    others decide, or a column shows both.
 
     Parameters
     ----------
@@ -84,11 +85,6 @@ def decide(columns: Mapping[str, ColumnMarks], name: str, commas_separate: bool 
         Of the table, for messages.
     commas_separate
         The cells of the table.
-
-    Raises
-    ------
-    InputError
-        Neither the column nor the others decide, or a column shows both.
     """
     sure = {mark for marks in columns.values() for mark in ((marks.given,) if marks.given else marks.surely)}
     shown = sure or ({POINT} if commas_separate else set())
@@ -121,13 +117,7 @@ def is_number(text: str) -> bool:
 
 
 def number_of(text: str, mark: Mark) -> float | None:
-    """The number in a cell, None where it is empty.
-
-    Raises
-    ------
-    ValueError
-        It is no number.
-    """
+    """The number in a cell, None where it is empty. Raises ValueError if it is no number."""
     text = text.strip()
     if not text:
         return None

@@ -46,12 +46,7 @@ class PositionUnits:
     def in_radians(self, block: SampleBlock, roles: Sequence[str]) -> SampleBlock:
         """A block with its position in radians; nan until the unit is known.
 
-        Parameters
-        ----------
-        block
-            The next one of the source.
-        roles
-            Those of the source.
+        `block`: the next one of the source; `roles`: those of the source.
         """
         if not self._open:
             return block

@@ -57,12 +57,7 @@ def _plain(text: str) -> str:
 def conversion(text: str, inside: str) -> Conversion | None:
     """Conversion of a unit to that of the role; None if it does not fit.
 
-    Parameters
-    ----------
-    text
-        As written in a file.
-    inside
-        The internal unit.
+    `text`: as written in a file; `inside`: the internal unit.
     """
     given = _plain(text)
     names = {_plain(name): one for name, one in UNITS[inside].items()}

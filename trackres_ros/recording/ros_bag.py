@@ -76,13 +76,7 @@ class RosFile:
     dbconn: sqlite3.Connection | None = None
 
     def open(self) -> None:
-        """Read topics, counts and index.
-
-        Raises
-        ------
-        RosError, TooLargeError
-            It cannot be read, or would fill the memory.
-        """
+        """Read topics, counts and index. Raises RosError, TooLargeError if it cannot be read, or would fill the memory."""
         names: dict[int, str] = {}
         if self.kind == "mcap":
             index = McapIndex(self.place)
@@ -107,10 +101,7 @@ class RosFile:
     def messages(self, ones: Sequence[RosTopic]) -> Iterator[tuple[RosTopic, int, bytes]]:
         """Return topic, log time [ns] and content of the messages of some topics, in the order of log times.
 
-        Raises
-        ------
-        RosError
-            The file breaks off or is damaged.
+        Raises RosError if the file breaks off or is damaged.
         """
         import rosbag2_py
 
@@ -139,15 +130,12 @@ class _Storage:
 class RosBag:
     """A rosbag2, opened with the libraries of ROS 2.
 
+    Raises MissingExtraError if it is packed, and no library that unpacks zstd is installed.
+
     Parameters
     ----------
     path : Path
         A folder with a metadata.yaml, or one file, MCAP or database.
-
-    Raises
-    ------
-    MissingExtraError
-        It is packed, and no library that unpacks zstd is installed.
     """
 
     def __init__(self, path: Path) -> None:

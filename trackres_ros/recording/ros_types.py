@@ -20,17 +20,14 @@ WIDE = "wstring"
 def types_of_text(msgtype: str, text: str) -> Definitions:
     """Return the types in a bag's definition: its own, and after separators the nested ones.
 
+    Raises Exception from rosidl_adapter, for an invalid text.
+
     Parameters
     ----------
     msgtype : str
         ``package/msg/Name``.
     text : str
         The definition. One of the interface definition language gives nothing: such types are the installed ones.
-
-    Raises
-    ------
-    Exception
-        From rosidl_adapter, for an invalid text.
     """
     from rosidl_adapter.parser import parse_message_string
 
@@ -51,10 +48,7 @@ def types_of_text(msgtype: str, text: str) -> Definitions:
 def with_installed(own: Definitions, msgtype: str) -> Definitions:
     """Return the fields of a message type and of all nested types, from installed packages where `own` lacks them.
 
-    Raises
-    ------
-    KeyError
-        No package has a type, or it has a text of wide characters.
+    Raises KeyError if no package has a type, or it has a text of wide characters.
     """
     found: dict[str, tuple[Field, ...]] = {}
     wanted = [msgtype]

@@ -76,8 +76,9 @@ class _Tally:
 class BagSource:
     """Samples of one or several bags, one after another, each in log order.
 
-    Reads rosbag2 directories (MCAP and sqlite3, compressed, split), single ``.mcap`` and ``.db3`` files, and ROS 1
-    bags. A message that cannot be decoded becomes a sample NaN at log time and a finding.
+    Reads rosbag2 directories (MCAP and sqlite3, compressed, split), single ``.mcap`` and ``.db3`` files, and ROS 1 bags. A
+    message that cannot be decoded becomes a sample NaN at log time and a finding. Raises InputError for a file that is no bag, a
+    missing topic or field, an unknown type, or no speed; MissingExtraError if rosbags is not installed.
 
     Parameters
     ----------
@@ -85,13 +86,6 @@ class BagSource:
         The bags.
     topics : Topics, optional
         Topic of each role; by default guessed from the message types.
-
-    Raises
-    ------
-    InputError
-        A file that is no bag, a missing topic or field, an unknown type, or no speed.
-    MissingExtraError
-        rosbags is not installed.
     """
 
     zero_is_unset = True
@@ -186,10 +180,7 @@ class BagSource:
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
         """Read all bags; see `trackres_ros.recording.samples.Source.blocks`.
 
-        Raises
-        ------
-        InputError
-            A bag that breaks off or is damaged.
+        Raises InputError for a bag that breaks off or is damaged.
         """
         tally, sums = _Tally(), Sums(self._readings, self.bindings)
         held: list[SampleBlock] = []

@@ -50,13 +50,9 @@ class Slopes(NamedTuple):
 def slopes(time_s: Array, speed: Array, altitude: Array, error_m: float = 0.0) -> Slopes:
     """Slope of the road along a drive.
 
-    Parameters
-    ----------
-    time_s, speed, altitude
-        Rising times [s], speeds [m/s] and altitudes [m] that may be nan, each of shape (n,).
-    error_m
-        Standard deviation of a slow error of the altitude, which lasts longer than the fitted distance and does not show
-        as scatter [m].
+    `time_s`, `speed`, `altitude`: rising times [s], speeds [m/s] and altitudes [m] that may be nan, each of shape (n,);
+    `error_m`: standard deviation of a slow error of the altitude, which lasts longer than the fitted distance and does not show
+    as scatter [m].
 
     Notes
     -----

@@ -85,13 +85,7 @@ def _lz4() -> _Decompressor:
 
 
 def check_zstd() -> None:
-    """Refuse zstd data without a library to unpack them.
-
-    Raises
-    ------
-    MissingExtraError
-        No library for it is installed.
-    """
+    """Refuse zstd data without a library to unpack them. Raises MissingExtraError if no library for it is installed."""
     if _zstd() is _Zstandard:
         _zstandard()
 
@@ -118,6 +112,8 @@ def unpack_file(packed: Path, to: Path) -> None:
 def unpacked(make: Callable[[], _Decompressor], data: bytes, most: int) -> bytes:
     """Unpack all concatenated archives in some bytes.
 
+    Raises TooLargeError if there is more; EOFError if it ends within an archive.
+
     Parameters
     ----------
     make : callable
@@ -126,13 +122,6 @@ def unpacked(make: Callable[[], _Decompressor], data: bytes, most: int) -> bytes
         One or several complete archives.
     most : int
         The ceiling [bytes].
-
-    Raises
-    ------
-    TooLargeError
-        There is more.
-    EOFError
-        It ends within an archive.
     """
     parts = []
     left = most
@@ -226,10 +215,7 @@ def _of_any_size(make: Callable[[], _Decompressor]) -> Callable[[bytes], bytes]:
 def check_space(path: Path) -> None:
     """Refuse a file that unpacks to more than fits into the temporary folder, where rosbags unpacks it.
 
-    Raises
-    ------
-    InputError
-        With the size.
+    Raises InputError with the size.
     """
     with path.open("rb") as file:
         size = _zstd_bound(file)

@@ -47,10 +47,7 @@ class Wheel:
 def wheels(held: Mapping[str, FloatArray]) -> tuple[Wheel, ...]:
     """Wheel ratios and slips of a recording, if it drives straight for long enough.
 
-    Parameters
-    ----------
-    held
-        Roles on the samples of the speed, from `Recording.aligned`.
+    `held`: roles on the samples of the speed, from `Recording.aligned`.
 
     Notes
     -----

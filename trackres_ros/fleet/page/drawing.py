@@ -22,12 +22,7 @@ TICKS = 4
 def drawn(levels: Sequence[Sequence[float]], name: str, unit: str, changes: Sequence[Mapping[str, Any]]) -> str:
     """Values with their standard deviations over time, and the begin of changes.
 
-    Parameters
-    ----------
-    levels
-        Times [s since 1970], values and standard deviations.
-    changes
-        Of this parameter.
+    `levels`: times [s since 1970], values and standard deviations; `changes`: of this parameter.
     """
     time, value, std = (np.array(series) for series in levels)
     if not len(time):

@@ -40,15 +40,12 @@ SHOWN = (
 def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -> Path:
     """Write index.html and vehicles/NAME.html.
 
+    Raises MissingExtraError without jinja2.
+
     Returns
     -------
     Path
         Of the first page.
-
-    Raises
-    ------
-    MissingExtraError
-        Without jinja2.
     """
     environment = templates("trackres_ros.fleet.page", "the pages of a fleet", "fleet", figures=figures, percent=percent)
     style = environment.get_template("style.css").render()
