@@ -45,38 +45,21 @@ NO_BEND_K = 1.0  # above the pole: a glass transition that lies below all data
 
 @dataclass(frozen=True, eq=False)
 class CompoundFit:
-    """A fitted compound.
-
-    Parameters
-    ----------
-    sweep
-        The data.
-    law, why
-        Law of the shift, and the reason for it.
-    shift
-        The shift.
-    values
-        ``glass_transition``, ``wlf_c1``, ``wlf_c2`` for the vehicle file.
-    glass_is_seen
-        Whether the glass transition is a result; else it is a reference by convention.
-    energy
-        Activation energy [J/mol] for Arrhenius' law.
-    power, with_power
-        Power of absolute temperature in a vertical shift of the moduli, and rms of both moduli with it; None if that is
-        not clear. The shift is that fitted with it; the model has no vertical shift, and the moduli of the fit exclude it.
-    master, prony
-        Master curve, and the common Prony series of both moduli.
-    """
+    """A fitted compound."""
 
     sweep: Sweep
+    # law of the shift, and the reason for it
     law: str
     why: str
     shift: Shift
-    values: dict[str, Value]
-    glass_is_seen: bool
-    energy: Value | None
+    values: dict[str, Value]  # ``glass_transition``, ``wlf_c1``, ``wlf_c2`` for the vehicle file
+    glass_is_seen: bool  # whether the glass transition is a result; else it is a reference by convention
+    energy: Value | None  # activation energy [J/mol] for Arrhenius' law
+    # power of absolute temperature in a vertical shift of the moduli, and rms of both moduli with it; None if that is not clear.
+    # The shift is that fitted with it; the model has no vertical shift, and the moduli of the fit exclude it
     power: Value | None
     with_power: tuple[float, float] | None
+    # master curve, and the common Prony series of both moduli
     master: MasterCurve
     prony: Prony
 

@@ -54,32 +54,18 @@ SLOPE_POINTS = 3  # belt temperatures at which it is looked at how sure the loss
 
 @dataclass(frozen=True, slots=True)
 class ComparisonRequest:
-    """Conditions for the comparison of two designs.
-
-    Attributes
-    ----------
-    vehicles
-        Both.
-    speeds_kmh, belts_degc
-        Of the table of resistance.
-    steady_kmh
-        Speeds of the steady states.
-    ambients_degc, weights_n
-        Air, and whole weights; None is each vehicle's own.
-    cycles
-        Drives.
-    given
-        Given options of `ambient` and `load`: they replace recorded values.
-    """
+    """Conditions for the comparison of two designs."""
 
     vehicles: tuple[Vehicle, Vehicle]
+    # of the table of resistance
     speeds_kmh: tuple[float, ...]
     belts_degc: tuple[float, ...]
-    steady_kmh: tuple[float, ...]
+    steady_kmh: tuple[float, ...]  # speeds of the steady states
+    # air, and whole weights; None is each vehicle's own
     ambients_degc: tuple[float, ...]
     weights_n: tuple[float | None, ...]
     cycles: tuple[DriveCycle, ...]
-    given: frozenset[str]
+    given: frozenset[str]  # given options of `ambient` and `load`: they replace recorded values
 
     @property
     def points(self) -> int:

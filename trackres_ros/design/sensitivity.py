@@ -46,55 +46,34 @@ PIECE = 32  # vehicles that a worker takes at a time
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """Sobol's indices of one value, each with the half-width of its 95 % interval.
+    """Sobol's indices of one value, each with the half-width of its 95 % interval."""
 
-    Attributes
-    ----------
-    first
-        Share of the variance that would go if this value were known.
-    total
-        Share that would stay if all others were known.
-    low, high
-        The outcome with this value at either end of its range, the others as the file has them.
-    """
-
-    first: float
+    first: float  # share of the variance that would go if this value were known
     first_pm: float
-    total: float
+    total: float  # share that would stay if all others were known
     total_pm: float
+    # the outcome with this value at either end of its range, the others as the file has them
     low: float
     high: float
 
 
 @dataclass(frozen=True, eq=False)
 class SensitivityResult:
-    """Results of a sensitivity analysis.
+    """Results of a sensitivity analysis."""
 
-    Attributes
-    ----------
-    vehicle, speed, ambient
-        Its conditions: name, [m/s], [degC].
-    nominal, std
-        Each outcome by the file, and its standard deviation due to the ranges.
-    indices
-        By outcome and path.
-    held
-        Why some values were not varied, by path.
-    samples, drawn
-        Draws, in each of which every value is changed in turn; vehicles that were computed for them.
-    lost, why_lost
-        Draws left out, as one of their vehicles is impossible; and the reason for the first.
-    """
-
+    # its conditions: name, [m/s], [degC]
     vehicle: str
     speed: float
     ambient: float
+    # each outcome by the file, and its standard deviation due to the ranges
     nominal: Mapping[str, float]
     std: Mapping[str, float]
-    indices: Mapping[str, Mapping[str, Index]]
-    held: Mapping[str, str]
+    indices: Mapping[str, Mapping[str, Index]]  # by outcome and path
+    held: Mapping[str, str]  # why some values were not varied, by path
+    # draws, in each of which every value is changed in turn; vehicles that were computed for them
     samples: int
     drawn: int
+    # draws left out, as one of their vehicles is impossible; and the reason for the first
     lost: int
     why_lost: str
 

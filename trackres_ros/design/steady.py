@@ -29,46 +29,28 @@ J_PER_KWH = 3.6e6
 
 @dataclass(frozen=True, slots=True)
 class Steady:
-    """Whole vehicle at one speed; nan if no belt temperature is steady below `WARMEST_K` above the air.
+    """Whole vehicle at one speed; nan if no belt temperature is steady below `WARMEST_K` above the air."""
 
-    Attributes
-    ----------
-    cold_nm, warm_nm
-        Resistance at the sprockets with belts as cold as the air, and in steady state [Nm].
-    belt_degc
-        Steady temperature, mean of the assemblies [degC].
-    kwh_per_km
-        Energy in steady state.
-    """
-
+    # resistance at the sprockets with belts as cold as the air, and in steady state [Nm]
     cold_nm: float
     warm_nm: float
-    belt_degc: float
-    kwh_per_km: float
+    belt_degc: float  # steady temperature, mean of the assemblies [degC]
+    kwh_per_km: float  # energy in steady state
 
 
 @dataclass(frozen=True, eq=False)
 class SteadyAssembly:
-    """Equal assemblies at one speed: name of the track, number, and the forces of each.
-
-    Attributes
-    ----------
-    course
-        Logarithm of the loss [N] over the belt temperature.
-    cold_loss, bearing, wind
-        Loss with the belt at the air's temperature, bearing friction and air drag [N].
-    cooled
-        Heat flow out of the belt [W/K].
-    """
+    """Equal assemblies at one speed: name of the track, number, and the forces of each."""
 
     track: str
     count: int
     radius: float
-    course: PchipInterpolator
+    course: PchipInterpolator  # logarithm of the loss [N] over the belt temperature
+    # loss with the belt at the air's temperature, bearing friction and air drag [N]
     cold_loss: float
     bearing: float
     wind: float
-    cooled: float
+    cooled: float  # heat flow out of the belt [W/K]
 
 
 @dataclass(frozen=True, slots=True)

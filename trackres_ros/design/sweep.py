@@ -80,21 +80,11 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Swept:
-    """Results of a sweep.
-
-    Attributes
-    ----------
-    asked
-        Inputs of the sweep.
-    columns
-        By name, shape (points,): the values by path, then outcomes; nan for an impossible vehicle.
-    refused
-        The reason, by the number of the point.
-    """
+    """Results of a sweep."""
 
     asked: SweepRequest
-    columns: dict[str, Array]
-    refused: dict[int, str]
+    columns: dict[str, Array]  # by name, shape (points,): the values by path, then outcomes; nan for an impossible vehicle
+    refused: dict[int, str]  # the reason, by the number of the point
 
     @property
     def outcomes(self) -> list[str]:

@@ -30,20 +30,12 @@ OF_DRAG = (DRAG, "chassis.frontal_area", "chassis.air_density")
 
 @dataclass(frozen=True, eq=False)
 class LogDerivatives:
-    """Sensitivity of a drive's quantities, as logarithms, to one standard deviation of each value.
+    """Sensitivity of a drive's quantities, as logarithms, to one standard deviation of each value."""
 
-    Attributes
-    ----------
-    belts_degc
-        Temperatures of the loss.
-    of_track
-        By track, then by path: loss at each of those temperatures, film, heat capacity and radius.
-    bearing, drag
-        By path: bearing friction, and air drag.
-    """
-
-    belts_degc: Array
+    belts_degc: Array  # temperatures of the loss
+    # by track, then by path: loss at each of those temperatures, film, heat capacity and radius
     of_track: Mapping[str, Mapping[str, Array]]
+    # by path: bearing friction, and air drag
     bearing: Mapping[str, float]
     drag: Mapping[str, float]
 

@@ -33,30 +33,21 @@ MOST_ROWS = 5_000  # used for the covariances; means use all
 
 @dataclass(frozen=True, eq=False)
 class Vehicles:
-    """Likelihoods of recordings of one type, ordered by vehicle and time; arrays begin with (n,).
+    """Likelihoods of recordings of one type, ordered by vehicle and time; arrays begin with (n,)."""
 
-    Attributes
-    ----------
-    names, units, nominal, std
-        Of the p parameters.
-    vehicle, time_s, air
-        Of each recording: vehicle, begin, and air temperature, about `AMBIENT_DEGC`, over `AMBIENT_STEP_K`.
-    precision, linear
-        See `likelihood.Evidence`.
-    urls
-        Of the recordings.
-    """
-
+    # of the p parameters
     names: tuple[str, ...]
     units: tuple[str, ...]
     nominal: Array
     std: Array
+    # of each recording: vehicle, begin, and air temperature, about `AMBIENT_DEGC`, over `AMBIENT_STEP_K`
     vehicle: NDArray[np.str_]
     time_s: Array
     air: Array
+    # see `likelihood.Evidence`
     precision: Array
     linear: Array
-    urls: tuple[str, ...]
+    urls: tuple[str, ...]  # of the recordings
 
     @classmethod
     def of(cls, rows: Iterable[Mapping[str, Any]]) -> list[Vehicles]:
@@ -106,30 +97,18 @@ class Vehicles:
 
 @dataclass(frozen=True, eq=False)
 class Pooled:
-    """Parameters of a type, in standard deviations of its vehicle file about its values.
-
-    Attributes
-    ----------
-    mean, covariance
-        Of the type, shapes (p,) and (p, p).
-    follows
-        Change per `AMBIENT_STEP_K` of air temperature, shape (p,).
-    between, within
-        Covariances among vehicles, and among recordings of one, shape (p, p).
-    weight
-        Of each recording, shape (n,): an outlier of its vehicle scatters as `within` over its weight.
-    by_vehicle
-        Mean and covariance of each vehicle.
-    """
+    """Parameters of a type, in standard deviations of its vehicle file about its values."""
 
     of: Vehicles
+    # of the type, shapes (p,) and (p, p)
     mean: Array
     covariance: Array
-    follows: Array
+    follows: Array  # change per `AMBIENT_STEP_K` of air temperature, shape (p,)
+    # covariances among vehicles, and among recordings of one, shape (p, p)
     between: Array
     within: Array
-    weight: Array
-    by_vehicle: dict[str, tuple[Array, Array]]
+    weight: Array  # of each recording, shape (n,): an outlier of its vehicle scatters as `within` over its weight
+    by_vehicle: dict[str, tuple[Array, Array]]  # mean and covariance of each vehicle
 
     def scatter(self, rows: NDArray[np.bool_]) -> Array:
         """Covariance by which some recordings scatter, shape (n, p, p)."""

@@ -23,21 +23,11 @@ CHANGED = ("ETag", "etag", "mtime", "LastModified", "last_modified")
 
 @dataclass(frozen=True, slots=True)
 class FoundRecording:
-    """A recording, or a place that cannot be read.
+    """A recording, or a place that cannot be read."""
 
-    Attributes
-    ----------
-    url
-        As it is opened: an absolute path, or a URL.
-    stamp
-        Size and time of change, or the file system's equivalent: it detects a change without reading.
-    problem
-        Why it cannot be used; empty if it can.
-    """
-
-    url: str
-    stamp: str
-    problem: str = ""
+    url: str  # as it is opened: an absolute path, or a URL
+    stamp: str  # size and time of change, or the file system's equivalent: it detects a change without reading
+    problem: str = ""  # why it cannot be used; empty if it can
 
 
 def find_recordings(given: Sequence[str]) -> Iterator[FoundRecording]:

@@ -26,33 +26,15 @@ NOT_A_NAME = ("", ".", "..", "none")
 
 @dataclass(frozen=True, slots=True)
 class FleetVehicle:
-    """One vehicle.
+    """One vehicle."""
 
-    Attributes
-    ----------
-    name
-        Of the individual vehicle; `file` describes its type.
-    file
-        Its vehicle file.
-    sha
-        Digest of that file, and of the files it names.
-    patterns
-        Globs for the paths of its recordings; by default a folder of the path must have its name.
-    topics
-        Topic or column of each role; None to guess.
-    topics_sha
-        Digest of the topics file; empty without one.
-    limits
-        By parameter: value for maintenance.
-    """
-
-    name: str
+    name: str  # of the individual vehicle; `file` describes its type
     file: Path
-    sha: str
-    patterns: tuple[str, ...] = ()
-    topics: Path | None = None
-    topics_sha: str = ""
-    limits: Mapping[str, float] = field(default_factory=dict)
+    sha: str  # digest of that file, and of the files it names
+    patterns: tuple[str, ...] = ()  # globs for the paths of its recordings; by default a folder of the path must have its name
+    topics: Path | None = None  # topic or column of each role; None to guess
+    topics_sha: str = ""  # digest of the topics file; empty without one
+    limits: Mapping[str, float] = field(default_factory=dict)  # by parameter: value for maintenance
 
     def owns(self, url: str) -> bool:
         """Whether a recording is this vehicle's."""

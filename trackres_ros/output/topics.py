@@ -41,26 +41,17 @@ BASE_FRAME = "base_link"
 
 @dataclass(frozen=True)
 class OutputTopic:
-    """One topic: its name below the node's, message type, meaning, and its numbers.
-
-    Attributes
-    ----------
-    kind
-        Layout of the numbers in the message: `joints` (JointState: names and efforts), `wrench` (WrenchStamped: torque
-        about y), `number` (Float64), `temperature` (Temperature: value and standard deviation), `status` (DiagnosticArray),
-        `estimate` (DynamicInterfaceGroupValues: the numbers and the level under their names, and every reason with its level).
-    columns
-        Columns of a row of results, see `estimator.layout.columns`.
-    names
-        Names of the joints, or of the interfaces of an estimate.
-    """
+    """One topic: its name below the node's, message type, meaning, and its numbers."""
 
     name: str
     type: str
+    # layout of the numbers in the message: `joints` (JointState: names and efforts), `wrench` (WrenchStamped: torque about y),
+    # `number` (Float64), `temperature` (Temperature: value and standard deviation), `status` (DiagnosticArray), `estimate`
+    # (DynamicInterfaceGroupValues: the numbers and the level under their names, and every reason with its level)
     kind: Literal["joints", "wrench", "number", "temperature", "status", "estimate"]
     meaning: str
-    columns: tuple[str, ...] = ()
-    names: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ()  # columns of a row of results, see `estimator.layout.columns`
+    names: tuple[str, ...] = ()  # names of the joints, or of the interfaces of an estimate
 
     @property
     def signs(self) -> tuple[float, ...]:

@@ -32,21 +32,11 @@ INDEX_DATA = 4
 
 @dataclass(slots=True)
 class MessageCounts:
-    """The numbers of messages that a bag states.
+    """The numbers of messages that a bag states."""
 
-    Attributes
-    ----------
-    by_topic : Counter
-        Messages by topic.
-    unknown : int
-        Messages of a topic that the bag does not describe.
-    remarks : list of str
-        Faults of the counts themselves.
-    """
-
-    by_topic: Counter[str] = field(default_factory=Counter)
-    unknown: int = 0
-    remarks: list[str] = field(default_factory=list)
+    by_topic: Counter[str] = field(default_factory=Counter)  # messages by topic
+    unknown: int = 0  # messages of a topic that the bag does not describe
+    remarks: list[str] = field(default_factory=list)  # faults of the counts themselves
 
     def add(self, names: dict[Any, str], counts: dict[Any, int]) -> None:
         """Add counts by identity of a connection."""

@@ -58,24 +58,12 @@ EXAMPLE = "speed: {topic: /vehicle/speed, type: geometry_msgs/msg/TwistStamped, 
 
 @dataclass(frozen=True, slots=True)
 class Topics:
-    """A mapping of role to binding, and its origin.
+    """A mapping of role to binding, and its origin."""
 
-    Attributes
-    ----------
-    bindings : mapping of str to TopicBinding
-        By role, qualified if the file does so (``load/front``).
-    origin : str
-        The file, for messages to the user.
-    time : TopicBinding, optional
-        The time column of a table, if it is not ``time_s``.
-    dbc : tuple of (int or None, Path)
-        Databases of CAN buses, each with the number of its bus if given.
-    """
-
-    bindings: Mapping[str, TopicBinding]
-    origin: str = "topics"
-    time: TopicBinding | None = None
-    dbc: tuple[tuple[int | None, Path], ...] = ()
+    bindings: Mapping[str, TopicBinding]  # by role, qualified if the file does so (``load/front``)
+    origin: str = "topics"  # the file, for messages to the user
+    time: TopicBinding | None = None  # the time column of a table, if it is not ``time_s``
+    dbc: tuple[tuple[int | None, Path], ...] = ()  # databases of CAN buses, each with the number of its bus if given
 
     def __getitem__(self, role: str) -> TopicBinding:
         return self.bindings[role]

@@ -43,24 +43,14 @@ class MalformedError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Offsets of the numbers in all messages with given bytes at given offsets.
+    """Offsets of the numbers in all messages with given bytes at given offsets."""
 
-    Attributes
-    ----------
-    length : int
-        Length of the messages [bytes].
-    fixed : tuple of (int, bytes)
-        Offset and content of bytes that must be equal: lengths, ends of strings, names that were looked up.
-    spots : tuple of (int, str) or None
-        Offset and numpy type of each wanted number; None if the message has no such element.
-    lacks : mapping of int to str
-        By index of the wanted number: why the message has no such element.
-    """
-
-    length: int
+    length: int  # length of the messages [bytes]
+    # offset and content of bytes that must be equal: lengths, ends of strings, names that were looked up
     fixed: tuple[tuple[int, bytes], ...]
+    # offset and numpy type of each wanted number; None if the message has no such element
     spots: tuple[tuple[int, str] | None, ...]
-    lacks: Mapping[int, str]
+    lacks: Mapping[int, str]  # by index of the wanted number: why the message has no such element
 
     def column(self, data: bytes, spot: tuple[int, str]) -> NDArray[np.generic]:
         """Return a number of every message of `data`, which are joined; a view, shape (n,)."""
@@ -209,24 +199,12 @@ def layout_of(
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """Content of n messages.
+    """Content of n messages."""
 
-    Attributes
-    ----------
-    stamp_ns : ndarray of int64, shape (n,)
-        Stamps [ns]; 0 if the type has none or the message is malformed.
-    value : ndarray of float64, shape (n, k)
-        The wanted numbers; NaN where absent or malformed.
-    absent : ndarray of bool, shape (n, k)
-        The message has no such element.
-    malformed : ndarray of bool, shape (n,)
-        The bytes are no message of the type.
-    """
-
-    stamp_ns: IntArray
-    value: FloatArray
-    absent: NDArray[np.bool_]
-    malformed: NDArray[np.bool_]
+    stamp_ns: IntArray  # stamps [ns]; 0 if the type has none or the message is malformed, shape (n,)
+    value: FloatArray  # the wanted numbers; NaN where absent or malformed, shape (n, k)
+    absent: NDArray[np.bool_]  # the message has no such element, shape (n, k)
+    malformed: NDArray[np.bool_]  # the bytes are no message of the type, shape (n,)
 
 
 class FieldReader:

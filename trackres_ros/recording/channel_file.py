@@ -52,21 +52,12 @@ class ChosenChannel:
 
 
 class ChannelRows(NamedTuple):
-    """Some rows of channels: one time, and the number of each channel that has one at it.
+    """Some rows of channels: one time, and the number of each channel that has one at it."""
 
-    Attributes
-    ----------
-    time
-        Stamps [ns], in a file without dates from its beginning; of a table without dates numbers in the unit of its column.
-        Shape (n,).
-    timed
-        Whether a row has a time, shape (n,).
-    cells, given
-        The numbers of the chosen channels, and whether there is one, shape (n, channels).
-    """
-
+    # stamps [ns], in a file without dates from its beginning; of a table without dates in the unit of its column; shape (n,)
     time: FloatArray | IntArray
-    timed: NDArray[np.bool_]
+    timed: NDArray[np.bool_]  # whether a row has a time, shape (n,)
+    # the numbers of the chosen channels, and whether there is one, shape (n, channels)
     cells: FloatArray
     given: NDArray[np.bool_]
 

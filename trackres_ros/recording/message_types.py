@@ -41,22 +41,13 @@ HEADER, TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field of a message: a number or string or message, alone, as fixed array, or as sequence.
+    """One field of a message: a number or string or message, alone, as fixed array, or as sequence."""
 
-    Attributes
-    ----------
-    name, type : str
-        Its name, and the type of an element: a key of `NUMBERS`, ``string``, or a message type.
-    many : str
-        ``one``, ``array`` or ``sequence``.
-    count : int
-        Length of a fixed array.
-    """
-
+    # its name, and the type of an element: a key of `NUMBERS`, ``string``, or a message type
     name: str
     type: str
-    many: Literal["one", "array", "sequence"]
-    count: int
+    many: Literal["one", "array", "sequence"]  # ``one``, ``array`` or ``sequence``
+    count: int  # length of a fixed array
 
 
 Definitions = Mapping[str, tuple[Field, ...]]

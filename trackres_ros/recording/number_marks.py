@@ -42,22 +42,13 @@ GROUPED = {mark: re.compile(rf"{HEAD}(?:[{other}]\d{{3}})+(?:[{mark}]\d*)?{EXPON
 
 @dataclass(slots=True)
 class ColumnMarks:
-    """Evidence on the marks in the cells of one column.
+    """Evidence on the marks in the cells of one column."""
 
-    Attributes
-    ----------
-    given
-        The decimal mark that the topics file names; empty without one.
-    surely, either
-        By mark: the first cell in which it is surely the decimal mark, and the first in which it may also separate thousands.
-    marks
-        All marks in any cell.
-    """
-
-    given: Mark | Literal[""] = ""
+    given: Mark | Literal[""] = ""  # the decimal mark that the topics file names; empty without one
+    # by mark: the first cell in which it is surely the decimal mark, and the first in which it may also separate thousands
     surely: dict[Mark, str] = field(default_factory=dict)
     either: dict[Mark, str] = field(default_factory=dict)
-    marks: set[Mark] = field(default_factory=set)
+    marks: set[Mark] = field(default_factory=set)  # all marks in any cell
 
     def see(self, cells: Sequence[str]) -> None:
         """Look at some more cells."""

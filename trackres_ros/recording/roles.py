@@ -12,29 +12,14 @@ from types import MappingProxyType
 
 @dataclass(frozen=True, slots=True)
 class Role:
-    """Definition of a kind of input.
+    """Definition of a kind of input."""
 
-    Attributes
-    ----------
-    unit : str
-        Internal unit of its values, a key of `trackres_ros.recording.role_units.UNITS`.
-    text : str
-        Meaning.
-    parts : bool
-        Whether it may be given for each axle, assembly or wheel (``load/front``, ``wheel_speed/rear_left``).
-    lively : bool
-        Whether a moving vehicle changes it all the time, so that a constant value means a stuck sensor.
-    columns : mapping of str to str
-        Names of columns for it, and the unit of each.
-    words, not_words : str
-        Patterns that the words of a channel must and must not match for it to be guessed; never guessed without `words`.
-    """
-
-    unit: str
+    unit: str  # internal unit of its values, a key of `trackres_ros.recording.role_units.UNITS`
     text: str
-    parts: bool = False
-    lively: bool = False
-    columns: Mapping[str, str] = field(default_factory=dict)
+    parts: bool = False  # whether it may be given for each axle, assembly or wheel (``load/front``, ``wheel_speed/rear_left``)
+    lively: bool = False  # whether a moving vehicle changes it all the time, so that a constant value means a stuck sensor
+    columns: Mapping[str, str] = field(default_factory=dict)  # names of columns for it, and the unit of each
+    # patterns that the words of a channel must and must not match for it to be guessed; never guessed without `words`
     words: str = ""
     not_words: str = r"(?!)"
 

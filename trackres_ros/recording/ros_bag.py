@@ -49,31 +49,16 @@ class RosTopic:
 
 @dataclass(slots=True)
 class RosFile:
-    """One file of a bag.
-
-    Attributes
-    ----------
-    path : Path or UnfinishedBag
-        The file.
-    place : Path
-        File to read: its finished or unpacked copy, if there is one.
-    kind : str
-        ``mcap`` or ``sqlite3``.
-    connections : list of RosTopic
-        Its topics.
-    chunks, statistics
-        Of an MCAP file, from its index.
-    dbconn
-        Of a database, to count its rows.
-    """
+    """One file of a bag."""
 
     path: Path | UnfinishedBag
-    place: Path
-    kind: str
+    place: Path  # file to read: its finished or unpacked copy, if there is one
+    kind: str  # ``mcap`` or ``sqlite3``
     connections: list[RosTopic] = field(default_factory=list)
+    # of an MCAP file, from its index
     chunks: Sequence[Any] = ()
     statistics: Any = None
-    dbconn: sqlite3.Connection | None = None
+    dbconn: sqlite3.Connection | None = None  # of a database, to count its rows
 
     def open(self) -> None:
         """Read topics, counts and index. Raises RosError, TooLargeError if it cannot be read, or would fill the memory."""

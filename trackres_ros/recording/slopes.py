@@ -30,21 +30,11 @@ MAD_TO_STD = 1.4826
 
 
 class Slopes(NamedTuple):
-    """Slopes along a drive.
+    """Slopes along a drive."""
 
-    Attributes
-    ----------
-    value
-        Rise over run, shape (n,); nan where unknown.
-    std
-        Their standard deviation, due to the error of the altitude.
-    length_m
-        Distance over which each is fitted.
-    """
-
-    value: Array
-    std: float
-    length_m: float
+    value: Array  # rise over run, shape (n,); nan where unknown
+    std: float  # their standard deviation, due to the error of the altitude
+    length_m: float  # distance over which each is fitted
 
 
 def slopes(time_s: Array, speed: Array, altitude: Array, error_m: float = 0.0) -> Slopes:

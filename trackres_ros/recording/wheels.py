@@ -23,23 +23,14 @@ KNM = 1e3  # Nm
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
-    """One wheel against the vehicle.
+    """One wheel against the vehicle."""
 
-    Attributes
-    ----------
-    name : str
-        As in the role.
-    ratio, ratio_std : float
-        Its speed over that of the vehicle without torque, and its standard deviation: the wheel rolls on its nominal radius
-        over the ratio.
-    slip, slip_std : float
-        Relative excess of its speed over the vehicle's, per kNm of torque on all wheels; nan without a
-        recorded torque.
-    """
-
-    name: str
+    name: str  # as in the role
+    # its speed over that of the vehicle without torque, and its standard deviation: the wheel rolls on its nominal radius over
+    # the ratio
     ratio: float
     ratio_std: float
+    # relative excess of its speed over the vehicle's, per kNm of torque on all wheels; nan without a recorded torque
     slip: float
     slip_std: float
 
