@@ -25,10 +25,7 @@ POINTS, SLOWEST_SHARE = 5, 0.1
 def wheels_compared(given: Sequence[str]) -> list[dict[str, Any]] | None:
     """Resistance and energy of two vehicle files without belts at five speeds; None of anything else.
 
-    Returns
-    -------
-    list of dict
-        Speed [km/h]; of each file the resistance at its wheels [Nm] and over the way [N], and energy [kWh/km].
+    Returns speed [km/h]; of each file the resistance at its wheels [Nm] and over the way [N], and energy [kWh/km].
     """
     vehicles = [one for one in map(load_any, vehicle_files(given, SECTION)) if isinstance(one, RoadVehicle)]
     if not vehicles:

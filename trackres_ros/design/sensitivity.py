@@ -212,21 +212,9 @@ def sobol(
 ) -> tuple[Indices, int]:
     """Sobol's indices of a model with uniform arguments between their bounds, by SALib.
 
-    Parameters
-    ----------
-    names, bounds
-        Of its arguments.
-    model
-        From rows of arguments, shape (n, arguments), to rows of outcomes, shape (n, outcomes); nan for an impossible one.
-    samples
-        A power of two.
-    seed
-        Of the draws.
-
-    Returns
-    -------
-    indices, drawn
-        See `Indices`; and the number of rows.
+    `names`, `bounds`: of its arguments; `model`: from rows of arguments, shape (n, arguments), to rows of outcomes, shape (n,
+    outcomes); nan for an impossible one; `samples`: a power of two; `seed`: of the draws. Returns see `Indices`; and the number
+    of rows.
     """
     try:
         from SALib.analyze import sobol as analysis

@@ -103,10 +103,7 @@ def difference_std(
 ) -> tuple[Array, Array]:
     """Standard deviations of the second less the first, shape (outcomes,) each.
 
-    Returns
-    -------
-    common, all_
-        From values that both files have alike; and with the ranges of those that differ too.
+    From values that both files have alike; and with the ranges of those that differ too.
     """
     one, other = changes
     common = own = np.zeros_like(next(iter(one.values())))

@@ -77,10 +77,7 @@ def checked_url(url: str) -> str:
 def post_alerts(url: str, folder: Path, rows: Sequence[Mapping[str, Any]]) -> str:
     """Send the rows as JSON: ``{"program", "version", "results", "alerts"}``.
 
-    Returns
-    -------
-    str
-        Reason of a failure; empty if the address answered with 2xx. The path of the address is not shown: it may be secret.
+    Returns reason of a failure; empty if the address answered with 2xx. The path of the address is not shown: it may be secret.
     """
     content = {"program": "trackres", "version": __version__, "results": str(folder), "alerts": list(rows)}
     data = json.dumps(content, allow_nan=False).encode()

@@ -134,16 +134,9 @@ class BagWriter:
     def topic(self, name: str, msgtype: str, template: object = None, fields: Sequence[str] = ()) -> BagTopic:
         """Announce a topic.
 
-        Raises InputError for an unknown type, or a field path that does not lead to a number of the template.
-
-        Parameters
-        ----------
-        name, msgtype : str
-            Topic, and ``package/msg/Name``.
-        template : message object of `typestore`, optional
-            For `write_block`: constant strings and sequences.
-        fields : sequence of str
-            Paths of the k numbers that `write_block` sets.
+        Raises InputError for an unknown type, or a field path that does not lead to a number of the template. `name`, `msgtype`:
+        topic, and ``package/msg/Name``; `template`: for `write_block`: constant strings and sequences; `fields`: paths of the k
+        numbers that `write_block` sets.
         """
         try:
             types = definitions(message_fields(self.typestore), msgtype)
@@ -167,14 +160,8 @@ class BagWriter:
     def write_block(self, topic: BagTopic, stamp_ns: IntArray, log_ns: IntArray, values: FloatArray) -> None:
         """Write n messages that differ in stamp and numbers only.
 
-        Parameters
-        ----------
-        topic : BagTopic
-            Announced with a template.
-        stamp_ns, log_ns : ndarray of int64, shape (n,)
-            Header stamps, and log times, from 0 on [ns].
-        values : ndarray of float64, shape (n, k)
-            The numbers of the fields of the topic.
+        `topic`: announced with a template; `stamp_ns`, `log_ns`: header stamps, and log times, from 0 on [ns], shape (n,);
+        `values`: the numbers of the fields of the topic, shape (n, k).
         """
         if topic.template is None:
             raise InputError(f"{self.path}: {topic.name}", "no template", "a topic with a template message")

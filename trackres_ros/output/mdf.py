@@ -23,12 +23,7 @@ EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 class MdfTable(AbstractContextManager["MdfTable"]):
     """An MDF file written block by block; blocks are kept in a temporary file of asammdf.
 
-    Parameters
-    ----------
-    path
-        Final file; asammdf requires the suffix .mf4.
-    names
-        Of the columns; the first is the time [s].
+    `path`: final file; asammdf requires the suffix .mf4; `names`: of the columns; the first is the time [s].
     """
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:

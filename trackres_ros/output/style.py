@@ -161,13 +161,9 @@ def shortened(text: str, most: int) -> str:
 def thinned(x: ArrayLike, y: ArrayLike, most: int = MOST_POINTS) -> tuple[Array, Array]:
     """At most `most` points of a line that keep its least and greatest values.
 
-    `x`, `y`: the line, each of shape (points,); nan in `y` is a gap; `most`: longest line that stays unchanged.
-
-    Returns
-    -------
-    x, y
-        The line itself if it is short enough; else, for each stretch of equal count, the points with the least
-        and the greatest value, in their order. A stretch without values stays a gap.
+    `x`, `y`: the line, each of shape (points,); nan in `y` is a gap; `most`: longest line that stays unchanged. Returns the line
+    itself if it is short enough; else, for each stretch of equal count, the points with the least and the greatest value, in
+    their order. A stretch without values stays a gap.
     """
     x, y = np.asarray(x, float), np.asarray(y, float)
     if len(y) <= most:

@@ -98,16 +98,8 @@ class Topics:
     def parse(cls, content: object, origin: str = "topics", folder: Path = Path()) -> Topics:
         """Check the content of a topics file.
 
-        Raises InputError for unknown role or key, missing or impossible value.
-
-        Parameters
-        ----------
-        content : mapping of str to mapping
-            Content of the YAML.
-        origin : str
-            Its file, for messages.
-        folder : Path
-            Folder of relative paths in it.
+        Raises InputError for unknown role or key, missing or impossible value. `content`: content of the YAML; `origin`: its
+        file, for messages; `folder`: folder of relative paths in it.
         """
         if not isinstance(content, Mapping) or not content:
             raise InputError(origin, content, "a mapping with one line per role", f"write for example: {EXAMPLE}")

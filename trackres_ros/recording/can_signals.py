@@ -65,16 +65,9 @@ class CanSignals(ChannelFile):
 
     Messages are found by identifier. Those of J1939 are found by their group number, whatever the priority, and by the control
     unit in the database's identifier. Without one, the first sender of the group is read. Groups of more than 8 bytes are joined
-    from the packets of the transport protocol. Raises InputError for no database, or one that cannot be read.
-
-    Parameters
-    ----------
-    name
-        Of the log, for messages.
-    frames
-        Reads the log from the beginning, and counts its faults, by the keys of `TEXTS`.
-    topics
-        The topics file, which names the databases.
+    from the packets of the transport protocol. Raises InputError for no database, or one that cannot be read. `name`: of the log,
+    for messages; `frames`: reads the log from the beginning, and counts its faults, by the keys of `TEXTS`; `topics`: the topics
+    file, which names the databases.
     """
 
     def __init__(self, name: str, frames: Callable[[Counter[str]], Iterator[Frame]], topics: Topics | None) -> None:

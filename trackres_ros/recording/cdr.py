@@ -325,16 +325,8 @@ class Template:
     def fill(self, out: NDArray[np.uint8], at: int, stamp_ns: IntArray, values: FloatArray) -> None:
         """Write n messages into the rows of a matrix of bytes.
 
-        Parameters
-        ----------
-        out : ndarray of uint8, shape (n, at + length of the message)
-            Written from column `at`; C order.
-        at : int
-            Column of the messages' first byte.
-        stamp_ns : ndarray of int64, shape (n,)
-            Stamps [ns]; unused if the type has none.
-        values : ndarray of float64, shape (n, k)
-            The numbers.
+        `out`: written from column `at`; C order, shape (n, at + length of the message); `at`: column of the messages' first byte;
+        `stamp_ns`: stamps [ns]; unused if the type has none, shape (n,); `values`: the numbers, shape (n, k).
         """
         out[:, at:] = np.frombuffer(self.raw, np.uint8)
         seconds, fraction = np.divmod(stamp_ns, SECOND_NS)

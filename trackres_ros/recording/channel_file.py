@@ -112,14 +112,7 @@ class TableFile(ChannelFile):
 def rows_at(seconds: FloatArray, cells: FloatArray, start_ns: int = 0) -> ChannelRows:
     """Rows at times in seconds; each number other than nan is a sample.
 
-    Parameters
-    ----------
-    seconds
-        Shape (n,).
-    cells
-        Shape (n, channels).
-    start_ns
-        The time 0 [ns since 1970], if the file gives it.
+    `seconds`: shape (n,); `cells`: shape (n, channels); `start_ns`: the time 0 [ns since 1970], if the file gives it.
     """
     timed = np.abs(seconds) < MOST_TIME_S
     stamps = np.rint(np.where(timed, seconds, 0.0) * 1e9).astype(np.int64) + start_ns

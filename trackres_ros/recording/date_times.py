@@ -36,12 +36,8 @@ def is_date_time(text: str) -> bool:
 class DateTimes:
     """The dates and times of one column, all in the notation of the first one.
 
-    Parameters
-    ----------
-    first
-        The first cell; `is_date_time` is true for it.
-    order
-        Of day and month if the year comes last and the topics file names it. With dots the day comes first.
+    `first`: the first cell; `is_date_time` is true for it; `order`: of day and month if the year comes last and the topics file
+    names it. With dots the day comes first.
     """
 
     def __init__(self, first: str, order: Order = "") -> None:

@@ -84,14 +84,8 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
     """Guess the bindings from message types, and from topic names where types do not decide.
 
     Acceleration is never guessed: that of an IMU contains gravity on a slope, and is treated as a specific force. `available`:
-    message type by topic. Raises InputError if no topic is recognised as the speed; the text lists every topic and type.
-
-    Returns
-    -------
-    topics : Topics
-        The guesses.
-    notes : list of str
-        One sentence per role, with alternatives.
+    message type by topic. Raises InputError if no topic is recognised as the speed; the text lists every topic and type. Returns
+    `topics`: the guesses, and `notes`: one sentence per role, with alternatives.
     """
     found: dict[str, list[tuple[TopicBinding, str]]] = {}
     for rule in RULES:
@@ -123,14 +117,8 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
 def guess_channels(channels: Sequence[Channel], there: Collection[str]) -> tuple[dict[str, TopicBinding], dict[str, list[str]]]:
     """Guess by name and unit the channels of roles without one; without a unit there is no guess.
 
-    `channels`: with unique names; `there`: roles that have a channel.
-
-    Returns
-    -------
-    bindings : dict of str to TopicBinding
-        By role, without the unit, which the file gives.
-    others : dict of str to list of str
-        By role: names of other candidates.
+    `channels`: with unique names; `there`: roles that have a channel. Returns `bindings`: by role, without the unit, which the
+    file gives, and `others`: by role: names of other candidates.
     """
     bindings: dict[str, TopicBinding] = {}
     others: dict[str, list[str]] = {}

@@ -45,12 +45,8 @@ class Statistics:
 class McapIndex:
     """The index of a file.
 
-    Raises McapError if it cannot be read; TooLargeError if a chunk states an unpacked size above the ceiling.
-
-    Parameters
-    ----------
-    path : Path
-        A file with its end.
+    Raises McapError if it cannot be read; TooLargeError if a chunk states an unpacked size above the ceiling. `path`: a file with
+    its end.
 
     Attributes
     ----------

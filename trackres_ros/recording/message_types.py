@@ -90,18 +90,8 @@ def definitions(fielddefs: Mapping[str, tuple[object, object]], msgtype: str) ->
 def check_size(types: Definitions, msgtype: str, where: str, most: int) -> None:
     """Refuse a type with messages too large to read: a few letters define an array of any length.
 
-    Raises InputError for a fixed array or nesting that is too long, or a recursive type.
-
-    Parameters
-    ----------
-    types : Definitions
-        The type and all nested types.
-    msgtype : str
-        ``package/msg/Name``.
-    where : str
-        For messages to the user.
-    most : int
-        Largest message that is read [bytes].
+    Raises InputError for a fixed array or nesting that is too long, or a recursive type. `types`: the type and all nested types;
+    `msgtype`: ``package/msg/Name``; `where`: for messages to the user; `most`: largest message that is read [bytes].
     """
     sizes: dict[str, int] = {}
 

@@ -20,14 +20,8 @@ WIDE = "wstring"
 def types_of_text(msgtype: str, text: str) -> Definitions:
     """Return the types in a bag's definition: its own, and after separators the nested ones.
 
-    Raises Exception from rosidl_adapter, for an invalid text.
-
-    Parameters
-    ----------
-    msgtype : str
-        ``package/msg/Name``.
-    text : str
-        The definition. One of the interface definition language gives nothing: such types are the installed ones.
+    Raises Exception from rosidl_adapter, for an invalid text. `msgtype`: ``package/msg/Name``; `text`: the definition. One of the
+    interface definition language gives nothing: such types are the installed ones.
     """
     from rosidl_adapter.parser import parse_message_string
 

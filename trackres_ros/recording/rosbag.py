@@ -78,14 +78,8 @@ class BagSource:
 
     Reads rosbag2 directories (MCAP and sqlite3, compressed, split), single ``.mcap`` and ``.db3`` files, and ROS 1 bags. A
     message that cannot be decoded becomes a sample NaN at log time and a finding. Raises InputError for a file that is no bag, a
-    missing topic or field, an unknown type, or no speed; MissingExtraError if rosbags is not installed.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        The bags.
-    topics : Topics, optional
-        Topic of each role; by default guessed from the message types.
+    missing topic or field, an unknown type, or no speed; MissingExtraError if rosbags is not installed. `paths`: the bags;
+    `topics`: topic of each role; by default guessed from the message types.
     """
 
     zero_is_unset = True
