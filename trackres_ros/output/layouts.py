@@ -52,7 +52,7 @@ def write_layouts(vehicle: AnyVehicle, folder: Path, base: str = DEFAULT_BASE) -
     return list(texts)
 
 
-def plots(vehicle: AnyVehicle, base: str = DEFAULT_BASE) -> tuple[LayoutPlot, ...]:
+def _plots(vehicle: AnyVehicle, base: str) -> tuple[LayoutPlot, ...]:
     """Torque by part, feed-forward, belts, and measured against expected torque."""
     topics = {topic.name: topic for topic in output_topics(vehicle)}
     resistance, residual = topics["resistance_torque"], topics["torque_residual"]
@@ -78,7 +78,7 @@ def plots(vehicle: AnyVehicle, base: str = DEFAULT_BASE) -> tuple[LayoutPlot, ..
         LayoutPlot(
             "Feed-forward torque [Nm]", (LayoutCurve("feed-forward", f"{wrench}/wrench/torque/y", f"{wrench}.wrench.torque.y"),)
         ),
-        *([] if not assemblies else belts),
+        *(belts if assemblies else ()),
         LayoutPlot("Measured and expected torque [Nm]", joints(residual, residual.names)),
     )
 
@@ -87,7 +87,7 @@ def plotjuggler(vehicle: AnyVehicle, base: str = DEFAULT_BASE) -> str:
     """A layout file of PlotJuggler 3: a tab for the torque, one for the assemblies."""
     root = ET.Element("root")
     widget = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
-    everything = plots(vehicle, base)
+    everything = _plots(vehicle, base)
     tabs = (("torque and temperature", everything[:3]), ("assemblies, measured", everything[3:]))
     for title, shown in tabs if vehicle.assemblies else (("torque", everything),):
         tab = ET.SubElement(widget, "Tab", tab_name=title, containers="1")
@@ -131,7 +131,7 @@ def foxglove(vehicle: AnyVehicle, base: str = DEFAULT_BASE) -> str:
             "xAxisVal": "timestamp",
             "followingViewWidth": SHOWN_S,
         }
-        for number, plot in enumerate(plots(vehicle, base))
+        for number, plot in enumerate(_plots(vehicle, base))
     }
     column = _column(list(panels))
     panels["DiagnosticSummary!trackres"] = {

@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,20 +70,16 @@ class BagWriter:
     ----------
     path : Path
         The file, replaced if it exists.
-    storage : str
-        Only ``mcap``.
     part : Path, optional
         File for writing until it is finished, which must be new. It stays if it cannot be finished; by default a hidden file in
         the same folder, which never stays.
     """
 
-    def __init__(self, path: Path, storage: Literal["mcap"] = "mcap", part: Path | None = None) -> None:
+    def __init__(self, path: Path, part: Path | None = None) -> None:
         try:
             from rosbags.typesys import Stores, get_typestore
         except ImportError:
             raise MissingExtraError("writing bags", "rosbags", "bags") from None
-        if storage != "mcap":
-            raise InputError(f"{path}: storage", storage, "mcap")
         if not path.parent.is_dir():
             raise InputError(str(path), f"no folder {path.parent}", "a file in a folder that is there")
         self.path = path

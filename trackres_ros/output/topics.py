@@ -21,18 +21,10 @@ from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.vehicle import AnyVehicle
 
 Array = NDArray[np.float64]
-
-"""Parts of the resistance torque, and the column of each; the last is that of the vehicle file's effects."""
 TOTALS = {
-    "total": "resistance_torque_nm",
-    "hysteresis": "hysteresis_nm",
-    "bearing": "bearing_nm",
-    "wind": "wind_nm",
-    "grade": "grade_nm",
-    "inertia": "inertia_nm",
-    "effects": "effects_nm",
-    "drive": "drive_torque_nm",
-}
+    "total": "resistance_torque_nm", "hysteresis": "hysteresis_nm", "bearing": "bearing_nm", "wind": "wind_nm",
+    "grade": "grade_nm", "inertia": "inertia_nm", "effects": "effects_nm", "drive": "drive_torque_nm",
+}  # fmt: skip
 """Torques of the whole vehicle; total, grade and inertia add up to the drive torque."""
 RESISTING = frozenset(("resistance_torque_nm", "grade_nm", "inertia_nm", *RESISTANCE_PARTS.values()))
 DEFAULT_NODE = "trackres"
