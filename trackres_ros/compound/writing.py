@@ -137,19 +137,9 @@ def _rubber_text(fit: CompoundFit) -> str:
     degc = table_degc(fit)
     storage, loss = (modulus / 1e6 for modulus in fit.master.moduli(degc))
     loss = np.clip(loss, INSIDE * SWEEP_TAN_DELTA.low * storage, SWEEP_TAN_DELTA.high / INSIDE * storage)
-    spread = np.exp(TWO_SIDED_95 * fit.master.log_std(degc))
-    rows = np.column_stack(
-        [
-            degc,
-            storage,
-            loss,
-            loss / storage,
-            storage / spread[:, 0],
-            storage * spread[:, 0],
-            loss / spread[:, 1],
-            loss * spread[:, 1],
-        ]
-    )
+    wide, wide_loss = np.exp(TWO_SIDED_95 * fit.master.log_std(degc)).T
+    limits = storage / wide, storage * wide, loss / wide_loss, loss * wide_loss
+    rows = np.column_stack([degc, storage, loss, loss / storage, *limits])
     head = [*_provenance(fit), "low and high: 95 % intervals of the curve, of errors that differ from row to row."]
     return _comments(head) + MODULI_HEAD + "\n" + "".join(",".join(_cells(row)) + "\n" for row in rows)
 
