@@ -11,38 +11,26 @@ from typing import Any
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import (
-    PATH,
-    SEEDS,
-    Command,
-    emit,
-    json_option,
-    method_options,
-    option_of,
-    progress,
-    surroundings_option,
-    topics_option,
-    vehicle_option,
-    with_written,
-)
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit, progress, with_written
 from trackres_ros.cli.partial_output import watch
 
 
 @click.command("coastdown", cls=Command)
-@click.argument("recordings", nargs=-1, required=True, type=PATH)
-@vehicle_option
-@surroundings_option
-@topics_option("which topic or column feeds which role.")
-@method_options
-@option_of(tr.coastdown, "seed", SEEDS, "Seed of all random draws.")
+@click.argument("recordings", nargs=-1, required=True, type=options.PATH)
+@options.vehicle
+@options.surroundings
+@options.topics("which topic or column feeds which role.")
+@options.methods
+@options.of(tr.coastdown, "seed", options.SEEDS, "Seed of all random draws.")
 @click.option(
     "--save-vehicle",
-    type=PATH,
+    type=options.PATH,
     metavar="NEW.yaml",
     help="Vehicle file with the estimates; written only if it predicts the hold-out coast-downs better.",
 )
-@click.option("--picture", type=PATH, metavar="P.png", help="Picture of the measured speed and of both predictions.")
-@json_option
+@click.option("--picture", type=options.PATH, metavar="P.png", help="Picture of the measured speed and of both predictions.")
+@options.json
 def coastdown_command(save_vehicle: Path | None, picture: Path | None, as_json: bool, **asked: Any) -> None:
     """Estimate parameters of a vehicle file, with ranges, from recordings of coast-downs.
 

@@ -1,11 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds what the commands share: options, output and progress."""
+"""Commands with readable errors, and what all of them print: results, progress, warnings."""
 
 from __future__ import annotations
 
-import inspect
 import json
 import time
 import warnings
@@ -13,39 +12,16 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 import click
-from click.shell_completion import CompletionItem
 
 from trackres_ros import InputError, MissingExtraError
 from trackres_ros.cli.partial_output import watch
 from trackres_ros.errors import nearest
-from trackres_ros.files.resources import shipped_road_vehicles, shipped_topics, shipped_vehicles
 from trackres_ros.progress import listening
 
-if TYPE_CHECKING:
-    from trackres_ros.recording.bindings import Topics
-
-Decorated = TypeVar("Decorated", bound=Callable[..., Any])
-
-METHODS = click.Choice(["rainflow", "spectral"])
-PATH, FOLDER = click.Path(path_type=Path), click.Path(path_type=Path, file_okay=False)
 DISTRIBUTIONS = {"sklearn": "scikit-learn"}  # if its name is not that of the module
-SHIPPED_TOPICS = shipped_topics()
-DBC = f"{__name__}.dbc"
-"""Key of a command's context under which the CAN databases are stored."""
-
-
-class Number(click.FloatRange):
-    """A finite number in a range; click's own accepts nan."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """See `click.FloatRange`."""
-        converted = super().convert(value, param, ctx)
-        if converted != converted:
-            self.fail(f"{value} is not a number", param, ctx)
-        return converted
 
 
 class Command(click.Command):
@@ -75,28 +51,6 @@ class Commands(click.Group):
         return super().resolve_command(ctx, args)
 
 
-def vehicles_to_complete(_context: click.Context, _option: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Shipped vehicles and files, for the shell."""
-    return _to_complete([*shipped_vehicles(), *shipped_road_vehicles()], begun)
-
-
-def topics_to_complete(_context: click.Context, _option: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Shipped topics files and files, for the shell."""
-    return _to_complete(SHIPPED_TOPICS, begun)
-
-
-def _to_complete(names: Iterable[str], begun: str) -> list[CompletionItem]:
-    return [*(CompletionItem(name) for name in names if name.startswith(begun)), CompletionItem(begun, type="file")]
-
-
-def option_of(
-    function: Callable[..., Any], argument: str, kind: Any, text: str, metavar: str | None = None
-) -> Callable[[Decorated], Decorated]:
-    """The option of a function's argument, with its default."""
-    default = inspect.signature(function).parameters[argument].default
-    return click.option(f"--{argument.replace('_', '-')}", type=kind, default=default, metavar=metavar, help=text)
-
-
 @contextmanager
 def print_warnings() -> Iterator[None]:
     """Print the warnings of functions on standard error."""
@@ -104,91 +58,6 @@ def print_warnings() -> Iterator[None]:
         warnings.simplefilter("always")
         warnings.showwarning = lambda message, *_: click.echo(f"trackres: {message}", err=True)
         yield
-
-
-def folder_option(text: str) -> Callable[[Decorated], Decorated]:
-    """`-o`, `--output`: the folder that a command writes into."""
-    return click.option("-o", "--output", type=FOLDER, required=True, metavar="DIR", help=text)
-
-
-vehicle_option = click.option(
-    "--vehicle",
-    required=True,
-    metavar="FILE|NAME",
-    shell_complete=vehicles_to_complete,
-    help=f"Vehicle file, or the name of a shipped one: {', '.join([*shipped_vehicles(), *shipped_road_vehicles()])}.",
-)
-
-
-def topics_option(text: str, with_dbc: bool = True) -> Callable[[Decorated], Decorated]:
-    """`--topics`: a path or the name of a shipped topics file; with `--dbc` for recordings."""
-    option = click.option(
-        "--topics",
-        metavar="FILE|NAME",
-        shell_complete=topics_to_complete,
-        callback=with_databases if with_dbc else None,
-        help=f"Topics file, or the name of a shipped one ({', '.join(SHIPPED_TOPICS)}): {text}",
-    )
-    return (lambda command: dbc_option(option(command))) if with_dbc else option
-
-
-def with_databases(context: click.Context, _option: click.Parameter | None, topics: str | None) -> Topics | Any:
-    """The given topics file, or none, with the databases of `--dbc`."""
-    files = context.meta.get(DBC, ())
-    if not files:
-        return topics
-    from trackres_ros.recording.bindings import Topics
-
-    loaded = Topics({}, "--dbc") if topics is None else Topics.load(topics)
-    return loaded.with_databases(files)
-
-
-dbc_option = click.option(
-    "--dbc",
-    multiple=True,
-    type=PATH,
-    is_eager=True,
-    expose_value=False,
-    callback=lambda context, _, files: context.meta.update({DBC: files}),
-    help="Database of a CAN bus, for recorded frames; may be repeated. Overrides dbc in the topics file.",
-)
-params_option = click.option(
-    "--params",
-    type=PATH,
-    metavar="P.yaml",
-    help="Parameter file, flat or as the live node reads it; only settings of the estimator are used.",
-)
-surroundings_option = click.option(
-    "--surroundings",
-    type=PATH,
-    metavar="S.yaml",
-    help="Current effects of site, weather and ground, as trackres diagnose writes them; never fed forward.",
-)
-ambient_option = click.option(
-    "--ambient-degc", type=Number(-60, 60), help="Ambient temperature [degC]; default the vehicle file's."
-)
-weight_option = click.option(
-    "--weight-kn", type=Number(0.1, 1e5), help="Weight of the whole vehicle [kN]; default the vehicle file's."
-)
-json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
-SEEDS, WORKERS = click.IntRange(0, 2**32 - 1), click.IntRange(1, 1024)
-
-
-def seed_option(default: int) -> Callable[[Decorated], Decorated]:
-    """`--seed` of all random draws."""
-    return click.option("--seed", type=SEEDS, default=default, help="Seed of all random draws.")
-
-
-def method_options(command: Decorated) -> Decorated:
-    """`--method` and `--thermal`: models instead of the vehicle file's."""
-    command = click.option(
-        "--thermal", type=click.Choice(["lumped", "core_surface"]), help="Thermal model instead of the vehicle file's."
-    )(command)
-    return click.option(
-        "--method",
-        type=METHODS,
-        help="Hysteresis method instead of the vehicle file's: rainflow as in the paper, or the exact spectral one.",
-    )(command)
 
 
 def needs(feature: str, extra: str, *modules: str) -> None:

@@ -12,20 +12,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from trackres_ros.cli.common import (
-    PATH,
-    WORKERS,
-    Command,
-    Number,
-    emit,
-    json_option,
-    needs,
-    picture_beside,
-    progress,
-    seed_option,
-    vehicles_to_complete,
-    with_written,
-)
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit, needs, picture_beside, progress, with_written
 from trackres_ros.cli.partial_output import watch
 from trackres_ros.files.output_files import output_file
 from trackres_ros.units import KMH_PER_MPS
@@ -40,16 +28,16 @@ USUAL_KMH = 30.0
 
 speed_option = click.option(
     "--speed-kmh",
-    type=Number(0.1, 150.0),
+    type=options.Number(0.1, 150.0),
     help=f"Constant speed [km/h]; default {USUAL_KMH:g}, or the vehicle's maximum if lower.",
 )
 ambient_option = click.option(
-    "--ambient-degc", type=Number(-60.0, 60.0), help="Air temperature [degC]; default the vehicle file's."
+    "--ambient-degc", type=options.Number(-60.0, 60.0), help="Air temperature [degC]; default the vehicle file's."
 )
 
 
 @click.command("sweep", cls=Command)
-@click.argument("vehicle", shell_complete=vehicles_to_complete)
+@click.argument("vehicle", shell_complete=options.vehicles_to_complete)
 @click.option(
     "--vary",
     multiple=True,
@@ -62,9 +50,9 @@ ambient_option = click.option(
 @ambient_option
 @click.option("--cycle", metavar="DRIVE", help="Energy of a drive: a recording, a speed profile, stages or laps; see compare.")
 @click.option("--engine", default="local", help="tcp://HOST:PORT of a running dask scheduler, or local.")
-@click.option("--workers", type=WORKERS, help="Processes of a local engine.")
-@click.option("-o", "--output", type=PATH, help="Table, .csv, .csv.gz or .parquet; with a picture, .png.")
-@json_option
+@click.option("--workers", type=options.WORKERS, help="Processes of a local engine.")
+@click.option("-o", "--output", type=options.PATH, help="Table, .csv, .csv.gz or .parquet; with a picture, .png.")
+@options.json
 def sweep_command(
     vehicle: str,
     vary: tuple[str, ...],
@@ -110,14 +98,14 @@ def sweep_command(
 
 
 @click.command("sensitivity", cls=Command)
-@click.argument("vehicle", shell_complete=vehicles_to_complete)
+@click.argument("vehicle", shell_complete=options.vehicles_to_complete)
 @speed_option
 @ambient_option
 @click.option("--of", "outcome", type=click.Choice(OUTCOMES), default=OUTCOMES[0], help="Result to examine.")
 @click.option("--samples", type=click.IntRange(8, 1 << 16), default=64, help="Samples of each value; a power of two.")
-@seed_option(1)
-@click.option("-o", "--output", type=PATH, metavar="P.png", help="Picture, .png or .svg.")
-@json_option
+@options.seed(1)
+@click.option("-o", "--output", type=options.PATH, metavar="P.png", help="Picture, .png or .svg.")
+@options.json
 def sensitivity_command(
     vehicle: str,
     speed_kmh: float | None,

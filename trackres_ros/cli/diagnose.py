@@ -11,43 +11,30 @@ from typing import Any
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import (
-    PATH,
-    SEEDS,
-    Command,
-    emit,
-    folder_option,
-    json_option,
-    method_options,
-    option_of,
-    print_warnings,
-    stages,
-    surroundings_option,
-    topics_option,
-    vehicle_option,
-)
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit, print_warnings, stages
 from trackres_ros.cli.partial_output import watch
 
 
 @click.command("diagnose", cls=Command)
-@click.argument("recordings", nargs=-1, required=True, type=PATH)
-@vehicle_option
-@surroundings_option
-@topics_option("which topic or column feeds which role.")
+@click.argument("recordings", nargs=-1, required=True, type=options.PATH)
+@options.vehicle
+@options.surroundings
+@options.topics("which topic or column feeds which role.")
 @click.option("--hide", multiple=True, metavar="CHANNEL", help="Ignore a channel, such as grade or yaw_rate; may be repeated.")
 @click.option(
     "--holdout",
     metavar="N|NAMES",
     help="How many of the last recordings or laps to hold out, or names of recordings or laps (day2.mcap: 5) with commas.",
 )
-@method_options
-@option_of(tr.diagnose, "seed", SEEDS, "Seed of all random draws.")
+@options.methods
+@options.of(tr.diagnose, "seed", options.SEEDS, "Seed of all random draws.")
 @click.option("--quick", is_flag=True, help="Fewer draws for thresholds.")
 @click.option("--keep-suspected", is_flag=True, help="Also write effects that fit but that the hold-out laps do not confirm.")
-@click.option("--effects", type=PATH, metavar="DIR", help="Folder with your own effects, one Python file each.")
+@click.option("--effects", type=options.PATH, metavar="DIR", help="Folder with your own effects, one Python file each.")
 @click.option("--no-page", is_flag=True, help="Write no report.html and no pictures, which takes as long as a short diagnosis.")
-@folder_option("Folder for the report; created if needed.")
-@json_option
+@options.folder("Folder for the report; created if needed.")
+@options.json
 def diagnose_command(
     recordings: tuple[Path, ...], holdout: str | None, no_page: bool, output: Path, as_json: bool, **asked: Any
 ) -> None:
@@ -74,8 +61,8 @@ def diagnose_command(
 
 
 @click.command("effects", cls=Command)
-@click.option("--effects", type=PATH, metavar="DIR", help="Folder with your own effects.")
-@json_option
+@click.option("--effects", type=options.PATH, metavar="DIR", help="Folder with your own effects.")
+@options.json
 def effects_command(effects: Path | None, as_json: bool) -> None:
     """List the catalogue of effects with descriptions and parameters."""
     listed = [effect.describe() for effect in tr.effects.catalogue(effects).values()]

@@ -10,19 +10,18 @@ from typing import Any
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import Command, Number, ambient_option, emit, json_option, vehicle_option, weight_option
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit
 
 
 @click.command("explain", cls=Command)
-@vehicle_option
-@click.option("--speed-kmh", type=Number(-200, 200), required=True, help="Speed [km/h]; negative in reverse.")
-@click.option("--belt-degc", type=Number(-60, 150), help="Belt temperature [degC]; of a vehicle without belts none.")
-@ambient_option
-@weight_option
-@click.option(
-    "--method", type=click.Choice(["rainflow", "spectral"]), help="Way from strain to heat; default the vehicle file's."
-)
-@json_option
+@options.vehicle
+@click.option("--speed-kmh", type=options.Number(-200, 200), required=True, help="Speed [km/h]; negative in reverse.")
+@click.option("--belt-degc", type=options.Number(-60, 150), help="Belt temperature [degC]; of a vehicle without belts none.")
+@options.ambient
+@options.weight
+@click.option("--method", type=options.METHODS, help="Way from strain to heat; default the vehicle file's.")
+@options.json
 def explain_command(vehicle: str, method: str | None, as_json: bool, **point: Any) -> None:
     """Show the parts of the torque at one operating point, computed by the exact methods.
 

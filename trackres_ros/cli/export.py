@@ -10,38 +10,28 @@ from typing import Any
 
 import click
 
-from trackres_ros.cli.common import (
-    PATH,
-    Command,
-    Commands,
-    Decorated,
-    emit,
-    folder_option,
-    json_option,
-    method_options,
-    params_option,
-    surroundings_option,
-)
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, Commands, emit
 from trackres_ros.cli.partial_output import watch
 
 
-def export_options(command: Decorated) -> Decorated:
+def export_options(command: options.Decorated) -> options.Decorated:
     """Options of an export, in the order of the help."""
     text = "Start from the learned parameters of a state saved with learning on."
     for option in (
-        click.option("--state", type=PATH, metavar="STATE", help=text),
-        params_option,
-        method_options,
-        surroundings_option,
+        click.option("--state", type=options.PATH, metavar="STATE", help=text),
+        options.params,
+        options.methods,
+        options.surroundings,
     ):
         command = option(command)
     return command
 
 
 @click.group("export", cls=Commands, invoke_without_command=True)
-@click.option("--check", "folder", type=PATH, metavar="DIR", help="Check that the C in DIR belongs to its vehicle.")
+@click.option("--check", "folder", type=options.PATH, metavar="DIR", help="Check that the C in DIR belongs to its vehicle.")
 @click.option("--vehicle", metavar="FILE|NAME", help="With --check: the vehicle file, if it was moved.")
-@json_option
+@options.json
 @click.pass_context
 def export_group(context: click.Context, folder: Path | None, vehicle: str | None, as_json: bool) -> int:
     """Export the live step for a controller: C99 without heap, or an FMU.
@@ -65,10 +55,10 @@ def export_group(context: click.Context, folder: Path | None, vehicle: str | Non
 
 @export_group.command("c", cls=Command)
 @click.argument("vehicle", metavar="FILE|NAME")
-@folder_option("Folder for trackres.h, trackres.c, main.c and CMakeLists.txt.")
+@options.folder("Folder for trackres.h, trackres.c, main.c and CMakeLists.txt.")
 @export_options
 @click.option("--single", is_flag=True, help="Numbers are float instead of double: half the size, less precise.")
-@json_option
+@options.json
 def c_command(output: Path, as_json: bool, **asked: Any) -> None:
     """Write the step of a vehicle as C99: one source and one header, a program that replays a CSV, and a CMake file.
 
@@ -86,9 +76,9 @@ def c_command(output: Path, as_json: bool, **asked: Any) -> None:
 
 @export_group.command("fmu", cls=Command)
 @click.argument("vehicle", metavar="FILE|NAME")
-@click.option("-o", "--output", type=PATH, required=True, metavar="MODEL.fmu", help="The FMU.")
+@click.option("-o", "--output", type=options.PATH, required=True, metavar="MODEL.fmu", help="The FMU.")
 @export_options
-@json_option
+@options.json
 def fmu_command(output: Path, as_json: bool, **asked: Any) -> None:
     """Write the step of a vehicle as an FMU: FMI 3.0 for co-simulation, with its sources and a library for Linux.
 

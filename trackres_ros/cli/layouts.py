@@ -10,15 +10,16 @@ from pathlib import Path
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import Command, emit, folder_option, json_option, vehicle_option
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit
 from trackres_ros.cli.live import check_names, name_options
 
 
 @click.command("layouts", cls=Command)
-@vehicle_option
+@options.vehicle
 @name_options
-@folder_option("Folder to write into.")
-@json_option
+@options.folder("Folder to write into.")
+@options.json
 def layouts_command(vehicle: str, name: str, namespace: str, output: Path, as_json: bool) -> None:
     """Write layouts of PlotJuggler and Foxglove for a vehicle: torque by part and assembly, feed-forward, belts, residual.
 

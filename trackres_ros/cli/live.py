@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import PATH, Decorated, Number, topics_option
+from trackres_ros.cli import options
 from trackres_ros.cli.partial_output import watch
 
 if TYPE_CHECKING:
     from trackres_ros.node.application import Application
 
 
-def name_options(command: Decorated) -> Decorated:
+def name_options(command: options.Decorated) -> options.Decorated:
     """`--name` and `--namespace` of the node."""
     command = click.option("--namespace", default="/", help="Namespace of the node.")(command)
     return click.option("--name", default="trackres", help="Name of the node.")(command)
@@ -31,11 +31,11 @@ def name_options(command: Decorated) -> Decorated:
 @click.command("live")
 @click.option("--vehicle", metavar="FILE|NAME", help="Vehicle file or shipped name; may stand in the parameter file instead.")
 @click.option("--surroundings", metavar="S.yaml", help="Current effects of site, weather and ground.")
-@topics_option("which topic feeds which role; default without.", with_dbc=False)
+@options.topics("which topic feeds which role; default without.", with_dbc=False)
 @click.option(
     "--params",
     "params_file",
-    type=PATH,
+    type=options.PATH,
     metavar="P.yaml",
     help="Parameter file, flat or in the format of ROS; without ROS, the node watches it for changes.",
 )
@@ -51,15 +51,17 @@ def name_options(command: Decorated) -> Decorated:
 )
 @click.option(
     "--record",
-    type=PATH,
+    type=options.PATH,
     metavar="OUT.mcap",
     help="Record every message of the topics file and every estimate, for replay and diagnosis, and a picture at the end.",
 )
-@click.option("--record-split-mb", type=Number(1, 1e6), help="Begin the next file, OUT_0001.mcap, at this size [MB].")
-@click.option("--record-split-minutes", type=Number(0.01, 1e5), help="Begin the next file, OUT_0001.mcap, after this time [min].")
+@click.option("--record-split-mb", type=options.Number(1, 1e6), help="Begin the next file, OUT_0001.mcap, at this size [MB].")
+@click.option(
+    "--record-split-minutes", type=options.Number(0.01, 1e5), help="Begin the next file, OUT_0001.mcap, after this time [min]."
+)
 @click.option(
     "--record-limit-mb",
-    type=Number(2, 1e8),
+    type=options.Number(2, 1e8),
     help="Size limit of all files of the recording [MB], including earlier runs: the oldest are deleted.",
 )
 @click.option("--quiet", is_flag=True, help="No table in the terminal.")

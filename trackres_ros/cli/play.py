@@ -12,16 +12,17 @@ from pathlib import Path
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import PATH, Number, emit, json_option, progress
+from trackres_ros.cli import options
+from trackres_ros.cli.common import emit, progress
 
 LISTENERS_WITHIN_S = 30.0
 
 
 @click.command("play")
-@click.argument("recording", type=PATH)
-@click.option("--rate", type=Number(0.01, 1000.0), default=1.0, help="Speed of playback relative to the recording.")
+@click.argument("recording", type=options.PATH)
+@click.option("--rate", type=options.Number(0.01, 1000.0), default=1.0, help="Speed of playback relative to the recording.")
 @click.option("--wait-for", multiple=True, metavar="TOPIC", help="Start once this topic has a subscriber; may be repeated.")
-@json_option
+@options.json
 def play_command(recording: Path, rate: float, wait_for: tuple[str, ...], as_json: bool) -> None:
     """Play a ROS 2 bag with a /clock to a live node, without ROS. With ROS, use `ros2 bag play --clock`.
 

@@ -13,18 +13,8 @@ from pathlib import Path
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import (
-    FOLDER,
-    PATH,
-    Commands,
-    Number,
-    emit,
-    folder_option,
-    json_option,
-    needs,
-    output_folder,
-    seed_option,
-)
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Commands, emit, needs, output_folder
 
 COUNT = click.IntRange(1, 100_000)
 MINUTES = 15.0
@@ -38,7 +28,7 @@ FOLDERS = ("cases", "results", "results_earlier", "next", "results_next", "seale
 hostile_option = click.option(
     "--hostile", type=click.IntRange(0, 10_000), default=40, help="Number of vehicles with misleading disturbances."
 )
-into_folder = folder_option("Folder for recordings and page.")
+into_folder = options.folder("Folder for recordings and page.")
 Step = tuple[object, ...]
 """A module of `trackres_ros.evaluation`, and its arguments."""
 
@@ -47,19 +37,21 @@ Step = tuple[object, ...]
 @click.pass_context
 @click.option("--level", "levels", multiple=True, metavar="L[=N]", help="Only N cases of this level; may be repeated.")
 @click.option("--cases", "count", type=COUNT, metavar="N", help="Number of cases of each level given without one.")
-@seed_option(REPORTED_SEED)
+@options.seed(REPORTED_SEED)
 @click.option("--quick", is_flag=True, help="Run 81 cases of shorter drives.")
 @click.option("--first", type=COUNT, metavar="N", help="Diagnose and score N of the sealed cases, by drawn names.")
-@click.option("--earlier", type=FOLDER, metavar="CHECKOUT", help="Have an earlier version of this tool diagnose the same cases.")
+@click.option(
+    "--earlier", type=options.FOLDER, metavar="CHECKOUT", help="Have an earlier version of this tool diagnose the same cases."
+)
 @click.option(
     "--profiles",
-    type=FOLDER,
+    type=options.FOLDER,
     metavar="DIR",
     help="Folder with bmw_i3 or ztbus: some vehicles drive with the speeds recorded there.",
 )
 @click.option("--fresh", is_flag=True, help="Start over instead of continuing with the results in the folder.")
-@click.option("-o", "--output", type=FOLDER, metavar="DIR", help="Folder for all results.")
-@json_option
+@click.option("-o", "--output", type=options.FOLDER, metavar="DIR", help="Folder for all results.")
+@options.json
 def prove_command(
     context: click.Context,
     levels: tuple[str, ...],
@@ -165,10 +157,10 @@ def _process(as_json: bool, step: Step) -> None:
 
 
 @prove_command.command("second")
-@click.argument("cases", type=FOLDER)
+@click.argument("cases", type=options.FOLDER)
 @click.option("--first", type=COUNT, metavar="N", help="Diagnose and score only N of the cases.")
 @into_folder
-@json_option
+@options.json
 def prove_second_command(cases: Path, first: int | None, output: Path, as_json: bool) -> None:
     """Diagnose and score cases from another simulator, with the same scores as the project's own.
 
@@ -186,9 +178,11 @@ def prove_second_command(cases: Path, first: int | None, output: Path, as_json: 
 
 
 @prove_command.command("real")
-@click.option("--data", type=PATH, required=True, metavar="DIR", help="Folder with any of bmw_i3, husky_warthog and ztbus.")
+@click.option(
+    "--data", type=options.PATH, required=True, metavar="DIR", help="Folder with any of bmw_i3, husky_warthog and ztbus."
+)
 @into_folder
-@json_option
+@options.json
 def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
     """Diagnose public recordings of real vehicles, with a measured channel concealed."""
     needs("trackres prove real", *EXTRA)
@@ -201,13 +195,13 @@ def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
 
 
 @prove_command.command("learning")
-@seed_option(REPORTED_SEED)
+@options.seed(REPORTED_SEED)
 @click.option("--vehicles", type=click.IntRange(0, 10_000), default=60, help="Number of vehicles with wrong files.")
 @hostile_option
 @click.option("--first", type=COUNT, metavar="N", help="Only N of the sealed vehicles, by drawn names.")
-@click.option("--hours", type=Number(0.0, 1e6), default=200.0, help="Hours of an ageing run; 0: none.")
+@click.option("--hours", type=options.Number(0.0, 1e6), default=200.0, help="Hours of an ageing run; 0: none.")
 @into_folder
-@json_option
+@options.json
 def prove_learning_command(
     seed: int, vehicles: int, hostile: int, first: int | None, hours: float, output: Path, as_json: bool
 ) -> None:
@@ -225,14 +219,14 @@ def prove_learning_command(
 
 
 @prove_command.command("delay")
-@seed_option(REPORTED_SEED)
+@options.seed(REPORTED_SEED)
 @click.option(
     "--vehicles", type=click.IntRange(0, 10_000), default=100, help="Number of vehicles without misleading disturbances."
 )
 @hostile_option
-@click.option("--minutes", type=Number(1.0, 600.0), default=10.0, help="Length of a drive.")
+@click.option("--minutes", type=options.Number(1.0, 600.0), default=10.0, help="Length of a drive.")
 @into_folder
-@json_option
+@options.json
 def prove_delay_command(seed: int, vehicles: int, hostile: int, minutes: float, output: Path, as_json: bool) -> None:
     """Learn the concealed delay of the torque behind the speed.
 
@@ -246,7 +240,7 @@ def prove_delay_command(seed: int, vehicles: int, hostile: int, minutes: float, 
 
 @prove_command.command("paper")
 @into_folder
-@json_option
+@options.json
 def prove_paper_command(output: Path, as_json: bool) -> None:
     """Diagnose the paper's own test: circular laps on a tilted site, with torque computed from the engine torque."""
     needs("trackres prove paper", *EXTRA)
@@ -258,7 +252,7 @@ def prove_paper_command(output: Path, as_json: bool) -> None:
 
 @prove_command.command("loop")
 @into_folder
-@json_option
+@options.json
 def prove_loop_command(output: Path, as_json: bool) -> None:
     """Compare the feed-forward before and after a diagnosis, on an unused drive."""
     needs("trackres prove loop", *EXTRA)
@@ -273,11 +267,11 @@ def prove_loop_command(output: Path, as_json: bool) -> None:
 @prove_command.command("fleet")
 @click.option("--vehicles", type=click.IntRange(2, 10_000), default=24, help="How many; half of them change.")
 @click.option("--days", type=click.IntRange(3, 3650), default=75, help="Over how many days they drive.")
-@click.option("--every", type=Number(0.1, 365.0), default=3.0, help="Days between recordings of a vehicle.")
-@click.option("--minutes", type=Number(3.0, 600.0), default=10.0, help="Length of a recording.")
-@seed_option(REPORTED_SEED)
+@click.option("--every", type=options.Number(0.1, 365.0), default=3.0, help="Days between recordings of a vehicle.")
+@click.option("--minutes", type=options.Number(3.0, 600.0), default=10.0, help="Length of a recording.")
+@options.seed(REPORTED_SEED)
 @into_folder
-@json_option
+@options.json
 def prove_fleet_command(vehicles: int, days: int, every: float, minutes: float, seed: int, output: Path, as_json: bool) -> None:
     """Count found changes in a simulated fleet, their delay and the false alarms.
 

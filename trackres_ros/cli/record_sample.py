@@ -11,17 +11,18 @@ from typing import Any
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import PATH, Command, Number, emit, json_option, option_of
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit
 from trackres_ros.cli.partial_output import watch
 
 
 @click.command("record-sample", cls=Command)
-@option_of(tr.record_sample, "vehicle", click.STRING, "Vehicle whose weight is recorded.", metavar="FILE|NAME")
-@option_of(tr.record_sample, "speed_kmh", Number(1, 50), "Speed on the lap [km/h].")
-@option_of(tr.record_sample, "laps", click.IntRange(1, 1000), "Laps of a circle of 100 m radius, with a stop after each.")
-@option_of(tr.record_sample, "ambient_degc", Number(-60, 60), "Air temperature [degC].")
-@click.option("-o", "--output", "path", type=PATH, required=True, help="File to write, .mcap.")
-@json_option
+@options.of(tr.record_sample, "vehicle", click.STRING, "Vehicle whose weight is recorded.", metavar="FILE|NAME")
+@options.of(tr.record_sample, "speed_kmh", options.Number(1, 50), "Speed on the lap [km/h].")
+@options.of(tr.record_sample, "laps", click.IntRange(1, 1000), "Laps of a circle of 100 m radius, with a stop after each.")
+@options.of(tr.record_sample, "ambient_degc", options.Number(-60, 60), "Air temperature [degC].")
+@click.option("-o", "--output", "path", type=options.PATH, required=True, help="File to write, .mcap.")
+@options.json
 def record_sample_command(vehicle: str, path: Path, as_json: bool, **drive: Any) -> None:
     """Make a recording like a vehicle bus log: the paper's lap test, speed in steps of 1 km/h, load, air temperature.
 

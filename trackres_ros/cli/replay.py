@@ -12,47 +12,36 @@ from typing import Any
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import (
-    PATH,
-    Command,
-    emit,
-    json_option,
-    method_options,
-    params_option,
-    picture_beside,
-    progress,
-    surroundings_option,
-    topics_option,
-    vehicle_option,
-)
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit, picture_beside, progress
 from trackres_ros.cli.partial_output import watch
 from trackres_ros.errors import one_line
 
 
 @click.command("replay", cls=Command)
-@click.argument("recording", nargs=-1, required=True, type=PATH)
-@vehicle_option
-@surroundings_option
-@topics_option("which topic, field or column feeds which role; without it, guessed by message type, or by name and unit.")
-@params_option
-@method_options
-@click.option("--resume", type=PATH, metavar="STATE", help="Continue from a state saved by --save-state.")
-@click.option("--save-state", type=PATH, metavar="STATE", help="Save the state at the end.")
+@click.argument("recording", nargs=-1, required=True, type=options.PATH)
+@options.vehicle
+@options.surroundings
+@options.topics("which topic, field or column feeds which role; without it, guessed by message type, or by name and unit.")
+@options.params
+@options.methods
+@click.option("--resume", type=options.PATH, metavar="STATE", help="Continue from a state saved by --save-state.")
+@click.option("--save-state", type=options.PATH, metavar="STATE", help="Save the state at the end.")
 @click.option(
     "--learning",
     default="off",
     metavar="off|watch|on",
     help="Learn vehicle parameters from the measured torque, as the live node does; on: use them.",
 )
-@click.option("--save-vehicle", type=PATH, metavar="V.yaml", help="Write a vehicle file with the learned parameters.")
+@click.option("--save-vehicle", type=options.PATH, metavar="V.yaml", help="Write a vehicle file with the learned parameters.")
 @click.option(
     "-o",
     "--output",
-    type=PATH,
+    type=options.PATH,
     help="Result: .parquet, .csv, .csv.gz or .mf4 as a table, .mcap as topics; with a picture, .png. Default: a table "
     "in this folder, named after the recording: Parquet, or .csv.gz without pyarrow.",
 )
-@json_option
+@options.json
 def replay_command(
     recording: tuple[Path, ...],
     vehicle: str,

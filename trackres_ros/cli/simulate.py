@@ -11,45 +11,33 @@ from typing import Any
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import (
-    PATH,
-    Command,
-    Number,
-    ambient_option,
-    emit,
-    json_option,
-    method_options,
-    option_of,
-    progress,
-    surroundings_option,
-    vehicle_option,
-    weight_option,
-)
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit, progress
 from trackres_ros.cli.partial_output import watch
 
 
 @click.command("simulate", cls=Command)
-@vehicle_option
-@surroundings_option
-@click.option("--speed-kmh", type=Number(-100, 100), help="Speed after the ramp [km/h].")
-@option_of(tr.simulate, "ramp_s", Number(0, 1e5), "Time from rest to that speed [s].")
-@click.option("--duration-s", type=Number(1e-3, 1e7), help="How long to simulate [s]; 2500 with --speed-kmh.")
+@options.vehicle
+@options.surroundings
+@click.option("--speed-kmh", type=options.Number(-100, 100), help="Speed after the ramp [km/h].")
+@options.of(tr.simulate, "ramp_s", options.Number(0, 1e5), "Time from rest to that speed [s].")
+@click.option("--duration-s", type=options.Number(1e-3, 1e7), help="How long to simulate [s]; 2500 with --speed-kmh.")
 @click.option(
     "--profile",
-    type=PATH,
+    type=options.PATH,
     metavar="P.csv",
     help="CSV or Parquet with time_s and speed_mps or speed_kmh instead of --speed-kmh, optionally with weight_n, "
     "ambient_degc and grade; linear interpolation between rows.",
 )
-@ambient_option
+@options.ambient
 @click.option(
-    "--initial-degc", type=Number(-60, 150), help="Belt temperature at the start [degC]; default the ambient temperature."
+    "--initial-degc", type=options.Number(-60, 150), help="Belt temperature at the start [degC]; default the ambient temperature."
 )
-@weight_option
-@method_options
-@option_of(tr.simulate, "dt", Number(1e-4, 10), "Time step [s].")
-@click.option("-o", "--output", type=PATH, required=True, help="Result: .csv, .csv.gz, .parquet, .mf4 or .mcap.")
-@json_option
+@options.weight
+@options.methods
+@options.of(tr.simulate, "dt", options.Number(1e-4, 10), "Time step [s].")
+@click.option("-o", "--output", type=options.PATH, required=True, help="Result: .csv, .csv.gz, .parquet, .mf4 or .mcap.")
+@options.json
 def simulate_command(
     vehicle: str, surroundings: Path | None, method: str | None, thermal: str | None, output: Path, as_json: bool, **asked: Any
 ) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, fields
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from trackres_ros.design.drives import driven, read_cycle
 from trackres_ros.design.steady import Steady, steady
 from trackres_ros.design.values import Varied, short
-from trackres_ros.engine.executor import LOCAL, done, engine
+from trackres_ros.engine.executor import LOCAL, results
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
@@ -142,17 +141,9 @@ def sweep(
     ]
     found: list[tuple[float, ...] | str] = [""] * len(pieces)
     few = asked.cycle is None and len(pieces) <= ALONE
-    if address == LOCAL and workers is None and (few or find_spec("distributed") is None):
-        for piece in pieces:
-            found[piece.number] = point(piece)
-            advance(1)
-    else:
-        with engine(address, workers) as client:
-            for piece, result in done(client, point, pieces):
-                if isinstance(result, BaseException):
-                    raise result
-                found[piece.number] = result
-                advance(1)
+    for piece, result in results(point, pieces, address, workers, few):
+        found[piece.number] = result
+        advance(1)
     names = [*OUTCOMES, *([DRIVE] if asked.cycle is not None else [])]
     refused = {number: result for number, result in enumerate(found) if isinstance(result, str)}
     if len(refused) == len(found):

@@ -57,21 +57,10 @@ def slopes_of(vehicle: Vehicle, speed: float, belts_degc: Array) -> LogDerivativ
 
 
 def moved(known: LogDerivatives, outcomes: Callable[[FileErrors, float], Array], belts_degc: Array) -> dict[str, Array]:
-    """Sensitivity of some outcomes to one standard deviation of each value.
+    """Sensitivity of some outcomes to one standard deviation of each value, by path, shape (outcomes,).
 
-    Parameters
-    ----------
-    known
-        Of the vehicle.
-    outcomes
-        Of factors, and of a factor on the heat capacity, shape (outcomes,).
-    belts_degc
-        Belt temperature of the loss in each outcome, shape (outcomes,).
-
-    Returns
-    -------
-    dict
-        By path, shape (outcomes,).
+    `outcomes`: of factors, and of a factor on the heat capacity, shape (outcomes,); `belts_degc`: belt temperature of the loss in
+    each outcome, shape (outcomes,).
     """
     nominal = outcomes(FileErrors(), 1.0)
 
@@ -101,9 +90,8 @@ def moved(known: LogDerivatives, outcomes: Callable[[FileErrors, float], Array],
 def difference_std(
     vehicles: tuple[Vehicle, Vehicle], changes: tuple[Mapping[str, Array], Mapping[str, Array]]
 ) -> tuple[Array, Array]:
-    """Standard deviations of the second less the first, shape (outcomes,) each.
-
-    From values that both files have alike; and with the ranges of those that differ too.
+    """Standard deviations of the second less the first, shape (outcomes,) each: from values that both files have alike, and with
+    the ranges of those that differ too.
     """
     one, other = changes
     common = own = np.zeros_like(next(iter(one.values())))

@@ -29,13 +29,8 @@ MOST_CHANGES = 3
 ALIKE = 2.0  # in log-likelihood: parameters that would explain it as well
 YEAR_S, DAY_S = 365.25 * 86400.0, 86400.0
 SUFFER_CHANGE = (
-    "bearing_friction",
-    "loss_modulus_scale",
-    "drag_coefficient",
-    "film_scale",
-    "torque_gain.error",
-    "torque_offset.offset",
-)
+    "bearing_friction", "loss_modulus_scale", "drag_coefficient", "film_scale", "torque_gain.error", "torque_offset.offset",
+)  # fmt: skip
 """Parameters to check for a change, if the base has them."""
 
 

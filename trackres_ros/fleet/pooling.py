@@ -138,14 +138,6 @@ def _scatter(within: Array, weight: Array) -> Array:
     return np.asarray(within / weight[:, np.newaxis, np.newaxis])
 
 
-def with_air(precision: Array, linear: Array, air: Array) -> tuple[Array, Array]:
-    """The same likelihoods, of the parameters at `AMBIENT_DEGC` and of their dependence on the air, twice as many."""
-    one = np.stack((np.ones_like(air), air), axis=1)
-    n, p = linear.shape
-    both = np.einsum("na,nb,nij->naibj", one, one, precision).reshape(n, 2 * p, 2 * p)
-    return both, np.einsum("na,ni->nai", one, linear).reshape(n, 2 * p)
-
-
 def pool(data: Vehicles) -> Pooled:
     """Fit type, vehicles and scatter together: the most probable covariances, and the means given those.
 
@@ -232,7 +224,10 @@ def _means(data: Vehicles, between: Array, within: Array, weight: Array) -> tupl
     """Estimate of the type, and of each vehicle from all data, given their scatter."""
     p = len(data.names)
     softer, moved = softened(data.precision, data.linear, _scatter(within, weight))
-    both, linear = with_air(softer, moved, data.air)
+    # The same likelihoods, of the parameters at `AMBIENT_DEGC` and of their dependence on the air, twice as many.
+    one, n = np.stack((np.ones_like(data.air), data.air), axis=1), len(data)
+    both = np.einsum("na,nb,nij->naibj", one, one, softer).reshape(n, 2 * p, 2 * p)
+    linear = np.einsum("na,ni->nai", one, moved).reshape(n, 2 * p)
     starts = np.concatenate(([0], np.flatnonzero(data.vehicle[1:] != data.vehicle[:-1]) + 1))
     both, linear = np.add.reduceat(both, starts), np.add.reduceat(linear, starts)
     spread = np.zeros((2 * p, 2 * p))

@@ -13,13 +13,10 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from trackres_ros.errors import shown
+from trackres_ros.recording.mcap_format import CHUNK, DATA_END, FOOTER, HEAD, HEADER, MAGIC, MESSAGE_INDEX
 from trackres_ros.recording.unfinished import UnfinishedBag
 
 ROWS = "SELECT topic_id, count(*) FROM messages NOT INDEXED GROUP BY topic_id"
-MAGIC = b"\x89MCAP0\r\n"
-RECORD = struct.Struct("<BQ")
-"""Head of a record of MCAP: its kind, and the length of the rest."""
-HEADER, FOOTER, CHUNK, MESSAGE_INDEX, DATA_END = 0x01, 0x02, 0x06, 0x07, 0x0F
 DATA, SUMMARY = {0x03, 0x04, 0x05, CHUNK, MESSAGE_INDEX, 0x09, 0x0C, DATA_END}, {FOOTER, 0x03, 0x04, 0x08, 0x0A, 0x0B, 0x0D, 0x0E}
 """Kinds of records before and behind the end of the data."""
 FOOTER_BYTES = 20
@@ -65,12 +62,16 @@ def counts_of(reader: Any, path: Path) -> MessageCounts:
             if getattr(storage, "dbconn", None) is not None:
                 counts.add(names, dict(storage.dbconn.execute(ROWS)))
             else:
-                _count_mcap(storage, names, counts)
+                indexed: Counter[int] = Counter()
+                for chunk in storage.chunks:
+                    indexed.update(chunk.channel_count)
+                stated = Counter(storage.statistics.channel_message_counts) if storage.statistics else Counter[int]()
+                counts.add(names, stated | indexed)
                 counts.remarks += _look_at_mcap(storage)
-    stated: Counter[str] = Counter()
+    by_topic: Counter[str] = Counter()
     for one in reader.connections:
-        stated[one.topic] += counts.checked(one.msgcount)
-    counts.by_topic |= stated
+        by_topic[one.topic] += counts.checked(one.msgcount)
+    counts.by_topic |= by_topic
     counts.unknown = max(counts.unknown, counts.checked(reader.message_count) - counts.by_topic.total())
     return counts
 
@@ -80,15 +81,6 @@ def storages_of(reader: Any) -> Sequence[Any]:
     if not hasattr(reader, "storage"):
         return ()
     return getattr(reader.storage, "storages", (reader.storage,))
-
-
-def _count_mcap(storage: Any, names: dict[Any, str], counts: MessageCounts) -> None:
-    """Add the larger of the counts in statistics and index, channel by channel."""
-    indexed: Counter[int] = Counter()
-    for chunk in storage.chunks:
-        indexed.update(chunk.channel_count)
-    stated = Counter(storage.statistics.channel_message_counts) if storage.statistics else Counter[int]()
-    counts.add(names, stated | indexed)
 
 
 def _look_at_mcap(storage: Any) -> Iterator[str]:
@@ -101,12 +93,12 @@ def _look_at_mcap(storage: Any) -> Iterator[str]:
         at, kind, chunks, allowed = len(MAGIC), 0, 0, {HEADER}
         while at < size and kind != FOOTER:
             file.seek(at)
-            before, (kind, length) = kind, RECORD.unpack(file.read(RECORD.size).ljust(RECORD.size))
+            before, (kind, length) = kind, HEAD.unpack(file.read(HEAD.size).ljust(HEAD.size))
             if kind not in allowed or (kind == MESSAGE_INDEX and before not in (CHUNK, MESSAGE_INDEX)):
                 break
             allowed = SUMMARY if kind == DATA_END or allowed is SUMMARY else DATA
             chunks += kind == CHUNK
-            at += RECORD.size + length
+            at += HEAD.size + length
         if at != size:
             yield f"records are not contiguous at byte {at}: later messages may be lost"
         elif chunks != len(storage.chunks):

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, cast
+from typing import Any
 
 from trackres_ros import checks
 from trackres_ros.errors import InputError, nearest
@@ -26,14 +26,9 @@ KEYS = (
     "unit", "kg_each", "threshold", "values", "decimal", "derivative", "sum",
 )  # fmt: skip
 ONLY_FOR = {
-    "sensor": ("belt",),
-    "std_k": ("belt",),
-    "delay_s": ("torque",),
-    "kg_each": ("passengers",),
-    "threshold": ("brake",),
-    "values": ("enable",),
-    "derivative": ("speed",),
-}
+    "sensor": ("belt",), "std_k": ("belt",), "delay_s": ("torque",), "kg_each": ("passengers",), "threshold": ("brake",),
+    "values": ("enable",), "derivative": ("speed",),
+}  # fmt: skip
 """Keys that have a meaning for some roles alone."""
 OF_A_PART = ("topic", "type", "field", "stamp", "column", "channel", "unit", "scale", "offset", "decimal")
 """Keys of a part of a sum."""
@@ -70,12 +65,6 @@ class Topics:
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.bindings)
-
-    def __len__(self) -> int:
-        return len(self.bindings)
-
-    def __bool__(self) -> bool:
-        return True  # a file with only a time line is valid too
 
     def __contains__(self, role: object) -> bool:
         return role in self.bindings
@@ -157,16 +146,16 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         column=texts["column"],
         scale=by_unit.scale * _number(line, "scale", 1.0, where),
         offset=by_unit.scale * _number(line, "offset", 0.0, where) + by_unit.offset,
-        stamp=cast("Literal['header', 'log', '']", _choice(line, "stamp", ("header", "log"), "", where)),
+        stamp=_choice(line, "stamp", ("header", "log"), "", where),
         max_age_s=max_age_s,
-        sensor=cast("Literal['surface', 'mean']", _choice(line, "sensor", ("surface", "mean"), "surface", where)),
+        sensor=_choice(line, "sensor", ("surface", "mean"), "surface", where),
         std_k=_number(line, "std_k", 3.0, where),
         delay_s=checks.number(line.get("delay_s", 0.0), f"{where}: delay_s", 0.0, MOST_DELAY_S, "s"),
         unit=unit,
         kg_each=checks.number(line.get("kg_each", PASSENGER_KG), f"{where}: kg_each", 1.0, MOST_KG_EACH, "kg"),
         threshold=_number(line, "threshold", 0.0, where) if "threshold" in line else None,
         values=_values(line["values"], f"{where}: values") if "values" in line else (),
-        decimal=_decimal(line, where),
+        decimal=_choice(line, "decimal", (".", ","), "", where),
         derivative=_yes(line, "derivative", where),
         parts=parts,
     )
@@ -246,8 +235,8 @@ def _time(line: object, where: str) -> TopicBinding:
         column=_text(line, "column", where),
         scale=scale,
         offset=by_unit * _number(line, "offset", 0.0, where),
-        decimal=_decimal(line, where),
-        order=cast("Literal['dmy', 'mdy', '']", _choice(line, "order", ("dmy", "mdy"), "", where)),
+        decimal=_choice(line, "decimal", (".", ","), "", where),
+        order=_choice(line, "order", ("dmy", "mdy"), "", where),
     )
 
 
@@ -285,10 +274,6 @@ def _databases(given: object, where: str, folder: Path) -> tuple[tuple[int | Non
     return tuple(found)
 
 
-def _decimal(line: Mapping[object, object], where: str) -> Literal[".", ",", ""]:
-    return cast("Literal['.', ',', '']", _choice(line, "decimal", (".", ","), "", where))
-
-
 def _yes(line: Mapping[object, object], key: str, where: str) -> bool:
     given = line.get(key, False)
     if not isinstance(given, bool):
@@ -316,5 +301,6 @@ def _values(given: object, where: str) -> tuple[float, ...]:
     return tuple(_number({"value": number}, "value", 0.0, where) for number in given)
 
 
-def _choice(line: Mapping[object, object], key: str, allowed: tuple[str, ...], default: str, where: str) -> str:
+def _choice(line: Mapping[object, object], key: str, allowed: tuple[str, ...], default: str, where: str) -> Any:
+    """One of some texts, which a type lists too."""
     return checks.one_of(line[key], f"{where}: {key}", allowed) if key in line else default

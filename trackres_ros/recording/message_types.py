@@ -17,20 +17,9 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 NUMBERS = {
-    "bool": "u1",
-    "byte": "i1",
-    "char": "u1",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "int64": "i8",
-    "uint64": "u8",
-    "float32": "f4",
-    "float64": "f8",
-}
+    "bool": "u1", "byte": "i1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4",
+    "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
+}  # fmt: skip
 """Numbers of the interface definition language, as numpy kind and size."""
 LENGTH_BYTES = 4
 """Of a string or sequence, before its content."""

@@ -12,6 +12,7 @@ import tempfile
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any, BinaryIO, Protocol
@@ -150,7 +151,7 @@ def set_ceilings() -> None:
         if name in mcap.DECOMPRESSORS:
             mcap.DECOMPRESSORS[name] = _of_size(make)
         if name in ros1.decompressors:
-            ros1.decompressors[name] = _of_any_size(make)
+            ros1.decompressors[name] = partial(unpacked, make, most=MAX_CHUNK_BYTES)
 
 
 def set_can_ceilings() -> None:
@@ -198,10 +199,6 @@ def _of_size(make: Callable[[], _Decompressor]) -> Callable[[bytes, int], bytes]
         return unpacked(make, data, size)
 
     return unpack
-
-
-def _of_any_size(make: Callable[[], _Decompressor]) -> Callable[[bytes], bytes]:
-    return lambda data: unpacked(make, data, MAX_CHUNK_BYTES)
 
 
 def check_space(path: Path) -> None:
