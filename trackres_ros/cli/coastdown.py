@@ -3,8 +3,6 @@
 
 """`trackres coastdown` estimates parameters of a vehicle file from coast-downs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -3,8 +3,6 @@
 
 """Commands with readable errors, and what all of them print: results, progress, warnings."""
 
-from __future__ import annotations
-
 import json
 import time
 import warnings

@@ -3,8 +3,6 @@
 
 """`trackres compound`: a rubber file from the sweep of a DMA instrument."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

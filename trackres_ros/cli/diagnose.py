@@ -3,8 +3,6 @@
 
 """Runs `trackres diagnose` and `trackres effects`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -3,8 +3,6 @@
 
 """Runs `trackres explain`: the parts of the torque at one operating point."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import click

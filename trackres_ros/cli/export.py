@@ -3,8 +3,6 @@
 
 """Runs `trackres export`: the step of a vehicle as C99 or as an FMU, and the check of an export."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -3,8 +3,6 @@
 
 """Runs `trackres fleet` and `trackres trend`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path

@@ -3,8 +3,6 @@
 
 """Runs `trackres layouts`: writes layouts of PlotJuggler and Foxglove for a vehicle's topics."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

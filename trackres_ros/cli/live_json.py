@@ -3,8 +3,6 @@
 
 """Prints the content of the live table as lines of JSON, for programs."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

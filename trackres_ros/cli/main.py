@@ -3,8 +3,6 @@
 
 """Gathers the commands of `trackres`, and turns bad input into exit codes."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

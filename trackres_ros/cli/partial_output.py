@@ -3,8 +3,6 @@
 
 """Finds the files that a command has written so far, for the message when it is interrupted."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterator

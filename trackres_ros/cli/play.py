@@ -3,8 +3,6 @@
 
 """Runs `trackres play`: plays a bag over DDS, without ROS."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from pathlib import Path

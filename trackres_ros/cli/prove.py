@@ -3,8 +3,6 @@
 
 """Runs `trackres prove`: the diagnosis on cases with a concealed cause."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterable, Mapping

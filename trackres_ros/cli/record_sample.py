@@ -3,8 +3,6 @@
 
 """Runs `trackres record-sample`: makes a sample recording."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

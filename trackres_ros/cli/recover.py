@@ -3,8 +3,6 @@
 
 """Runs `trackres recover`: repairs an unfinished recording."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

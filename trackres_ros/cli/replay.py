@@ -3,8 +3,6 @@
 
 """Runs `trackres replay`: sends a recording through the estimator."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 
 """Runs `trackres simulate`: computes torque and temperature of a speed profile."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

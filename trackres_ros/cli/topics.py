@@ -3,8 +3,6 @@
 
 """Runs `trackres topics`: lists and guesses topics files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

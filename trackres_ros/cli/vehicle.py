@@ -3,8 +3,6 @@
 
 """Runs `trackres vehicle`: lists, creates, checks and compares vehicle files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

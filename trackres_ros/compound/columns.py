@@ -3,8 +3,6 @@
 
 """Recognises the columns of a DMA file by the names and units that instruments use."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 
 """Computes the temperatures and frequencies of a vehicle's belts, and the share that a sweep covers by superposition."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import floor
 from typing import Any

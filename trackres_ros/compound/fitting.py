@@ -7,8 +7,6 @@ The laws are Arrhenius', WLF, and WLF with the bend at the glass transition. Ano
 its interval excludes the simpler law.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import exp, log
 

@@ -9,8 +9,6 @@ Polymers, 3rd ed., ch. 3) are Kramers-Kronig's relation for a linear solid. What
 modulus and shift belong together.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

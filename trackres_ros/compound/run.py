@@ -3,8 +3,6 @@
 
 """Runs the whole fit, from the sweep to files and summary."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -3,8 +3,6 @@
 
 """Writes a fitted compound: a rubber file, a vehicle file that uses it, and the Prony series for other programs."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace

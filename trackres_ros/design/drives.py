@@ -3,8 +3,6 @@
 
 """Drive cycles for designs: built-in cycles, speed profiles and recordings, and the energy of a design on one."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from copy import copy
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 
 """Ranks the values of a vehicle file by their share of the uncertainty, by Sobol's indices over the file's ranges."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress

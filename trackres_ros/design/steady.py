@@ -3,8 +3,6 @@
 
 """A vehicle at constant speed: resistance with cold belts, steady belt temperature, and resistance with warm belts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

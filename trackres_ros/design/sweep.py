@@ -3,8 +3,6 @@
 
 """Varies values of a vehicle: effects on resistance, temperature and energy."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, fields

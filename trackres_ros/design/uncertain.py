@@ -7,8 +7,6 @@ To first order, as the live estimate propagates them (`estimator.uncertainty`). 
 cancels. Errors of differing values are independent.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 
 """Parses which value of a vehicle file to vary, and over which values."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

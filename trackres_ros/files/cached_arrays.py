@@ -3,8 +3,6 @@
 
 """Keeps arrays that take a second to compute in the cache folder, under a key of all their inputs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path

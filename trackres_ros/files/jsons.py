@@ -3,8 +3,6 @@
 
 """Reads all JSON: it is plain data with finite numbers, or a `ValueError` gives the reason."""
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any

@@ -3,8 +3,6 @@
 
 """Checks the places of results before any work is done for them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from importlib.util import find_spec
 from os import PathLike

@@ -7,8 +7,6 @@ A disk may fill up, power may fail, another program or user may write there. So 
 size are read, a new file replaces the old one in one step, and a seal over the content shows whether it is unchanged.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import os

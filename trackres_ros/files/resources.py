@@ -3,8 +3,6 @@
 
 """Finds the shipped files, alike in a checkout, a pip install and a colcon install."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

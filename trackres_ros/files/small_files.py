@@ -3,8 +3,6 @@
 
 """Reads small text files of the user: completely, or refuses them in one line; it never blocks."""
 
-from __future__ import annotations
-
 import os
 import stat
 from pathlib import Path

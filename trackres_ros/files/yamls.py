@@ -3,8 +3,6 @@
 
 """Reads all YAML: it is plain data of bounded size, or one line gives the reason."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Hashable
 from pathlib import Path

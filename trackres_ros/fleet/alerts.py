@@ -3,8 +3,6 @@
 
 """Reports the changes of a fleet to other programs: a CSV table, and a message to a web address."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

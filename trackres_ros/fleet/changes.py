@@ -7,8 +7,6 @@ Each recording is compared with the estimate from all recordings of the vehicle 
 raises the likelihood more than chance does. The rate of false alarms is given, however often one looks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

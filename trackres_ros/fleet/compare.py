@@ -3,8 +3,6 @@
 
 """Compares two days, vehicles, reports or designs: differences beyond their uncertainty."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -6,8 +6,6 @@
 It excludes the vehicle file's ranges, which would be added once per recording, and is marginal over the wind.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 
 """Finds recordings: paths, folders, globs and URLs of any file system that fsspec knows."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 
 """Runs a fleet analysis: each new recording becomes a row. One run at a time has a folder, and leaves its limits there."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

@@ -3,8 +3,6 @@
 
 """Summarises a fleet's rows, ready for JSON: types, vehicles, changes over months, and dates of reaching limits."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime

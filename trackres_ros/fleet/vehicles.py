@@ -3,8 +3,6 @@
 
 """The vehicles of a fleet, with their files and recordings."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 
 """Layouts of PlotJuggler and Foxglove for the topics of a node or of a replay's bag, made from the table of topics."""
 
-from __future__ import annotations
-
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence

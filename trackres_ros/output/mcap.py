@@ -3,8 +3,6 @@
 
 """Writes an MCAP file in blocks, as Foxglove, PlotJuggler and `ros2 bag play` open it."""
 
-from __future__ import annotations
-
 import os
 import struct
 import zlib

@@ -3,8 +3,6 @@
 
 """Writes tables: CSV and Parquet, in which equal numbers give equal bytes, and MDF."""
 
-from __future__ import annotations
-
 import csv
 import gzip
 import io

@@ -8,8 +8,6 @@ positive: the feed-forward, the total drive torque, a measured torque. A quantit
 In tables, reports and the terminal a resistance is a positive number.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

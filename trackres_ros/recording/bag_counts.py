@@ -3,8 +3,6 @@
 
 """Counts the messages that a bag declares in any of its counts: those that were not read are lost."""
 
-from __future__ import annotations
-
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence

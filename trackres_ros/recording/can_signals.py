@@ -3,8 +3,6 @@
 
 """Decodes the signals of CAN frames, as databases of the buses describe them."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections import Counter

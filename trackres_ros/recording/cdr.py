@@ -9,8 +9,6 @@ read by strided views on the joined bytes. Rows that differ are decoded one by o
 decoding, message by message.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum

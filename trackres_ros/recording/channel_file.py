@@ -3,8 +3,6 @@
 
 """Defines the interface of a reader: the channels of a file with their units, and their samples in blocks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 
 """Chooses the channels of a file to read: those that the topics file names, those known by name, else those guessed."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType

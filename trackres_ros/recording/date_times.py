@@ -3,8 +3,6 @@
 
 """Reads dates with times in text: ISO 8601, and day, month and year in the order that the whole column shows."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from datetime import date

@@ -3,8 +3,6 @@
 
 """Defines a kind of recording: its suffixes, required library, and reader of channels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec

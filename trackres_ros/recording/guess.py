@@ -3,8 +3,6 @@
 
 """Guesses the topic or channel of each role, without a topics file."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence

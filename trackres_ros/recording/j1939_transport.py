@@ -6,8 +6,6 @@
 Libraries that do this talk to a live bus and wait by the clock of the machine; a log has its own.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass

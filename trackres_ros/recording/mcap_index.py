@@ -3,8 +3,6 @@
 
 """Reads the index at the end of an MCAP file: its chunks, topics, and how many messages it counts."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 
 """Reads numbers in text. The whole column decides on the decimal mark; an ambiguous one is refused."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress

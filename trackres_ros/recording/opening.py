@@ -3,8 +3,6 @@
 
 """Opens a recording by the kind of its suffix."""
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 from collections.abc import Iterable, Sequence

@@ -3,8 +3,6 @@
 
 """Distinguishes degrees from radians by the values of a position, and converts it to radians."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

@@ -3,8 +3,6 @@
 
 """Finds defects in the samples of one role: stamps, gaps, quantisation, stuck sensors and dropouts."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import numpy as np

@@ -3,8 +3,6 @@
 
 """Guards the reading of every recording: a regular file, content that fits its name, and one line for any error."""
 
-from __future__ import annotations
-
 import errno
 import stat
 import traceback

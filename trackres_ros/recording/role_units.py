@@ -3,8 +3,6 @@
 
 """Converts the units in files to those of the roles."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple

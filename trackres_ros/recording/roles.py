@@ -3,8 +3,6 @@
 
 """The one table of roles: meaning, internal unit and known column names of each kind of input."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType

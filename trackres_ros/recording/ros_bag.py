@@ -7,8 +7,6 @@ The opened bag has the attributes of a rosbags reader that `trackres_ros.recordi
 Counts, limits and the structure of a file are read here, since its readers neither limit unpacking nor report losses.
 """
 
-from __future__ import annotations
-
 import shutil
 import sqlite3
 import tempfile

@@ -3,8 +3,6 @@
 
 """Defines samples in SI and in log order: the blocks that a source is read in, the series of one role, and findings."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol

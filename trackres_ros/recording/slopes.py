@@ -5,8 +5,6 @@
 than roads are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 
 """Adds the parts of a role from messages at different times; equal live and from a bag."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

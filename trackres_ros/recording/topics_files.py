@@ -3,8 +3,6 @@
 
 """Lists the shipped topics files, and writes the guesses about a recording as one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 
 """Reads an MCAP file that was not finished, such as after a kill: up to its last complete chunk, with an ending made here."""
 
-from __future__ import annotations
-
 import io
 import os
 import shutil

@@ -3,8 +3,6 @@
 
 """Unpacks archives inside bags up to a ceiling: a few bytes may request all of the memory."""
 
-from __future__ import annotations
-
 import bz2
 import shutil
 import struct

@@ -3,8 +3,6 @@
 
 """Compares recorded wheel speeds with the vehicle speed: rolling radius and slip under torque."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

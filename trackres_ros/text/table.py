@@ -3,8 +3,6 @@
 
 """Lays out tables of plain text, by rich: the same on every terminal and in a file, each row one whole line."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterable, Sequence
 

@@ -3,8 +3,6 @@
 
 """Writes the pages: the fleet at a glance, and one for each vehicle with its recordings and diagnoses."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path

@@ -3,8 +3,6 @@
 
 """Reads CSV in blocks, with the separator, the decimal mark and the times that the file itself shows."""
 
-from __future__ import annotations
-
 import codecs
 import csv
 import gzip

@@ -3,8 +3,6 @@
 
 """Reads measurement data in the format MDF: channels, and the frames of buses that were logged."""
 
-from __future__ import annotations
-
 import heapq
 import io
 import logging

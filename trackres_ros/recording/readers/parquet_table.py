@@ -3,8 +3,6 @@
 
 """Reads Parquet tables in blocks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
