@@ -9,7 +9,7 @@ import os
 import socket
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -38,15 +38,7 @@ class RunCounts:
     kept: int = 0
     good: int = 0
     broken: int = 0
-    reasons: list[str] = field(default_factory=list)
-
-    @property
-    def new(self) -> int:
-        """Rows written."""
-        return self.good + self.broken
-
-
-MOST_REASONS = 10
+    reason: str = ""  # of the first broken one
 
 
 def run(
@@ -82,7 +74,7 @@ def run(
     if not counts.found:
         raise InputError("recordings", ", ".join(recordings), "paths, folders, globs or URLs of recordings")
     if not counts.kept + counts.good:
-        raise InputError("recordings", f"{counts.broken} that cannot be used", "one at least that can", counts.reasons[0])
+        raise InputError("recordings", f"{counts.broken} that cannot be used", "one at least that can", counts.reason)
     return counts
 
 
@@ -129,8 +121,7 @@ class _Run:
         self._dataset.put(row, before.file if before else None)
         if row["status"] == BROKEN:
             counts.broken += 1
-            if len(counts.reasons) < MOST_REASONS:
-                counts.reasons.append(row["reason"])
+            counts.reason = counts.reason or row["reason"]
         else:
             counts.good += 1
 

@@ -9,8 +9,10 @@ import struct
 import tempfile
 import zlib
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any, BinaryIO, Protocol
@@ -55,15 +57,17 @@ class _Zstandard:
         return unpacked
 
 
+def _zstd_module() -> ModuleType | None:
+    """That of Python 3.14, or its backport, if there is one."""
+    for name in ("compression.zstd", "backports.zstd"):
+        with suppress(ImportError):
+            return import_module(name)
+    return None
+
+
 def _zstd() -> Callable[[], _Decompressor]:
-    try:
-        from compression.zstd import ZstdDecompressor  # type: ignore[import-not-found, unused-ignore]  # Python 3.14
-    except ImportError:
-        try:
-            from backports.zstd import ZstdDecompressor
-        except ImportError:
-            return _Zstandard
-    return ZstdDecompressor  # type: ignore[no-any-return, unused-ignore]
+    module = _zstd_module()
+    return _Zstandard if module is None else module.ZstdDecompressor
 
 
 def _zstandard() -> ModuleType:
@@ -85,7 +89,7 @@ def _lz4() -> _Decompressor:
 
 def check_zstd() -> None:
     """Refuse zstd data without a library to unpack them. Raises MissingExtraError if no library for it is installed."""
-    if _zstd() is _Zstandard:
+    if _zstd_module() is None:
         _zstandard()
 
 
@@ -96,16 +100,13 @@ def unpackers() -> dict[str, Callable[[bytes, int], bytes]]:
 
 def unpack_file(packed: Path, to: Path) -> None:
     """Unpack a file of zstd, for which `check_space` has found space."""
-    if _zstd() is _Zstandard:
-        with packed.open("rb") as file, to.open("wb") as out:
-            _zstandard().ZstdDecompressor().copy_stream(file, out)
-        return
-    try:
-        from compression.zstd import open as open_zstd  # type: ignore[import-not-found, unused-ignore]  # Python 3.14
-    except ImportError:
-        from backports.zstd import open as open_zstd
-    with open_zstd(packed, "rb") as file, to.open("wb") as out:
-        shutil.copyfileobj(file, out)
+    module = _zstd_module()
+    with ExitStack() as files:
+        out = files.enter_context(to.open("wb"))
+        if module is None:
+            _zstandard().ZstdDecompressor().copy_stream(files.enter_context(packed.open("rb")), out)
+        else:
+            shutil.copyfileobj(files.enter_context(module.open(packed, "rb")), out)
 
 
 def unpacked(make: Callable[[], _Decompressor], data: bytes, most: int) -> bytes:
@@ -139,12 +140,8 @@ def set_ceilings() -> None:
     from rosbags.rosbag2 import storage_mcap as mcap
 
     makers: dict[str, Callable[[], _Decompressor]] = {"zstd": _zstd(), "bz2": bz2.BZ2Decompressor}
-    try:
-        from lz4.frame import LZ4FrameDecompressor
-
-        makers["lz4"] = LZ4FrameDecompressor
-    except ImportError:  # rosbags then has another one
-        pass
+    if find_spec("lz4"):  # rosbags has another one without it
+        makers["lz4"] = _lz4
     for name, make in makers.items():
         if name in mcap.DECOMPRESSORS:
             mcap.DECOMPRESSORS[name] = _of_size(make)
