@@ -16,7 +16,6 @@ KEYS = {"yaml": "python3-yaml", "llvmlite": "python3-numba"}
 EXTRAS = {
     "SALib": "SALib",
     "asammdf": "asammdf",
-    "backports": "rosbags",
     "bokeh": "bokeh",
     "can": "python-can",
     "cantools": "cantools",
@@ -37,8 +36,6 @@ EXTRAS = {
     "zstandard": "rosbags",
 }
 """Modules that extras bring, each with the requirement in setup.py by which they come."""
-NEW = {"compression"}
-"""Of Python 3.14's own modules."""
 MESSAGE = re.compile(r"([a-z][a-z0-9_]*)/(?:msg|srv)/[A-Z]")
 
 
@@ -66,7 +63,7 @@ def imported(path):
 
 def test_all_that_is_imported_is_a_dependency_or_of_an_extra(repository, depended):
     required = (repository / "setup.py").read_text(encoding="utf-8")
-    found = {name for path in sources(repository) for name in imported(path)} - sys.stdlib_module_names - NEW - {"trackres_ros"}
+    found = {name for path in sources(repository) for name in imported(path)} - sys.stdlib_module_names - {"trackres_ros"}
     assert {"rclpy", "ament_index_python", "rosbag2_py", "numpy"} <= found
     for name in sorted(found):
         if name in EXTRAS:

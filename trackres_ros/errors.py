@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Iterator, Mapping
 
 MOST_SHOWN, MOST_OF_TEXT = 80, 200  # characters of the given value: of data, and of a text, which may be a sentence of ours
@@ -122,5 +121,7 @@ def one_line(text: str) -> str:
 
 def nearest(given: str, names: Iterable[str]) -> str:
     """Return ``did you mean X?`` for the nearest of some names, or nothing."""
+    import difflib  # only for an error: it takes as long to import as all else here
+
     close = difflib.get_close_matches(given, list(names), 1)
     return f"did you mean {close[0]}?" if close else ""

@@ -41,7 +41,6 @@ PRINTING = {
     "trackres_ros.model.resistance": "the parts of a torque, by name",
 }
 STARTED_BY = {  # commands that start an application of their own, and import it
-    "common.py": {"trackres_ros.recording.bindings"},
     "compare.py": {"trackres_ros.design", "trackres_ros.fleet", "trackres_ros.offline.vehicle_files"},
     "compound.py": {"trackres_ros.compound.run"},
     "design.py": {
@@ -57,10 +56,11 @@ STARTED_BY = {  # commands that start an application of their own, and import it
     },
     "live_json.py": {"trackres_ros.node.report"},
     "live_table.py": {"trackres_ros.node.transport", "trackres_ros.node.report", "trackres_ros.recording.roles"},
+    "options.py": {"trackres_ros.recording.bindings"},
     "play.py": {"trackres_ros.node.dds.player"},
     "prove.py": {"trackres_ros.evaluation"},
     "reproduce.py": {"trackres_ros.evaluation.reproduce"},
-    "topics.py": {"trackres_ros.recording.shipped_topics", "trackres_ros.recording.guessed_topics"},
+    "topics.py": {"trackres_ros.recording.topics_files"},
     "simulate.py": {"trackres_ros.offline.energy"},
     "vehicle.py": {"trackres_ros.offline.vehicle_files"},
 }  # fmt: skip

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from trackres_ros.cli.common import vehicles_to_complete
+from trackres_ros.cli.options import vehicles_to_complete
 from trackres_ros.vehicle import load
 
 

@@ -16,6 +16,7 @@ from trackres_ros.design.steady import WARMEST_K, steady
 from trackres_ros.design.sweep import SweepRequest, sweep
 from trackres_ros.design.values import meant, scalars, varied
 from trackres_ros.effects import Active, catalogue
+from trackres_ros.engine import executor
 from trackres_ros.model.operating_point import explain
 from trackres_ros.vehicle import load
 
@@ -114,7 +115,7 @@ def test_incompatible_ranges_are_refused_with_a_reason(monkeypatch):
     vehicle = load("xgd24d")
     narrow = {pair[0]: replace(vehicle.parameters[pair[0]], low=0.2), pair[1]: vehicle.parameters[pair[1]]}
     changed = replace(vehicle, parameters={**vehicle.parameters, **narrow})
-    monkeypatch.setattr(sensing, "find_spec", lambda _name: None)
+    monkeypatch.setattr(executor, "find_spec", lambda _name: None)
     monkeypatch.setattr(sensing, "scalars", lambda _: pair)
     monkeypatch.setattr(sensing, "load", lambda _: changed)
     # At either end by itself each is all right only if the other allows it: the wheel's contact is no wider than the belt.
@@ -192,7 +193,7 @@ def test_the_command_sweeps_says_what_cannot_be_and_draws(good, tmp_path, monkey
 def test_the_command_says_what_to_measure_first(good, tmp_path, monkeypatch):
     pytest.importorskip("SALib")
     pytest.importorskip("matplotlib")
-    monkeypatch.setattr(sensing, "find_spec", lambda _name: None)  # an engine takes longer to begin
+    monkeypatch.setattr(executor, "find_spec", lambda _name: None)  # an engine takes longer to begin
     monkeypatch.setattr(sensing, "scalars", lambda _: ["rubber.loss_modulus_scale", "chassis.bearing_friction", "rubber.density"])
     found = sensing.sensitivity("agri3t", 2.5, AIR, 16, 2)
     text = found.text("warm_nm")

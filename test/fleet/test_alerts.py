@@ -22,11 +22,11 @@ pytest.importorskip("pyarrow")
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.fleet.draw import draw_fleet, write_recording
 from trackres_ros.fleet.alerts import COLUMNS, checked_url
-from trackres_ros.fleet.alone import alone
 from trackres_ros.fleet.changes import DAY_S
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.page.write import write_pages
 from trackres_ros.fleet.recordings import FoundRecording
+from trackres_ros.fleet.run import alone
 from trackres_ros.fleet.task import Task, analyse, broken
 from trackres_ros.fleet.trends import day_of, sentences, trends
 from trackres_ros.fleet.vehicles import one_vehicle, read_fleet
@@ -177,7 +177,7 @@ def test_a_row_says_whether_a_load_was_recorded(tmp_path):
 
 
 def test_one_run_at_a_time_writes_into_a_folder(tmp_path, trackres):
-    program = "import sys, time; from pathlib import Path; from trackres_ros.fleet.alone import alone\n"
+    program = "import sys, time; from pathlib import Path; from trackres_ros.fleet.run import alone\n"
     program += "with alone(Path(sys.argv[1])): print('held', flush=True); time.sleep(600)"
     first = subprocess.Popen([sys.executable, "-c", program, tmp_path / "out"], stdout=subprocess.PIPE, text=True)
     try:

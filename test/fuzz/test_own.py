@@ -25,7 +25,7 @@ from trackres_ros.files.resources import config_dir
 from trackres_ros.fleet.compare import compare, compare_text
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.periods import DIAGNOSES, INPUTS, verdicts
-from trackres_ros.fleet.run_limits import limits_of
+from trackres_ros.fleet.run import limits_of
 from trackres_ros.fleet.trends import sentences, trends
 from trackres_ros.fleet.vehicles import read_fleet
 from trackres_ros.offline.profile import read_profile

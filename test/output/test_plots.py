@@ -75,15 +75,15 @@ def test_a_simulation_draws_from_its_few_columns(reference, tmp_path):
     assert png_size(tmp_path / "s.png") == (990, 792)
 
 
-@pytest.mark.parametrize("name", ["torque_nm", "belt_degc"])
-def test_measurements_show(estimate, tmp_path, name):
+def test_a_measured_torque_shows(estimate, tmp_path):
     time_s, columns = estimate
     values = np.full(len(time_s), np.nan)
-    plot_estimate(tmp_path / "none.png", time_s, columns, "drive")
-    plot_estimate(tmp_path / "empty.png", time_s, columns, "drive", {name: values})
+    others = {name: series for name, series in columns.items() if name != "measured_torque_nm"}
+    plot_estimate(tmp_path / "none.png", time_s, others, "drive")
+    plot_estimate(tmp_path / "empty.png", time_s, {**others, "measured_torque_nm": values}, "drive")
     assert (tmp_path / "none.png").read_bytes() == (tmp_path / "empty.png").read_bytes()
     values[::100] = 20.0
-    plot_estimate(tmp_path / "some.png", time_s, columns, "drive", {name: values})
+    plot_estimate(tmp_path / "some.png", time_s, {**others, "measured_torque_nm": values}, "drive")
     assert (tmp_path / "none.png").read_bytes() != (tmp_path / "some.png").read_bytes()
 
 
@@ -98,15 +98,14 @@ def test_assemblies_that_differ_are_drawn_apart(estimate, tmp_path):
 @pytest.mark.parametrize(
     "damage",
     [
-        lambda time_s, columns: (time_s[:0], {}, None),
-        lambda time_s, columns: (time_s, {**columns, "wind_nm": columns["wind_nm"][:-1]}, None),
-        lambda time_s, columns: (time_s, columns, {"torque": columns["wind_nm"]}),
+        lambda time_s, columns: (time_s[:0], {}),
+        lambda time_s, columns: (time_s, {**columns, "wind_nm": columns["wind_nm"][:-1]}),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(estimate, tmp_path, damage):
-    time_s, columns, measured = damage(*estimate)
+    time_s, columns = damage(*estimate)
     with pytest.raises(InputError, match="allowed"):
-        plot_estimate(tmp_path / "bad.png", time_s, columns, "drive", measured)
+        plot_estimate(tmp_path / "bad.png", time_s, columns, "drive")
     assert not (tmp_path / "bad.png").exists()
 
 

@@ -3,57 +3,33 @@
 
 """`trackres coastdown` estimates parameters of a vehicle file from coast-downs."""
 
-from __future__ import annotations
-
 from pathlib import Path
+from typing import Any
 
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import (
-    SEEDS,
-    Command,
-    default_of,
-    emit,
-    json_option,
-    method_options,
-    progress,
-    surroundings_option,
-    topics_option,
-    vehicle_option,
-)
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit, progress, with_written
 from trackres_ros.cli.partial_output import watch
 
 
 @click.command("coastdown", cls=Command)
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@vehicle_option
-@surroundings_option
-@topics_option("which topic or column feeds which role.")
-@method_options
-@click.option("--seed", type=SEEDS, default=default_of(tr.coastdown, "seed"), show_default=True, help="Seed of all random draws.")
+@click.argument("recordings", nargs=-1, required=True, type=options.PATH)
+@options.vehicle
+@options.surroundings
+@options.topics("which topic or column feeds which role.")
+@options.methods
+@options.of(tr.coastdown, "seed", options.SEEDS, "Seed of all random draws.")
 @click.option(
     "--save-vehicle",
-    type=click.Path(path_type=Path),
+    type=options.PATH,
     metavar="NEW.yaml",
     help="Vehicle file with the estimates; written only if it predicts the hold-out coast-downs better.",
 )
-@click.option(
-    "--picture", type=click.Path(path_type=Path), metavar="P.png", help="Picture of the measured speed and of both predictions."
-)
-@json_option
-def coastdown_command(
-    recordings: tuple[Path, ...],
-    vehicle: str,
-    surroundings: Path | None,
-    topics: str | None,
-    method: str | None,
-    thermal: str | None,
-    seed: int,
-    save_vehicle: Path | None,
-    picture: Path | None,
-    as_json: bool,
-) -> None:
+@click.option("--picture", type=options.PATH, metavar="P.png", help="Picture of the measured speed and of both predictions.")
+@options.json
+def coastdown_command(save_vehicle: Path | None, picture: Path | None, as_json: bool, **asked: Any) -> None:
     """Estimate parameters of a vehicle file, with ranges, from recordings of coast-downs.
 
     With a recorded torque, only stretches without torque are used; else all stretches of free deceleration. The mass is
@@ -63,23 +39,12 @@ def coastdown_command(
     trackres coastdown roll_1.csv roll_2.csv --vehicle xgd24d --picture rolls.png
     trackres coastdown roll.mcap --vehicle my.yaml --topics topics.yaml --save-vehicle rolled.yaml
     """
-    watch(*(path for path in (save_vehicle, picture) if path))
+    watch(save_vehicle, picture)
     with progress("coast-down", None):
-        found = tr.coastdown(
-            recordings, vehicle, topics=topics, surroundings=surroundings, method=method, thermal=thermal, seed=seed
-        )
-    written = []
-    if save_vehicle is not None and found.better:
-        written += [str(path) for path in found.save_vehicle(save_vehicle)]
+        found = tr.coastdown(**asked)
+    written = [*found.save_vehicle(save_vehicle)] if save_vehicle is not None and found.better else []
     if picture is not None:
-        written.append(str(found.plot(picture)))
-
-    def text() -> str:
-        lines = [repr(found)]
-        if save_vehicle is not None and not found.better:
-            lines.append(f"Not written: {save_vehicle}")
-        if written:
-            lines.append(f"Written: {', '.join(written)}")
-        return "\n".join(lines)
-
-    emit({**found.as_dict(), "written": written}, as_json, text)
+        written.append(found.plot(picture))
+    refused = f"\nNot written: {save_vehicle}" if save_vehicle is not None and not found.better else ""
+    report = {**found.as_dict(), "written": [str(path) for path in written]}
+    emit(report, as_json, lambda: with_written(f"{found!r}{refused}", written))

@@ -1,39 +1,25 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds what the commands share: options, output and progress."""
+"""Commands with readable errors, and what all of them print: results, progress, warnings."""
 
-from __future__ import annotations
-
-import inspect
 import json
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 import click
-from click.shell_completion import CompletionItem
 
 from trackres_ros import InputError, MissingExtraError
 from trackres_ros.cli.partial_output import watch
 from trackres_ros.errors import nearest
-from trackres_ros.files.resources import shipped_road_vehicles, shipped_topics, shipped_vehicles
 from trackres_ros.progress import listening
 
-if TYPE_CHECKING:
-    from trackres_ros.recording.bindings import Topics
-
-Decorated = TypeVar("Decorated", bound=Callable[..., Any])
-
 DISTRIBUTIONS = {"sklearn": "scikit-learn"}  # if its name is not that of the module
-
-
-DBC = f"{__name__}.dbc"
-"""Key of a command's context under which the CAN databases are stored."""
 
 
 class Command(click.Command):
@@ -63,25 +49,6 @@ class Commands(click.Group):
         return super().resolve_command(ctx, args)
 
 
-def vehicles_to_complete(_context: click.Context, _option: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Shipped vehicles and files, for the shell."""
-    return _to_complete([*shipped_vehicles(), *shipped_road_vehicles()], begun)
-
-
-def topics_to_complete(_context: click.Context, _option: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Shipped topics files and files, for the shell."""
-    return _to_complete(shipped_topics(), begun)
-
-
-def _to_complete(names: Iterable[str], begun: str) -> list[CompletionItem]:
-    return [*(CompletionItem(name) for name in names if name.startswith(begun)), CompletionItem(begun, type="file")]
-
-
-def default_of(function: Callable[..., Any], argument: str) -> Any:
-    """The default of a function's argument, for the option of the same meaning."""
-    return inspect.signature(function).parameters[argument].default
-
-
 @contextmanager
 def print_warnings() -> Iterator[None]:
     """Print the warnings of functions on standard error."""
@@ -89,122 +56,6 @@ def print_warnings() -> Iterator[None]:
         warnings.simplefilter("always")
         warnings.showwarning = lambda message, *_: click.echo(f"trackres: {message}", err=True)
         yield
-
-
-def folder_option(text: str) -> Callable[[Decorated], Decorated]:
-    """`-o`, `--output`: the folder that a command writes into."""
-    kind = click.Path(path_type=Path, file_okay=False)
-    return click.option("-o", "--output", type=kind, required=True, metavar="DIR", help=text)
-
-
-def vehicle_option(command: Decorated) -> Decorated:
-    """`--vehicle`: a path or the name of a shipped vehicle."""
-    return click.option(
-        "--vehicle",
-        required=True,
-        metavar="FILE|NAME",
-        shell_complete=vehicles_to_complete,
-        help=f"Vehicle file, or the name of a shipped one: {', '.join([*shipped_vehicles(), *shipped_road_vehicles()])}.",
-    )(command)
-
-
-def topics_option(text: str, with_dbc: bool = True) -> Callable[[Decorated], Decorated]:
-    """`--topics`: a path or the name of a shipped topics file; with `--dbc` for recordings."""
-    names = ", ".join(shipped_topics())
-    option = click.option(
-        "--topics",
-        metavar="FILE|NAME",
-        shell_complete=topics_to_complete,
-        callback=_with_databases if with_dbc else None,
-        help=f"Topics file, or the name of a shipped one ({names}): {text}",
-    )
-    return (lambda command: dbc_option(option(command))) if with_dbc else option
-
-
-def params_option(command: Decorated) -> Decorated:
-    """`--params`: a parameter file of the node; only the estimator's settings are used."""
-    return click.option(
-        "--params",
-        type=click.Path(path_type=Path),
-        metavar="P.yaml",
-        help="Parameter file, flat or as the live node reads it; only settings of the estimator are used.",
-    )(command)
-
-
-def dbc_option(command: Decorated) -> Decorated:
-    """`--dbc`: databases of the buses whose frames were logged."""
-    return click.option(
-        "--dbc",
-        multiple=True,
-        type=click.Path(path_type=Path),
-        is_eager=True,
-        expose_value=False,
-        callback=lambda context, _, files: context.meta.update({DBC: files}),
-        help="Database of a CAN bus, for recorded frames; may be repeated. Overrides dbc in the topics file.",
-    )(command)
-
-
-def _with_databases(context: click.Context, _option: click.Parameter, topics: str | None) -> Topics | str | None:
-    return with_databases(topics, context.meta.get(DBC, ()))
-
-
-def with_databases(topics: str | None, files: Sequence[Path]) -> Topics | Any:
-    """A topics file, or none, with the databases of `--dbc`."""
-    if not files:
-        return topics
-    from trackres_ros.recording.bindings import Topics
-
-    loaded = Topics({}, "--dbc") if topics is None else Topics.load(topics)
-    return loaded.with_databases(files)
-
-
-def surroundings_option(command: Decorated) -> Decorated:
-    """`--surroundings`: a file of the site, the weather and the ground, as `trackres diagnose` writes it."""
-    return click.option(
-        "--surroundings",
-        type=click.Path(path_type=Path),
-        metavar="S.yaml",
-        help="Current effects of site, weather and ground, as trackres diagnose writes them; never fed forward.",
-    )(command)
-
-
-def json_option(command: Decorated) -> Decorated:
-    """`--json`: the same content for programs."""
-    return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")(command)
-
-
-def method_options(command: Decorated) -> Decorated:
-    """`--method` and `--thermal`: models instead of the vehicle file's."""
-    command = click.option(
-        "--thermal", type=click.Choice(["lumped", "core_surface"]), help="Thermal model instead of the vehicle file's."
-    )(command)
-    return click.option(
-        "--method",
-        type=click.Choice(["rainflow", "spectral"]),
-        help="Hysteresis method instead of the vehicle file's: rainflow as in the paper, or the exact spectral one.",
-    )(command)
-
-
-def number(low: float, high: float) -> click.FloatRange:
-    """A finite number in a range; click's own accepts nan."""
-    return _Finite(low, high)
-
-
-def whole(low: int, high: int) -> click.IntRange:
-    """A whole number in a range."""
-    return click.IntRange(low, high)
-
-
-SEEDS = whole(0, 2**32 - 1)
-WORKERS = whole(1, 1024)
-
-
-class _Finite(click.FloatRange):
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        converted = super().convert(value, param, ctx)
-        if converted != converted:
-            self.fail(f"{value} is not a number", param, ctx)
-        return converted
 
 
 def needs(feature: str, extra: str, *modules: str) -> None:
@@ -225,6 +76,12 @@ def picture_beside(path: Path) -> Path:
     """Path of the picture that belongs to an output file."""
     name = path.name[: -len(".gz")] if path.name.lower().endswith(".csv.gz") else path.name
     return path.with_name(f"{Path(name).stem}.png")
+
+
+def with_written(text: str, written: Iterable[object]) -> str:
+    """A text, and the files that were written, if any."""
+    files = ", ".join(map(str, written))
+    return f"{text}\nWritten: {files}" if files else text
 
 
 def emit(result: dict[str, Any], as_json: bool, text: Callable[[], str]) -> None:

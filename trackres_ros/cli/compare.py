@@ -3,14 +3,14 @@
 
 """Runs `trackres compare`."""
 
-from __future__ import annotations
-
 from pathlib import Path
+from typing import Any
 
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import Command, emit, json_option, needs, output_folder, print_warnings, progress
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit, needs, output_folder, print_warnings, progress
 
 A_NUMBER = "A|A:B|A,B,C"
 
@@ -29,21 +29,9 @@ A_NUMBER = "A|A:B|A,B,C"
     help="Of two designs: a drive. A recording, a speed profile as simulate takes it, or stages or laps; may be repeated. "
     "stages without.",
 )
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Folder for pictures of both."
-)
-@json_option
-def compare_command(
-    one: str,
-    other: str,
-    speed_kmh: str | None,
-    belt_degc: str | None,
-    ambient_degc: str | None,
-    weight_kn: str | None,
-    cycle: tuple[str, ...],
-    output: Path | None,
-    as_json: bool,
-) -> None:
+@click.option("-o", "--output", type=options.FOLDER, metavar="DIR", help="Folder for pictures of both.")
+@options.json
+def compare_command(one: str, other: str, cycle: tuple[str, ...], output: Path | None, as_json: bool, **asked_for: Any) -> None:
     """Show the significant differences between two days, vehicles, reports or designs.
 
     ONE and OTHER are each a folder of trackres fleet, all of it or a part (results:truck-01, results:truck-01@2026-03,
@@ -59,15 +47,14 @@ def compare_command(
     trackres compare xgd24d my_design.yaml --speed-kmh 50 --ambient-degc -15,15
     trackres compare xgd24d my_design.yaml --weight-kn 200,270,340 --cycle stages --cycle lap.mcap
     """
-    from trackres_ros.design.compare import ComparisonOptions, asked_of, compare_designs
+    from trackres_ros.design.compare import ComparisonOptions, asked_of, compare_designs, wheels_compared, wheels_text
     from trackres_ros.design.compare_text import designs_text, draw_designs
-    from trackres_ros.design.compare_wheels import wheels_compared, wheels_text
-    from trackres_ros.fleet.compare import compare, compare_text
+    from trackres_ros.fleet.compare import compare, compare_text, draw_overlay
     from trackres_ros.offline.vehicle_files import differences, differences_text
 
     with print_warnings():
         found = compare(one, other)
-    asked, designs = asked_of((one, other), ComparisonOptions(speed_kmh, belt_degc, ambient_degc, weight_kn, cycle)), None
+    asked, designs = asked_of((one, other), ComparisonOptions(**asked_for, cycles=cycle)), None
     try:
         found["values"] = values = differences(one, other)
         text = "\n".join(["Values that differ", differences_text(one, other, values)])
@@ -81,8 +68,6 @@ def compare_command(
             found["designs"] = designs = compare_designs(asked, advance)
     if output is not None:
         needs("a picture", "plots", "matplotlib")
-        from trackres_ros.fleet.overlay import draw_overlay
-
         found["written"] = str(draw_overlay(found, output_folder(output) / "compare.png"))
         if designs is not None:
             found["written"] += f", {draw_designs(designs, output / 'designs.png')}"

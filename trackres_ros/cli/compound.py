@@ -3,23 +3,12 @@
 
 """`trackres compound`: a rubber file from the sweep of a DMA instrument."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
 
-from trackres_ros.cli.common import (
-    Command,
-    Commands,
-    emit,
-    json_option,
-    needs,
-    number,
-    output_folder,
-    progress,
-    vehicles_to_complete,
-)
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, Commands, emit, needs, output_folder, progress
 
 
 @click.group("compound", cls=Commands)
@@ -28,28 +17,19 @@ def compound_group() -> None:
 
 
 @compound_group.command("fit", cls=Command)
-@click.argument("sweep", metavar="SWEEP.csv", type=click.Path(path_type=Path))
+@click.argument("sweep", metavar="SWEEP.csv", type=options.PATH)
 @click.option(
     "--vehicle",
     default="xgd24d",
-    show_default=True,
     metavar="FILE|NAME",
-    shell_complete=vehicles_to_complete,
+    shell_complete=options.vehicles_to_complete,
     help="The vehicle to equip with the compound; all else stays as in its file.",
 )
 @click.option(
-    "--frequency-hz", type=number(1e-9, 1e9), metavar="HZ", help="Frequency of the sweep, if its file does not give it."
+    "--frequency-hz", type=options.Number(1e-9, 1e9), metavar="HZ", help="Frequency of the sweep, if its file does not give it."
 )
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("compound"),
-    show_default=True,
-    metavar="DIR",
-    help="Folder to write into.",
-)
-@json_option
+@click.option("-o", "--output", type=options.FOLDER, default=Path("compound"), metavar="DIR", help="Folder to write into.")
+@options.json
 def fit_command(sweep: Path, vehicle: str, frequency_hz: float | None, output: Path, as_json: bool) -> None:
     """Fit a compound to a DMA sweep: master curve, shift, rubber file and a vehicle file with it.
 

@@ -12,19 +12,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from trackres_ros.cli.common import (
-    SEEDS,
-    WORKERS,
-    Command,
-    emit,
-    json_option,
-    needs,
-    number,
-    picture_beside,
-    progress,
-    vehicles_to_complete,
-    whole,
-)
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit, needs, picture_beside, progress, with_written
 from trackres_ros.cli.partial_output import watch
 from trackres_ros.files.output_files import output_file
 from trackres_ros.units import KMH_PER_MPS
@@ -39,16 +28,16 @@ USUAL_KMH = 30.0
 
 speed_option = click.option(
     "--speed-kmh",
-    type=number(0.1, 150.0),
+    type=options.Number(0.1, 150.0),
     help=f"Constant speed [km/h]; default {USUAL_KMH:g}, or the vehicle's maximum if lower.",
 )
 ambient_option = click.option(
-    "--ambient-degc", type=number(-60.0, 60.0), help="Air temperature [degC]; default the vehicle file's."
+    "--ambient-degc", type=options.Number(-60.0, 60.0), help="Air temperature [degC]; default the vehicle file's."
 )
 
 
 @click.command("sweep", cls=Command)
-@click.argument("vehicle", shell_complete=vehicles_to_complete)
+@click.argument("vehicle", shell_complete=options.vehicles_to_complete)
 @click.option(
     "--vary",
     multiple=True,
@@ -60,10 +49,10 @@ ambient_option = click.option(
 @speed_option
 @ambient_option
 @click.option("--cycle", metavar="DRIVE", help="Energy of a drive: a recording, a speed profile, stages or laps; see compare.")
-@click.option("--engine", default="local", show_default=True, help="tcp://HOST:PORT of a running dask scheduler, or local.")
-@click.option("--workers", type=WORKERS, help="Processes of a local engine.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Table, .csv, .csv.gz or .parquet; with a picture, .png.")
-@json_option
+@click.option("--engine", default="local", help="tcp://HOST:PORT of a running dask scheduler, or local.")
+@click.option("--workers", type=options.WORKERS, help="Processes of a local engine.")
+@click.option("-o", "--output", type=options.PATH, help="Table, .csv, .csv.gz or .parquet; with a picture, .png.")
+@options.json
 def sweep_command(
     vehicle: str,
     vary: tuple[str, ...],
@@ -93,7 +82,7 @@ def sweep_command(
 
     file = None if output is None else output_file(output, TABLES)
     picture = None if file is None else picture_beside(file)
-    watch(*(path for path in (file, picture) if path))
+    watch(file, picture)
     described = load(find_vehicle(vehicle))
     air = described.chassis.ambient if ambient_degc is None else ambient_degc
     asked = SweepRequest(vehicle, tuple(varied(described, one) for one in vary), _held(described, speed_kmh), air, cycle)
@@ -105,22 +94,18 @@ def sweep_command(
         written.append(str(file))
         needs("a picture", "plots", "matplotlib")
         written.append(str(draw(found, picture)))
-    emit(
-        {**found.as_dict(), "written": written},
-        as_json,
-        lambda: "\n".join([found.text(), *([f"Written: {', '.join(written)}"] if written else [])]),
-    )
+    emit({**found.as_dict(), "written": written}, as_json, lambda: with_written(found.text(), written))
 
 
 @click.command("sensitivity", cls=Command)
-@click.argument("vehicle", shell_complete=vehicles_to_complete)
+@click.argument("vehicle", shell_complete=options.vehicles_to_complete)
 @speed_option
 @ambient_option
-@click.option("--of", "outcome", type=click.Choice(OUTCOMES), default=OUTCOMES[0], show_default=True, help="Result to examine.")
-@click.option("--samples", type=whole(8, 1 << 16), default=64, show_default=True, help="Samples of each value; a power of two.")
-@click.option("--seed", type=SEEDS, default=1, show_default=True, help="Seed of all random draws.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="P.png", help="Picture, .png or .svg.")
-@json_option
+@click.option("--of", "outcome", type=click.Choice(OUTCOMES), default=OUTCOMES[0], help="Result to examine.")
+@click.option("--samples", type=click.IntRange(8, 1 << 16), default=64, help="Samples of each value; a power of two.")
+@options.seed(1)
+@click.option("-o", "--output", type=options.PATH, metavar="P.png", help="Picture, .png or .svg.")
+@options.json
 def sensitivity_command(
     vehicle: str,
     speed_kmh: float | None,
@@ -158,11 +143,7 @@ def sensitivity_command(
 
         found = sensitivity(vehicle, speed, ambient_degc, samples, seed, shown)
     written = [] if picture is None else [str(draw_tornado(found, outcome, picture))]
-    emit(
-        {**found.as_dict(), "written": written},
-        as_json,
-        lambda: "\n".join([found.text(outcome), *([f"Written: {', '.join(written)}"] if written else [])]),
-    )
+    emit({**found.as_dict(), "written": written}, as_json, lambda: with_written(found.text(outcome), written))
 
 
 def _held(vehicle: Vehicle, speed_kmh: float | None) -> float:

@@ -3,70 +3,38 @@
 
 """Runs `trackres diagnose` and `trackres effects`."""
 
-from __future__ import annotations
-
 from pathlib import Path
+from typing import Any
 
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import (
-    SEEDS,
-    Command,
-    default_of,
-    emit,
-    folder_option,
-    json_option,
-    method_options,
-    print_warnings,
-    stages,
-    surroundings_option,
-    topics_option,
-    vehicle_option,
-)
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit, print_warnings, stages
 from trackres_ros.cli.partial_output import watch
 
 
 @click.command("diagnose", cls=Command)
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@vehicle_option
-@surroundings_option
-@topics_option("which topic or column feeds which role.")
+@click.argument("recordings", nargs=-1, required=True, type=options.PATH)
+@options.vehicle
+@options.surroundings
+@options.topics("which topic or column feeds which role.")
 @click.option("--hide", multiple=True, metavar="CHANNEL", help="Ignore a channel, such as grade or yaw_rate; may be repeated.")
 @click.option(
     "--holdout",
     metavar="N|NAMES",
     help="How many of the last recordings or laps to hold out, or names of recordings or laps (day2.mcap: 5) with commas.",
 )
-@method_options
-@click.option("--seed", type=SEEDS, default=default_of(tr.diagnose, "seed"), show_default=True, help="Seed of all random draws.")
+@options.methods
+@options.of(tr.diagnose, "seed", options.SEEDS, "Seed of all random draws.")
 @click.option("--quick", is_flag=True, help="Fewer draws for thresholds.")
 @click.option("--keep-suspected", is_flag=True, help="Also write effects that fit but that the hold-out laps do not confirm.")
-@click.option(
-    "--effects",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Folder with your own effects, one Python file each.",
-)
+@click.option("--effects", type=options.PATH, metavar="DIR", help="Folder with your own effects, one Python file each.")
 @click.option("--no-page", is_flag=True, help="Write no report.html and no pictures, which takes as long as a short diagnosis.")
-@folder_option("Folder for the report; created if needed.")
-@json_option
+@options.folder("Folder for the report; created if needed.")
+@options.json
 def diagnose_command(
-    recordings: tuple[Path, ...],
-    vehicle: str,
-    surroundings: Path | None,
-    topics: str | None,
-    hide: tuple[str, ...],
-    holdout: str | None,
-    method: str | None,
-    thermal: str | None,
-    seed: int,
-    quick: bool,
-    keep_suspected: bool,
-    effects: Path | None,
-    no_page: bool,
-    output: Path,
-    as_json: bool,
+    recordings: tuple[Path, ...], holdout: str | None, no_page: bool, output: Path, as_json: bool, **asked: Any
 ) -> None:
     """Find where measurement and simulation differ and which physics is missing; write a vehicle file with it.
 
@@ -83,21 +51,7 @@ def diagnose_command(
     watch(output)
     held = None if holdout is None else int(holdout) if holdout.isdecimal() else [name.strip() for name in holdout.split(",")]
     with stages() as on_stage:
-        found = tr.diagnose(
-            recordings,
-            vehicle,
-            topics=topics,
-            surroundings=surroundings,
-            hide=hide,
-            holdout=held,
-            method=method,
-            thermal=thermal,
-            seed=seed,
-            quick=quick,
-            keep_suspected=keep_suspected,
-            effects=effects,
-            on_stage=on_stage,
-        )
+        found = tr.diagnose(recordings, holdout=held, on_stage=on_stage, **asked)
         on_stage("report")
         with print_warnings():
             found.report(output, page=not no_page)
@@ -105,8 +59,8 @@ def diagnose_command(
 
 
 @click.command("effects", cls=Command)
-@click.option("--effects", type=click.Path(path_type=Path), metavar="DIR", help="Folder with your own effects.")
-@json_option
+@click.option("--effects", type=options.PATH, metavar="DIR", help="Folder with your own effects.")
+@options.json
 def effects_command(effects: Path | None, as_json: bool) -> None:
     """List the catalogue of effects with descriptions and parameters."""
     listed = [effect.describe() for effect in tr.effects.catalogue(effects).values()]

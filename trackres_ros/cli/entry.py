@@ -3,8 +3,6 @@
 
 """Entry point of the command `trackres`: sets up signals and Ctrl-C before other modules load."""
 
-from __future__ import annotations
-
 import os
 import sys
 

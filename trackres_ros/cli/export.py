@@ -3,52 +3,33 @@
 
 """Runs `trackres export`: the step of a vehicle as C99 or as an FMU, and the check of an export."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
-from trackres_ros.cli.common import (
-    Command,
-    Commands,
-    Decorated,
-    emit,
-    folder_option,
-    json_option,
-    method_options,
-    params_option,
-    surroundings_option,
-)
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, Commands, emit
 from trackres_ros.cli.partial_output import watch
 
 
-def export_options(command: Decorated) -> Decorated:
-    """Options of an export."""
-    options: list[Callable[[Any], Any]] = [
-        surroundings_option,
-        method_options,
-        params_option,
-        click.option(
-            "--state",
-            type=click.Path(path_type=Path),
-            metavar="STATE",
-            help="Start from the learned parameters of a state saved with learning on.",
-        ),
-    ]
-    for option in reversed(options):
+def export_options(command: options.Decorated) -> options.Decorated:
+    """Options of an export, in the order of the help."""
+    text = "Start from the learned parameters of a state saved with learning on."
+    for option in (
+        click.option("--state", type=options.PATH, metavar="STATE", help=text),
+        options.params,
+        options.methods,
+        options.surroundings,
+    ):
         command = option(command)
     return command
 
 
 @click.group("export", cls=Commands, invoke_without_command=True)
-@click.option(
-    "--check", "folder", type=click.Path(path_type=Path), metavar="DIR", help="Check that the C in DIR belongs to its vehicle."
-)
+@click.option("--check", "folder", type=options.PATH, metavar="DIR", help="Check that the C in DIR belongs to its vehicle.")
 @click.option("--vehicle", metavar="FILE|NAME", help="With --check: the vehicle file, if it was moved.")
-@json_option
+@options.json
 @click.pass_context
 def export_group(context: click.Context, folder: Path | None, vehicle: str | None, as_json: bool) -> int:
     """Export the live step for a controller: C99 without heap, or an FMU.
@@ -72,21 +53,11 @@ def export_group(context: click.Context, folder: Path | None, vehicle: str | Non
 
 @export_group.command("c", cls=Command)
 @click.argument("vehicle", metavar="FILE|NAME")
-@folder_option("Folder for trackres.h, trackres.c, main.c and CMakeLists.txt.")
+@options.folder("Folder for trackres.h, trackres.c, main.c and CMakeLists.txt.")
 @export_options
 @click.option("--single", is_flag=True, help="Numbers are float instead of double: half the size, less precise.")
-@json_option
-def c_command(
-    vehicle: str,
-    output: Path,
-    surroundings: Path | None,
-    method: str | None,
-    thermal: str | None,
-    params: Path | None,
-    state: Path | None,
-    single: bool,
-    as_json: bool,
-) -> None:
+@options.json
+def c_command(output: Path, as_json: bool, **asked: Any) -> None:
     """Write the step of a vehicle as C99: one source and one header, a program that replays a CSV, and a CMake file.
 
     \b
@@ -97,25 +68,16 @@ def c_command(
     from trackres_ros.export.exporting import Request, export_c
 
     watch(output)
-    written = export_c(Request(vehicle, surroundings, params, state, method, thermal, single), output)
+    written = export_c(Request(**asked), output)
     emit({"written": [str(path) for path in written]}, as_json, lambda: f"Written: {', '.join(map(str, written))}")
 
 
 @export_group.command("fmu", cls=Command)
 @click.argument("vehicle", metavar="FILE|NAME")
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="MODEL.fmu", help="The FMU.")
+@click.option("-o", "--output", type=options.PATH, required=True, metavar="MODEL.fmu", help="The FMU.")
 @export_options
-@json_option
-def fmu_command(
-    vehicle: str,
-    output: Path,
-    surroundings: Path | None,
-    method: str | None,
-    thermal: str | None,
-    params: Path | None,
-    state: Path | None,
-    as_json: bool,
-) -> None:
+@options.json
+def fmu_command(output: Path, as_json: bool, **asked: Any) -> None:
     """Write the step of a vehicle as an FMU: FMI 3.0 for co-simulation, with its sources and a library for Linux.
 
     \b
@@ -125,5 +87,5 @@ def fmu_command(
     from trackres_ros.export.fmu import export_fmu
 
     watch(output)
-    written = export_fmu(Request(vehicle, surroundings, params, state, method, thermal), output)
+    written = export_fmu(Request(**asked), output)
     emit({"written": [str(written)]}, as_json, lambda: f"Written: {written}")

@@ -3,8 +3,6 @@
 
 """Runs `trackres fleet` and `trackres trend`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -13,21 +11,8 @@ from typing import Any
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import (
-    SEEDS,
-    WORKERS,
-    Command,
-    Decorated,
-    emit,
-    folder_option,
-    json_option,
-    needs,
-    number,
-    print_warnings,
-    progress,
-    topics_option,
-    whole,
-)
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit, needs, print_warnings, progress, with_written
 from trackres_ros.cli.partial_output import watch
 from trackres_ros.files.output_files import output_file
 
@@ -35,7 +20,7 @@ EXTRA = "fsspec", "pyarrow", "distributed", "jinja2"
 CHANGED, NOT_SENT = 3, 4  # exit codes
 
 
-def alert_options(command: Decorated) -> Decorated:
+def alert_options(command: options.Decorated) -> options.Decorated:
     """`--webhook` and `--exit-code`: report changes to other programs."""
     command = click.option("--exit-code", is_flag=True, help=f"End with exit code {CHANGED} if a vehicle changed.")(command)
     text = f"Send changes, if any, to this address as JSON by POST; exit code {NOT_SENT} if that fails."
@@ -68,29 +53,15 @@ def fleet_group() -> None:
 @fleet_group.command("run", cls=Command)
 @click.argument("recordings", nargs=-1, required=True)
 @click.option("--vehicle", metavar="FILE|NAME", help="Vehicle file, if all recordings are of one vehicle.")
-@click.option(
-    "--vehicles", type=click.Path(path_type=Path), metavar="fleet.yaml", help="Vehicles, each with its file and recordings."
-)
-@topics_option("with --vehicle, which topic or column feeds which role.", with_dbc=False)
-@click.option(
-    "--engine",
-    default="local",
-    show_default=True,
-    metavar="local|tcp://HOST:PORT",
-    help="Address of the Dask scheduler to run on.",
-)
-@click.option("--workers", type=WORKERS, metavar="N", help="Processes of a local engine; default one per processor.")
+@click.option("--vehicles", type=options.PATH, metavar="fleet.yaml", help="Vehicles, each with its file and recordings.")
+@options.topics("with --vehicle, which topic or column feeds which role.", with_dbc=False)
+@click.option("--engine", default="local", metavar="local|tcp://HOST:PORT", help="Address of the Dask scheduler to run on.")
+@click.option("--workers", type=options.WORKERS, metavar="N", help="Processes of a local engine; default one per processor.")
 @click.option("--hide", multiple=True, metavar="CHANNEL", help="Ignore a channel; may be repeated.")
-@click.option(
-    "--period",
-    type=click.Choice(["month", "none"]),
-    default="month",
-    show_default=True,
-    help="Diagnose each vehicle by this period.",
-)
+@click.option("--period", type=click.Choice(["month", "none"]), default="month", help="Diagnose each vehicle by this period.")
 @alert_options
-@folder_option("Folder of all results.")
-@json_option
+@options.folder("Folder of all results.")
+@options.json
 def run_command(
     recordings: tuple[str, ...],
     vehicle: str | None,
@@ -113,13 +84,11 @@ def run_command(
     needs("trackres fleet", "fleet", *EXTRA)
     if (vehicle is None) == (vehicles is None):
         raise InputError("--vehicle, --vehicles", "both" if vehicle else "neither", "one of them")
-    from trackres_ros.fleet import run_limits
     from trackres_ros.fleet.alerts import FILE, alerts, checked_url, write_alerts
-    from trackres_ros.fleet.alone import alone
     from trackres_ros.fleet.dataset import FleetDataset
     from trackres_ros.fleet.page.write import write_pages
     from trackres_ros.fleet.periods import diagnose_periods
-    from trackres_ros.fleet.run import run
+    from trackres_ros.fleet.run import alone, keep_limits, limits_of, run
     from trackres_ros.fleet.trends import sentences, trends
     from trackres_ros.fleet.vehicles import one_vehicle, read_fleet
 
@@ -140,11 +109,11 @@ def run_command(
             lambda page: click.echo(f"the engine's own page: {page}", err=True),
         )
         bars.close()
-        run_limits.keep(output, fleet)
+        keep_limits(output, fleet)
         if period != "none":
             diagnose_periods(dataset, fleet, engine, workers, hide, progress)
         with print_warnings():
-            found = trends(dataset, run_limits.limits_of(output, {}))
+            found = trends(dataset, limits_of(output, {}))
         found["alerts"] = rows = alerts(found)
         write_alerts(output / FILE, rows)
         pages = write_pages(output, found, dataset)
@@ -159,14 +128,14 @@ def run_command(
 
 
 @fleet_group.command("sample", cls=Command)
-@click.option("--vehicles", type=whole(1, 10_000), default=20, show_default=True, help="How many.")
-@click.option("--days", type=whole(1, 3650), default=90, show_default=True, help="Over how many days they drive.")
-@click.option("--every", type=number(0.1, 365.0), default=3.0, show_default=True, help="Days between recordings of a vehicle.")
-@click.option("--minutes", type=number(3.0, 600.0), default=10.0, show_default=True, help="Length of a recording.")
-@click.option("--seed", type=SEEDS, default=1, show_default=True, help="Seed of all random draws.")
-@folder_option("Folder to write into.")
-@json_option
-def sample_command(vehicles: int, days: int, every: float, minutes: float, seed: int, output: Path, as_json: bool) -> None:
+@click.option("--vehicles", type=click.IntRange(1, 10_000), default=20, help="How many.")
+@click.option("--days", type=click.IntRange(1, 3650), default=90, help="Over how many days they drive.")
+@click.option("--every", type=options.Number(0.1, 365.0), default=3.0, help="Days between recordings of a vehicle.")
+@click.option("--minutes", type=options.Number(3.0, 600.0), default=10.0, help="Length of a recording.")
+@options.seed(1)
+@options.folder("Folder to write into.")
+@options.json
+def sample_command(output: Path, as_json: bool, **drawn: Any) -> None:
     """Write a simulated fleet in which up to three vehicles change; answers.json lists them.
 
     A vehicle needs two recordings to change, so give --days at least twice --every.
@@ -179,9 +148,7 @@ def sample_command(vehicles: int, days: int, every: float, minutes: float, seed:
 
     watch(output)
     with ExitStack() as bars:
-        fleet = write_sample(
-            output, vehicles, days, every, minutes, seed, lambda total: bars.enter_context(progress("driving", total))
-        )
+        fleet = write_sample(output, on_begin=lambda total: bars.enter_context(progress("driving", total)), **drawn)
     count, changes = sum(len(vehicle.days) for vehicle in fleet), sum(vehicle.hidden is not None for vehicle in fleet)
     emit(
         {"recordings": count, "vehicles": len(fleet), "changes": changes, "folder": str(output)},
@@ -191,21 +158,15 @@ def sample_command(vehicles: int, days: int, every: float, minutes: float, seed:
 
 
 @click.command("trend", cls=Command)
-@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@click.argument("folder", type=options.PATH, metavar="DIR")
 @click.option("--name", metavar="VEHICLE", help="Look for changes of this vehicle alone.")
 @click.option(
     "--limit", "limits", multiple=True, metavar="PARAMETER=VALUE", help="Limit of a parameter for the alarm; may be repeated."
 )
-@click.option(
-    "--false-alarms",
-    type=number(1e-4, 10.0),
-    default=0.2,
-    show_default=True,
-    help="False alarms allowed per vehicle and year.",
-)
-@click.option("--alerts", "table", type=click.Path(path_type=Path), metavar="A.csv", help="Write a row for each change.")
+@click.option("--false-alarms", type=options.Number(1e-4, 10.0), default=0.2, help="False alarms allowed per vehicle and year.")
+@click.option("--alerts", "table", type=options.PATH, metavar="A.csv", help="Write a row for each change.")
 @alert_options
-@json_option
+@options.json
 def trend_command(
     folder: Path,
     name: str | None,
@@ -225,21 +186,21 @@ def trend_command(
     trackres trend results --alerts alerts.csv --webhook https://example.com/hook --exit-code
     """
     needs("trackres trend", "fleet", "pyarrow")
-    from trackres_ros.fleet import run_limits
     from trackres_ros.fleet.alerts import alerts, checked_url, write_alerts
     from trackres_ros.fleet.dataset import FleetDataset
+    from trackres_ros.fleet.run import limits_of
     from trackres_ros.fleet.trends import sentences, trends
 
     file = None if table is None else output_file(table, (".csv",))
     if webhook is not None:
         checked_url(webhook)
-    watch(*([file] if file else []))
+    watch(file)
     with print_warnings():
-        found = trends(FleetDataset.existing(folder), run_limits.limits_of(folder, dict(map(_limit, limits))), false_alarms, name)
+        found = trends(FleetDataset.existing(folder), limits_of(folder, dict(map(_limit, limits))), false_alarms, name)
     found["alerts"] = rows = alerts(found)
     if file is not None:
         write_alerts(file, rows)
-    emit(found, as_json, lambda: "\n".join([*sentences(found), *([f"Written: {file}"] if file else [])]))
+    emit(found, as_json, lambda: with_written("\n".join(sentences(found)), [file] if file else []))
     return _alerted(folder, rows, webhook, exit_code)
 
 

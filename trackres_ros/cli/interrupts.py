@@ -3,8 +3,6 @@
 
 """Handles Ctrl-C while a command runs: raised until handled, then ignored while the command ends."""
 
-from __future__ import annotations
-
 import signal
 
 INTERRUPTED = 130

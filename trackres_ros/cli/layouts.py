@@ -3,23 +3,21 @@
 
 """Runs `trackres layouts`: writes layouts of PlotJuggler and Foxglove for a vehicle's topics."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import Command, emit, folder_option, json_option, vehicle_option
-from trackres_ros.cli.live import check_names
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit
+from trackres_ros.cli.live import check_names, name_options
 
 
 @click.command("layouts", cls=Command)
-@vehicle_option
-@click.option("--name", default="trackres", show_default=True, help="Name of the node.")
-@click.option("--namespace", default="/", show_default=True, help="Namespace of the node.")
-@folder_option("Folder to write into.")
-@json_option
+@options.vehicle
+@name_options
+@options.folder("Folder to write into.")
+@options.json
 def layouts_command(vehicle: str, name: str, namespace: str, output: Path, as_json: bool) -> None:
     """Write layouts of PlotJuggler and Foxglove for a vehicle: torque by part and assembly, feed-forward, belts, residual.
 
@@ -34,10 +32,7 @@ def layouts_command(vehicle: str, name: str, namespace: str, output: Path, as_js
     check_names(name, namespace)
     written = write_layouts(tr.load_vehicle(vehicle), output, f"{namespace.rstrip('/')}/{name}")
 
-    def text() -> str:
-        return (
-            f"Written: {', '.join(map(str, written))}\n"
-            f"Next: plotjuggler --layout {written[0]}; in Foxglove: Layouts, import from file, {written[1]}"
-        )
-
-    emit({"written": [str(path) for path in written]}, as_json, text)
+    text = (
+        f"Written: {written[0]}, {written[1]}\nNext: plotjuggler --layout {written[0]}; in Foxglove: Layouts, import from file, "
+    )
+    emit({"written": [str(path) for path in written]}, as_json, lambda: f"{text}{written[1]}")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,55 +15,58 @@ from typing import TYPE_CHECKING
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import number, topics_option
+from trackres_ros.cli import options
 from trackres_ros.cli.partial_output import watch
 
 if TYPE_CHECKING:
     from trackres_ros.node.application import Application
 
 
+def name_options(command: options.Decorated) -> options.Decorated:
+    """`--name` and `--namespace` of the node."""
+    command = click.option("--namespace", default="/", help="Namespace of the node.")(command)
+    return click.option("--name", default="trackres", help="Name of the node.")(command)
+
+
 @click.command("live")
 @click.option("--vehicle", metavar="FILE|NAME", help="Vehicle file or shipped name; may stand in the parameter file instead.")
 @click.option("--surroundings", metavar="S.yaml", help="Current effects of site, weather and ground.")
-@topics_option("which topic feeds which role; default without.", with_dbc=False)
+@options.topics("which topic feeds which role; default without.", with_dbc=False)
 @click.option(
     "--params",
     "params_file",
-    type=click.Path(path_type=Path),
+    type=options.PATH,
     metavar="P.yaml",
     help="Parameter file, flat or in the format of ROS; without ROS, the node watches it for changes.",
 )
 @click.option("-p", "single", multiple=True, metavar="NAME:=VALUE", help="One parameter; may be given several times.")
-@click.option("--name", default="trackres", show_default=True, help="Name of the node.")
-@click.option("--namespace", default="/", show_default=True, help="Namespace of the node.")
+@name_options
 @click.option(
     "--transport",
     "--edge",  # its name before 1.0
     "transport",
     type=click.Choice(["auto", "ros", "dds"]),
     default="auto",
-    show_default=True,
     help="Middleware: rclpy, or Cyclone DDS without ROS; auto takes rclpy if it is installed.",
 )
 @click.option(
     "--record",
-    type=click.Path(path_type=Path),
+    type=options.PATH,
     metavar="OUT.mcap",
     help="Record every message of the topics file and every estimate, for replay and diagnosis, and a picture at the end.",
 )
-@click.option("--record-split-mb", type=number(1, 1e6), help="Begin the next file, OUT_0001.mcap, at this size [MB].")
-@click.option("--record-split-minutes", type=number(0.01, 1e5), help="Begin the next file, OUT_0001.mcap, after this time [min].")
+@click.option("--record-split-mb", type=options.Number(1, 1e6), help="Begin the next file, OUT_0001.mcap, at this size [MB].")
+@click.option(
+    "--record-split-minutes", type=options.Number(0.01, 1e5), help="Begin the next file, OUT_0001.mcap, after this time [min]."
+)
 @click.option(
     "--record-limit-mb",
-    type=number(2, 1e8),
+    type=options.Number(2, 1e8),
     help="Size limit of all files of the recording [MB], including earlier runs: the oldest are deleted.",
 )
 @click.option("--quiet", is_flag=True, help="No table in the terminal.")
 @click.option("--json", "as_json", is_flag=True, help="Instead of the table, one line of JSON per second and one at the end.")
 def live_command(
-    vehicle: str | None,
-    surroundings: str | None,
-    topics: str | None,
     params_file: Path | None,
     single: tuple[str, ...],
     name: str,
@@ -74,6 +78,7 @@ def live_command(
     record_limit_mb: float | None,
     quiet: bool,
     as_json: bool,
+    **named: str | None,
 ) -> int:
     """Run the live estimate until interrupted.
 
@@ -97,9 +102,8 @@ def live_command(
     if limits.splits and record is None:
         raise InputError("--record", "not given", "a file to record into, with --record-split-... and --record-limit-mb")
     recorder = Recorder(output_file(record, (BAG_SUFFIX,), "--record"), limits) if record else None
-    watch(*([record] if record else []))
+    watch(record)
     given = read_parameters(params_file, name, namespace)
-    named = {"vehicle": vehicle, "surroundings": surroundings, "topics": topics}
     overruled = dict(_single(text) for text in single) | {key: value for key, value in named.items() if value is not None}
     parameters = make_parameters(given | overruled)
     REQUESTS.listen()
@@ -157,8 +161,6 @@ def _single(text: str) -> tuple[str, object]:
 
 def check_names(name: str, namespace: str) -> None:
     """Refuse an invalid node name or namespace."""
-    import re
-
     if not re.fullmatch(r"[A-Za-z_]\w*", name):
         raise InputError("--name", name, "letters, digits and underscores, not beginning with a digit")
     if not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", namespace):

@@ -3,8 +3,6 @@
 
 """Prints the content of the live table as lines of JSON, for programs."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -51,6 +49,7 @@ class LiveJson:
 
 def as_dict(seen: Overview, final: bool) -> dict[str, Any]:
     """The overview ready for JSON; torques [Nm] positive where they resist forward travel, unknown numbers are null."""
+    comparison, disturbance = seen.mismatch, seen.disturbance
     return {
         "final": final,
         "level": seen.level.name.lower(),
@@ -63,33 +62,22 @@ def as_dict(seen: Overview, final: bool) -> dict[str, Any]:
         "estimate": {name: _known(value) for name, value in seen.values.items() if name != "reasons"},
         "inputs": [
             {
-                "role": given.role,
-                "topic": given.topic,
-                "value": _known(given.value),
-                "rate_hz": _known(given.rate_hz),
-                "age_s": _known(given.age_s),
-                "counts": dict(given.counts),
+                "role": given.role, "topic": given.topic, "value": _known(given.value), "rate_hz": _known(given.rate_hz),
+                "age_s": _known(given.age_s), "counts": dict(given.counts),
             }
             for given in seen.inputs
         ],
         "comparison": {
-            "parted": seen.mismatch.parted,
-            "settled": seen.mismatch.settled,
-            "mean_nm": _known(seen.mismatch.mean_nm),
-            "text": seen.mismatch.text,
+            "parted": comparison.parted, "settled": comparison.settled, "mean_nm": _known(comparison.mean_nm),
+            "text": comparison.text,
         },
         "learning": seen.learning or None,
-        "disturbance": None
-        if seen.disturbance is None
-        else {
-            "form": seen.disturbance.form,
-            "there": _known(seen.disturbance.there),
-            "present": seen.disturbance.present,
-            "torque_nm": _known(seen.disturbance.torque_nm),
-            "text": seen.disturbance.text,
+        "disturbance": disturbance and {
+            "form": disturbance.form, "there": _known(disturbance.there), "present": disturbance.present,
+            "torque_nm": _known(disturbance.torque_nm), "text": disturbance.text,
         },
         "state": {"file": seen.state_file, "saved_s_ago": _known(seen.saved_s_ago), "error": seen.state_error},
-    }
+    }  # fmt: skip
 
 
 def _known(value: float) -> float | None:

@@ -3,8 +3,6 @@
 
 """Shows the running node in the terminal: rates, ages, torque by part, temperatures and status."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 
 """Gathers the commands of `trackres`, and turns bad input into exit codes."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys
@@ -40,7 +38,10 @@ from trackres_ros.errors import one_line
 BAD_INPUT = 2
 
 
-@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 110, "show_default": True}
+
+
+@click.group(cls=Commands, context_settings=SETTINGS)
 @click.version_option(__version__, package_name="trackres_ros")
 def cli() -> None:
     """Rolling-resistance torque and temperature of rubber tracks.
@@ -114,13 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _refuse_empty(given: Sequence[str]) -> None:
-    """Refuse an empty text: as a path it would mean the current folder.
-
-    Raises
-    ------
-    InputError
-        For an empty text, with its option.
-    """
+    """Refuse an empty text: as a path it would mean the current folder. Raises InputError for an empty text, with its option."""
     for before, argument in zip(["trackres", *given], given, strict=False):
         option, equals, value = argument.partition("=")
         if not argument.strip() or (equals and not value.strip() and option.startswith("--")):

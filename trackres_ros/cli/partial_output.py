@@ -3,8 +3,6 @@
 
 """Finds the files that a command has written so far, for the message when it is interrupted."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterator
@@ -24,9 +22,9 @@ def begin() -> None:
     _began_ns = time.time_ns()
 
 
-def watch(*places: Path) -> None:
+def watch(*places: Path | None) -> None:
     """Register the files or folders that a command writes."""
-    _places.extend(places)
+    _places.extend(place for place in places if place)
 
 
 def places() -> str:

@@ -3,8 +3,6 @@
 
 """Runs `trackres play`: plays a bag over DDS, without ROS."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from pathlib import Path
@@ -12,18 +10,17 @@ from pathlib import Path
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import emit, json_option, number, progress
+from trackres_ros.cli import options
+from trackres_ros.cli.common import emit, progress
 
 LISTENERS_WITHIN_S = 30.0
 
 
 @click.command("play")
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option(
-    "--rate", type=number(0.01, 1000.0), default=1.0, show_default=True, help="Speed of playback relative to the recording."
-)
+@click.argument("recording", type=options.PATH)
+@click.option("--rate", type=options.Number(0.01, 1000.0), default=1.0, help="Speed of playback relative to the recording.")
 @click.option("--wait-for", multiple=True, metavar="TOPIC", help="Start once this topic has a subscriber; may be repeated.")
-@json_option
+@options.json
 def play_command(recording: Path, rate: float, wait_for: tuple[str, ...], as_json: bool) -> None:
     """Play a ROS 2 bag with a /clock to a live node, without ROS. With ROS, use `ros2 bag play --clock`.
 

@@ -3,60 +3,53 @@
 
 """Runs `trackres prove`: the diagnosis on cases with a concealed cause."""
 
-from __future__ import annotations
-
 import os
-import shutil
-import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import IO
 
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import SEEDS, Commands, emit, folder_option, json_option, needs, number, output_folder, whole
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Commands, emit, needs, output_folder
 
+COUNT = click.IntRange(1, 100_000)
 MINUTES = 15.0
 QUICK_MINUTES = 12.0
 REPORTED_SEED = 20261124
 FOLLOWED, QUICK_FOLLOWED = 40, 8  # cases in which the advised manoeuvre is driven
 EXTRA = "proof", "numba", "matplotlib", "jinja2", "ruptures"
+SAME_OPTIONS = "an empty folder, or one of a run with the same options"
 FOLDERS = ("cases", "results", "results_earlier", "next", "results_next", "sealed")
 
-
-into_folder = folder_option("Folder for recordings and page.")
+hostile_option = click.option(
+    "--hostile", type=click.IntRange(0, 10_000), default=40, help="Number of vehicles with misleading disturbances."
+)
+into_folder = options.folder("Folder for recordings and page.")
+Step = tuple[object, ...]
+"""A module of `trackres_ros.evaluation`, and its arguments."""
 
 
 @click.group("prove", cls=Commands, invoke_without_command=True)
 @click.pass_context
 @click.option("--level", "levels", multiple=True, metavar="L[=N]", help="Only N cases of this level; may be repeated.")
-@click.option("--cases", "count", type=whole(1, 100_000), metavar="N", help="Number of cases of each level given without one.")
-@click.option("--seed", type=SEEDS, default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
+@click.option("--cases", "count", type=COUNT, metavar="N", help="Number of cases of each level given without one.")
+@options.seed(REPORTED_SEED)
 @click.option("--quick", is_flag=True, help="Run 81 cases of shorter drives.")
-@click.option("--first", type=whole(1, 100_000), metavar="N", help="Diagnose and score N of the sealed cases, by drawn names.")
+@click.option("--first", type=COUNT, metavar="N", help="Diagnose and score N of the sealed cases, by drawn names.")
 @click.option(
-    "--earlier",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="CHECKOUT",
-    help="Have an earlier version of this tool diagnose the same cases.",
+    "--earlier", type=options.FOLDER, metavar="CHECKOUT", help="Have an earlier version of this tool diagnose the same cases."
 )
 @click.option(
     "--profiles",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=options.FOLDER,
     metavar="DIR",
     help="Folder with bmw_i3 or ztbus: some vehicles drive with the speeds recorded there.",
 )
 @click.option("--fresh", is_flag=True, help="Start over instead of continuing with the results in the folder.")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="DIR",
-    help="Folder for all results.",
-)
-@json_option
+@click.option("-o", "--output", type=options.FOLDER, metavar="DIR", help="Folder for all results.")
+@options.json
 def prove_command(
     context: click.Context,
     levels: tuple[str, ...],
@@ -101,20 +94,18 @@ def prove_command(
     if not settings_file.exists() and any((output / name).exists() for name in FOLDERS):
         raise InputError("-o", str(output), f"its own folder; this one has {', '.join(FOLDERS)} that belong to no proof")
     if settings_file.exists() and (fresh or settings_file.read_text(encoding="utf-8") != settings):
+        import shutil
+
         for name in FOLDERS:
             shutil.rmtree(output / name, ignore_errors=True)
     settings_file.write_text(settings, encoding="utf-8")
-    stream = sys.stderr if as_json else None
-    _process(stream, "generate", str(output), *drawn_by)
-    so_many = [] if first is None else [str(first)]
-    _process(stream, "blind", str(output / "cases"), str(output / "results"), *so_many)
+    cases, so_many = output / "cases", () if first is None else (first,)
+    steps: list[Step] = [("sealed.generate", output, *drawn_by), ("sealed.blind", cases, output / "results", *so_many)]
     if earlier is not None:
-        _process(stream, "earlier", str(output / "cases"), str(output / "results_earlier"), str(earlier), *so_many)
-    _process(stream, "follow", str(output), f"{minutes:g}", str(QUICK_FOLLOWED if quick else FOLLOWED), *so_many)
-    _process(stream, "blind", str(output / "next"), str(output / "results_next"))
-    _process(stream, "score", str(output), *so_many)
-    if as_json:
-        click.echo((output / "scores.json").read_text(encoding="utf-8"))
+        steps.append(("sealed.earlier", cases, output / "results_earlier", earlier, *so_many))
+    steps.append(("sealed.follow", output, f"{minutes:g}", QUICK_FOLLOWED if quick else FOLLOWED, *so_many))
+    steps.append(("sealed.blind", output / "next", output / "results_next"))
+    _score(output, as_json, *steps, ("sealed.score", output, *so_many))
 
 
 def _level_and_count(given: str, of: Mapping[str, int], count: int | None) -> tuple[str, int]:
@@ -130,20 +121,44 @@ def _write_and_print(path: Path, text: str, as_json: bool) -> None:
     emit({"written": str(path), "text": text}, as_json, lambda: text)
 
 
-def _process(stream: IO[str] | None, module: str, *arguments: str, room: str = "sealed") -> None:
+def _settle(output: Path, settings: str, allowed: str, used: Iterable[str] = ()) -> None:
+    """Make the folder of a run, and note its settings; refuse a folder with results of others."""
+    output_folder(output)
+    asked = output / "asked.txt"
+    others = any((output / name).exists() for name in used) if used else any(output.iterdir())
+    same = asked.read_text(encoding="utf-8") == settings if asked.exists() else not others
+    if not same:
+        raise InputError("-o", str(output), allowed)
+    asked.write_text(settings, encoding="utf-8")
+
+
+def _score(output: Path, as_json: bool, *steps: Step) -> None:
+    """Run some steps, the last of which writes the scores; print these with `--json`."""
+    for step in steps:
+        _process(as_json, step)
+    if as_json:
+        click.echo((output / "scores.json").read_text(encoding="utf-8"))
+
+
+def _process(as_json: bool, step: Step) -> None:
+    """Run a step in a process of its own."""
+    import subprocess
+
     # Every core works on a case of its own: threads within a case would only compete for cores.
     alone = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    command = [sys.executable, "-m", f"trackres_ros.evaluation.{room}.{module}", *arguments]
-    done = subprocess.run(command, env={**os.environ, **alone}, stdout=stream, check=False)
+    module, *arguments = map(str, step)
+    command = [sys.executable, "-m", f"trackres_ros.evaluation.{module}", *arguments]
+    done = subprocess.run(command, env={**os.environ, **alone}, stdout=sys.stderr if as_json else None, check=False)
     if done.returncode:
-        raise click.ClickException(f"{module} ended with exit code {done.returncode}; finished results are kept")
+        name = module.rpartition(".")[2]
+        raise click.ClickException(f"{name} ended with exit code {done.returncode}; finished results are kept")
 
 
 @prove_command.command("second")
-@click.argument("cases", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--first", type=whole(1, 100_000), metavar="N", help="Diagnose and score only N of the cases.")
+@click.argument("cases", type=options.FOLDER)
+@click.option("--first", type=COUNT, metavar="N", help="Diagnose and score only N of the cases.")
 @into_folder
-@json_option
+@options.json
 def prove_second_command(cases: Path, first: int | None, output: Path, as_json: bool) -> None:
     """Diagnose and score cases from another simulator, with the same scores as the project's own.
 
@@ -154,28 +169,18 @@ def prove_second_command(cases: Path, first: int | None, output: Path, as_json: 
     from trackres_ros.evaluation.sealed.second import read_labels
 
     read_labels(cases)
-    output_folder(output)
-    asked, settings = output / "asked.txt", f"second {cases.resolve()}"
-    if any(output.iterdir()) and (not asked.exists() or asked.read_text(encoding="utf-8") != settings):
-        raise InputError("-o", str(output), "an empty folder, or one of a run with the same cases")
-    asked.write_text(settings, encoding="utf-8")
-    stream, so_many = sys.stderr if as_json else None, [] if first is None else [str(first)]
-    _process(stream, "blind", str(cases / "cases"), str(output / "results"), *so_many)
-    _process(stream, "second", str(cases), str(output), *so_many)
-    if as_json:
-        click.echo((output / "scores.json").read_text(encoding="utf-8"))
+    _settle(output, f"second {cases.resolve()}", "an empty folder, or one of a run with the same cases")
+    so_many = () if first is None else (first,)
+    blind = ("sealed.blind", cases / "cases", output / "results", *so_many)
+    _score(output, as_json, blind, ("sealed.second", cases, output, *so_many))
 
 
 @prove_command.command("real")
 @click.option(
-    "--data",
-    type=click.Path(path_type=Path),
-    required=True,
-    metavar="DIR",
-    help="Folder with any of bmw_i3, husky_warthog and ztbus.",
+    "--data", type=options.PATH, required=True, metavar="DIR", help="Folder with any of bmw_i3, husky_warthog and ztbus."
 )
 @into_folder
-@json_option
+@options.json
 def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
     """Diagnose public recordings of real vehicles, with a measured channel concealed."""
     needs("trackres prove real", *EXTRA)
@@ -188,15 +193,13 @@ def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
 
 
 @prove_command.command("learning")
-@click.option("--seed", type=SEEDS, default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
-@click.option("--vehicles", type=whole(0, 10_000), default=60, show_default=True, help="Number of vehicles with wrong files.")
-@click.option(
-    "--hostile", type=whole(0, 10_000), default=40, show_default=True, help="Number of vehicles with misleading disturbances."
-)
-@click.option("--first", type=whole(1, 100_000), metavar="N", help="Only N of the sealed vehicles, by drawn names.")
-@click.option("--hours", type=number(0.0, 1e6), default=200.0, show_default=True, help="Hours of an ageing run; 0: none.")
+@options.seed(REPORTED_SEED)
+@click.option("--vehicles", type=click.IntRange(0, 10_000), default=60, help="Number of vehicles with wrong files.")
+@hostile_option
+@click.option("--first", type=COUNT, metavar="N", help="Only N of the sealed vehicles, by drawn names.")
+@click.option("--hours", type=options.Number(0.0, 1e6), default=200.0, help="Hours of an ageing run; 0: none.")
 @into_folder
-@json_option
+@options.json
 def prove_learning_command(
     seed: int, vehicles: int, hostile: int, first: int | None, hours: float, output: Path, as_json: bool
 ) -> None:
@@ -206,61 +209,36 @@ def prove_learning_command(
     A folder serves one seed and one number of cases; an interrupted run continues where it stopped.
     """
     needs("trackres prove learning", *EXTRA)
-    output_folder(output)
-    stream = sys.stderr if as_json else None
-    settings = f"learning {seed} {vehicles} {hostile}"
-    settings_file = output / "asked.txt"
-    if (settings_file.exists() and settings_file.read_text(encoding="utf-8") != settings) or (
-        not settings_file.exists() and any((output / name).exists() for name in FOLDERS)
-    ):
-        raise InputError("-o", str(output), "a folder of its own for each seed and number of cases")
-    settings_file.write_text(settings, encoding="utf-8")
-    so_many = [] if first is None else [str(first)]
-    _process(stream, "generate", str(output), str(seed), f"{MINUTES:g}", str(vehicles), str(hostile), *so_many, room="learned")
-    _process(stream, "blind", str(output), *so_many, room="learned")
-    _process(stream, "score", str(output), f"{hours:g}", room="learned")
-    if as_json:
-        click.echo((output / "scores.json").read_text(encoding="utf-8"))
+    allowed = "a folder of its own for each seed and number of cases"
+    _settle(output, f"learning {seed} {vehicles} {hostile}", allowed, FOLDERS)
+    so_many = () if first is None else (first,)
+    generate = ("learned.generate", output, seed, f"{MINUTES:g}", vehicles, hostile, *so_many)
+    _score(output, as_json, generate, ("learned.blind", output, *so_many), ("learned.score", output, f"{hours:g}"))
 
 
 @prove_command.command("delay")
-@click.option("--seed", type=SEEDS, default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
+@options.seed(REPORTED_SEED)
 @click.option(
-    "--vehicles",
-    type=whole(0, 10_000),
-    default=100,
-    show_default=True,
-    help="Number of vehicles without misleading disturbances.",
+    "--vehicles", type=click.IntRange(0, 10_000), default=100, help="Number of vehicles without misleading disturbances."
 )
-@click.option(
-    "--hostile", type=whole(0, 10_000), default=40, show_default=True, help="Number of vehicles with misleading disturbances."
-)
-@click.option("--minutes", type=number(1.0, 600.0), default=10.0, show_default=True, help="Length of a drive.")
+@hostile_option
+@click.option("--minutes", type=options.Number(1.0, 600.0), default=10.0, help="Length of a drive.")
 @into_folder
-@json_option
+@options.json
 def prove_delay_command(seed: int, vehicles: int, hostile: int, minutes: float, output: Path, as_json: bool) -> None:
     """Learn the concealed delay of the torque behind the speed.
 
     One process draws, seals and records; a second learns from the recordings alone; the last opens the seal and compares.
     """
     needs("trackres prove delay", *EXTRA)
-    output_folder(output)
-    asked, settings = output / "asked.txt", f"delay {seed} {vehicles} {hostile} {minutes:g}"
-    if any(output.iterdir()) and (not asked.exists() or asked.read_text(encoding="utf-8") != settings):
-        raise InputError("-o", str(output), "an empty folder, or one of a run with the same options")
-    asked.write_text(settings, encoding="utf-8")
-    stream = sys.stderr if as_json else None
-    drawn_by = [str(seed), f"{minutes:g}", str(vehicles), str(hostile)]
-    _process(stream, "delay", "generate", str(output), *drawn_by, room="learned")
-    _process(stream, "delay", "find", str(output), room="learned")
-    _process(stream, "delay", "score", str(output), room="learned")
-    if as_json:
-        click.echo((output / "scores.json").read_text(encoding="utf-8"))
+    _settle(output, f"delay {seed} {vehicles} {hostile} {minutes:g}", SAME_OPTIONS)
+    generate = ("learned.delay", "generate", output, seed, f"{minutes:g}", vehicles, hostile)
+    _score(output, as_json, generate, *(("learned.delay", word, output) for word in ("find", "score")))
 
 
 @prove_command.command("paper")
 @into_folder
-@json_option
+@options.json
 def prove_paper_command(output: Path, as_json: bool) -> None:
     """Diagnose the paper's own test: circular laps on a tilted site, with torque computed from the engine torque."""
     needs("trackres prove paper", *EXTRA)
@@ -272,7 +250,7 @@ def prove_paper_command(output: Path, as_json: bool) -> None:
 
 @prove_command.command("loop")
 @into_folder
-@json_option
+@options.json
 def prove_loop_command(output: Path, as_json: bool) -> None:
     """Compare the feed-forward before and after a diagnosis, on an unused drive."""
     needs("trackres prove loop", *EXTRA)
@@ -285,32 +263,28 @@ def prove_loop_command(output: Path, as_json: bool) -> None:
 
 
 @prove_command.command("fleet")
-@click.option("--vehicles", type=whole(2, 10_000), default=24, show_default=True, help="How many; half of them change.")
-@click.option("--days", type=whole(3, 3650), default=75, show_default=True, help="Over how many days they drive.")
-@click.option("--every", type=number(0.1, 365.0), default=3.0, show_default=True, help="Days between recordings of a vehicle.")
-@click.option("--minutes", type=number(3.0, 600.0), default=10.0, show_default=True, help="Length of a recording.")
-@click.option("--seed", type=SEEDS, default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
+@click.option("--vehicles", type=click.IntRange(2, 10_000), default=24, help="How many; half of them change.")
+@click.option("--days", type=click.IntRange(3, 3650), default=75, help="Over how many days they drive.")
+@click.option("--every", type=options.Number(0.1, 365.0), default=3.0, help="Days between recordings of a vehicle.")
+@click.option("--minutes", type=options.Number(3.0, 600.0), default=10.0, help="Length of a recording.")
+@options.seed(REPORTED_SEED)
 @into_folder
-@json_option
+@options.json
 def prove_fleet_command(vehicles: int, days: int, every: float, minutes: float, seed: int, output: Path, as_json: bool) -> None:
     """Count found changes in a simulated fleet, their delay and the false alarms.
 
     One process draws, seals and records; trackres fleet sees recordings and fleet.yaml; the last opens the seal and counts.
     """
     needs("trackres prove fleet", "fleet", "distributed", "pyarrow", "fsspec", "jinja2")
-    output_folder(output)
-    asked, settings = output / "asked.txt", f"fleet {seed} {vehicles} {days} {every:g} {minutes:g}"
-    if any(output.iterdir()) and (not asked.exists() or asked.read_text(encoding="utf-8") != settings):
-        raise InputError("-o", str(output), "an empty folder, or one of a run with the same options")
-    asked.write_text(settings, encoding="utf-8")
-    stream = sys.stderr if as_json else None
-    _process(stream, "prove", "generate", str(output), *settings.split()[1:], room="fleet")
+    drawn_by = (seed, vehicles, days, f"{every:g}", f"{minutes:g}")
+    _settle(output, f"fleet {' '.join(map(str, drawn_by))}", SAME_OPTIONS)
+    _process(as_json, ("fleet.prove", "generate", output, *drawn_by))
+    import subprocess
+
     with (output / "found.json").open("w", encoding="utf-8") as into:
         words = ["fleet", str(output / "fleet" / "recordings"), "--vehicles", str(output / "fleet" / "fleet.yaml")]
         words += ["--period", "none", "-o", str(output / "results"), "--json"]
         done = subprocess.run([sys.executable, "-m", "trackres_ros", *words], stdout=into, check=False)
     if done.returncode:
         raise click.ClickException(f"trackres fleet ended with exit code {done.returncode}; finished results are kept")
-    _process(stream, "prove", "score", str(output), room="fleet")
-    if as_json:
-        click.echo((output / "scores.json").read_text(encoding="utf-8"))
+    _score(output, as_json, ("fleet.prove", "score", output))

@@ -3,56 +3,32 @@
 
 """Runs `trackres record-sample`: makes a sample recording."""
 
-from __future__ import annotations
-
 from pathlib import Path
+from typing import Any
 
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import Command, default_of, emit, json_option, number, whole
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit
 from trackres_ros.cli.partial_output import watch
 
 
 @click.command("record-sample", cls=Command)
-@click.option(
-    "--vehicle",
-    default=default_of(tr.record_sample, "vehicle"),
-    show_default=True,
-    metavar="FILE|NAME",
-    help="Vehicle whose weight is recorded.",
-)
-@click.option(
-    "--speed-kmh",
-    type=number(1, 50),
-    default=default_of(tr.record_sample, "speed_kmh"),
-    show_default=True,
-    help="Speed on the lap [km/h].",
-)
-@click.option(
-    "--laps",
-    type=whole(1, 1000),
-    default=default_of(tr.record_sample, "laps"),
-    show_default=True,
-    help="Laps of a circle of 100 m radius, with a stop after each.",
-)
-@click.option(
-    "--ambient-degc",
-    type=number(-60, 60),
-    default=default_of(tr.record_sample, "ambient_degc"),
-    show_default=True,
-    help="Air temperature [degC].",
-)
-@click.option("-o", "--output", "path", type=click.Path(path_type=Path), required=True, help="File to write, .mcap.")
-@json_option
-def record_sample_command(vehicle: str, speed_kmh: float, laps: int, ambient_degc: float, path: Path, as_json: bool) -> None:
+@options.of(tr.record_sample, "vehicle", click.STRING, "Vehicle whose weight is recorded.", metavar="FILE|NAME")
+@options.of(tr.record_sample, "speed_kmh", options.Number(1, 50), "Speed on the lap [km/h].")
+@options.of(tr.record_sample, "laps", click.IntRange(1, 1000), "Laps of a circle of 100 m radius, with a stop after each.")
+@options.of(tr.record_sample, "ambient_degc", options.Number(-60, 60), "Air temperature [degC].")
+@click.option("-o", "--output", "path", type=options.PATH, required=True, help="File to write, .mcap.")
+@options.json
+def record_sample_command(vehicle: str, path: Path, as_json: bool, **drive: Any) -> None:
     """Make a recording like a vehicle bus log: the paper's lap test, speed in steps of 1 km/h, load, air temperature.
 
     \b
     trackres record-sample -o lap.mcap
     """
     watch(path)
-    sample = tr.record_sample(path, vehicle=vehicle, speed_kmh=speed_kmh, laps=laps, ambient_degc=ambient_degc)
+    sample = tr.record_sample(path, vehicle=vehicle, **drive)
     result = {
         "written": str(sample.path),
         "duration_s": sample.duration_s,

@@ -3,21 +3,20 @@
 
 """Runs `trackres recover`: repairs an unfinished recording."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import Command, emit, json_option
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit
 from trackres_ros.cli.partial_output import watch
 
 
 @click.command("recover", cls=Command)
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="File to write, .mcap.")
-@json_option
+@click.argument("recording", type=options.PATH)
+@click.option("-o", "--output", type=options.PATH, required=True, help="File to write, .mcap.")
+@options.json
 def recover_command(recording: Path, output: Path, as_json: bool) -> None:
     """Repair an MCAP recording that a kill, a crash or a power cut left unfinished. The original file stays.
 

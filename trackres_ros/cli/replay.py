@@ -3,8 +3,6 @@
 
 """Runs `trackres replay`: sends a recording through the estimator."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -12,66 +10,45 @@ from typing import Any
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import (
-    Command,
-    emit,
-    json_option,
-    method_options,
-    params_option,
-    picture_beside,
-    progress,
-    surroundings_option,
-    topics_option,
-    vehicle_option,
-)
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, emit, picture_beside, progress
 from trackres_ros.cli.partial_output import watch
 from trackres_ros.errors import one_line
 
 
 @click.command("replay", cls=Command)
-@click.argument("recording", nargs=-1, required=True, type=click.Path(path_type=Path))
-@vehicle_option
-@surroundings_option
-@topics_option("which topic, field or column feeds which role; without it, guessed by message type, or by name and unit.")
-@params_option
-@method_options
-@click.option("--resume", type=click.Path(path_type=Path), metavar="STATE", help="Continue from a state saved by --save-state.")
-@click.option("--save-state", type=click.Path(path_type=Path), metavar="STATE", help="Save the state at the end.")
+@click.argument("recording", nargs=-1, required=True, type=options.PATH)
+@options.vehicle
+@options.surroundings
+@options.topics("which topic, field or column feeds which role; without it, guessed by message type, or by name and unit.")
+@options.params
+@options.methods
+@click.option("--resume", type=options.PATH, metavar="STATE", help="Continue from a state saved by --save-state.")
+@click.option("--save-state", type=options.PATH, metavar="STATE", help="Save the state at the end.")
 @click.option(
     "--learning",
     default="off",
-    show_default=True,
     metavar="off|watch|on",
     help="Learn vehicle parameters from the measured torque, as the live node does; on: use them.",
 )
-@click.option(
-    "--save-vehicle",
-    type=click.Path(path_type=Path),
-    metavar="V.yaml",
-    help="Write a vehicle file with the learned parameters.",
-)
+@click.option("--save-vehicle", type=options.PATH, metavar="V.yaml", help="Write a vehicle file with the learned parameters.")
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=options.PATH,
     help="Result: .parquet, .csv, .csv.gz or .mf4 as a table, .mcap as topics; with a picture, .png. Default: a table "
     "in this folder, named after the recording: Parquet, or .csv.gz without pyarrow.",
 )
-@json_option
+@options.json
 def replay_command(
     recording: tuple[Path, ...],
     vehicle: str,
     surroundings: Path | None,
-    topics: str | None,
-    params: Path | None,
     method: str | None,
     thermal: str | None,
-    resume: Path | None,
-    save_state: Path | None,
-    learning: str,
-    save_vehicle: Path | None,
     output: Path | None,
     as_json: bool,
+    **asked: Any,
 ) -> None:
     """Compute resistance torque and belt temperature over a recording.
 
@@ -88,29 +65,21 @@ def replay_command(
     """
     output = output or _table_of(recording[0])
     picture = picture_beside(output)
-    watch(output, picture, *(path for path in (save_state, save_vehicle) if path))
+    watch(output, picture, asked["save_state"], asked["save_vehicle"])
     described = tr.load_vehicle(vehicle, method=method, thermal=thermal, surroundings=surroundings)
     with progress("replaying", None) as advance:
-        result = tr.replay(
-            recording,
-            described,
-            topics=topics,
-            params=params,
-            resume=resume,
-            save_state=save_state,
-            learning=learning,
-            save_vehicle=save_vehicle,
-            output=output,
-            progress=advance,
-        )
-    written = [str(path) for path in (output, save_vehicle) if path]
+        result = tr.replay(recording, described, output=output, progress=advance, **asked)
+    written = [str(path) for path in (output, asked["save_vehicle"]) if path]
     try:
         result.plot(picture)
         written.append(str(picture))
     except tr.MissingExtraError as error:
         click.echo(f"trackres: no picture: {error}", err=True)
-    report: dict[str, Any] = {**result.as_dict(), "written": written}
-    emit(report, as_json, lambda: "\n".join([repr(result), one_line(f"Written: {', '.join(written)}")]))
+    emit(
+        {**result.as_dict(), "written": written},
+        as_json,
+        lambda: "\n".join([repr(result), one_line(f"Written: {', '.join(written)}")]),
+    )
 
 
 def _table_of(recording: Path) -> Path:

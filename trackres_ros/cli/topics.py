@@ -3,13 +3,12 @@
 
 """Runs `trackres topics`: lists and guesses topics files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
 
-from trackres_ros.cli.common import DBC, Command, Commands, dbc_option, emit, json_option, with_databases
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, Commands, emit
 
 
 @click.group("topics", cls=Commands)
@@ -18,19 +17,19 @@ def topics_group() -> None:
 
 
 @topics_group.command("list")
-@json_option
+@options.json
 def list_command(as_json: bool) -> None:
     """List the shipped topics files; commands accept their names instead of a path."""
-    from trackres_ros.recording.shipped_topics import shipped, shipped_text
+    from trackres_ros.recording.topics_files import shipped, shipped_text
 
     found = shipped()
     emit({"topics": found}, as_json, lambda: shipped_text(found))
 
 
 @topics_group.command("guess", cls=Command)
-@click.argument("recording", nargs=-1, required=True, type=click.Path(path_type=Path))
-@dbc_option
-@json_option
+@click.argument("recording", nargs=-1, required=True, type=options.PATH)
+@options.dbc
+@options.json
 @click.pass_context
 def guess_command(context: click.Context, recording: tuple[Path, ...], as_json: bool) -> None:
     """Print the guessed topics file of a recording, to check and save.
@@ -39,7 +38,7 @@ def guess_command(context: click.Context, recording: tuple[Path, ...], as_json: 
     trackres topics guess drive.mf4 > topics.yaml
     trackres topics guess bus.blf --dbc bus.dbc > topics.yaml
     """
-    from trackres_ros.recording.guessed_topics import guessed_topics
+    from trackres_ros.recording.topics_files import guessed_topics
 
-    lines = guessed_topics(recording, with_databases(None, context.meta[DBC]))
+    lines = guessed_topics(recording, options.with_databases(context, None, None))
     emit({"lines": lines}, as_json, lambda: "\n".join(lines))

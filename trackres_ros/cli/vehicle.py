@@ -3,14 +3,13 @@
 
 """Runs `trackres vehicle`: lists, creates, checks and compares vehicle files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import Command, Commands, default_of, emit, json_option, whole
+from trackres_ros.cli import options
+from trackres_ros.cli.common import Command, Commands, emit
 
 
 @click.group("vehicle", cls=Commands)
@@ -20,14 +19,13 @@ def vehicle_group() -> None:
 
 @vehicle_group.command("check", cls=Command)
 @click.argument("file", metavar="FILE|NAME")
-@click.option(
-    "--points",
-    type=whole(10, 100_000),
-    default=default_of(tr.check_vehicle, "points"),
-    show_default=True,
-    help="Number of random points for comparing the loss table with the exact method.",
+@options.of(
+    tr.check_vehicle,
+    "points",
+    click.IntRange(10, 100_000),
+    "Number of random points for comparing the loss table with the exact method.",
 )
-@json_option
+@options.json
 def check_command(file: str, points: int, as_json: bool) -> None:
     """Check a vehicle file and print the derived values with units.
 
@@ -40,7 +38,7 @@ def check_command(file: str, points: int, as_json: bool) -> None:
 
 
 @vehicle_group.command("list", cls=Command)
-@json_option
+@options.json
 def list_command(as_json: bool) -> None:
     """List the shipped vehicles; commands accept their names instead of a path."""
     from trackres_ros.offline.vehicle_files import shipped, shipped_text
@@ -51,17 +49,11 @@ def list_command(as_json: bool) -> None:
 
 @vehicle_group.command("new", cls=Command)
 @click.argument("name", metavar="NAME")
-@click.option("--like", default="xgd24d", show_default=True, metavar="VEHICLE", help="The shipped vehicle to start from.")
+@click.option("--like", default="xgd24d", metavar="VEHICLE", help="The shipped vehicle to start from.")
 @click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path(),
-    show_default="here",
-    metavar="DIR",
-    help="Folder to write into.",
+    "-o", "--output", type=options.FOLDER, default=Path(), show_default="here", metavar="DIR", help="Folder to write into."
 )
-@json_option
+@options.json
 def new_command(name: str, like: str, output: Path, as_json: bool) -> None:
     """Write a vehicle file to start from: a copy of a shipped vehicle under a new name.
 
@@ -72,17 +64,14 @@ def new_command(name: str, like: str, output: Path, as_json: bool) -> None:
     from trackres_ros.offline.vehicle_files import new_vehicle
 
     written = new_vehicle(name, output, like)
-
-    def text() -> str:
-        return f"Written: {', '.join(map(str, written))}\nNext: change its values, then trackres vehicle check {written[0]}"
-
-    emit({"written": [str(path) for path in written]}, as_json, text)
+    text = f"Written: {', '.join(map(str, written))}\nNext: change its values, then trackres vehicle check {written[0]}"
+    emit({"written": [str(path) for path in written]}, as_json, lambda: text)
 
 
 @vehicle_group.command("diff", cls=Command)
 @click.argument("one", metavar="A")
 @click.argument("other", metavar="B")
-@json_option
+@options.json
 def diff_command(one: str, other: str, as_json: bool) -> None:
     """Show the values in which two vehicle files differ.
 

@@ -3,8 +3,6 @@
 
 """Recognises the columns of a DMA file by the names and units that instruments use."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -118,17 +116,8 @@ def frequency_in(name: str) -> float | None:
 def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) -> list[DmaColumn]:
     """The columns in use, by their names and the line of units below them, if any.
 
-    Parameters
-    ----------
-    names, units
-        The cells of both lines.
-    where
-        File and line of the names, for messages.
-
-    Raises
-    ------
-    InputError
-        A unit that is missing or does not fit its quantity; a second column of a quantity with another name or unit.
+    `names`, `units`: the cells of both lines; `where`: file and line of the names, for messages. Raises InputError for a unit
+    that is missing or does not fit its quantity; a second column of a quantity with another name or unit.
     """
     found: list[DmaColumn] = []
     for place, name in enumerate(names):

@@ -3,8 +3,6 @@
 
 """Computes the temperatures and frequencies of a vehicle's belts, and the share that a sweep covers by superposition."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import floor
 from typing import Any
@@ -26,40 +24,26 @@ ROUNDING_K = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """Range of the belts of a vehicle.
+    """Range of the belts of a vehicle."""
 
-    Parameters
-    ----------
-    coldest, hottest
-        Belt temperature [degC]: that of the coldest air of the file's range, and the steady one at the greatest speed in
-        the hottest.
-    slowest, fastest
-        Frequency [Hz]: of the belt's turns at 5 km/h, and of a road wheel's passage at the greatest speed.
-    """
-
+    # belt temperature [degC]: that of the coldest air of the file's range, and the steady one at the greatest speed in the
+    # hottest
     coldest: float
     hottest: float
+    # frequency [Hz]: of the belt's turns at 5 km/h, and of a road wheel's passage at the greatest speed
     slowest: float
     fastest: float
 
 
 @dataclass(frozen=True, eq=False)
 class Covered:
-    """The share of a need that the data cover.
+    """The share of a need that the data cover."""
 
-    Parameters
-    ----------
-    share
-        Of the rectangle of temperature and logarithm of frequency.
-    coldest_fast, coldest_slow
-        Coldest belt [degC] that is covered at the fastest and at the slowest frequency of the need.
-    hottest, hottest_slow
-        Hottest belt [degC] that is covered at the fastest frequency or any, and at the slowest.
-    """
-
-    share: float
+    share: float  # of the rectangle of temperature and logarithm of frequency
+    # coldest belt [degC] that is covered at the fastest and at the slowest frequency of the need
     coldest_fast: float
     coldest_slow: float
+    # hottest belt [degC] that is covered at the fastest frequency or any, and at the slowest
     hottest: float
     hottest_slow: float
 

@@ -7,8 +7,6 @@ The laws are Arrhenius', WLF, and WLF with the bend at the glass transition. Ano
 its interval excludes the simpler law.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import exp, log
 
@@ -45,38 +43,21 @@ NO_BEND_K = 1.0  # above the pole: a glass transition that lies below all data
 
 @dataclass(frozen=True, eq=False)
 class CompoundFit:
-    """A fitted compound.
-
-    Parameters
-    ----------
-    sweep
-        The data.
-    law, why
-        Law of the shift, and the reason for it.
-    shift
-        The shift.
-    values
-        ``glass_transition``, ``wlf_c1``, ``wlf_c2`` for the vehicle file.
-    glass_is_seen
-        Whether the glass transition is a result; else it is a reference by convention.
-    energy
-        Activation energy [J/mol] for Arrhenius' law.
-    power, with_power
-        Power of absolute temperature in a vertical shift of the moduli, and rms of both moduli with it; None if that is
-        not clear. The shift is that fitted with it; the model has no vertical shift, and the moduli of the fit exclude it.
-    master, prony
-        Master curve, and the common Prony series of both moduli.
-    """
+    """A fitted compound."""
 
     sweep: Sweep
+    # law of the shift, and the reason for it
     law: str
     why: str
     shift: Shift
-    values: dict[str, Value]
-    glass_is_seen: bool
-    energy: Value | None
+    values: dict[str, Value]  # ``glass_transition``, ``wlf_c1``, ``wlf_c2`` for the vehicle file
+    glass_is_seen: bool  # whether the glass transition is a result; else it is a reference by convention
+    energy: Value | None  # activation energy [J/mol] for Arrhenius' law
+    # power of absolute temperature in a vertical shift of the moduli, and rms of both moduli with it; None if that is not clear.
+    # The shift is that fitted with it; the model has no vertical shift, and the moduli of the fit exclude it
     power: Value | None
     with_power: tuple[float, float] | None
+    # master curve, and the common Prony series of both moduli
     master: MasterCurve
     prony: Prony
 
@@ -90,17 +71,8 @@ class CompoundFit:
 def fit_compound(sweep: Sweep, vehicle: Vehicle) -> CompoundFit:
     """Fit the content of a rubber file and the shift of a vehicle file.
 
-    Parameters
-    ----------
-    sweep
-        Of one frequency or several.
-    vehicle
-        Its shift is kept if the data do not show one.
-
-    Raises
-    ------
-    InputError
-        If a vehicle file may not hold the fitted shift.
+    `sweep`: of one frequency or several; `vehicle`: its shift is kept if the data do not show one. Raises InputError if a vehicle
+    file may not hold the fitted shift.
     """
     at = float(np.clip(sweep.frequencies[0], SWEEP_FREQUENCY.low, SWEEP_FREQUENCY.high))
     decades = float(np.log10(sweep.frequency.max() / sweep.frequency.min()))

@@ -106,22 +106,13 @@ def chosen_penalty(sweep: Sweep, shift: Shift, at_frequency: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class MasterCurve:
-    """Both moduli at one frequency over temperature, and their uncertainty.
+    """Both moduli at one frequency over temperature, and their uncertainty."""
 
-    Parameters
-    ----------
-    at_frequency
-        The frequency [Hz].
-    residuals
-        Of the natural logarithms of storage and loss modulus, shape (n, 2).
-    low_degc, high_degc
-        Range of the data.
-    """
-
-    at_frequency: float
+    at_frequency: float  # [Hz]
+    # range of the data
     low_degc: float
     high_degc: float
-    residuals: Array
+    residuals: Array  # of the natural logarithms of storage and loss modulus, shape (n, 2)
     scale: Array
     _basis: Basis
     _coefficients: Array

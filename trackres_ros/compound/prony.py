@@ -9,8 +9,6 @@ Polymers, 3rd ed., ch. 3) are Kramers-Kronig's relation for a linear solid. What
 modulus and shift belong together.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,25 +32,14 @@ LEAST_WEIGHT = 0.01  # minimum relative error of a modulus
 
 @dataclass(frozen=True, eq=False)
 class Prony:
-    """A Prony series.
+    """A Prony series."""
 
-    Parameters
-    ----------
-    reference_degc
-        Temperature [degC] of the relaxation times.
-    tau
-        Relaxation times [s], rising, shape (terms,).
-    strength, std
-        Relaxation strengths [Pa] and their standard deviations, shape (terms,); first that of infinite time, E_inf.
-    residuals
-        Of storage and loss modulus over their values, shape (n, 2).
-    """
-
-    reference_degc: float
-    tau: Array
+    reference_degc: float  # temperature [degC] of the relaxation times
+    tau: Array  # relaxation times [s], rising, shape (terms,)
+    # relaxation strengths [Pa] and their standard deviations, shape (terms,); first that of infinite time, E_inf
     strength: Array
     std: Array
-    residuals: Array
+    residuals: Array  # of storage and loss modulus over their values, shape (n, 2)
 
     def moduli(self, frequency: ArrayLike) -> tuple[Array, Array]:
         """Storage and loss modulus [Pa] at frequencies [Hz] at the reference temperature."""

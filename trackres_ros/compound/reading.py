@@ -79,27 +79,18 @@ class Sweep:
 
 
 def read_sweep(path: Path, frequency_hz: float | None = None) -> Sweep:
-    """Read a DMA sweep.
+    """Read a DMA sweep. Raises InputError with file, line and column, and the given and the allowed values.
 
-    Parameters
-    ----------
-    path
-        Text with one line of column names (and perhaps one of units below), rows of numbers, and lines about the test above it or
-        marked as comments. Separators are tab, semicolon or comma, decimals have a point or a comma.
-    frequency_hz
-        Of the whole sweep [Hz], if the file does not give it.
-
-    Raises
-    ------
-    InputError
-        With file, line and column: the given and the allowed values.
+    The text has one line of column names, perhaps one of units below, rows of numbers, and lines about the test above it or
+    marked as comments. Separators are tab, semicolon or comma, decimals have a point or a comma. `frequency_hz` is that of the
+    whole sweep, if the file does not give it.
     """
     text, coding = _decoded(read_bytes(path, WHAT, MOST_BYTES))
     lines = text.splitlines()
     name = one_line(str(path))
     notes = [] if coding == "utf-8" else [f"the file is not UTF-8; read as {coding}"]
     at, separator, cells = _header(lines, name)
-    below = _next_line(lines, at)
+    below = next((i for i in range(at + 1, len(lines)) if not _is_comment(lines[i])), None)
     units = None
     if below is not None:
         found = _cells(lines[below], separator)
@@ -108,7 +99,9 @@ def read_sweep(path: Path, frequency_hz: float | None = None) -> Sweep:
     repeated = {lines[at].strip(), lines[below].strip() if units is not None and below is not None else lines[at].strip()}
     wanted = _lines_of_numbers(lines, at + 1, separator, len(cells), repeated, name)
     where = f"{name}: line {at + 1}"
-    columns = _not_empty(columns_of(cells, units, where), wanted)
+    columns = columns_of(cells, units, where)
+    if wanted:  # an instrument that did not compute tan delta may still name it
+        columns = [c for c in columns if any(cells[c.place].lower() not in EMPTY for _, cells in wanted)]
     rows, left_out = _rows(wanted, columns, name)
     columns, rows = _each_once(columns, rows, where)
     _complete(columns, cells, where, frequency_hz)
@@ -116,7 +109,9 @@ def read_sweep(path: Path, frequency_hz: float | None = None) -> Sweep:
         notes.append("moduli in shear were multiplied by 3, as rubber keeps its volume")
     if left_out:
         notes.append(f"{left_out} rows with an empty cell were left out")
-    return _assembled(path, name, columns, rows, frequency_hz, notes)
+    if not rows:
+        raise InputError(name, "no row of numbers", f"at least {FEWEST_ROWS}")
+    return _assembled(path, _Table.of(name, columns, rows), frequency_hz, notes)
 
 
 def _decoded(content: bytes) -> tuple[str, str]:
@@ -131,10 +126,6 @@ def _decoded(content: bytes) -> tuple[str, str]:
 
 def _is_comment(line: str) -> bool:
     return not line.strip() or line.lstrip().startswith(COMMENTS)
-
-
-def _next_line(lines: Sequence[str], after: int) -> int | None:
-    return next((i for i in range(after + 1, len(lines)) if not _is_comment(lines[i])), None)
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -233,11 +224,6 @@ def _lines_of_numbers(
     return wanted
 
 
-def _not_empty(columns: Sequence[DmaColumn], wanted: Sequence[tuple[int, list[str]]]) -> list[DmaColumn]:
-    """Without those that have a name and no number: an instrument that did not compute tan delta may still name it."""
-    return [c for c in columns if not wanted or any(cells[c.place].lower() not in EMPTY for _, cells in wanted)]
-
-
 def _rows(
     wanted: Sequence[tuple[int, list[str]]], columns: Sequence[DmaColumn], name: str
 ) -> tuple[list[tuple[int, list[float]]], int]:
@@ -326,26 +312,20 @@ class _Table:
         return values
 
 
-def _assembled(
-    path: Path,
-    name: str,
-    columns: Sequence[DmaColumn],
-    rows: Sequence[tuple[int, list[float]]],
-    frequency_hz: float | None,
-    notes: list[str],
-) -> Sweep:
+def _assembled(path: Path, table: _Table, frequency_hz: float | None, notes: Sequence[str]) -> Sweep:
     """SI, a row for each frequency and temperature, within what rubber can have."""
-    if not rows:
-        raise InputError(name, "no row of numbers", f"at least {FEWEST_ROWS}")
-    table = _Table.of(name, columns, rows)
     temp_degc = table.checked(table.of_role(TEMPERATURE)[0], SWEEP_DEGC)
     parts = []
     for k in table.of_role(STORAGE):
         storage = table.checked(k, SWEEP_STORAGE, 1e6)
-        loss = _loss(table, columns[k], storage)
-        parts.append((_frequency(table, columns[k], frequency_hz), temp_degc, storage, loss))
+        loss = _loss(table, table.columns[k], storage)
+        parts.append((_frequency(table, table.columns[k], frequency_hz), temp_degc, storage, loss))
     f, t, e1, e2 = (np.concatenate(each) for each in zip(*parts, strict=True))
-    _enough(name, f, t)
+    apart, width = len(np.unique(np.round(t))), float(t.max() - t.min())
+    if len(f) < FEWEST_ROWS or apart < FEWEST_DEGC or width < NARROWEST_K:
+        given = f"{len(f)} rows at {apart} temperatures over {width:.0f} K"
+        allowed = f"at least {FEWEST_ROWS} rows at {FEWEST_DEGC} temperatures over {NARROWEST_K:g} K"
+        raise InputError(table.name, given, allowed)
     return Sweep(path, f, t, e1, e2, tuple(notes))
 
 
@@ -381,14 +361,3 @@ def _frequency(table: _Table, column: DmaColumn, frequency_hz: float | None) -> 
     if not (FREQUENCIES.low <= frequency[0] <= FREQUENCIES.high):
         raise InputError(f"{table.name}: {column.name}", frequency[0], f"{FREQUENCIES.low:g} to {FREQUENCIES.high:g} Hz")
     return frequency
-
-
-def _enough(name: str, frequency: Array, temp_degc: Array) -> None:
-    apart, rows = len(np.unique(np.round(temp_degc))), len(frequency)
-    width = float(temp_degc.max() - temp_degc.min())
-    if rows < FEWEST_ROWS or apart < FEWEST_DEGC or width < NARROWEST_K:
-        raise InputError(
-            name,
-            f"{rows} rows at {apart} temperatures over {width:.0f} K",
-            f"at least {FEWEST_ROWS} rows at {FEWEST_DEGC} temperatures over {NARROWEST_K:g} K",
-        )

@@ -3,8 +3,6 @@
 
 """Runs the whole fit, from the sweep to files and summary."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -31,10 +29,7 @@ BADLY_APART = 0.1  # of a Prony series from either modulus: a tenth of both is m
 def fit_and_write(sweep_file: Path, vehicle_given: str, folder: Path, frequency_hz: float | None = None) -> dict[str, Any]:
     """Fit a sweep, write the compound and its picture; return the results, ready for JSON.
 
-    Raises
-    ------
-    InputError
-        If the sweep cannot be read, or a vehicle may not have its compound.
+    Raises InputError if the sweep cannot be read, or a vehicle may not have its compound.
     """
     if frequency_hz is not None:
         number(frequency_hz, "frequency_hz", FREQUENCIES.low, FREQUENCIES.high, "Hz")

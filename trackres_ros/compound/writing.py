@@ -3,8 +3,6 @@
 
 """Writes a fitted compound: a rubber file, a vehicle file that uses it, and the Prony series for other programs."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -46,13 +44,7 @@ def stem_of(path: Path) -> str:
 
 
 def files_of(sweep: Path, folder: Path) -> dict[str, Path]:
-    """The files of a sweep, by kind.
-
-    Raises
-    ------
-    InputError
-        If one of them is the sweep itself, or the folder is a diagnosis'.
-    """
+    """The files of a sweep, by kind. Raises InputError if one of them is the sweep itself, or the folder is a diagnosis'."""
     stem = stem_of(sweep)
     found = {
         "vehicle": folder / f"{stem}.yaml",
@@ -70,10 +62,7 @@ def files_of(sweep: Path, folder: Path) -> dict[str, Path]:
 def write_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -> Vehicle:
     """Write rubber file, vehicle file and Prony series; return the vehicle as it is read back.
 
-    Raises
-    ------
-    InputError
-        If a vehicle may not have the compound.
+    Raises InputError if a vehicle may not have the compound.
     """
     _check_warm(fit)
     try:
@@ -146,19 +135,9 @@ def _rubber_text(fit: CompoundFit) -> str:
     degc = table_degc(fit)
     storage, loss = (modulus / 1e6 for modulus in fit.master.moduli(degc))
     loss = np.clip(loss, INSIDE * SWEEP_TAN_DELTA.low * storage, SWEEP_TAN_DELTA.high / INSIDE * storage)
-    spread = np.exp(TWO_SIDED_95 * fit.master.log_std(degc))
-    rows = np.column_stack(
-        [
-            degc,
-            storage,
-            loss,
-            loss / storage,
-            storage / spread[:, 0],
-            storage * spread[:, 0],
-            loss / spread[:, 1],
-            loss * spread[:, 1],
-        ]
-    )
+    wide, wide_loss = np.exp(TWO_SIDED_95 * fit.master.log_std(degc)).T
+    limits = storage / wide, storage * wide, loss / wide_loss, loss * wide_loss
+    rows = np.column_stack([degc, storage, loss, loss / storage, *limits])
     head = [*_provenance(fit), "low and high: 95 % intervals of the curve, of errors that differ from row to row."]
     return _comments(head) + MODULI_HEAD + "\n" + "".join(",".join(_cells(row)) + "\n" for row in rows)
 

@@ -5,8 +5,6 @@
 difference.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -19,22 +17,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.design.drives import STAGES, DriveCycle, check_weight, driven, read_cycle, with_factors
-from trackres_ros.design.steady import WARMEST_K, FileErrors, held, steady
+from trackres_ros.design.steady import J_PER_KWH, WARMEST_K, FileErrors, held, steady
 from trackres_ros.design.uncertain import LogDerivatives, difference_std, half_width, moved, slopes_of
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.model.coverage import OVERSPEED
-from trackres_ros.model.operating_point import explain
+from trackres_ros.model.operating_point import explain, explain_road
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.text.numbers import figures
+from trackres_ros.text.table import table
 from trackres_ros.units import GRAVITY, KMH_PER_MPS
-from trackres_ros.vehicle import Vehicle, load
+from trackres_ros.vehicle import RoadVehicle, Vehicle, load, load_any
+from trackres_ros.vehicle.road import SECTION
 
 Array = NDArray[np.float64]
 
 POINTS, MOST_VALUES, MOST_CONDITIONS = 5, 25, 200
+SLOWEST_SHARE = 0.1  # of the maximum speed, of vehicles without belts
 SLOWEST_KMH, USUAL_KMH, COLDEST_DEGC, WARMEST_DEGC = 5.0, 30.0, -20.0, 80.0
 BELTS_DEGC, AIR_DEGC = (-60.0, 150.0), (-60.0, 60.0)  # limits of belt and air temperature
 STEADY = {
@@ -54,32 +55,18 @@ SLOPE_POINTS = 3  # belt temperatures at which it is looked at how sure the loss
 
 @dataclass(frozen=True, slots=True)
 class ComparisonRequest:
-    """Conditions for the comparison of two designs.
-
-    Attributes
-    ----------
-    vehicles
-        Both.
-    speeds_kmh, belts_degc
-        Of the table of resistance.
-    steady_kmh
-        Speeds of the steady states.
-    ambients_degc, weights_n
-        Air, and whole weights; None is each vehicle's own.
-    cycles
-        Drives.
-    given
-        Given options of `ambient` and `load`: they replace recorded values.
-    """
+    """Conditions for the comparison of two designs."""
 
     vehicles: tuple[Vehicle, Vehicle]
+    # of the table of resistance
     speeds_kmh: tuple[float, ...]
     belts_degc: tuple[float, ...]
-    steady_kmh: tuple[float, ...]
+    steady_kmh: tuple[float, ...]  # speeds of the steady states
+    # air, and whole weights; None is each vehicle's own
     ambients_degc: tuple[float, ...]
     weights_n: tuple[float | None, ...]
     cycles: tuple[DriveCycle, ...]
-    given: frozenset[str]
+    given: frozenset[str]  # given options of `ambient` and `load`: they replace recorded values
 
     @property
     def points(self) -> int:
@@ -102,10 +89,7 @@ class ComparisonOptions:
 def asked_of(given: Sequence[str], options: ComparisonOptions) -> ComparisonRequest | None:
     """Conditions to compare two vehicle files with tracks; None for anything else.
 
-    Raises
-    ------
-    InputError
-        If an option is not valid, or is given for something else.
+    Raises InputError if an option is not valid, or is given for something else.
     """
     files = vehicle_files(given, "tracks")
     if not files:
@@ -149,10 +133,7 @@ def vehicle_files(given: Sequence[str], section: str) -> list[Path]:
 def numbers(option: str, given: str, limits: tuple[float, float]) -> tuple[float, ...]:
     """The numbers of `A`, `A:B`, `A:B:N` and `A,B,C`; `A:B` is five, evenly spaced.
 
-    Raises
-    ------
-    InputError
-        On anything else, or beyond the limits.
+    Raises InputError on anything else, or beyond the limits.
     """
     low, high = limits
     try:
@@ -176,10 +157,7 @@ def numbers(option: str, given: str, limits: tuple[float, float]) -> tuple[float
 def compare_designs(asked: ComparisonRequest, advance: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
     """Two vehicles at the same conditions.
 
-    Parameters
-    ----------
-    advance
-        Called after each point.
+    `advance`: called after each point.
 
     Returns
     -------
@@ -310,3 +288,31 @@ def _first_drive(asked: ComparisonRequest, estimator: Estimator) -> dict[str, fl
 def interval(row: Mapping[str, Any], key: str) -> float | None:
     """Half-width of the 95 % interval of a row's difference."""
     return None if row[key] is None else half_width(row[key])
+
+
+def wheels_compared(given: Sequence[str]) -> list[dict[str, Any]] | None:
+    """Resistance and energy of two vehicle files without belts at five speeds; None of anything else.
+
+    Returns speed [km/h]; of each file the resistance at its wheels [Nm] and over the way [N], and energy [kWh/km].
+    """
+    vehicles = [one for one in map(load_any, vehicle_files(given, SECTION)) if isinstance(one, RoadVehicle)]
+    if not vehicles:
+        return None
+    fastest = min(one.chassis.max_speed for one in vehicles)
+    rows = []
+    for speed in np.linspace(SLOWEST_SHARE * fastest, fastest, POINTS).tolist():
+        torques = [explain_road(one, speed)["torque_nm"]["resistance"] for one in vehicles]
+        forces = [torque / one.constants.radius for torque, one in zip(torques, vehicles, strict=True)]
+        energy = [1e3 * force / J_PER_KWH for force in forces]
+        rows.append({"speed_kmh": KMH_PER_MPS * speed, "resistance_nm": torques, "force_n": forces, "kwh_per_km": energy})
+    return rows
+
+
+def wheels_text(rows: Sequence[dict[str, Any]], names: Sequence[str]) -> str:
+    """The same as a table to read."""
+    head = ["km/h", *(f"{name} [{unit}]" for unit in ("Nm", "N", "kWh/km") for name in names)]
+    cells = [
+        [figures(row["speed_kmh"]), *(figures(x) for key in ("resistance_nm", "force_n", "kwh_per_km") for x in row[key])]
+        for row in rows
+    ]
+    return "\n".join(["", "Resistance on the level, straight on", table(cells, head)])

@@ -3,8 +3,6 @@
 
 """Prints and draws a comparison of two designs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

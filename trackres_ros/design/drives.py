@@ -3,8 +3,6 @@
 
 """Drive cycles for designs: built-in cycles, speed profiles and recordings, and the energy of a design on one."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from copy import copy
 from dataclasses import dataclass, field
@@ -64,10 +62,7 @@ class DriveCycle:
     def recorded(self, vehicle: Vehicle, given: Collection[str]) -> dict[str, Array]:
         """Load [N] and air [degC] along the drive, if recorded and not given otherwise.
 
-        Raises
-        ------
-        InputError
-            On a value that is implausible for the vehicle.
+        Raises InputError on a value that is implausible for the vehicle.
         """
         found: dict[str, Array] = {}
         for role in self.conditions(given):
@@ -91,16 +86,7 @@ def read_cycle(given: str, fastest_mps: float) -> DriveCycle:
     """A built-in cycle by its name, a speed profile, or a recording with a speed.
 
     `stages` is ten minutes each at a third, two thirds and all of a speed; `laps` is ten laps of 628 m with a stop after each.
-
-    Parameters
-    ----------
-    fastest_mps
-        The greatest speed that a built-in cycle may have.
-
-    Raises
-    ------
-    InputError
-        What is none of them.
+    `fastest_mps`: the greatest speed that a built-in cycle may have. Raises InputError for what is none of them.
     """
     if given == STAGES:
         times, speeds = [0.0], [0.0]
@@ -126,13 +112,7 @@ def read_cycle(given: str, fastest_mps: float) -> DriveCycle:
 
 
 def check_weight(vehicle: Vehicle, weight: float) -> None:
-    """Check the weight of a vehicle [N].
-
-    Raises
-    ------
-    InputError
-        Beyond the limits of a live estimate.
-    """
+    """Check the weight of a vehicle [N]. Raises InputError beyond the limits of a live estimate."""
     low, high = LEAST_LOAD_SHARE * vehicle.weight / 1e3, LARGEST_LOAD_SHARE * vehicle.weight / 1e3
     if not low <= weight / 1e3 <= high:
         allowed = f"{figures(low, 4)} to {figures(high, 4)} kN for {vehicle.name} of {figures(vehicle.weight / 1e3, 4)} kN"
@@ -142,15 +122,8 @@ def check_weight(vehicle: Vehicle, weight: float) -> None:
 def driven(estimator: Estimator, cycle: DriveCycle, weight: float | None, ambient: float | None) -> dict[str, float]:
     """Totals of a vehicle on a cycle from cold; see `offline.energy.taken`.
 
-    Parameters
-    ----------
-    weight, ambient
-        Whole weight [N] and air [degC]; by default as recorded, else those of the vehicle file.
-
-    Raises
-    ------
-    InputError
-        On a drive that is too fast, or a load that is implausible for the vehicle.
+    `weight`, `ambient`: whole weight [N] and air [degC]; by default as recorded, else those of the vehicle file. Raises
+    InputError on a drive that is too fast, or a load that is implausible for the vehicle.
     """
     vehicle = estimator.vehicle
     assert isinstance(vehicle, Vehicle)  # designs have tracks
@@ -167,10 +140,7 @@ def driven(estimator: Estimator, cycle: DriveCycle, weight: float | None, ambien
 def with_factors(estimator: Estimator, off: FileErrors, capacity: float = 1.0) -> Estimator:
     """The same vehicle with losses, cooling, heat capacity, bearings or drag off by a factor; the radius stays.
 
-    Parameters
-    ----------
-    capacity
-        Factor on the heat capacity of the belts of `off.track`.
+    `capacity`: factor on the heat capacity of the belts of `off.track`.
     """
     changed, k = copy(estimator), estimator.constants
     assert isinstance(estimator.vehicle, Vehicle)

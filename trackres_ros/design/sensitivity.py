@@ -3,13 +3,10 @@
 
 """Ranks the values of a vehicle file by their share of the uncertainty, by Sobol's indices over the file's ranges."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import astuple, dataclass
-from importlib.util import find_spec
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +17,7 @@ from trackres_ros import checks
 from trackres_ros.design.steady import WARMEST_K, steady
 from trackres_ros.design.sweep import OUTCOMES
 from trackres_ros.design.values import scalars, short
-from trackres_ros.engine.executor import LOCAL, done, engine
+from trackres_ros.engine.executor import LOCAL, results
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.text.numbers import decimals, figures
@@ -46,55 +43,34 @@ PIECE = 32  # vehicles that a worker takes at a time
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """Sobol's indices of one value, each with the half-width of its 95 % interval.
+    """Sobol's indices of one value, each with the half-width of its 95 % interval."""
 
-    Attributes
-    ----------
-    first
-        Share of the variance that would go if this value were known.
-    total
-        Share that would stay if all others were known.
-    low, high
-        The outcome with this value at either end of its range, the others as the file has them.
-    """
-
-    first: float
+    first: float  # share of the variance that would go if this value were known
     first_pm: float
-    total: float
+    total: float  # share that would stay if all others were known
     total_pm: float
+    # the outcome with this value at either end of its range, the others as the file has them
     low: float
     high: float
 
 
 @dataclass(frozen=True, eq=False)
 class SensitivityResult:
-    """Results of a sensitivity analysis.
+    """Results of a sensitivity analysis."""
 
-    Attributes
-    ----------
-    vehicle, speed, ambient
-        Its conditions: name, [m/s], [degC].
-    nominal, std
-        Each outcome by the file, and its standard deviation due to the ranges.
-    indices
-        By outcome and path.
-    held
-        Why some values were not varied, by path.
-    samples, drawn
-        Draws, in each of which every value is changed in turn; vehicles that were computed for them.
-    lost, why_lost
-        Draws left out, as one of their vehicles is impossible; and the reason for the first.
-    """
-
+    # its conditions: name, [m/s], [degC]
     vehicle: str
     speed: float
     ambient: float
+    # each outcome by the file, and its standard deviation due to the ranges
     nominal: Mapping[str, float]
     std: Mapping[str, float]
-    indices: Mapping[str, Mapping[str, Index]]
-    held: Mapping[str, str]
+    indices: Mapping[str, Mapping[str, Index]]  # by outcome and path
+    held: Mapping[str, str]  # why some values were not varied, by path
+    # draws, in each of which every value is changed in turn; vehicles that were computed for them
     samples: int
     drawn: int
+    # draws left out, as one of their vehicles is impossible; and the reason for the first
     lost: int
     why_lost: str
 
@@ -143,14 +119,7 @@ class SensitivityResult:
             "drawn": self.drawn, "lost": self.lost, "why_lost": self.why_lost,
             "nominal": dict(self.nominal), "std": dict(self.std),
             "indices": {
-                outcome: {
-                    path: {
-                        "first": i.first, "first_pm": i.first_pm, "total": i.total, "total_pm": i.total_pm, "low": i.low,
-                        "high": i.high,
-                    }
-                    for path, i in of.items()
-                }
-                for outcome, of in self.indices.items()
+                outcome: {path: asdict(index) for path, index in of.items()} for outcome, of in self.indices.items()
             },
             "held": dict(self.held),
         }  # fmt: skip
@@ -162,25 +131,11 @@ def sensitivity(
 ) -> SensitivityResult:  # fmt: skip
     """Share of each outcome's uncertainty due to each value of a vehicle file, if all are uniform in their ranges.
 
-    Parameters
-    ----------
-    file
-        Vehicle file, or the name of a shipped one.
-    speed, ambient
-        [m/s]; air [degC], by default the file's.
-    samples
-        Of each value, a power of two: samples times (values + 2) vehicles are computed.
-    seed
-        Of the draws.
-    progress
-        Takes a description and the number of steps, and returns a function that takes the number of finished ones.
+    `file`: vehicle file, or the name of a shipped one; `speed` [m/s]; `ambient`: air [degC], by default the file's; `samples`: of
+    each value, a power of two: samples times (values + 2) vehicles are computed; `progress`: takes a description and the number
+    of steps, and returns a function that takes the number of finished ones.
 
-    Raises
-    ------
-    InputError
-        On an invalid number of samples, or inconsistent ranges.
-    MissingExtraError
-        SALib is not installed.
+    Raises InputError on an invalid number of samples, or inconsistent ranges; MissingExtraError if SALib is not installed.
     """
     checks.whole(samples, "samples", LEAST_SAMPLES, MOST_SAMPLES)
     if samples & (samples - 1):
@@ -236,23 +191,10 @@ class Indices:
 def sobol(
     names: Sequence[str], bounds: Sequence[tuple[float, float]], model: Model, samples: int, seed: int
 ) -> tuple[Indices, int]:
-    """Sobol's indices of a model with uniform arguments between their bounds, by SALib.
+    """Sobol's indices of a model with uniform arguments between their bounds, by SALib; and the number of its rows.
 
-    Parameters
-    ----------
-    names, bounds
-        Of its arguments.
-    model
-        From rows of arguments, shape (n, arguments), to rows of outcomes, shape (n, outcomes); nan for an impossible one.
-    samples
-        A power of two.
-    seed
-        Of the draws.
-
-    Returns
-    -------
-    indices, drawn
-        See `Indices`; and the number of rows.
+    `model`: from rows of arguments, shape (n, arguments), to rows of outcomes, shape (n, outcomes); nan for an impossible one;
+    `samples`: a power of two.
     """
     try:
         from SALib.analyze import sobol as analysis
@@ -316,19 +258,10 @@ def _outcomes(
 def _computed(pieces: Sequence[Drawn], advance: Callable[[float], None]) -> list[Array]:
     """By the fleet's engine if it is installed."""
     found: dict[int, Array] = {}
-    if find_spec("distributed") is None:
-        for number, piece in enumerate(pieces):
-            found[number] = outcomes_of(piece)
-            advance(len(piece.rows))
-        return [found[number] for number in range(len(pieces))]
-    place = {id(piece): number for number, piece in enumerate(pieces)}
-    with engine(LOCAL) as client:
-        for piece, result in done(client, outcomes_of, pieces):
-            if isinstance(result, BaseException):
-                raise result
-            found[place[id(piece)]] = result
-            advance(len(piece.rows))
-    return [found[number] for number in range(len(pieces))]
+    for piece, result in results(outcomes_of, pieces, LOCAL):
+        found[id(piece)] = result
+        advance(len(piece.rows))
+    return [found[id(piece)] for piece in pieces]
 
 
 def _ends(

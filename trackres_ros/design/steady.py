@@ -3,8 +3,6 @@
 
 """A vehicle at constant speed: resistance with cold belts, steady belt temperature, and resistance with warm belts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -29,46 +27,28 @@ J_PER_KWH = 3.6e6
 
 @dataclass(frozen=True, slots=True)
 class Steady:
-    """Whole vehicle at one speed; nan if no belt temperature is steady below `WARMEST_K` above the air.
+    """Whole vehicle at one speed; nan if no belt temperature is steady below `WARMEST_K` above the air."""
 
-    Attributes
-    ----------
-    cold_nm, warm_nm
-        Resistance at the sprockets with belts as cold as the air, and in steady state [Nm].
-    belt_degc
-        Steady temperature, mean of the assemblies [degC].
-    kwh_per_km
-        Energy in steady state.
-    """
-
+    # resistance at the sprockets with belts as cold as the air, and in steady state [Nm]
     cold_nm: float
     warm_nm: float
-    belt_degc: float
-    kwh_per_km: float
+    belt_degc: float  # steady temperature, mean of the assemblies [degC]
+    kwh_per_km: float  # energy in steady state
 
 
 @dataclass(frozen=True, eq=False)
 class SteadyAssembly:
-    """Equal assemblies at one speed: name of the track, number, and the forces of each.
-
-    Attributes
-    ----------
-    course
-        Logarithm of the loss [N] over the belt temperature.
-    cold_loss, bearing, wind
-        Loss with the belt at the air's temperature, bearing friction and air drag [N].
-    cooled
-        Heat flow out of the belt [W/K].
-    """
+    """Equal assemblies at one speed: name of the track, number, and the forces of each."""
 
     track: str
     count: int
     radius: float
-    course: PchipInterpolator
+    course: PchipInterpolator  # logarithm of the loss [N] over the belt temperature
+    # loss with the belt at the air's temperature, bearing friction and air drag [N]
     cold_loss: float
     bearing: float
     wind: float
-    cooled: float
+    cooled: float  # heat flow out of the belt [W/K]
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,26 +103,9 @@ class Held:
 def steady(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = None) -> Steady:
     """The steady state of a vehicle, by the exact methods.
 
-    Parameters
-    ----------
-    vehicle
-        With its effects; those without sufficient inputs in a straight drive at one speed are excluded.
-    speed
-        [m/s], forward.
-    ambient
-        Air [degC].
-    weight
-        Whole weight [N], shared as nominal; by default the vehicle file's.
-
-    Returns
-    -------
-    Steady
-        Steady values, see there.
-
-    Raises
-    ------
-    InputError
-        Beyond the speeds of the vehicle.
+    Raises InputError beyond the speeds of the vehicle. `vehicle`: with its effects; those without sufficient inputs in a straight
+    drive at one speed are excluded; `speed`: [m/s], forward; `ambient`: air [degC]; `weight`: whole weight [N], shared as
+    nominal; by default the vehicle file's.
     """
     check_speed(vehicle, speed)
     if vehicle.active:

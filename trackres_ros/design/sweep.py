@@ -3,12 +3,9 @@
 
 """Varies values of a vehicle: effects on resistance, temperature and energy."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, fields
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +15,7 @@ from numpy.typing import NDArray
 from trackres_ros.design.drives import driven, read_cycle
 from trackres_ros.design.steady import Steady, steady
 from trackres_ros.design.values import Varied, short
-from trackres_ros.engine.executor import LOCAL, done, engine
+from trackres_ros.engine.executor import LOCAL, results
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
@@ -80,21 +77,11 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Swept:
-    """Results of a sweep.
-
-    Attributes
-    ----------
-    asked
-        Inputs of the sweep.
-    columns
-        By name, shape (points,): the values by path, then outcomes; nan for an impossible vehicle.
-    refused
-        The reason, by the number of the point.
-    """
+    """Results of a sweep."""
 
     asked: SweepRequest
-    columns: dict[str, Array]
-    refused: dict[int, str]
+    columns: dict[str, Array]  # by name, shape (points,): the values by path, then outcomes; nan for an impossible vehicle
+    refused: dict[int, str]  # the reason, by the number of the point
 
     @property
     def outcomes(self) -> list[str]:
@@ -138,19 +125,8 @@ def sweep(
 ) -> Swept:
     """Compute all points, on the fleet's engine if there are many.
 
-    Parameters
-    ----------
-    asked
-        Inputs of the sweep.
-    address, workers
-        See `engine.engine`.
-    advance
-        Called after each point.
-
-    Raises
-    ------
-    InputError
-        If there are too many points, or none is a possible vehicle.
+    Raises InputError if there are too many points, or none is a possible vehicle. `asked`: inputs of the sweep; `address`,
+    `workers`: see `engine.engine`; `advance`: called after each point.
     """
     points, twice = asked.points, [path for path in asked.paths if asked.paths.count(path) > 1]
     if twice:
@@ -163,17 +139,9 @@ def sweep(
     ]
     found: list[tuple[float, ...] | str] = [""] * len(pieces)
     few = asked.cycle is None and len(pieces) <= ALONE
-    if address == LOCAL and workers is None and (few or find_spec("distributed") is None):
-        for piece in pieces:
-            found[piece.number] = point(piece)
-            advance(1)
-    else:
-        with engine(address, workers) as client:
-            for piece, result in done(client, point, pieces):
-                if isinstance(result, BaseException):
-                    raise result
-                found[piece.number] = result
-                advance(1)
+    for piece, result in results(point, pieces, address, workers, few):
+        found[piece.number] = result
+        advance(1)
     names = [*OUTCOMES, *([DRIVE] if asked.cycle is not None else [])]
     refused = {number: result for number, result in enumerate(found) if isinstance(result, str)}
     if len(refused) == len(found):

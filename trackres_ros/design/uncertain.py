@@ -7,8 +7,6 @@ To first order, as the live estimate propagates them (`estimator.uncertainty`). 
 cancels. Errors of differing values are independent.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -30,20 +28,12 @@ OF_DRAG = (DRAG, "chassis.frontal_area", "chassis.air_density")
 
 @dataclass(frozen=True, eq=False)
 class LogDerivatives:
-    """Sensitivity of a drive's quantities, as logarithms, to one standard deviation of each value.
+    """Sensitivity of a drive's quantities, as logarithms, to one standard deviation of each value."""
 
-    Attributes
-    ----------
-    belts_degc
-        Temperatures of the loss.
-    of_track
-        By track, then by path: loss at each of those temperatures, film, heat capacity and radius.
-    bearing, drag
-        By path: bearing friction, and air drag.
-    """
-
-    belts_degc: Array
+    belts_degc: Array  # temperatures of the loss
+    # by track, then by path: loss at each of those temperatures, film, heat capacity and radius
     of_track: Mapping[str, Mapping[str, Array]]
+    # by path: bearing friction, and air drag
     bearing: Mapping[str, float]
     drag: Mapping[str, float]
 
@@ -65,21 +55,10 @@ def slopes_of(vehicle: Vehicle, speed: float, belts_degc: Array) -> LogDerivativ
 
 
 def moved(known: LogDerivatives, outcomes: Callable[[FileErrors, float], Array], belts_degc: Array) -> dict[str, Array]:
-    """Sensitivity of some outcomes to one standard deviation of each value.
+    """Sensitivity of some outcomes to one standard deviation of each value, by path, shape (outcomes,).
 
-    Parameters
-    ----------
-    known
-        Of the vehicle.
-    outcomes
-        Of factors, and of a factor on the heat capacity, shape (outcomes,).
-    belts_degc
-        Belt temperature of the loss in each outcome, shape (outcomes,).
-
-    Returns
-    -------
-    dict
-        By path, shape (outcomes,).
+    `outcomes`: of factors, and of a factor on the heat capacity, shape (outcomes,); `belts_degc`: belt temperature of the loss in
+    each outcome, shape (outcomes,).
     """
     nominal = outcomes(FileErrors(), 1.0)
 
@@ -109,12 +88,8 @@ def moved(known: LogDerivatives, outcomes: Callable[[FileErrors, float], Array],
 def difference_std(
     vehicles: tuple[Vehicle, Vehicle], changes: tuple[Mapping[str, Array], Mapping[str, Array]]
 ) -> tuple[Array, Array]:
-    """Standard deviations of the second less the first, shape (outcomes,) each.
-
-    Returns
-    -------
-    common, all_
-        From values that both files have alike; and with the ranges of those that differ too.
+    """Standard deviations of the second less the first, shape (outcomes,) each: from values that both files have alike, and with
+    the ranges of those that differ too.
     """
     one, other = changes
     common = own = np.zeros_like(next(iter(one.values())))

@@ -3,8 +3,6 @@
 
 """Parses which value of a vehicle file to vary, and over which values."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence
@@ -44,12 +42,8 @@ def scalars(vehicle: Vehicle) -> list[str]:
 def meant(vehicle: Vehicle, given: str, where: str) -> tuple[str, ...]:
     """The paths of an abbreviation: a full path, or enough of its words in their order, as belt.thickness.
 
-    A value of several axles, tracks or wheels means all of them, as axles.load.
-
-    Raises
-    ------
-    InputError
-        If there is none, or several that are not the same of several parts.
+    A value of several axles, tracks or wheels means all of them, as axles.load. Raises InputError if there is none, or several
+    that are not the same of several parts.
     """
     known = scalars(vehicle)
     if given in known:
@@ -84,12 +78,7 @@ def varied(vehicle: Vehicle, given: str, where: str = "--vary") -> Varied:
     """Parse `PATH=A:B:N`, `PATH=A:B`, `PATH=A,B,C` and `PATH`; the last takes the range of the file.
 
     A number with a percent sign is a change of the file's value: `PATH=-20%:+20%:5`, `PATH=+20%`. A single change is compared
-    with the file's value.
-
-    Raises
-    ------
-    InputError
-        If it is none of these.
+    with the file's value. Raises InputError if it is none of these.
     """
     name, equals, values = given.partition("=")
     paths = meant(vehicle, name.strip(), where)

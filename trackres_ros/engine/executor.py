@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from http import HTTPStatus
 from http.client import HTTPException
+from importlib.util import find_spec
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.request import urlopen
@@ -39,17 +40,8 @@ class EngineGoneError(InputError):
 def engine(address: str, workers: int | None = None) -> Iterator[Client]:
     """A client of a scheduler, or of a cluster that lives as long as this.
 
-    Parameters
-    ----------
-    address
-        ``local``, or the address of a scheduler.
-    workers
-        Processes of a local cluster; by default as many as processors.
-
-    Raises
-    ------
-    InputError
-        If there is no scheduler.
+    `address`: ``local``, or the address of a scheduler; `workers`: processes of a local cluster; by default as many as
+    processors. Raises InputError if there is no scheduler.
     """
     try:
         import dask
@@ -108,13 +100,8 @@ def dashboard(client: Client) -> str:
 def done(client: Client, function: Callable[[Work], Any], work: Iterable[Work]) -> Iterator[tuple[Work, Any]]:
     """Each piece of work with its result, or with the exception that ended it, in order of completion.
 
-    Dask has only a few at a time, so that memory does not grow with the number of pieces. It blames a worker's death on all
-    tasks of the worker. Those it gives up are repeated at the end, one at a time.
-
-    Raises
-    ------
-    EngineGoneError
-        If the scheduler is gone.
+    Dask has only a few at a time, so that memory does not grow with the number of pieces. It blames a worker's death on all tasks
+    of the worker. Those it gives up are repeated at the end, one at a time. Raises EngineGoneError if the scheduler is gone.
     """
     from distributed import KilledWorker
 
@@ -126,6 +113,23 @@ def done(client: Client, function: Callable[[Work], Any], work: Iterable[Work]) 
         else:
             yield piece, result
     yield from _done(client, function, suspected, at_once=1)
+
+
+def results(
+    function: Callable[[Work], Any], work: Sequence[Work], address: str, workers: int | None = None, few: bool = False
+) -> Iterator[tuple[Work, Any]]:
+    """Each piece of work with its result, in order of completion; a few pieces, or all without Dask, in this process.
+
+    Raises the exception that ended a piece.
+    """
+    if address == LOCAL and workers is None and (few or find_spec("distributed") is None):
+        yield from ((piece, function(piece)) for piece in work)
+        return
+    with engine(address, workers) as client:
+        for piece, result in done(client, function, work):
+            if isinstance(result, BaseException):
+                raise result
+            yield piece, result
 
 
 def _done(client: Client, function: Callable[[Work], Any], work: Iterable[Work], at_once: int) -> Iterator[tuple[Work, Any]]:

@@ -7,8 +7,6 @@ A cache of compiled code is code: another user who can write there can run anyth
 others can write to, or could replace by one of theirs, is not used at all. All of its content can be computed again.
 """
 
-from __future__ import annotations
-
 import grp
 import logging
 import os

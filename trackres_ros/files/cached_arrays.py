@@ -3,8 +3,6 @@
 
 """Keeps arrays that take a second to compute in the cache folder, under a key of all their inputs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -26,14 +24,9 @@ def cached_arrays(
 ) -> dict[str, Array]:
     """Arrays by name, from the cache if intact, else computed and stored.
 
-    Parameters
-    ----------
-    key
-        File name without suffix; must change with all inputs of the arrays.
-    shapes
-        Names and shapes: they are stored one after the other, so the shapes define the size of the file.
-    cache
-        Folder; by default `trackres_ros.files.resources.cache_dir`. If it cannot be used the next start computes again.
+    `key`: file name without suffix; must change with all inputs of the arrays. `shapes`: by name; arrays are stored one after the
+    other, so the shapes define the size of the file. `cache`: the folder, by default `files.resources.cache_dir`; if it cannot be
+    used the next start computes again.
     """
     folder, name = usable(cache or cache_dir()), f"{key}.arrays"
     sizes = [math.prod(shape) for shape in shapes.values()]

@@ -3,8 +3,6 @@
 
 """Reads all JSON: it is plain data with finite numbers, or a `ValueError` gives the reason."""
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any
@@ -13,13 +11,7 @@ MOST_DIGITS = 300  # of an integer: a longer one fits into no float
 
 
 def parse_json(data: bytes | str) -> Any:
-    """Plain data of JSON in UTF-8.
-
-    Raises
-    ------
-    ValueError
-        If it is no JSON, has a number that is not finite, or nests too deep.
-    """
+    """Plain data of JSON in UTF-8. Raises ValueError if it is no JSON, has a number that is not finite, or nests too deep."""
     try:
         return json.loads(data, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
     except RecursionError:

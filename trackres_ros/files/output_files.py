@@ -3,8 +3,6 @@
 
 """Checks the places of results before any work is done for them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from importlib.util import find_spec
 from os import PathLike
@@ -25,10 +23,7 @@ WRITTEN_WITH = {
 def output_file(path: str | PathLike[str], suffixes: Sequence[str] = OUTPUT_SUFFIXES, where: str = "output") -> Path:
     """The path, if its suffix is a known format, the library for it is installed, and its folder exists.
 
-    Raises
-    ------
-    InputError
-        Otherwise; `where` names the argument.
+    Raises InputError otherwise; `where` names the argument.
     """
     file = Path(path)
     if not file.name.lower().endswith(tuple(suffixes)):
@@ -45,13 +40,7 @@ def output_file(path: str | PathLike[str], suffixes: Sequence[str] = OUTPUT_SUFF
 
 
 def output_folder(path: str | PathLike[str], where: str = "output") -> Path:
-    """The path, if it is a folder or can be created.
-
-    Raises
-    ------
-    InputError
-        If it is a file.
-    """
+    """The path, if it is a folder or can be created. Raises InputError if it is a file."""
     folder = Path(path)
     if folder.exists() and not folder.is_dir():
         raise InputError(where, str(folder), "a folder; a file of that name exists")
@@ -61,10 +50,7 @@ def output_folder(path: str | PathLike[str], where: str = "output") -> Path:
 def state_file(path: str | PathLike[str], where: str) -> Path:
     """The path, if a state can be saved there.
 
-    Raises
-    ------
-    InputError
-        No such folder, or something in its place that is no file.
+    Raises InputError for no such folder, or something in its place that is no file.
     """
     file = Path(path)
     if not file.parent.is_dir() or (file.exists() and not file.is_file()):

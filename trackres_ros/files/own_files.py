@@ -7,8 +7,6 @@ A disk may fill up, power may fail, another program or user may write there. So 
 size are read, a new file replaces the old one in one step, and a seal over the content shows whether it is unchanged.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import os
@@ -20,12 +18,9 @@ from pathlib import Path
 PART = ".part"
 SEAL = hashlib.sha256
 KINDS = {
-    stat.S_IFDIR: "a folder",
-    stat.S_IFIFO: "a named pipe",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
+    stat.S_IFDIR: "a folder", stat.S_IFIFO: "a named pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
     stat.S_IFSOCK: "a socket",
-}
+}  # fmt: skip
 
 
 class NotOurFileError(OSError):
@@ -35,10 +30,7 @@ class NotOurFileError(OSError):
 def read(path: Path, most: int) -> bytes:
     """All bytes of a regular file of at most `most` bytes; never blocks.
 
-    Raises
-    ------
-    OSError
-        If there is none, or it cannot be read; `NotOurFileError` if it is not a regular file, or larger.
+    Raises OSError if there is none, or it cannot be read; NotOurFileError if it is not a regular file, or larger.
     """
     try:
         _check(path, path.stat(), most)  # before it is opened: to open a device may do something
@@ -62,11 +54,8 @@ def _check(path: Path, found: os.stat_result, most: int) -> None:
 def write(path: Path, data: bytes) -> None:
     """Write a temporary file in the same folder, flush it to the disk and move it in place.
 
-    Raises
-    ------
-    OSError
-        If it cannot be written; an older file is then unchanged. Also if something other than a file is there, as moving
-        there would destroy a device or a pipe.
+    Raises OSError if it cannot be written; an older file is then unchanged. Also if something other than a file is there, as
+    moving there would destroy a device or a pipe.
     """
     if path.exists():
         _check(path, path.stat(), sys.maxsize)

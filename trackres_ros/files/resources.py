@@ -3,8 +3,6 @@
 
 """Finds the shipped files, alike in a checkout, a pip install and a colcon install."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
@@ -47,24 +45,12 @@ def shipped_topics() -> dict[str, Path]:
 
 
 def find_vehicle(path_or_name: str | os.PathLike[str]) -> Path:
-    """Path of a vehicle file given as a path or as the name of a shipped vehicle.
-
-    Raises
-    ------
-    InputError
-        If it is neither.
-    """
+    """Path of a vehicle file given as a path or as the name of a shipped vehicle. Raises InputError if it is neither."""
     return _find("vehicle", path_or_name, shipped_vehicles() | shipped_road_vehicles())
 
 
 def find_topics(path_or_name: str | os.PathLike[str]) -> Path:
-    """Path of a topics file given as a path or as the name of a shipped one.
-
-    Raises
-    ------
-    InputError
-        If it is neither.
-    """
+    """Path of a topics file given as a path or as the name of a shipped one. Raises InputError if it is neither."""
     return _find("topics", path_or_name, shipped_topics())
 
 

@@ -3,8 +3,6 @@
 
 """Reads small text files of the user: completely, or refuses them in one line; it never blocks."""
 
-from __future__ import annotations
-
 import os
 import stat
 from pathlib import Path
@@ -15,17 +13,8 @@ from trackres_ros.errors import InputError
 def read_text(path: Path, what: str, most_bytes: int) -> str:
     """The text of a file in UTF-8, from any editor: without a byte order mark, each line ended by a line feed.
 
-    Parameters
-    ----------
-    what
-        Expected kind, such as "YAML file", for messages.
-    most_bytes
-        A longer one is refused.
-
-    Raises
-    ------
-    InputError
-        There is no such file, it is a folder, pipe or device, too long, or no UTF-8.
+    `what`: expected kind, such as "YAML file", for messages; `most_bytes`: a longer one is refused. Raises InputError if there is
+    no such file, it is a folder, pipe or device, too long, or no UTF-8.
     """
     try:
         text = read_bytes(path, what, most_bytes).decode("utf-8-sig")

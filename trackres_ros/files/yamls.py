@@ -3,8 +3,6 @@
 
 """Reads all YAML: it is plain data of bounded size, or one line gives the reason."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Hashable
 from pathlib import Path
@@ -119,15 +117,8 @@ _Loader.add_implicit_resolver(  # YAML 1.1 reads 1.2e11, without the sign in the
 def parse_yaml(text: str, where: str) -> object:
     """The one document of a YAML text as plain data.
 
-    Parameters
-    ----------
-    where
-        The file or option, for messages.
-
-    Raises
-    ------
-    InputError
-        It is no YAML, has a duplicate key, refers to itself, or exceeds the limit of size.
+    `where`: the file or option, for messages. Raises InputError if it is no YAML, has a duplicate key, refers to itself, or
+    exceeds the limit of size.
     """
     if len(text) > MOST_BYTES:
         raise InputError(where, f"{len(text)} characters", f"YAML of at most {MOST_BYTES}")
@@ -149,15 +140,8 @@ def parse_yaml(text: str, where: str) -> object:
 def read_yaml(path: Path, allowed: str = "a YAML mapping at the top", remedy: str = "") -> dict[str, Any]:
     """Read the mapping in a YAML file.
 
-    Parameters
-    ----------
-    allowed, remedy
-        Expected content and remedy, for messages.
-
-    Raises
-    ------
-    InputError
-        There is no such file, it cannot be read at once, or an error of `parse_yaml`.
+    `allowed`, `remedy`: expected content and remedy, for messages. Raises InputError if there is no such file, it cannot be read
+    at once, or an error of `parse_yaml`.
     """
     found = parse_yaml(read_text(path, "YAML file", MOST_BYTES), str(path))
     if not isinstance(found, dict):

@@ -3,8 +3,6 @@
 
 """Reports the changes of a fleet to other programs: a CSV table, and a message to a web address."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -33,10 +31,7 @@ COLUMNS = ("vehicle", *OF_CHANGE, "alike", *OF_LIMIT, "text")
 def alerts(found: Mapping[str, Any]) -> list[dict[str, Any]]:
     """One row for each change of each vehicle, with the columns `COLUMNS`; None for a missing value.
 
-    Parameters
-    ----------
-    found
-        From `trends.trends`.
+    `found`: from `trends.trends`.
     """
     rows = []
     for name, vehicle in found["vehicles"].items():
@@ -66,13 +61,7 @@ class _NoRedirect(HTTPRedirectHandler):
 
 
 def checked_url(url: str) -> str:
-    """The address, if a message can be sent to it.
-
-    Raises
-    ------
-    InputError
-        Otherwise.
-    """
+    """The address, if a message can be sent to it. Raises InputError otherwise."""
     try:
         parts = urlsplit(url)
         usable = parts.scheme in ("http", "https") and bool(parts.hostname) and (parts.port or 1) > 0
@@ -86,10 +75,7 @@ def checked_url(url: str) -> str:
 def post_alerts(url: str, folder: Path, rows: Sequence[Mapping[str, Any]]) -> str:
     """Send the rows as JSON: ``{"program", "version", "results", "alerts"}``.
 
-    Returns
-    -------
-    str
-        Reason of a failure; empty if the address answered with 2xx. The path of the address is not shown: it may be secret.
+    Returns reason of a failure; empty if the address answered with 2xx. The path of the address is not shown: it may be secret.
     """
     content = {"program": "trackres", "version": __version__, "results": str(folder), "alerts": list(rows)}
     data = json.dumps(content, allow_nan=False).encode()

@@ -7,8 +7,6 @@ Each recording is compared with the estimate from all recordings of the vehicle 
 raises the likelihood more than chance does. The rate of false alarms is given, however often one looks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -29,73 +27,43 @@ MOST_CHANGES = 3
 ALIKE = 2.0  # in log-likelihood: parameters that would explain it as well
 YEAR_S, DAY_S = 365.25 * 86400.0, 86400.0
 SUFFER_CHANGE = (
-    "bearing_friction",
-    "loss_modulus_scale",
-    "drag_coefficient",
-    "film_scale",
-    "torque_gain.error",
-    "torque_offset.offset",
-)
+    "bearing_friction", "loss_modulus_scale", "drag_coefficient", "film_scale", "torque_gain.error", "torque_offset.offset",
+)  # fmt: skip
 """Parameters to check for a change, if the base has them."""
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleChange:
-    """A change of one parameter of one vehicle.
+    """A change of one parameter of one vehicle."""
 
-    Attributes
-    ----------
-    parameter, alike
-        The changed parameter, and others that would explain it nearly as well.
-    kind
-        ``step``, or ``ramp``: a trend.
-    since_s, known_s
-        Begin of the first recording after it, and of the one with which it was first significant [s since 1970].
-    recordings
-        Number of recordings until then.
-    before, size, size_std
-        The value before, and its change up to the last recording, in the parameter's unit.
-    relative
-        Its size over the value before; nan for a value of 0 in the vehicle file, such as an error of an instrument.
-    gain
-        In log-likelihood.
-    """
-
+    # the changed parameter, and others that would explain it nearly as well
     parameter: str
     alike: tuple[str, ...]
-    kind: str
+    kind: str  # ``step``, or ``ramp``: a trend
+    # begin of the first recording after it, and of the one with which it was first significant [s since 1970]
     since_s: float
     known_s: float
-    recordings: int
+    recordings: int  # number of recordings until then
+    # the value before, and its change up to the last recording, in the parameter's unit
     before: float
     size: float
     size_std: float
-    relative: float
-    gain: float
+    relative: float  # its size over the value before; nan for a value of 0 in the vehicle file, such as an error of an instrument
+    gain: float  # in log-likelihood
 
 
 @dataclass(frozen=True, eq=False)
 class VehicleHistory:
-    """Recordings of one vehicle in the order of time, with their likelihoods, see `Pooled`.
+    """Recordings of one vehicle in the order of time, with their likelihoods, see `Pooled`."""
 
-    Attributes
-    ----------
-    precision, linear
-        Reduced by the scatter of recordings, and without the dependence on the air.
-    prior, right
-        Prior of the vehicle from its type: precision and precision times mean.
-    time_s
-        Begin of each.
-    looked_for
-        Indices of the parameters to check for a change.
-    """
-
+    # reduced by the scatter of recordings, and without the dependence on the air
     precision: Array
     linear: Array
+    # prior of the vehicle from its type: precision and precision times mean
     prior: Array
     right: Array
-    time_s: Array
-    looked_for: tuple[int, ...]
+    time_s: Array  # begin of each
+    looked_for: tuple[int, ...]  # indices of the parameters to check for a change
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,12 +117,7 @@ class Gains:
 def gains(of: VehicleHistory, known: Sequence[tuple[int, Array]], draws: Array) -> Gains:
     """Gain of each possible change in addition to the known ones.
 
-    Parameters
-    ----------
-    known
-        Parameter and shape of each.
-    draws
-        Of `VehicleHistory.linear`, shape (draws, n, p).
+    `known`: parameter and shape of each; `draws`: of `VehicleHistory.linear`, shape (draws, n, p).
     """
     n = len(of.linear)
     design, whole, right = _model(of, known, draws)

@@ -3,8 +3,6 @@
 
 """Compares two days, vehicles, reports or designs: differences beyond their uncertainty."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +19,7 @@ from trackres_ros.files.resources import find_vehicle
 from trackres_ros.fleet.dataset import ROWS, FleetDataset
 from trackres_ros.fleet.pooling import Vehicles, pool, softened
 from trackres_ros.fleet.trends import NUMBERS, TEXTS, some_of, without_overlaps
+from trackres_ros.output.style import write_figure
 from trackres_ros.text.numbers import alike, figures
 from trackres_ros.text.table import table
 
@@ -29,6 +28,7 @@ Array = NDArray[np.float64]
 SURE = 0.05  # probability of any false difference by chance
 REPORT, MOST_BYTES = "report.json", 1 << 26
 TWO_SIDED_95 = 1.96
+COLOURS = "#0072B2", "#D55E00"
 ALLOWED = "a folder of trackres fleet, with :VEHICLE or @DAY if need be, one of trackres diagnose, or a vehicle file"
 
 
@@ -47,10 +47,7 @@ class Side:
 def compare(one: str, other: str) -> dict[str, Any]:
     """Compute the differences between two results, ready for JSON; see `trackres compare`.
 
-    Raises
-    ------
-    InputError
-        If one cannot be compared, or both have nothing in common.
+    Raises InputError if one cannot be compared, or both have nothing in common.
     """
     sides = side(one), side(other)
     names = [name for name in sides[0].names if name in sides[1].names]
@@ -108,13 +105,7 @@ def compare_text(found: Mapping[str, Any]) -> str:
 
 
 def side(given: str) -> Side:
-    """Result of a name: see `ALLOWED`.
-
-    Raises
-    ------
-    InputError
-        If it is none of those.
-    """
+    """Result of a name: see `ALLOWED`. Raises InputError if it is none of those."""
     folder, vehicle, day = _parts(given)
     if (folder / ROWS).is_dir():
         return _of_fleet(folder, vehicle, day, given)
@@ -202,3 +193,28 @@ def _of_design(given: str) -> Side:
 def _uncorrelated(title: str, listed: list[tuple[str, str, float, float]]) -> Side:
     names, units, values, stds = zip(*listed, strict=True) if listed else ((), (), (), ())
     return Side(title, tuple(names), tuple(units), np.array(values), np.diag(np.array(stds) ** 2))
+
+
+def draw_overlay(found: Mapping[str, Any], path: Path) -> Path:
+    """Each parameter of both with its 95 % interval, over how sure the difference is."""
+    from matplotlib.figure import Figure
+
+    listed = found["parameters"]
+    figure = Figure(figsize=(8.0, 1.4 + 0.45 * len(listed)), layout="constrained")
+    axes = figure.subplots()
+    for row, q in enumerate(listed):
+        unit = q["difference_std"] or abs(q["difference"]) or 1.0
+        middle = 0.5 * (q["one"] + q["other"])
+        for side, (which, colour) in enumerate(zip(("one", "other"), COLOURS, strict=True)):
+            label = found[which] if row == 0 else None
+            spread = TWO_SIDED_95 * q[f"{which}_std"] / unit
+            axes.errorbar(
+                [(q[which] - middle) / unit], [row + 0.15 * (2 * side - 1)], xerr=[spread], fmt="o", color=colour, label=label
+            )
+    axes.set_yticks(range(len(listed)), [f"{q['parameter']}{' *' if q['differs'] else ''}" for q in listed])
+    axes.invert_yaxis()
+    axes.axvline(0.0, color="0.8", zorder=0)
+    axes.set_xlabel("distance from the mean of both, in standard deviations of the difference (* differs)")
+    figure.legend(loc="outside upper center", ncols=1)
+    write_figure(figure, path)
+    return path

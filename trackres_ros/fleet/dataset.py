@@ -68,13 +68,7 @@ class FleetDataset:
 
     @classmethod
     def existing(cls, folder: Path) -> FleetDataset:
-        """That of an earlier run.
-
-        Raises
-        ------
-        InputError
-            If there is none.
-        """
+        """That of an earlier run. Raises InputError if there is none."""
         if not (folder / ROWS).is_dir():
             raise InputError(str(folder), "no results of a fleet", "the folder that trackres fleet -o wrote")
         return cls(folder)

@@ -6,8 +6,6 @@
 It excludes the vehicle file's ranges, which would be added once per recording, and is marginal over the wind.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,63 +31,41 @@ WIND_MPS, STRONGEST_WIND_MPS = 3.0, 12.0  # prior standard deviation of either c
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Likelihood and summary of a recording.
+    """Likelihood and summary of a recording."""
 
-    Attributes
-    ----------
-    names, units
-        Of the parameters, those of the instrument as ``torque_offset.offset``.
-    nominal, std
-        Of the vehicle file, shape (p,).
-    point, covariance
-        Estimate of the fit and its covariance with the file's ranges, shapes (p,) and (p, p).
-    precision, linear
-        The log-likelihood alone is ``linear @ x - x @ precision @ x / 2`` for x the parameters less `nominal`, over `std`.
-    compared_s
-        Valid seconds.
-    residual_mean, residual_std
-        Of the fit's residual in all valid seconds [Nm].
-    mismatch
-        Mean absolute error of the unchanged vehicle file over the mean absolute torque.
-    held_out_file, held_out_refit
-        Mean absolute error on the hold-out laps, of the file and of the fit [Nm]; nan without any.
-    mean_torque, mean_speed, mean_weight, mean_ambient
-        Over valid seconds: absolute torque [Nm], [m/s], [N], [degC].
-    load_recorded
-        Whether loads or passengers were recorded; else the vehicle file's weight is assumed.
-    notes
-        Assumptions of the gate.
-    """
-
+    # of the parameters, those of the instrument as ``torque_offset.offset``
     names: tuple[str, ...]
     units: tuple[str, ...]
+    # of the vehicle file, shape (p,)
     nominal: Array
     std: Array
+    # estimate of the fit and its covariance with the file's ranges, shapes (p,) and (p, p)
     point: Array
     covariance: Array
+    # the log-likelihood alone is ``linear @ x - x @ precision @ x / 2`` for x the parameters less `nominal`, over `std`
     precision: Array
     linear: Array
-    compared_s: float
+    compared_s: float  # valid seconds
+    # of the fit's residual in all valid seconds [Nm]
     residual_mean: float
     residual_std: float
-    mismatch: float
+    mismatch: float  # mean absolute error of the unchanged vehicle file over the mean absolute torque
+    # mean absolute error on the hold-out laps, of the file and of the fit [Nm]; nan without any
     held_out_file: float
     held_out_refit: float
+    # over valid seconds: absolute torque [Nm], [m/s], [N], [degC]
     mean_torque: float
     mean_speed: float
     mean_weight: float
     mean_ambient: float
-    load_recorded: bool
-    notes: tuple[str, ...]
+    load_recorded: bool  # whether loads or passengers were recorded; else the vehicle file's weight is assumed
+    notes: tuple[str, ...]  # assumptions of the gate
 
 
 def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = ()) -> Evidence:
     """Fit the base to one recording, and expand its likelihood about the fit.
 
-    Raises
-    ------
-    InputError
-        If the recording cannot be compared, with the reason.
+    Raises InputError if the recording cannot be compared, with the reason.
     """
     gated = gate([recording], loaded.known, hide)
     (session,) = gated.sessions
@@ -143,12 +119,7 @@ def weather(session: DriveSession, base: Base) -> list[Effect]:
 def whatever_others(precision: Array, linear: Array, kept: NDArray[np.bool_]) -> tuple[Array, Array]:
     """A marginal quadratic log-likelihood of some parameters; the others have a prior standard deviation of 1.
 
-    Parameters
-    ----------
-    precision, linear
-        Of all p parameters, shapes (p, p) and (p,).
-    kept
-        Which are kept, shape (p,).
+    `precision`, `linear`: of all p parameters, shapes (p, p) and (p,); `kept`: which are kept, shape (p,).
     """
     across = precision[np.ix_(kept, ~kept)]
     by = np.linalg.solve(precision[np.ix_(~kept, ~kept)] + np.eye(int((~kept).sum())), across.T).T

@@ -3,8 +3,6 @@
 
 """Diagnoses each vehicle by month, on a few representative recordings, with the engine of the analysis."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 import tempfile

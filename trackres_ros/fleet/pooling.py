@@ -33,30 +33,21 @@ MOST_ROWS = 5_000  # used for the covariances; means use all
 
 @dataclass(frozen=True, eq=False)
 class Vehicles:
-    """Likelihoods of recordings of one type, ordered by vehicle and time; arrays begin with (n,).
+    """Likelihoods of recordings of one type, ordered by vehicle and time; arrays begin with (n,)."""
 
-    Attributes
-    ----------
-    names, units, nominal, std
-        Of the p parameters.
-    vehicle, time_s, air
-        Of each recording: vehicle, begin, and air temperature, about `AMBIENT_DEGC`, over `AMBIENT_STEP_K`.
-    precision, linear
-        See `likelihood.Evidence`.
-    urls
-        Of the recordings.
-    """
-
+    # of the p parameters
     names: tuple[str, ...]
     units: tuple[str, ...]
     nominal: Array
     std: Array
+    # of each recording: vehicle, begin, and air temperature, about `AMBIENT_DEGC`, over `AMBIENT_STEP_K`
     vehicle: NDArray[np.str_]
     time_s: Array
     air: Array
+    # see `likelihood.Evidence`
     precision: Array
     linear: Array
-    urls: tuple[str, ...]
+    urls: tuple[str, ...]  # of the recordings
 
     @classmethod
     def of(cls, rows: Iterable[Mapping[str, Any]]) -> list[Vehicles]:
@@ -106,30 +97,18 @@ class Vehicles:
 
 @dataclass(frozen=True, eq=False)
 class Pooled:
-    """Parameters of a type, in standard deviations of its vehicle file about its values.
-
-    Attributes
-    ----------
-    mean, covariance
-        Of the type, shapes (p,) and (p, p).
-    follows
-        Change per `AMBIENT_STEP_K` of air temperature, shape (p,).
-    between, within
-        Covariances among vehicles, and among recordings of one, shape (p, p).
-    weight
-        Of each recording, shape (n,): an outlier of its vehicle scatters as `within` over its weight.
-    by_vehicle
-        Mean and covariance of each vehicle.
-    """
+    """Parameters of a type, in standard deviations of its vehicle file about its values."""
 
     of: Vehicles
+    # of the type, shapes (p,) and (p, p)
     mean: Array
     covariance: Array
-    follows: Array
+    follows: Array  # change per `AMBIENT_STEP_K` of air temperature, shape (p,)
+    # covariances among vehicles, and among recordings of one, shape (p, p)
     between: Array
     within: Array
-    weight: Array
-    by_vehicle: dict[str, tuple[Array, Array]]
+    weight: Array  # of each recording, shape (n,): an outlier of its vehicle scatters as `within` over its weight
+    by_vehicle: dict[str, tuple[Array, Array]]  # mean and covariance of each vehicle
 
     def scatter(self, rows: NDArray[np.bool_]) -> Array:
         """Covariance by which some recordings scatter, shape (n, p, p)."""
@@ -145,12 +124,8 @@ class Pooled:
 def softened(precision: Array, linear: Array, spread: Array) -> tuple[Array, Array]:
     """Likelihoods of the mean of scattered parameters.
 
-    Parameters
-    ----------
-    precision, linear
-        Of the scattered parameters, shapes (..., p, p) and (..., p).
-    spread
-        Covariance of the scatter, shape (p, p), or of each (..., p, p).
+    `precision`, `linear`: of the scattered parameters, shapes (..., p, p) and (..., p); `spread`: covariance of the scatter,
+    shape (p, p), or of each (..., p, p).
     """
     mixed = np.eye(precision.shape[-1]) + precision @ spread
     softer = np.asarray(np.linalg.solve(mixed, precision))
@@ -163,24 +138,11 @@ def _scatter(within: Array, weight: Array) -> Array:
     return np.asarray(within / weight[:, np.newaxis, np.newaxis])
 
 
-def with_air(precision: Array, linear: Array, air: Array) -> tuple[Array, Array]:
-    """The same likelihoods, of the parameters at `AMBIENT_DEGC` and of their dependence on the air, twice as many."""
-    one = np.stack((np.ones_like(air), air), axis=1)
-    n, p = linear.shape
-    both = np.einsum("na,nb,nij->naibj", one, one, precision).reshape(n, 2 * p, 2 * p)
-    return both, np.einsum("na,ni->nai", one, linear).reshape(n, 2 * p)
-
-
 def pool(data: Vehicles) -> Pooled:
     """Fit type, vehicles and scatter together: the most probable covariances, and the means given those.
 
-    Recordings of one vehicle scatter due to weather and load, which affect several parameters at once, mostly the
-    poorly separable ones. So the scatter has correlations.
-
-    Raises
-    ------
-    InputError
-        If there is no recording.
+    Recordings of one vehicle scatter due to weather and load, which affect several parameters at once, mostly the poorly
+    separable ones. So the scatter has correlations. Raises InputError if there is no recording.
     """
     if not len(data):
         raise InputError("recordings", "no comparable recording", "at least one")
@@ -262,7 +224,10 @@ def _means(data: Vehicles, between: Array, within: Array, weight: Array) -> tupl
     """Estimate of the type, and of each vehicle from all data, given their scatter."""
     p = len(data.names)
     softer, moved = softened(data.precision, data.linear, _scatter(within, weight))
-    both, linear = with_air(softer, moved, data.air)
+    # The same likelihoods, of the parameters at `AMBIENT_DEGC` and of their dependence on the air, twice as many.
+    one, n = np.stack((np.ones_like(data.air), data.air), axis=1), len(data)
+    both = np.einsum("na,nb,nij->naibj", one, one, softer).reshape(n, 2 * p, 2 * p)
+    linear = np.einsum("na,ni->nai", one, moved).reshape(n, 2 * p)
     starts = np.concatenate(([0], np.flatnonzero(data.vehicle[1:] != data.vehicle[:-1]) + 1))
     both, linear = np.add.reduceat(both, starts), np.add.reduceat(linear, starts)
     spread = np.zeros((2 * p, 2 * p))

@@ -3,8 +3,6 @@
 
 """Finds recordings: paths, folders, globs and URLs of any file system that fsspec knows."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -23,30 +21,17 @@ CHANGED = ("ETag", "etag", "mtime", "LastModified", "last_modified")
 
 @dataclass(frozen=True, slots=True)
 class FoundRecording:
-    """A recording, or a place that cannot be read.
+    """A recording, or a place that cannot be read."""
 
-    Attributes
-    ----------
-    url
-        As it is opened: an absolute path, or a URL.
-    stamp
-        Size and time of change, or the file system's equivalent: it detects a change without reading.
-    problem
-        Why it cannot be used; empty if it can.
-    """
-
-    url: str
-    stamp: str
-    problem: str = ""
+    url: str  # as it is opened: an absolute path, or a URL
+    stamp: str  # size and time of change, or the file system's equivalent: it detects a change without reading
+    problem: str = ""  # why it cannot be used; empty if it can
 
 
 def find_recordings(given: Sequence[str]) -> Iterator[FoundRecording]:
     """All recordings at some places, each once, in the order of the places and of their names.
 
-    Raises
-    ------
-    MissingExtraError
-        Without fsspec, or its library for such a URL.
+    Raises MissingExtraError without fsspec, or its library for such a URL.
     """
     seen: set[str] = set()
     for place in given:

@@ -1,24 +1,32 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Runs a fleet analysis: each new recording becomes a row."""
+"""Runs a fleet analysis: each new recording becomes a row. One run at a time has a folder, and leaves its limits there."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+import fcntl
+import json
+import os
+import socket
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from itertools import chain
+from pathlib import Path
 from typing import Any
 
 from trackres_ros.checks import one_of
 from trackres_ros.engine.executor import LOCAL, dashboard, done, engine, why
 from trackres_ros.errors import InputError
+from trackres_ros.files.jsons import parse_json
+from trackres_ros.files.own_files import read, write
 from trackres_ros.fleet.dataset import CachedRow, FleetDataset
 from trackres_ros.fleet.recordings import FoundRecording, find_recordings
 from trackres_ros.fleet.task import AGAIN, BROKEN, NO_VEHICLE, SAME, Task, analyse, broken
-from trackres_ros.fleet.vehicles import Fleet
+from trackres_ros.fleet.vehicles import HIGHEST_LIMIT, Fleet
 from trackres_ros.recording.roles import ROLES, base_role
 
+LOCK, MOST_READ = "run.lock", 200
+LIMITS, MOST_LIMITS_BYTES = "fleet.json", 1 << 24
 UNKNOWN = "unknown"  # instead of a digest without a vehicle
 
 
@@ -30,15 +38,7 @@ class RunCounts:
     kept: int = 0
     good: int = 0
     broken: int = 0
-    reasons: list[str] = field(default_factory=list)
-
-    @property
-    def new(self) -> int:
-        """Rows written."""
-        return self.good + self.broken
-
-
-MOST_REASONS = 10
+    reason: str = ""  # of the first broken one
 
 
 def run(
@@ -51,31 +51,16 @@ def run(
     on_begin: Callable[[int], Callable[[float], None]] = lambda _: lambda _: None,
     on_dashboard: Callable[[str], None] = lambda _: None,
 ) -> RunCounts:
-    """Make a row for each recording that is new or has changed.
+    """Make a row for each recording that is new or has changed. Raises InputError without any recording, or engine.
 
-    Parameters
-    ----------
-    recordings
-        Paths, folders, globs and URLs.
-    address, workers
-        See `engine.engine`.
-    hide
-        Roles that are not read.
-    on_begin
-        Takes the number of tasks, and returns a function to call after each.
-    on_dashboard
-        Takes the address of the engine's own page, if it has one.
-
-    Raises
-    ------
-    InputError
-        If nothing could be done: no recording, or no engine.
+    `recordings`: paths, folders, globs and URLs; `address`, `workers`: see `engine.engine`; `hide`: roles that are not read;
+    `on_begin`: takes the number of tasks, and returns a function to call after each; `on_dashboard`: takes the address of the
+    engine's own page, if it has one.
     """
     for channel in hide:
         one_of(base_role(channel), "--hide", ROLES)
     dataset.prepare()
     this_run = _Run(recordings, fleet, dataset, hide)
-    this_run.forget_unread()
     counts, new = this_run.counts, this_run.tasks()
     first = next(new, None)
     if first is not None:
@@ -89,7 +74,7 @@ def run(
     if not counts.found:
         raise InputError("recordings", ", ".join(recordings), "paths, folders, globs or URLs of recordings")
     if not counts.kept + counts.good:
-        raise InputError("recordings", f"{counts.broken} that cannot be used", "one at least that can", counts.reasons[0])
+        raise InputError("recordings", f"{counts.broken} that cannot be used", "one at least that can", counts.reason)
     return counts
 
 
@@ -99,10 +84,7 @@ class _Run:
     def __init__(self, recordings: Sequence[str], fleet: Fleet, dataset: FleetDataset, hide: tuple[str, ...]) -> None:
         self._recordings, self._fleet, self._dataset, self._hide = recordings, fleet, dataset, hide
         self._index, self.counts = dataset.index(), RunCounts()
-
-    def forget_unread(self) -> None:
-        """A place that could not be read may be readable now."""
-        for place in self._recordings:
+        for place in recordings:  # one that could not be read may be readable now
             before = self._index.get(place)
             if before is not None and not before.stamp:
                 self._index.pop(place).file.unlink(missing_ok=True)
@@ -139,8 +121,7 @@ class _Run:
         self._dataset.put(row, before.file if before else None)
         if row["status"] == BROKEN:
             counts.broken += 1
-            if len(counts.reasons) < MOST_REASONS:
-                counts.reasons.append(row["reason"])
+            counts.reason = counts.reason or row["reason"]
         else:
             counts.good += 1
 
@@ -166,3 +147,44 @@ def _task(found: FoundRecording, fleet: Fleet, hide: tuple[str, ...]) -> Task | 
 
 def _is_kept(kept: CachedRow | None, found: FoundRecording, inputs: str) -> bool:
     return kept is not None and (kept.stamp, kept.inputs) == (found.stamp, inputs)
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder. The system frees it when the process ends, however it ends.
+
+    Raises InputError if another run holds it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / LOCK).open("a+", encoding="utf-8", errors="replace") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.seek(0)
+            given = f"{folder}, in use by another run ({lock.read(MOST_READ).strip() or 'of unknown number'})"
+            raise InputError("--output", given, "a folder that no other run uses", "wait until it ends") from None
+        except OSError:  # a file system without locks
+            yield
+            return
+        with suppress(OSError):  # a full disk: the owner is only for the message
+            lock.truncate(0)
+            lock.write(f"process {os.getpid()} on {socket.gethostname()}\n")
+            lock.flush()
+        yield
+
+
+def keep_limits(folder: Path, fleet: Fleet) -> None:
+    """Write the limits of a fleet."""
+    limits: dict[str, float] = {}
+    for vehicle in fleet.vehicles.values():
+        limits |= vehicle.limits
+    write(folder / LIMITS, (json.dumps({"limits": limits}, indent=2) + "\n").encode())
+
+
+def limits_of(folder: Path, given: Mapping[str, float]) -> dict[str, float]:
+    """Limits of the last run, and the given ones in their place."""
+    try:
+        kept = {str(name): float(of) for name, of in parse_json(read(folder / LIMITS, MOST_LIMITS_BYTES))["limits"].items()}
+        return {**{name: limit for name, limit in kept.items() if 0.0 <= limit <= HIGHEST_LIMIT}, **given}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return dict(given)

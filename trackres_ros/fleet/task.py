@@ -3,8 +3,6 @@
 
 """Processes one recording on a worker of the engine: inspects it, replays it, and compares it with its vehicle."""
 
-from __future__ import annotations
-
 import hashlib
 import tempfile
 import time

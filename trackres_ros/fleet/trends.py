@@ -3,8 +3,6 @@
 
 """Summarises a fleet's rows, ready for JSON: types, vehicles, changes over months, and dates of reaching limits."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -47,12 +45,9 @@ def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[st
     kept: list[Mapping[str, Any]] = []
     left_out: list[dict[str, str]] = []
     for row in sorted(rows, key=lambda row: (row["vehicle"], row["start_s"] or 0.0, row["url"])):
-        before = kept[-1] if kept else None
-        timed = row["status"] == "good" and row["day"] != NO_DAY
-        same = (
-            before is not None and before["vehicle"] == row["vehicle"] and before["status"] == "good" and before["day"] != NO_DAY
-        )
-        if timed and same and before is not None and row["start_s"] < before["start_s"] + before["duration_s"] - OVERLAP_S:
+        before = kept[-1] if kept and kept[-1]["vehicle"] == row["vehicle"] else None
+        timed = before and all(one["status"] == "good" and one["day"] != NO_DAY for one in (row, before))
+        if before and timed and row["start_s"] < before["start_s"] + before["duration_s"] - OVERLAP_S:
             reason = f"its clock overlaps with {before['url']}: of one vehicle only one can be right"
             left_out.append({"url": row["url"], "vehicle": row["vehicle"], "reason": reason})
         else:
@@ -65,19 +60,9 @@ def trends(
 ) -> dict[str, Any]:
     """All findings in a dataset.
 
-    Parameters
-    ----------
-    limits
-        By parameter, value for maintenance: for forecasts.
-    rate
-        Of false alarms, per vehicle and year.
-    vehicle
-        The only one to check for changes; by default all.
-
-    Raises
-    ------
-    InputError
-        If there is nothing to compare, a limit of an unknown parameter, or no such vehicle.
+    Raises InputError if there is nothing to compare, a limit of an unknown parameter, or no such vehicle. `limits`: by parameter,
+    value for maintenance: for forecasts; `rate`: of false alarms, per vehicle and year; `vehicle`: the only one to check for
+    changes; by default all.
     """
     rows = dataset.rows([*TEXTS, *NUMBERS])
     kept, overlapping = without_overlaps(rows)
@@ -153,7 +138,7 @@ def _vehicle(
         "years": (max(starts) - min(starts)) / YEAR_S,
         "distance_km": sum(row["distance_m"] or 0.0 for row in rows) / 1000.0,
         "without_load": sum(map(without_load, rows)),
-        "mismatch": _mean_mismatch([row for row in rows if not without_load(row)]),
+        "mismatch": _mean_mismatch(rows, False),
         "values": values,
         "changes": [_change(c, max(starts), limits.get(c.parameter)) for c in changes],
         "least_gain": least if np.isfinite(least) else None,
@@ -214,27 +199,26 @@ def _months(rows: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, 
 
 
 def _month(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    loaded, others = [row for row in rows if not without_load(row)], [row for row in rows if without_load(row)]
     return {
         "recordings": len(rows),
-        "mismatch": _mean_mismatch(loaded),
-        "without_load": len(others),
-        "mismatch_without_load": _mean_mismatch(others),
+        "mismatch": _mean_mismatch(rows, False),
+        "without_load": sum(map(without_load, rows)),
+        "mismatch_without_load": _mean_mismatch(rows, True),
     }
 
 
-def _mean_mismatch(rows: Sequence[Mapping[str, Any]]) -> float | None:
-    return float(np.mean([row["mismatch"] for row in rows])) if rows else None
+def _mean_mismatch(rows: Sequence[Mapping[str, Any]], unloaded: bool) -> float | None:
+    """Of those without a load, or of the others."""
+    found = [row["mismatch"] for row in rows if without_load(row) is unloaded]
+    return float(np.mean(found)) if found else None
 
 
 def change_sentence(vehicle: str, c: Mapping[str, Any]) -> str:
     """A change in a sentence."""
     how = "rises" if c["size"] > 0 else "falls"
-    what = (
-        f"{c['parameter']} {how} gradually since {c['since']}"
-        if c["kind"] == RAMP
-        else (f"{c['parameter']} {'rose' if c['size'] > 0 else 'fell'} at once on {c['since']}")
-    )
+    what = f"{c['parameter']} {'rose' if c['size'] > 0 else 'fell'} at once on {c['since']}"
+    if c["kind"] == RAMP:
+        what = f"{c['parameter']} {how} gradually since {c['since']}"
     size = f"{figures(abs(c['size']))} +- {figures(TWO_SIDED_95 * c['size_std'], 2)}"
     if c["relative"] is not None:
         size += f" ({100.0 * c['relative']:+.0f} %)"

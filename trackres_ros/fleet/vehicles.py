@@ -3,8 +3,6 @@
 
 """The vehicles of a fleet, with their files and recordings."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,33 +24,15 @@ NOT_A_NAME = ("", ".", "..", "none")
 
 @dataclass(frozen=True, slots=True)
 class FleetVehicle:
-    """One vehicle.
+    """One vehicle."""
 
-    Attributes
-    ----------
-    name
-        Of the individual vehicle; `file` describes its type.
-    file
-        Its vehicle file.
-    sha
-        Digest of that file, and of the files it names.
-    patterns
-        Globs for the paths of its recordings; by default a folder of the path must have its name.
-    topics
-        Topic or column of each role; None to guess.
-    topics_sha
-        Digest of the topics file; empty without one.
-    limits
-        By parameter: value for maintenance.
-    """
-
-    name: str
+    name: str  # of the individual vehicle; `file` describes its type
     file: Path
-    sha: str
-    patterns: tuple[str, ...] = ()
-    topics: Path | None = None
-    topics_sha: str = ""
-    limits: Mapping[str, float] = field(default_factory=dict)
+    sha: str  # digest of that file, and of the files it names
+    patterns: tuple[str, ...] = ()  # globs for the paths of its recordings; by default a folder of the path must have its name
+    topics: Path | None = None  # topic or column of each role; None to guess
+    topics_sha: str = ""  # digest of the topics file; empty without one
+    limits: Mapping[str, float] = field(default_factory=dict)  # by parameter: value for maintenance
 
     def owns(self, url: str) -> bool:
         """Whether a recording is this vehicle's."""
@@ -69,13 +49,7 @@ class Fleet:
     vehicles: Mapping[str, FleetVehicle]
 
     def vehicle_of(self, url: str) -> FleetVehicle:
-        """Vehicle of a recording.
-
-        Raises
-        ------
-        InputError
-            If it belongs to none, or to several.
-        """
+        """Vehicle of a recording. Raises InputError if it belongs to none, or to several."""
         of = [vehicle for vehicle in self.vehicles.values() if vehicle.owns(url)]
         if len(of) == 1:
             return of[0]
@@ -98,13 +72,7 @@ def one_vehicle(path_or_name: str, topics_path_or_name: str | None) -> Fleet:
 
 
 def read_fleet(path: Path) -> Fleet:
-    """Read a fleet.yaml; paths in it are relative to it.
-
-    Raises
-    ------
-    InputError
-        If it cannot be used.
-    """
+    """Read a fleet.yaml; paths in it are relative to it. Raises InputError if it cannot be used."""
     content = read_yaml(path, ALLOWED)
     unknown = [key for key in content if key != "vehicles"]
     if unknown:
@@ -152,13 +120,7 @@ def _beside(path: Path, given: object, where: str) -> Path:
 
 
 def digest(path: Path) -> str:
-    """Digest of a vehicle or topics file, and of the files in it that its lines name.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read.
-    """
+    """Digest of a vehicle or topics file, and of the files in it that its lines name. Raises InputError if it cannot be read."""
     content = read_yaml(path)
     found = hashlib.sha256(path.read_bytes())
     for name in sorted(_files_named(content)):

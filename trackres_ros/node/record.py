@@ -205,7 +205,7 @@ class Recorder:
             if isinstance(content, bytes):
                 # A simulated clock stands still between its ticks; two samples without a stamp would have the same time.
                 self._last[index] = max(arrival_ns if arrival_ns > 0 else first_ns, self._last[index] + 1)
-                self._bag.write_raw(self._topics[index], content, self._last[index])
+                self._bag.writer.write_raw(self._topics[index], content, self._last[index])
             else:
                 rows.append((content, stamp_ns, arrival_ns))
         if rows:
@@ -213,12 +213,12 @@ class Recorder:
             steps = Steps(np.array(stamps, dtype=np.int64), np.array(arrivals, dtype=np.int64), np.array(values))
             self._unseen.append(steps)
             self._bag.write(steps)
-        self._bag.flush()
+        self._bag.writer.flush()
         if sum(len(steps.rows) for steps in self._unseen) >= PREVIEW_ROWS:
             self._see()
         if items:
             self._began_ns = self._began_ns or first_ns
-            if self._limits.due(self._bag.size, items[-1][3] - self._began_ns):
+            if self._limits.due(self._bag.writer.size, items[-1][3] - self._began_ns):
                 self._close()
                 self._open()
 
@@ -235,7 +235,7 @@ class Recorder:
         bag = OutputBag(path, self._estimator, self._learned, self._part)
         bag.__enter__()
         self._topics: list[BagTopic] = [
-            bag.raw_topic(input_name(given.name, "/"), given.type, text) for given, text in self._given
+            bag.writer.raw_topic(input_name(given.name, "/"), given.type, text) for given, text in self._given
         ]
         self._bag, self._began_ns = bag, 0
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -38,7 +39,7 @@ class OutputBag:
     """Writes blocks of results; the file is put in place when the `with` block ends well. See `BagWriter` for `part`."""
 
     def __init__(self, path: Path, estimator: Estimator, learned: LearnedTopic | None = None, part: Path | None = None) -> None:
-        self.path, self._writer = path, BagWriter(path, part=part)
+        self.path, self.writer = path, BagWriter(path, part=part)
         self._estimator, self._learned = estimator, learned
         self._topics: list[tuple[OutputTopic, BagTopic]] = []
         self._last_reasons: int | None = None
@@ -46,40 +47,23 @@ class OutputBag:
 
     def __enter__(self) -> Self:
         """Begin the file and announce the topics."""
-        self._writer.__enter__()
+        self.writer.__enter__()
         parameters = () if self._learned is None else (PARAMETERS_TOPIC,)
         for topic in (*output_topics(self._estimator.vehicle), *parameters):
             fields = FIELDS.get(topic.kind, tuple(f"effort[{i}]" for i in range(len(topic.names))))
-            template = None if topic.kind == "status" else template_message(topic, self._writer.typestore, BASE_FRAME)
+            template = None if topic.kind == "status" else template_message(topic, self.writer.typestore, BASE_FRAME)
             name = f"/{DEFAULT_NODE}/{topic.name}"
-            self._topics.append((topic, self._writer.topic(name, topic.type, template, fields if template is not None else ())))
+            self._topics.append((topic, self.writer.topic(name, topic.type, template, fields if template is not None else ())))
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Finish the file."""
-        self._writer.__exit__(kind, error, trace)
-
-    @property
-    def size(self) -> int:
-        """Bytes written so far."""
-        return self._writer.size
+        self.writer.__exit__(kind, error, trace)
 
     @property
     def estimates(self) -> int:
         """Rows of results in the file."""
         return self._topics[0][1].count
-
-    def flush(self) -> None:
-        """Write pending messages; see `BagWriter.flush`."""
-        self._writer.flush()
-
-    def raw_topic(self, name: str, msgtype: str, text: str) -> BagTopic:
-        """Announce an additional topic, for `write_raw`; see `BagWriter.raw_topic`."""
-        return self._writer.raw_topic(name, msgtype, text)
-
-    def write_raw(self, topic: BagTopic, raw: bytes, log_ns: int) -> None:
-        """Write a serialised message of such a topic."""
-        self._writer.write_raw(topic, raw, log_ns)
 
     def write(self, steps: Steps) -> None:
         """Write the results of a block of messages on all topics."""
@@ -92,65 +76,57 @@ class OutputBag:
                 continue
             values = values_of(topic, steps.rows, self._estimator.column_index)
             known = np.isfinite(values).all(axis=1)
-            self._writer.write_block(bag_topic, steps.stamp_ns[known], steps.arrival_ns[known], values[known])
+            self.writer.write_block(bag_topic, steps.stamp_ns[known], steps.arrival_ns[known], values[known])
 
     def _write_status(self, topic: BagTopic, steps: Steps) -> None:
         reasons = steps.rows[:, at.Results.reasons].astype(np.int64)
         before = np.concatenate([[-1 if self._last_reasons is None else self._last_reasons], reasons[:-1]])
         for i in self._due(steps.arrival_ns, reasons != before):
-            message = self._status(int(reasons[i]))
-            self._writer.write(topic, message, int(steps.stamp_ns[i]), int(steps.arrival_ns[i]))
+            level, text = status_of(at.Reason(int(reasons[i])))
+            message = self._diagnostics([(level, "estimate", text, ())])
+            self.writer.write(topic, message, int(steps.stamp_ns[i]), int(steps.arrival_ns[i]))
         if len(reasons):
             self._last_reasons = int(reasons[-1])
 
     def _write_learned(self, topic: BagTopic, steps: Steps) -> None:
         """Learned values, once a second."""
         assert self._learned is not None
-        types = self._writer.typestore.types
-        status, pair = types["diagnostic_msgs/msg/DiagnosticStatus"], types["diagnostic_msgs/msg/KeyValue"]
         for i, second in enumerate((steps.arrival_ns // STATUS_PERIOD_NS).tolist()):
-            if second == self._last_learned_ns:
-                continue
-            self._last_learned_ns = second
-            found = [
-                status(
-                    level=0,
-                    name=f"{DEFAULT_NODE}: {name}",
-                    message=message,
-                    hardware_id=self._estimator.vehicle.name,
-                    values=[pair(key=key, value=value) for key, value in known],
-                )
-                for name, message, known in self._learned.lines(steps.rows[i].tolist())
-            ]
-            array = types["diagnostic_msgs/msg/DiagnosticArray"](header=self._header(), status=found)
-            self._writer.write(topic, array, int(steps.stamp_ns[i]), int(steps.arrival_ns[i]))
+            if second != self._last_learned_ns:
+                self._last_learned_ns = second
+                found = [(0, name, message, known) for name, message, known in self._learned.lines(steps.rows[i].tolist())]
+                self.writer.write(topic, self._diagnostics(found), int(steps.stamp_ns[i]), int(steps.arrival_ns[i]))
 
     def _due(self, arrival_ns: NDArray[np.int64], changed: NDArray[np.bool_]) -> list[int]:
         """Rows at which a status is due: at each change, and once a second."""
+        if not len(arrival_ns):
+            return []
         period = arrival_ns // STATUS_PERIOD_NS
-        new_second = np.concatenate([[period[0] != self._last_status_ns], np.diff(period) != 0]) if len(period) else changed
-        if len(period):
-            self._last_status_ns = int(period[-1])
+        new_second = np.concatenate([[period[0] != self._last_status_ns], np.diff(period) != 0])
+        self._last_status_ns = int(period[-1])
         return [int(i) for i in np.flatnonzero(changed | new_second)]
 
-    def _status(self, reasons: int) -> Any:
-        types = self._writer.typestore.types
-        level, text = status_of(at.Reason(reasons))
-        status = types["diagnostic_msgs/msg/DiagnosticStatus"](
-            level=level, name=f"{DEFAULT_NODE}: estimate", message=text, hardware_id=self._estimator.vehicle.name, values=[]
-        )
-        return types["diagnostic_msgs/msg/DiagnosticArray"](header=self._header(), status=[status])
-
-    def _header(self) -> Any:
-        types = self._writer.typestore.types
-        return types["std_msgs/msg/Header"](stamp=types["builtin_interfaces/msg/Time"](sec=0, nanosec=0), frame_id=BASE_FRAME)
+    def _diagnostics(self, statuses: Iterable[tuple[int, str, str, Iterable[tuple[str, str]]]]) -> Any:
+        """A message of some statuses, each with level, name, text and values."""
+        types, node, vehicle = self.writer.typestore.types, DEFAULT_NODE, self._estimator.vehicle.name
+        status, pair = types["diagnostic_msgs/msg/DiagnosticStatus"], types["diagnostic_msgs/msg/KeyValue"]
+        listed = [
+            status(
+                level=level,
+                name=f"{node}: {name}",
+                message=text,
+                hardware_id=vehicle,
+                values=[pair(key=k, value=v) for k, v in of],
+            )
+            for level, name, text, of in statuses
+        ]
+        return types["diagnostic_msgs/msg/DiagnosticArray"](header=_header(types, BASE_FRAME), status=listed)
 
 
 def template_message(topic: OutputTopic, typestore: Typestore, frame_id: str) -> Any:
     """A message of a topic with all its strings, and zeros for its numbers and its stamp."""
     types = typestore.types
-    stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
-    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
+    header = _header(types, frame_id)
     if topic.kind == "joints":
         none = np.zeros(0)
         efforts = np.zeros(len(topic.names))
@@ -162,3 +138,7 @@ def template_message(topic: OutputTopic, typestore: Typestore, frame_id: str) ->
     if topic.kind == "temperature":
         return types[topic.type](header=header, temperature=0.0, variance=0.0)
     return types[topic.type](data=0.0)
+
+
+def _header(types: Mapping[str, Any], frame_id: str) -> Any:
+    return types["std_msgs/msg/Header"](stamp=types["builtin_interfaces/msg/Time"](sec=0, nanosec=0), frame_id=frame_id)

@@ -3,8 +3,6 @@
 
 """Layouts of PlotJuggler and Foxglove for the topics of a node or of a replay's bag, made from the table of topics."""
 
-from __future__ import annotations
-
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
@@ -42,10 +40,7 @@ class LayoutPlot:
 def write_layouts(vehicle: AnyVehicle, folder: Path, base: str = DEFAULT_BASE) -> list[Path]:
     """Write `plotjuggler.xml` and `foxglove.json` for a vehicle's topics below a node's full name.
 
-    Raises
-    ------
-    InputError
-        If the folder cannot be made or written to.
+    Raises InputError if the folder cannot be made or written to.
     """
     folder = output_folder(folder, "--output")
     folder.mkdir(parents=True, exist_ok=True)
@@ -55,7 +50,7 @@ def write_layouts(vehicle: AnyVehicle, folder: Path, base: str = DEFAULT_BASE) -
     return list(texts)
 
 
-def plots(vehicle: AnyVehicle, base: str = DEFAULT_BASE) -> tuple[LayoutPlot, ...]:
+def _plots(vehicle: AnyVehicle, base: str) -> tuple[LayoutPlot, ...]:
     """Torque by part, feed-forward, belts, and measured against expected torque."""
     topics = {topic.name: topic for topic in output_topics(vehicle)}
     resistance, residual = topics["resistance_torque"], topics["torque_residual"]
@@ -81,7 +76,7 @@ def plots(vehicle: AnyVehicle, base: str = DEFAULT_BASE) -> tuple[LayoutPlot, ..
         LayoutPlot(
             "Feed-forward torque [Nm]", (LayoutCurve("feed-forward", f"{wrench}/wrench/torque/y", f"{wrench}.wrench.torque.y"),)
         ),
-        *([] if not assemblies else belts),
+        *(belts if assemblies else ()),
         LayoutPlot("Measured and expected torque [Nm]", joints(residual, residual.names)),
     )
 
@@ -90,7 +85,7 @@ def plotjuggler(vehicle: AnyVehicle, base: str = DEFAULT_BASE) -> str:
     """A layout file of PlotJuggler 3: a tab for the torque, one for the assemblies."""
     root = ET.Element("root")
     widget = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
-    everything = plots(vehicle, base)
+    everything = _plots(vehicle, base)
     tabs = (("torque and temperature", everything[:3]), ("assemblies, measured", everything[3:]))
     for title, shown in tabs if vehicle.assemblies else (("torque", everything),):
         tab = ET.SubElement(widget, "Tab", tab_name=title, containers="1")
@@ -134,7 +129,7 @@ def foxglove(vehicle: AnyVehicle, base: str = DEFAULT_BASE) -> str:
             "xAxisVal": "timestamp",
             "followingViewWidth": SHOWN_S,
         }
-        for number, plot in enumerate(plots(vehicle, base))
+        for number, plot in enumerate(_plots(vehicle, base))
     }
     column = _column(list(panels))
     panels["DiagnosticSummary!trackres"] = {

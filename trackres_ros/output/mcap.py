@@ -3,8 +3,6 @@
 
 """Writes an MCAP file in blocks, as Foxglove, PlotJuggler and `ros2 bag play` open it."""
 
-from __future__ import annotations
-
 import os
 import struct
 import zlib
@@ -13,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,33 +59,25 @@ class BagTopic:
 class BagWriter:
     """Writes one MCAP file, as Foxglove, PlotJuggler and ``ros2 bag play`` open it.
 
-    The file is put in place only when the `with` block ends without an exception. Messages are sorted by log time within
-    a batch, which ends when a topic is written again. A chunk is written completely or not at all, so the file can be read
-    up to its last chunk at any time, whatever ends the program or fills the disk.
+    The file is put in place only when the `with` block ends without an exception. Messages are sorted by log time within a batch,
+    which ends when a topic is written again. A chunk is written completely or not at all, so the file can be read up to its last
+    chunk at any time, whatever ends the program or fills the disk. Raises MissingExtraError if rosbags is not installed; it
+    provides the message types.
 
     Parameters
     ----------
     path : Path
         The file, replaced if it exists.
-    storage : str
-        Only ``mcap``.
     part : Path, optional
         File for writing until it is finished, which must be new. It stays if it cannot be finished; by default a hidden file in
         the same folder, which never stays.
-
-    Raises
-    ------
-    MissingExtraError
-        rosbags is not installed; it provides the message types.
     """
 
-    def __init__(self, path: Path, storage: Literal["mcap"] = "mcap", part: Path | None = None) -> None:
+    def __init__(self, path: Path, part: Path | None = None) -> None:
         try:
             from rosbags.typesys import Stores, get_typestore
         except ImportError:
             raise MissingExtraError("writing bags", "rosbags", "bags") from None
-        if storage != "mcap":
-            raise InputError(f"{path}: storage", storage, "mcap")
         if not path.parent.is_dir():
             raise InputError(str(path), f"no folder {path.parent}", "a file in a folder that is there")
         self.path = path
@@ -138,19 +128,9 @@ class BagWriter:
     def topic(self, name: str, msgtype: str, template: object = None, fields: Sequence[str] = ()) -> BagTopic:
         """Announce a topic.
 
-        Parameters
-        ----------
-        name, msgtype : str
-            Topic, and ``package/msg/Name``.
-        template : message object of `typestore`, optional
-            For `write_block`: constant strings and sequences.
-        fields : sequence of str
-            Paths of the k numbers that `write_block` sets.
-
-        Raises
-        ------
-        InputError
-            An unknown type, or a field path that does not lead to a number of the template.
+        Raises InputError for an unknown type, or a field path that does not lead to a number of the template. `name`, `msgtype`:
+        topic, and ``package/msg/Name``; `template`: for `write_block`: constant strings and sequences; `fields`: paths of the k
+        numbers that `write_block` sets.
         """
         try:
             types = definitions(message_fields(self.typestore), msgtype)
@@ -174,14 +154,8 @@ class BagWriter:
     def write_block(self, topic: BagTopic, stamp_ns: IntArray, log_ns: IntArray, values: FloatArray) -> None:
         """Write n messages that differ in stamp and numbers only.
 
-        Parameters
-        ----------
-        topic : BagTopic
-            Announced with a template.
-        stamp_ns, log_ns : ndarray of int64, shape (n,)
-            Header stamps, and log times, from 0 on [ns].
-        values : ndarray of float64, shape (n, k)
-            The numbers of the fields of the topic.
+        `topic`: announced with a template; `stamp_ns`, `log_ns`: header stamps, and log times, from 0 on [ns], shape (n,);
+        `values`: the numbers of the fields of the topic, shape (n, k).
         """
         if topic.template is None:
             raise InputError(f"{self.path}: {topic.name}", "no template", "a topic with a template message")
@@ -228,10 +202,7 @@ class BagWriter:
     def flush(self) -> None:
         """Write pending messages in the order of log time; a program that is killed afterwards does not lose them.
 
-        Raises
-        ------
-        OSError
-            Pending messages are then lost, and the file ends with its last complete chunk: writing can continue.
+        After an OSError, pending messages are lost, and the file ends with its last complete chunk: writing can continue.
         """
         try:
             self._append(self._new)

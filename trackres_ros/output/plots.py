@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,10 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.errors import InputError
-from trackres_ros.output.learned_plot import draw_coverage, draw_values, is_there
+from trackres_ros.learning.buckets import BELT_DEGC, FILLED_S, SPEED_SHARES
 from trackres_ros.output.style import (
     BLACK,
     BLUE,
+    GREEN,
     GREY,
     MOST_POINTS,
     ORANGE,
@@ -42,26 +44,26 @@ HOURS_FROM_S = 3 * 3600.0  # a longer time axis is in hours
 ESTIMATE_INCHES = (9.0, 7.2)
 LEARNED_INCHES, MAP_INCHES = 1.8, 2.2  # taller with learned values
 ALIKE_K = 0.5  # assemblies with smaller temperature differences share one line
-MEASURED = ("torque_nm", "belt_degc")
+LEARNED = {
+    "loss_modulus_scale": "loss of the belts", "bearing_friction": "bearings", "drag_coefficient": "drag",
+    "rotating_mass_factor": "mass",
+}  # fmt: skip
+COLOURS = (BLUE, ORANGE, SKY, GREEN)
+LETTERS_FROM = 0.6  # of the darkest: letters on it are white
 
 
-def plot_estimate(
-    path: Path, time_s: ArrayLike, columns: Mapping[str, Array], title: str, measured: Mapping[str, Array] | None = None
-) -> None:
+def plot_estimate(path: Path, time_s: ArrayLike, columns: Mapping[str, Array], title: str) -> None:
     """`estimate_figure` as a PNG file."""
     with empty_figure(*ESTIMATE_INCHES) as figure:
-        _draw_estimate(figure, time_s, columns, title, measured)
+        _draw_estimate(figure, time_s, columns, title)
         write_figure(figure, path)
 
 
-def estimate_figure(
-    time_s: ArrayLike,
-    columns: Mapping[str, Array],
-    title: str,
-    measured: Mapping[str, Array] | None = None,
-    coverage: Array | None = None,
-) -> Figure:
+def estimate_figure(time_s: ArrayLike, columns: Mapping[str, Array], title: str, coverage: Array | None = None) -> Figure:
     """Speed, torques and belt temperature over one time axis.
+
+    Raises MissingExtraError if matplotlib is not installed; InputError on an empty series, or one whose length is not that of the
+    time.
 
     Parameters
     ----------
@@ -70,68 +72,48 @@ def estimate_figure(
     columns
         Series by name, each of shape (times,), from `simulate.simulate` or a replay: `speed_mps`,
         `resistance_torque_nm` with `resistance_std_nm`, its parts (`resistance.RESISTANCE_PARTS`), `drive_torque_nm`,
-        `belt_degc` or `belt_degc/<assembly>` with `belt_std_k/<assembly>`, `ambient_degc`. Missing ones are not drawn.
+        `belt_degc` or `belt_degc/<assembly>` with `belt_std_k/<assembly>`, `ambient_degc`, `measured_torque_nm` (nan
+        without a measurement; it includes the inertia, so `drive_torque_nm` is drawn with it). Missing ones are not drawn.
     title
         Heading of the picture.
-    measured
-        `torque_nm` [Nm] and `belt_degc` [degC], each of shape (times,), nan without a measurement. A measured torque
-        includes the inertia, so the estimated drive torque is drawn with it. By default the column `measured_torque_nm`.
     coverage
         Seconds used for learning, as counted by `learning.buckets`; drawn as a map below the learned values.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    InputError
-        On an empty series, a measured one of another name, or one whose length is not that of the time.
     """
     with empty_figure(*ESTIMATE_INCHES) as figure:
-        _draw_estimate(figure, time_s, columns, title, measured, coverage)
+        _draw_estimate(figure, time_s, columns, title, coverage)
         figure.draw_without_rendering()  # ticks and text are made now, in this look
     return figure
 
 
 def _draw_estimate(
-    figure: Figure,
-    time_s: ArrayLike,
-    columns: Mapping[str, Array],
-    title: str,
-    measured: Mapping[str, Array] | None,
-    coverage: Array | None = None,
+    figure: Figure, time_s: ArrayLike, columns: Mapping[str, Array], title: str, coverage: Array | None = None
 ) -> None:
     time = np.asarray(time_s, float)
     if len(time) == 0:
         raise InputError("estimate", "no rows", "at least one row to draw")
-    given = dict(measured or {})
-    if unknown := sorted(set(given) - set(MEASURED)):
-        raise InputError("measured", unknown[0], f"one of {', '.join(MEASURED)}")
-    if "torque_nm" not in given and "measured_torque_nm" in columns:
-        given["torque_nm"] = columns["measured_torque_nm"]
-    given = {name: values for name, values in given.items() if np.isfinite(values).any()}
-    for name, values in (*columns.items(), *given.items()):
+    for name, values in columns.items():
         if np.shape(values) != time.shape:
             raise InputError(f"column {name}", np.shape(values), f"the shape of the time, {time.shape}")
     in_hours = float(time[-1] - time[0]) > HOURS_FROM_S
     x = time / 3600.0 if in_hours else time
     drawn: FigureBase = figure
-    if learned := is_there(columns):
+    if learned := _is_there(columns):
         figure.set_size_inches(
             ESTIMATE_INCHES[0], ESTIMATE_INCHES[1] + LEARNED_INCHES + (0.0 if coverage is None else MAP_INCHES)
         )
         if coverage is not None:
             heights = (ESTIMATE_INCHES[1] + LEARNED_INCHES, MAP_INCHES)
             drawn, below = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=heights)))
-            draw_coverage(below.subplots(), coverage)
+            _draw_coverage(below.subplots(), coverage)
     parts = drawn.subplots(3 + learned, 1, sharex=True, height_ratios=(1.0, 1.8, 1.4, 1.2)[: 3 + learned])
     speed, torque, belt = parts[:3]
     figure.suptitle(shortened(title, TITLE_LETTERS), x=0.01, ha="left", fontsize=11)
     _line(speed, x, np.asarray(columns["speed_mps"], float) * KMH_PER_MPS, "speed", BLACK)
     speed.set_ylabel("speed [km/h]")
-    _draw_torque(torque, x, columns, given.get("torque_nm"))
-    _draw_belt(belt, x, columns, given.get("belt_degc"))
+    _draw_torque(torque, x, columns)
+    _draw_belt(belt, x, columns)
     if learned:
-        draw_values(parts[3], x, columns)
+        _draw_values(parts[3], x, columns)
     parts[-1].set_xlabel("time [h]" if in_hours else "time [s]")
     for axes in parts:
         axes.margins(x=0.01)
@@ -139,9 +121,9 @@ def _draw_estimate(
     drawn.align_ylabels()
 
 
-def _draw_torque(axes: Axes, x: Array, columns: Mapping[str, Array], measured: Array | None) -> None:
-    if measured is not None:
-        _line(axes, x, measured, "measured", VERMILION, linewidth=0.9)
+def _draw_torque(axes: Axes, x: Array, columns: Mapping[str, Array]) -> None:
+    if np.isfinite(columns.get("measured_torque_nm", np.nan)).any():
+        _line(axes, x, columns["measured_torque_nm"], "measured", VERMILION, linewidth=0.9)
         if "drive_torque_nm" in columns:
             _line(axes, x, columns["drive_torque_nm"], "drive torque", GREY, linewidth=0.9)
     has_belts = any(name.startswith("belt_degc") for name in columns)
@@ -159,9 +141,7 @@ def _draw_torque(axes: Axes, x: Array, columns: Mapping[str, Array], measured: A
     axes.set_ylabel(f"torque at {'sprockets' if has_belts else 'wheels'} [Nm]")
 
 
-def _draw_belt(axes: Axes, x: Array, columns: Mapping[str, Array], measured: Array | None) -> None:
-    if measured is not None:
-        _line(axes, x, measured, "measured", VERMILION, linestyle="none", marker=".", markersize=5)
+def _draw_belt(axes: Axes, x: Array, columns: Mapping[str, Array]) -> None:
     by_assembly = {
         name.partition("/")[2]: np.asarray(values, float) for name, values in columns.items() if name.startswith("belt_degc/")
     }
@@ -194,3 +174,44 @@ def _band(axes: Axes, x: Array, middle: Array, std: Array, colour: str) -> None:
     low = np.fmin.reduceat(np.asarray(middle) - np.asarray(std), starts)
     high = np.fmax.reduceat(np.asarray(middle) + np.asarray(std), starts)
     axes.fill_between(x[starts], low, high, color=colour, alpha=0.15, linewidth=0.0, label="± 1 std")
+
+
+def _is_there(columns: Mapping[str, Array]) -> bool:
+    """Whether anything was learned from."""
+    return any(f"learned_{name}" in columns for name in LEARNED)
+
+
+def _draw_values(axes: Axes, x: Array, columns: Mapping[str, Array]) -> None:
+    """Values relative to the first, with one standard deviation to either side."""
+    for (name, label), colour in zip(LEARNED.items(), COLOURS, strict=True):
+        if f"learned_{name}" not in columns:
+            continue
+        value, std = np.asarray(columns[f"learned_{name}"], float), np.asarray(columns[f"learned_{name}_std"], float)
+        first = value[0] if value[0] else 1.0
+        axes.plot(x, value / first, color=colour, label=label)
+        axes.fill_between(x, (value - std) / first, (value + std) / first, color=colour, alpha=0.12, linewidth=0.0)
+    axes.set_ylabel("learned, over the first")
+
+
+def _draw_coverage(axes: Axes, seconds: Array) -> None:
+    """Seconds that were learned from, by belt temperature and speed; loads are summed up.
+
+    `seconds`: shape (speeds, belt temperatures, loads), as `learning.buckets` counts them.
+    """
+    shown = np.asarray(seconds.sum(axis=2))
+    most = max(float(shown.max()), FILLED_S)
+    axes.imshow(shown, cmap="Blues", vmin=0.0, vmax=most, aspect="auto", origin="lower")
+    for i, row in enumerate(shown.tolist()):
+        for j, count in enumerate(row):
+            colour = "white" if count > LETTERS_FROM * most else "black"
+            axes.text(j, i, f"{count:.0f} s", ha="center", va="center", fontsize=7.0, color=colour)
+    axes.set_xticks(range(shown.shape[1]), _between(BELT_DEGC, "{:.0f}"))
+    axes.set_yticks(range(shown.shape[0]), _between(tuple(100.0 * share for share in SPEED_SHARES), "{:.0f}"))
+    axes.set_xlabel("learned from: belt [°C]")
+    axes.set_ylabel("speed [% of greatest]")
+    axes.grid(visible=False)
+
+
+def _between(edges: tuple[float, ...], form: str) -> list[str]:
+    inner = [f"{form.format(a)}-{form.format(b)}" for a, b in pairwise(edges)]
+    return [f"< {form.format(edges[0])}", *inner, f"> {form.format(edges[-1])}"]

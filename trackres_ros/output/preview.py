@@ -3,8 +3,6 @@
 
 """Keeps a preview of results that pass by in blocks: the last row, and a thinned series for a picture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

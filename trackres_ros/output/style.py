@@ -63,10 +63,7 @@ LOOK: dict[Any, Any] = {
 def picture(path: Path, width: float, height: float) -> Iterator[Figure]:
     """An empty figure [inches], written when the block ends: SVG by the suffix of the path, else PNG.
 
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
+    Raises MissingExtraError if matplotlib is not installed.
     """
     with empty_figure(width, height) as figure:
         yield figure
@@ -164,18 +161,9 @@ def shortened(text: str, most: int) -> str:
 def thinned(x: ArrayLike, y: ArrayLike, most: int = MOST_POINTS) -> tuple[Array, Array]:
     """At most `most` points of a line that keep its least and greatest values.
 
-    Parameters
-    ----------
-    x, y
-        The line, each of shape (points,); nan in `y` is a gap.
-    most
-        Longest line that stays unchanged.
-
-    Returns
-    -------
-    x, y
-        The line itself if it is short enough; else, for each stretch of equal count, the points with the least
-        and the greatest value, in their order. A stretch without values stays a gap.
+    `x`, `y`: the line, each of shape (points,); nan in `y` is a gap; `most`: longest line that stays unchanged. Returns the line
+    itself if it is short enough; else, for each stretch of equal count, the points with the least and the greatest value, in
+    their order. A stretch without values stays a gap.
     """
     x, y = np.asarray(x, float), np.asarray(y, float)
     if len(y) <= most:

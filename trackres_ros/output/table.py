@@ -3,14 +3,13 @@
 
 """Writes tables: CSV and Parquet, in which equal numbers give equal bytes, and MDF."""
 
-from __future__ import annotations
-
 import csv
 import gzip
 import io
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
+from datetime import UTC, datetime, timedelta
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
@@ -21,20 +20,25 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.files.output_files import TABLE_SUFFIXES, WRITTEN_WITH
-from trackres_ros.output.mdf import MdfTable
 from trackres_ros.recording.samples import FloatArray
 
 EXACT = ("time_s",)
 """Of estimates: columns that keep double precision in Parquet."""
 CHUNK_ROWS = 8192
 """Rows of a CSV that are put together at once."""
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+UNITS = {
+    "s": "s", "ns": "ns", "mps": "m/s", "mps2": "m/s^2", "n": "N", "nm": "N m", "degc": "degC", "k": "K", "w": "W",
+}  # fmt: skip
+"""The unit in the last word of a column name."""
 
 
 class TableWriter:
     """Writes a table block by block; it is put in place only when the `with` block ends without an exception.
 
     In CSV a NaN becomes an empty cell, every other number the shortest text that reads back as the same number. Equal numbers
-    give equal bytes, except in MDF, which contains the time of writing.
+    give equal bytes, except in MDF, which contains the time of writing. Raises InputError for another suffix, or no such folder;
+    MissingExtraError if the library for Parquet or MDF is not installed.
 
     Parameters
     ----------
@@ -45,13 +49,6 @@ class TableWriter:
     estimates : bool
         Whether all numbers except times are estimates. Parquet and MDF store these in single precision: seven digits, a thousand
         times finer than their accuracy.
-
-    Raises
-    ------
-    InputError
-        Another suffix, or no such folder.
-    MissingExtraError
-        The library for Parquet or MDF is not installed.
     """
 
     def __init__(self, path: Path, names: Sequence[str], estimates: bool = False) -> None:
@@ -138,19 +135,8 @@ class TableWriter:
 def write_table(path: Path, columns: Mapping[str, NDArray[Any]], estimates: bool = False) -> None:
     """Write a whole table; see `TableWriter`.
 
-    Parameters
-    ----------
-    path : Path
-        ``.csv``, ``.csv.gz``, ``.parquet`` or ``.mf4``.
-    columns : mapping of str to ndarray, each of shape (n,)
-        Numbers or texts by name.
-    estimates : bool
-        As there.
-
-    Raises
-    ------
-    InputError
-        Another suffix, no such folder, or columns of different lengths.
+    Raises InputError for another suffix, no such folder, or columns of different lengths. `path`: ``.csv``, ``.csv.gz``,
+    ``.parquet`` or ``.mf4``; `columns`: numbers or texts by name, shape (n,); `estimates`: as there.
     """
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) != 1:
@@ -171,3 +157,51 @@ def _texts(column: NDArray[Any]) -> list[str]:
         special = any(mark in text for mark in ',"\r\n')
         quoted.append('"' + text.replace('"', '""') + '"' if special else text)
     return quoted
+
+
+class MdfTable(AbstractContextManager["MdfTable"]):
+    """An MDF file written block by block; blocks are kept in a temporary file of asammdf.
+
+    `path`: final file; asammdf requires the suffix .mf4; `names`: of the columns; the first is the time [s].
+    """
+
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        from asammdf import MDF
+
+        self._path, self._names = path, names
+        self._mdf = MDF(version="4.10")
+        self._mdf.header.start_time = EPOCH
+        self._begun = False
+
+    def write(self, columns: Sequence[NDArray[Any]]) -> None:
+        """Write some rows, the time first."""
+        from asammdf import Signal
+
+        arrays = [column if column.dtype.kind in "fiu" else np.asarray(column, np.bytes_) for column in columns]
+        if self._begun:
+            self._mdf.extend(0, [(array, None) for array in arrays])
+            return
+        if "stamp_ns" in self._names and len(arrays[0]):
+            self._mdf.header.start_time = EPOCH + timedelta(microseconds=int(columns[self._names.index("stamp_ns")][0]) // 1000)
+        signals = [Signal(a, arrays[0], name=n, unit=unit_of(n)) for n, a in zip(self._names[1:], arrays[1:], strict=True)]
+        self._mdf.append(signals, acq_name="trackres", comment="written by trackres", common_timebase=True)
+        self._begun = True
+
+    def __enter__(self) -> Self:
+        """Begin."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Save the blocks, compressed; nothing after an exception."""
+        try:
+            if kind is None:
+                if not self._begun:
+                    self.write([np.empty(0)] * len(self._names))
+                self._mdf.save(self._path, overwrite=True, compression=2)
+        finally:
+            self._mdf.close()
+
+
+def unit_of(column: str) -> str:
+    """Unit of a column by its name: ``N m`` of ``resistance_torque_nm/front_left``; empty without one."""
+    return UNITS.get(column.partition("/")[0].rpartition("_")[2], "")

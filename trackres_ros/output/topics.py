@@ -8,8 +8,6 @@ positive: the feed-forward, the total drive torque, a measured torque. A quantit
 In tables, reports and the terminal a resistance is a positive number.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,19 +19,12 @@ from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.vehicle import AnyVehicle
 
 Array = NDArray[np.float64]
-
-"""Parts of the resistance torque, and the column of each; the last is that of the vehicle file's effects."""
 TOTALS = {
-    "total": "resistance_torque_nm",
-    "hysteresis": "hysteresis_nm",
-    "bearing": "bearing_nm",
-    "wind": "wind_nm",
-    "grade": "grade_nm",
-    "inertia": "inertia_nm",
-    "effects": "effects_nm",
-    "drive": "drive_torque_nm",
-}
+    "total": "resistance_torque_nm", "hysteresis": "hysteresis_nm", "bearing": "bearing_nm", "wind": "wind_nm",
+    "grade": "grade_nm", "inertia": "inertia_nm", "effects": "effects_nm", "drive": "drive_torque_nm",
+}  # fmt: skip
 """Torques of the whole vehicle; total, grade and inertia add up to the drive torque."""
+OF_ASSEMBLY = ("resistance_torque_nm", "total"), ("hysteresis_nm", "hysteresis")
 RESISTING = frozenset(("resistance_torque_nm", "grade_nm", "inertia_nm", *RESISTANCE_PARTS.values()))
 DEFAULT_NODE = "trackres"
 BASE_FRAME = "base_link"
@@ -41,26 +32,17 @@ BASE_FRAME = "base_link"
 
 @dataclass(frozen=True)
 class OutputTopic:
-    """One topic: its name below the node's, message type, meaning, and its numbers.
-
-    Attributes
-    ----------
-    kind
-        Layout of the numbers in the message: `joints` (JointState: names and efforts), `wrench` (WrenchStamped: torque
-        about y), `number` (Float64), `temperature` (Temperature: value and standard deviation), `status` (DiagnosticArray),
-        `estimate` (DynamicInterfaceGroupValues: the numbers and the level under their names, and every reason with its level).
-    columns
-        Columns of a row of results, see `estimator.layout.columns`.
-    names
-        Names of the joints, or of the interfaces of an estimate.
-    """
+    """One topic: its name below the node's, message type, meaning, and its numbers."""
 
     name: str
     type: str
+    # layout of the numbers in the message: `joints` (JointState: names and efforts), `wrench` (WrenchStamped: torque about y),
+    # `number` (Float64), `temperature` (Temperature: value and standard deviation), `status` (DiagnosticArray), `estimate`
+    # (DynamicInterfaceGroupValues: the numbers and the level under their names, and every reason with its level)
     kind: Literal["joints", "wrench", "number", "temperature", "status", "estimate"]
     meaning: str
-    columns: tuple[str, ...] = ()
-    names: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ()  # columns of a row of results, see `estimator.layout.columns`
+    names: tuple[str, ...] = ()  # names of the joints, or of the interfaces of an estimate
 
     @property
     def signs(self) -> tuple[float, ...]:
@@ -99,57 +81,26 @@ def sign_of(column: str) -> float:
 def output_topics(vehicle: AnyVehicle) -> tuple[OutputTopic, ...]:
     """All topics of a vehicle, most urgent first."""
     assemblies = [a.name for a in vehicle.assemblies]
+    by_assembly = [(f"{column}/{name}", f"{joint}/{name}") for name in assemblies for column, joint in OF_ASSEMBLY]
     return (
-        OutputTopic(
-            "feedforward_torque",
-            "geometry_msgs/msg/WrenchStamped",
-            "wrench",
-            "torque about y that cancels the chosen parts, limited in rate and size [Nm]",
-            ("feedforward_torque_nm",),
-        ),
-        OutputTopic(
-            "feedforward_torque_nm",
-            "std_msgs/msg/Float64",
-            "number",
-            "the same number without a stamp, for controllers that accept only a number",
-            ("feedforward_torque_nm",),
-        ),
-        OutputTopic(
-            "resistance_torque",
-            "sensor_msgs/msg/JointState",
-            "joints",
+        OutputTopic("feedforward_torque", "geometry_msgs/msg/WrenchStamped", "wrench",
+            "torque about y that cancels the chosen parts, limited in rate and size [Nm]", ("feedforward_torque_nm",)),
+        OutputTopic("feedforward_torque_nm", "std_msgs/msg/Float64", "number",
+            "the same number without a stamp, for controllers that accept only a number", ("feedforward_torque_nm",)),
+        OutputTopic("resistance_torque", "sensor_msgs/msg/JointState", "joints",
             "torque by part about y at the sprockets [Nm], of the vehicle and of each assembly (explained below)",
-            (
-                *TOTALS.values(),
-                *(f"{column}/{name}" for name in assemblies for column in ("resistance_torque_nm", "hysteresis_nm")),
-            ),
-            (*TOTALS, *(f"{joint}/{name}" for name in assemblies for joint in ("total", "hysteresis"))),
-        ),
+            (*TOTALS.values(), *(column for column, _ in by_assembly)), (*TOTALS, *(joint for _, joint in by_assembly))),
         *(
-            OutputTopic(
-                f"track_temperature/{name}",
-                "sensor_msgs/msg/Temperature",
-                "temperature",
-                f"mean belt temperature of {name} [degC] and its variance [K^2]",
-                (f"belt_degc/{name}", f"belt_std_k/{name}"),
-            )
+            OutputTopic(f"track_temperature/{name}", "sensor_msgs/msg/Temperature", "temperature",
+                f"mean belt temperature of {name} [degC] and its variance [K^2]", (f"belt_degc/{name}", f"belt_std_k/{name}"))
             for name in assemblies
         ),
-        OutputTopic(
-            "torque_residual",
-            "sensor_msgs/msg/JointState",
-            "joints",
+        OutputTopic("torque_residual", "sensor_msgs/msg/JointState", "joints",
             "measured minus expected drive torque [Nm], while a torque is measured",
-            ("measured_torque_nm", "drive_torque_nm", "residual_nm"),
-            ("measured", "expected", "residual"),
-        ),
-        OutputTopic(
-            "status",
-            "diagnostic_msgs/msg/DiagnosticArray",
-            "status",
-            "level and every reason for it, at each change and once a second",
-        ),
-    )
+            ("measured_torque_nm", "drive_torque_nm", "residual_nm"), ("measured", "expected", "residual")),
+        OutputTopic("status", "diagnostic_msgs/msg/DiagnosticArray", "status",
+            "level and every reason for it, at each change and once a second"),
+    )  # fmt: skip
 
 
 def values_of(topic: OutputTopic, rows: Array, index: dict[str, int]) -> Array:

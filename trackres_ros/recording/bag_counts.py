@@ -3,8 +3,6 @@
 
 """Counts the messages that a bag declares in any of its counts: those that were not read are lost."""
 
-from __future__ import annotations
-
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -13,13 +11,10 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from trackres_ros.errors import shown
+from trackres_ros.recording.mcap_format import CHUNK, DATA_END, FOOTER, HEAD, HEADER, MAGIC, MESSAGE_INDEX
 from trackres_ros.recording.unfinished import UnfinishedBag
 
 ROWS = "SELECT topic_id, count(*) FROM messages NOT INDEXED GROUP BY topic_id"
-MAGIC = b"\x89MCAP0\r\n"
-RECORD = struct.Struct("<BQ")
-"""Head of a record of MCAP: its kind, and the length of the rest."""
-HEADER, FOOTER, CHUNK, MESSAGE_INDEX, DATA_END = 0x01, 0x02, 0x06, 0x07, 0x0F
 DATA, SUMMARY = {0x03, 0x04, 0x05, CHUNK, MESSAGE_INDEX, 0x09, 0x0C, DATA_END}, {FOOTER, 0x03, 0x04, 0x08, 0x0A, 0x0B, 0x0D, 0x0E}
 """Kinds of records before and behind the end of the data."""
 FOOTER_BYTES = 20
@@ -32,21 +27,11 @@ INDEX_DATA = 4
 
 @dataclass(slots=True)
 class MessageCounts:
-    """The numbers of messages that a bag states.
+    """The numbers of messages that a bag states."""
 
-    Attributes
-    ----------
-    by_topic : Counter
-        Messages by topic.
-    unknown : int
-        Messages of a topic that the bag does not describe.
-    remarks : list of str
-        Faults of the counts themselves.
-    """
-
-    by_topic: Counter[str] = field(default_factory=Counter)
-    unknown: int = 0
-    remarks: list[str] = field(default_factory=list)
+    by_topic: Counter[str] = field(default_factory=Counter)  # messages by topic
+    unknown: int = 0  # messages of a topic that the bag does not describe
+    remarks: list[str] = field(default_factory=list)  # faults of the counts themselves
 
     def add(self, names: dict[Any, str], counts: dict[Any, int]) -> None:
         """Add counts by identity of a connection."""
@@ -65,15 +50,7 @@ class MessageCounts:
 
 
 def counts_of(reader: Any, path: Path) -> MessageCounts:
-    """Return the counts of a bag that is open.
-
-    Parameters
-    ----------
-    reader : rosbags reader
-        Of ROS 1 or 2.
-    path : Path
-        The bag.
-    """
+    """Return the counts of a bag that is open. `reader`: of ROS 1 or 2; `path`: the bag."""
     counts = MessageCounts()
     if hasattr(reader, "chunk_infos"):
         _count_ros1(reader, path, counts)
@@ -83,12 +60,16 @@ def counts_of(reader: Any, path: Path) -> MessageCounts:
             if getattr(storage, "dbconn", None) is not None:
                 counts.add(names, dict(storage.dbconn.execute(ROWS)))
             else:
-                _count_mcap(storage, names, counts)
+                indexed: Counter[int] = Counter()
+                for chunk in storage.chunks:
+                    indexed.update(chunk.channel_count)
+                stated = Counter(storage.statistics.channel_message_counts) if storage.statistics else Counter[int]()
+                counts.add(names, stated | indexed)
                 counts.remarks += _look_at_mcap(storage)
-    stated: Counter[str] = Counter()
+    by_topic: Counter[str] = Counter()
     for one in reader.connections:
-        stated[one.topic] += counts.checked(one.msgcount)
-    counts.by_topic |= stated
+        by_topic[one.topic] += counts.checked(one.msgcount)
+    counts.by_topic |= by_topic
     counts.unknown = max(counts.unknown, counts.checked(reader.message_count) - counts.by_topic.total())
     return counts
 
@@ -98,15 +79,6 @@ def storages_of(reader: Any) -> Sequence[Any]:
     if not hasattr(reader, "storage"):
         return ()
     return getattr(reader.storage, "storages", (reader.storage,))
-
-
-def _count_mcap(storage: Any, names: dict[Any, str], counts: MessageCounts) -> None:
-    """Add the larger of the counts in statistics and index, channel by channel."""
-    indexed: Counter[int] = Counter()
-    for chunk in storage.chunks:
-        indexed.update(chunk.channel_count)
-    stated = Counter(storage.statistics.channel_message_counts) if storage.statistics else Counter[int]()
-    counts.add(names, stated | indexed)
 
 
 def _look_at_mcap(storage: Any) -> Iterator[str]:
@@ -119,12 +91,12 @@ def _look_at_mcap(storage: Any) -> Iterator[str]:
         at, kind, chunks, allowed = len(MAGIC), 0, 0, {HEADER}
         while at < size and kind != FOOTER:
             file.seek(at)
-            before, (kind, length) = kind, RECORD.unpack(file.read(RECORD.size).ljust(RECORD.size))
+            before, (kind, length) = kind, HEAD.unpack(file.read(HEAD.size).ljust(HEAD.size))
             if kind not in allowed or (kind == MESSAGE_INDEX and before not in (CHUNK, MESSAGE_INDEX)):
                 break
             allowed = SUMMARY if kind == DATA_END or allowed is SUMMARY else DATA
             chunks += kind == CHUNK
-            at += RECORD.size + length
+            at += HEAD.size + length
         if at != size:
             yield f"records are not contiguous at byte {at}: later messages may be lost"
         elif chunks != len(storage.chunks):

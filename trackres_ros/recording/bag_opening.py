@@ -57,14 +57,9 @@ def remedy(path: Path) -> str:
 def open_bag(path: Path) -> Reader:
     """Open one bag for reading; the caller closes it.
 
-    Uses rosbags if that is installed, else the libraries of ROS 2, which do not read bags of ROS 1.
-
-    Raises
-    ------
-    InputError
-        It is no bag, or requires more memory or space than available.
-    MissingExtraError
-        rosbags is not installed, nor another library that reads the bag.
+    Uses rosbags if that is installed, else the libraries of ROS 2, which do not read bags of ROS 1. Raises InputError if it is no
+    bag, or requires more memory or space than available; MissingExtraError if rosbags is not installed, nor another library that
+    reads the bag.
     """
     opened = _opener(path)
     check_there(path)

@@ -38,62 +38,30 @@ class FieldStep:
 
 @dataclass(frozen=True, slots=True)
 class TopicBinding:
-    """Source of one role: a field of a topic, or a column of a table.
+    """Source of one role: a field of a topic, or a column of a table."""
 
-    Attributes
-    ----------
-    topic, type, field : str
-        Topic, message type as ``package/msg/Name``, and dotted field path; empty for a column.
-    column : str
-        Column of a table; empty for a topic.
-    scale, offset : float
-        The value in the unit of the role is ``scale * raw + offset``; of an angle given in degrees they turn it into rad.
-    stamp : str
-        ``header``, ``log``, or empty: the header's if the type has one, else log time.
-    max_age_s : float or None
-        Live: an older sample is not used [s].
-    sensor : str
-        Of a belt temperature: ``surface`` or ``mean``.
-    std_k : float
-        Standard deviation of a belt temperature [K].
-    delay_s : float
-        Delay of a torque [s]: its value belongs to that much earlier than its stamp.
-    unit : str
-        Unit of the raw numbers, if given: it is in scale and offset. Without it, the values of a position decide.
-    kg_each : float
-        Of passengers: mass of one [kg].
-    threshold : float or None
-        Of a brake: value from which it brakes; None if not given.
-    values : tuple of float
-        Of an enable given as a mode: the modes with feed-forward; empty if it is 1 or 0.
-    decimal : str
-        Of a column in text: its decimal mark; empty if its cells decide.
-    derivative : bool
-        Of a speed in a column: whether it is the distance travelled, whose rate is the speed.
-    order : str
-        Of dates with slashes or dashes: ``dmy`` or ``mdy``; empty if the whole column decides.
-    parts : tuple of TopicBinding
-        Terms of a sum: columns, or fields of topics; `scale` and `offset` then apply to the sum.
-    """
-
+    # topic, message type as ``package/msg/Name``, and dotted field path; empty for a column
     topic: str = ""
     type: str = ""
     field: str = ""
-    column: str = ""
+    column: str = ""  # column of a table; empty for a topic
+    # the value in the unit of the role is ``scale * raw + offset``; of an angle given in degrees they turn it into rad
     scale: float = 1.0
     offset: float = 0.0
-    stamp: Literal["header", "log", ""] = ""
-    max_age_s: float | None = None
-    sensor: Literal["surface", "mean"] = "surface"
-    std_k: float = 3.0
-    delay_s: float = 0.0
-    unit: str = ""
-    kg_each: float = PASSENGER_KG
-    threshold: float | None = None
-    values: tuple[float, ...] = ()
-    decimal: Literal[".", ",", ""] = ""
-    derivative: bool = False
+    stamp: Literal["header", "log", ""] = ""  # ``header``, ``log``, or empty: the header's if the type has one, else log time
+    max_age_s: float | None = None  # live: an older sample is not used [s]
+    sensor: Literal["surface", "mean"] = "surface"  # of a belt temperature: ``surface`` or ``mean``
+    std_k: float = 3.0  # standard deviation of a belt temperature [K]
+    delay_s: float = 0.0  # delay of a torque [s]: its value belongs to that much earlier than its stamp
+    unit: str = ""  # unit of the raw numbers, if given: it is in scale and offset. Without it, the values of a position decide
+    kg_each: float = PASSENGER_KG  # of passengers: mass of one [kg]
+    threshold: float | None = None  # of a brake: value from which it brakes; None if not given
+    values: tuple[float, ...] = ()  # of an enable given as a mode: the modes with feed-forward; empty if it is 1 or 0
+    decimal: Literal[".", ",", ""] = ""  # of a column in text: its decimal mark; empty if its cells decide
+    derivative: bool = False  # of a speed in a column: whether it is the distance travelled, whose rate is the speed
+    # of dates with slashes or dashes: ``dmy`` or ``mdy``; empty if the whole column decides
     order: Literal["dmy", "mdy", ""] = ""
+    # terms of a sum: columns, or fields of topics; `scale` and `offset` then apply to the sum
     parts: tuple[TopicBinding, ...] = ()
 
     @property
@@ -136,12 +104,8 @@ class TopicBinding:
     def read(self, message: object) -> float:
         """Return the value of this role in a decoded message, in the unit of the role; nan of a receiver without a fix.
 
-        Raises
-        ------
-        LookupError
-            The message has no such element (of a joint that is not in it, for one).
-        AttributeError
-            The type of the message has no such field.
+        Raises LookupError if the message has no such element (of a joint that is not in it, for one); AttributeError if the type
+        of the message has no such field.
         """
         if self.fix and attrgetter(self.fix)(message) == NO_FIX:
             return math.nan
@@ -161,10 +125,7 @@ class TopicBinding:
 def field_steps(path: str) -> tuple[FieldStep, ...]:
     """Split a field path into its steps: ``twist.linear.x``, ``effort[NAME]``, ``data[3]``.
 
-    Raises
-    ------
-    ValueError
-        It is no field path.
+    Raises ValueError if it is no field path.
     """
     steps, rest = [], path
     while True:
@@ -189,10 +150,7 @@ def field_steps(path: str) -> tuple[FieldStep, ...]:
 def message_type(name: str) -> str:
     """Return a message type as ``package/msg/Name``, also from the ``package/Name`` of ROS 1.
 
-    Raises
-    ------
-    ValueError
-        It is no message type.
+    Raises ValueError if it is no message type.
     """
     match = MESSAGE_TYPE.fullmatch(name)
     if not match:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, cast
+from typing import Any
 
 from trackres_ros import checks
 from trackres_ros.errors import InputError, nearest
@@ -26,14 +26,9 @@ KEYS = (
     "unit", "kg_each", "threshold", "values", "decimal", "derivative", "sum",
 )  # fmt: skip
 ONLY_FOR = {
-    "sensor": ("belt",),
-    "std_k": ("belt",),
-    "delay_s": ("torque",),
-    "kg_each": ("passengers",),
-    "threshold": ("brake",),
-    "values": ("enable",),
-    "derivative": ("speed",),
-}
+    "sensor": ("belt",), "std_k": ("belt",), "delay_s": ("torque",), "kg_each": ("passengers",), "threshold": ("brake",),
+    "values": ("enable",), "derivative": ("speed",),
+}  # fmt: skip
 """Keys that have a meaning for some roles alone."""
 OF_A_PART = ("topic", "type", "field", "stamp", "column", "channel", "unit", "scale", "offset", "decimal")
 """Keys of a part of a sum."""
@@ -58,36 +53,18 @@ EXAMPLE = "speed: {topic: /vehicle/speed, type: geometry_msgs/msg/TwistStamped, 
 
 @dataclass(frozen=True, slots=True)
 class Topics:
-    """A mapping of role to binding, and its origin.
+    """A mapping of role to binding, and its origin."""
 
-    Attributes
-    ----------
-    bindings : mapping of str to TopicBinding
-        By role, qualified if the file does so (``load/front``).
-    origin : str
-        The file, for messages to the user.
-    time : TopicBinding, optional
-        The time column of a table, if it is not ``time_s``.
-    dbc : tuple of (int or None, Path)
-        Databases of CAN buses, each with the number of its bus if given.
-    """
-
-    bindings: Mapping[str, TopicBinding]
-    origin: str = "topics"
-    time: TopicBinding | None = None
-    dbc: tuple[tuple[int | None, Path], ...] = ()
+    bindings: Mapping[str, TopicBinding]  # by role, qualified if the file does so (``load/front``)
+    origin: str = "topics"  # the file, for messages to the user
+    time: TopicBinding | None = None  # the time column of a table, if it is not ``time_s``
+    dbc: tuple[tuple[int | None, Path], ...] = ()  # databases of CAN buses, each with the number of its bus if given
 
     def __getitem__(self, role: str) -> TopicBinding:
         return self.bindings[role]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.bindings)
-
-    def __len__(self) -> int:
-        return len(self.bindings)
-
-    def __bool__(self) -> bool:
-        return True  # a file with only a time line is valid too
 
     def __contains__(self, role: object) -> bool:
         return role in self.bindings
@@ -100,10 +77,7 @@ class Topics:
     def load(cls, path_or_name: str | PathLike[str]) -> Topics:
         """Read a topics file, given by its path or by the name of a shipped one.
 
-        Raises
-        ------
-        InputError
-            The file is missing or no YAML, or has an invalid entry: names role and key.
+        Raises InputError if the file is missing or no YAML, or has an invalid entry: names role and key.
         """
         path = find_topics(path_or_name)
         content = read_yaml(path, "a mapping with one line per role", f"write for example: {EXAMPLE}")
@@ -113,19 +87,8 @@ class Topics:
     def parse(cls, content: object, origin: str = "topics", folder: Path = Path()) -> Topics:
         """Check the content of a topics file.
 
-        Parameters
-        ----------
-        content : mapping of str to mapping
-            Content of the YAML.
-        origin : str
-            Its file, for messages.
-        folder : Path
-            Folder of relative paths in it.
-
-        Raises
-        ------
-        InputError
-            Unknown role or key, missing or impossible value.
+        Raises InputError for unknown role or key, missing or impossible value. `content`: content of the YAML; `origin`: its
+        file, for messages; `folder`: folder of relative paths in it.
         """
         if not isinstance(content, Mapping) or not content:
             raise InputError(origin, content, "a mapping with one line per role", f"write for example: {EXAMPLE}")
@@ -183,16 +146,16 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         column=texts["column"],
         scale=by_unit.scale * _number(line, "scale", 1.0, where),
         offset=by_unit.scale * _number(line, "offset", 0.0, where) + by_unit.offset,
-        stamp=cast("Literal['header', 'log', '']", _choice(line, "stamp", ("header", "log"), "", where)),
+        stamp=_choice(line, "stamp", ("header", "log"), "", where),
         max_age_s=max_age_s,
-        sensor=cast("Literal['surface', 'mean']", _choice(line, "sensor", ("surface", "mean"), "surface", where)),
+        sensor=_choice(line, "sensor", ("surface", "mean"), "surface", where),
         std_k=_number(line, "std_k", 3.0, where),
         delay_s=checks.number(line.get("delay_s", 0.0), f"{where}: delay_s", 0.0, MOST_DELAY_S, "s"),
         unit=unit,
         kg_each=checks.number(line.get("kg_each", PASSENGER_KG), f"{where}: kg_each", 1.0, MOST_KG_EACH, "kg"),
         threshold=_number(line, "threshold", 0.0, where) if "threshold" in line else None,
         values=_values(line["values"], f"{where}: values") if "values" in line else (),
-        decimal=_decimal(line, where),
+        decimal=_choice(line, "decimal", (".", ","), "", where),
         derivative=_yes(line, "derivative", where),
         parts=parts,
     )
@@ -272,8 +235,8 @@ def _time(line: object, where: str) -> TopicBinding:
         column=_text(line, "column", where),
         scale=scale,
         offset=by_unit * _number(line, "offset", 0.0, where),
-        decimal=_decimal(line, where),
-        order=cast("Literal['dmy', 'mdy', '']", _choice(line, "order", ("dmy", "mdy"), "", where)),
+        decimal=_choice(line, "decimal", (".", ","), "", where),
+        order=_choice(line, "order", ("dmy", "mdy"), "", where),
     )
 
 
@@ -311,10 +274,6 @@ def _databases(given: object, where: str, folder: Path) -> tuple[tuple[int | Non
     return tuple(found)
 
 
-def _decimal(line: Mapping[object, object], where: str) -> Literal[".", ",", ""]:
-    return cast("Literal['.', ',', '']", _choice(line, "decimal", (".", ","), "", where))
-
-
 def _yes(line: Mapping[object, object], key: str, where: str) -> bool:
     given = line.get(key, False)
     if not isinstance(given, bool):
@@ -342,5 +301,6 @@ def _values(given: object, where: str) -> tuple[float, ...]:
     return tuple(_number({"value": number}, "value", 0.0, where) for number in given)
 
 
-def _choice(line: Mapping[object, object], key: str, allowed: tuple[str, ...], default: str, where: str) -> str:
+def _choice(line: Mapping[object, object], key: str, allowed: tuple[str, ...], default: str, where: str) -> Any:
+    """One of some texts, which a type lists too."""
     return checks.one_of(line[key], f"{where}: {key}", allowed) if key in line else default

@@ -9,8 +9,6 @@ read by strided views on the joined bytes. Rows that differ are decoded one by o
 decoding, message by message.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -43,24 +41,14 @@ class MalformedError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Offsets of the numbers in all messages with given bytes at given offsets.
+    """Offsets of the numbers in all messages with given bytes at given offsets."""
 
-    Attributes
-    ----------
-    length : int
-        Length of the messages [bytes].
-    fixed : tuple of (int, bytes)
-        Offset and content of bytes that must be equal: lengths, ends of strings, names that were looked up.
-    spots : tuple of (int, str) or None
-        Offset and numpy type of each wanted number; None if the message has no such element.
-    lacks : mapping of int to str
-        By index of the wanted number: why the message has no such element.
-    """
-
-    length: int
+    length: int  # length of the messages [bytes]
+    # offset and content of bytes that must be equal: lengths, ends of strings, names that were looked up
     fixed: tuple[tuple[int, bytes], ...]
+    # offset and numpy type of each wanted number; None if the message has no such element
     spots: tuple[tuple[int, str] | None, ...]
-    lacks: Mapping[int, str]
+    lacks: Mapping[int, str]  # by index of the wanted number: why the message has no such element
 
     def column(self, data: bytes, spot: tuple[int, str]) -> NDArray[np.generic]:
         """Return a number of every message of `data`, which are joined; a view, shape (n,)."""
@@ -186,10 +174,7 @@ def layout_of(
 ) -> Layout:
     """Decode one message to its end and return the offsets of the wanted numbers.
 
-    Raises
-    ------
-    MalformedError
-        The bytes are no message of this type.
+    Raises MalformedError if the bytes are no message of this type.
     """
     walk = _Walk(raw, types, encoding)
     walk.message(msgtype, list(enumerate(paths)))
@@ -212,28 +197,18 @@ def layout_of(
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """Content of n messages.
+    """Content of n messages."""
 
-    Attributes
-    ----------
-    stamp_ns : ndarray of int64, shape (n,)
-        Stamps [ns]; 0 if the type has none or the message is malformed.
-    value : ndarray of float64, shape (n, k)
-        The wanted numbers; NaN where absent or malformed.
-    absent : ndarray of bool, shape (n, k)
-        The message has no such element.
-    malformed : ndarray of bool, shape (n,)
-        The bytes are no message of the type.
-    """
-
-    stamp_ns: IntArray
-    value: FloatArray
-    absent: NDArray[np.bool_]
-    malformed: NDArray[np.bool_]
+    stamp_ns: IntArray  # stamps [ns]; 0 if the type has none or the message is malformed, shape (n,)
+    value: FloatArray  # the wanted numbers; NaN where absent or malformed, shape (n, k)
+    absent: NDArray[np.bool_]  # the message has no such element, shape (n, k)
+    malformed: NDArray[np.bool_]  # the bytes are no message of the type, shape (n,)
 
 
 class FieldReader:
     """Reads some numbers, and the stamp, of messages of one type.
+
+    Raises InputError for a field path that does not lead to a number.
 
     Parameters
     ----------
@@ -247,11 +222,6 @@ class FieldReader:
         CDR or ROS 1.
     where : str
         For messages to the user.
-
-    Raises
-    ------
-    InputError
-        A field path that does not lead to a number.
     """
 
     def __init__(
@@ -328,6 +298,8 @@ class FieldReader:
 class Template:
     """One serialised message, the template of many copies with other stamps and numbers.
 
+    Raises InputError for a field path that does not lead to a number of the message.
+
     Parameters
     ----------
     raw : bytes
@@ -338,11 +310,6 @@ class Template:
         ``package/msg/Name``.
     fields : sequence of str
         Paths of the k numbers that change.
-
-    Raises
-    ------
-    InputError
-        A field path that does not lead to a number of the message.
     """
 
     def __init__(self, raw: bytes, types: Definitions, msgtype: str, fields: Sequence[str]) -> None:
@@ -356,16 +323,8 @@ class Template:
     def fill(self, out: NDArray[np.uint8], at: int, stamp_ns: IntArray, values: FloatArray) -> None:
         """Write n messages into the rows of a matrix of bytes.
 
-        Parameters
-        ----------
-        out : ndarray of uint8, shape (n, at + length of the message)
-            Written from column `at`; C order.
-        at : int
-            Column of the messages' first byte.
-        stamp_ns : ndarray of int64, shape (n,)
-            Stamps [ns]; unused if the type has none.
-        values : ndarray of float64, shape (n, k)
-            The numbers.
+        `out`: written from column `at`; C order, shape (n, at + length of the message); `at`: column of the messages' first byte;
+        `stamp_ns`: stamps [ns]; unused if the type has none, shape (n,); `values`: the numbers, shape (n, k).
         """
         out[:, at:] = np.frombuffer(self.raw, np.uint8)
         seconds, fraction = np.divmod(stamp_ns, SECOND_NS)

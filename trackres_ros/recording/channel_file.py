@@ -3,8 +3,6 @@
 
 """Defines the interface of a reader: the channels of a file with their units, and their samples in blocks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -52,21 +50,12 @@ class ChosenChannel:
 
 
 class ChannelRows(NamedTuple):
-    """Some rows of channels: one time, and the number of each channel that has one at it.
+    """Some rows of channels: one time, and the number of each channel that has one at it."""
 
-    Attributes
-    ----------
-    time
-        Stamps [ns], in a file without dates from its beginning; of a table without dates numbers in the unit of its column.
-        Shape (n,).
-    timed
-        Whether a row has a time, shape (n,).
-    cells, given
-        The numbers of the chosen channels, and whether there is one, shape (n, channels).
-    """
-
+    # stamps [ns], in a file without dates from its beginning; of a table without dates in the unit of its column; shape (n,)
     time: FloatArray | IntArray
-    timed: NDArray[np.bool_]
+    timed: NDArray[np.bool_]  # whether a row has a time, shape (n,)
+    # the numbers of the chosen channels, and whether there is one, shape (n, channels)
     cells: FloatArray
     given: NDArray[np.bool_]
 
@@ -121,14 +110,7 @@ class TableFile(ChannelFile):
 def rows_at(seconds: FloatArray, cells: FloatArray, start_ns: int = 0) -> ChannelRows:
     """Rows at times in seconds; each number other than nan is a sample.
 
-    Parameters
-    ----------
-    seconds
-        Shape (n,).
-    cells
-        Shape (n, channels).
-    start_ns
-        The time 0 [ns since 1970], if the file gives it.
+    `seconds`: shape (n,); `cells`: shape (n, channels); `start_ns`: the time 0 [ns since 1970], if the file gives it.
     """
     timed = np.abs(seconds) < MOST_TIME_S
     stamps = np.rint(np.where(timed, seconds, 0.0) * 1e9).astype(np.int64) + start_ns
@@ -146,13 +128,7 @@ def time_note(column: str, text: str) -> str:
 
 
 def check_dates(time: ChosenChannel, name: str, are_dates: bool) -> None:
-    """Refuse numbers with an unknown unit, and a scale of dates.
-
-    Raises
-    ------
-    InputError
-        With the line of the topics file.
-    """
+    """Refuse numbers with an unknown unit, and a scale of dates. Raises InputError with the line of the topics file."""
     if not are_dates and time.dates_only:
         remedy = f"give the unit in a topics file: time: {{column: {time.name}, scale: 1.0}}, or name the column time_s"
         raise InputError(f"{name}: {time.name}", "numbers of an unknown unit", "dates with times", remedy)

@@ -29,10 +29,11 @@ from trackres_ros.recording.torque_candidates import note_of, of_columns
 class ChannelSource:
     """Samples of a file of channels, row by row.
 
-    An empty cell gives no sample. A sum of channels with the same times has a sample if all of them do; channels with other
-    times are added as in `Sums`. Within a row speed comes last, so that a step at the speed has the rest of the row.
-    Channels with their own times are sorted by these. Stamps of a table are the column ``time_s``, or the one that
-    the topics file names. A role without a channel in the topics file is taken from the column known by name.
+    An empty cell gives no sample. A sum of channels with the same times has a sample if all of them do; channels with other times
+    are added as in `Sums`. Within a row speed comes last, so that a step at the speed has the rest of the row. Channels with
+    their own times are sorted by these. Stamps of a table are the column ``time_s``, or the one that the topics file names. A
+    role without a channel in the topics file is taken from the column known by name. Raises InputError for no header, no channel
+    for time or speed, a missing or ambiguous channel, a unit that does not fit its role, ambiguous numbers or dates.
 
     Parameters
     ----------
@@ -46,12 +47,6 @@ class ChannelSource:
         Kind of the file, for messages.
     checked : bool
         Whether its first bytes are checked.
-
-    Raises
-    ------
-    InputError
-        No header, no channel for time or speed, a missing or ambiguous channel, a unit that does not fit its role,
-        ambiguous numbers or dates.
     """
 
     zero_is_unset = False
@@ -126,11 +121,8 @@ class ChannelSource:
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
         """Read the file; see `trackres_ros.recording.samples.Source.blocks`.
 
-        Raises
-        ------
-        InputError
-            No row at all, a cell that is no number, a row without time or of another length: with its place. A file that
-            is damaged.
+        Raises InputError, with the place, for no row at all, a cell that is no number, a row without time or of another length,
+        or a damaged file.
         """
         with self._reading():
             sums = self._sums()

@@ -3,8 +3,6 @@
 
 """Chooses the channels of a file to read: those that the topics file names, those known by name, else those guessed."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -40,17 +38,9 @@ class Choice:
 def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     """Choose the channels of a file.
 
-    Parameters
-    ----------
-    file
-        The opened file.
-    topics
-        The topics file. If it names no role, channels of a file other than a table are guessed by name and unit.
-
-    Raises
-    ------
-    InputError
-        A missing or ambiguous channel, no time, no speed, or a unit that does not fit its role.
+    Raises InputError for a missing or ambiguous channel, no time, no speed, or a unit that does not fit its role. `file`: the
+    opened file; `topics`: the topics file. If it names no role, channels of a file other than a table are guessed by name and
+    unit.
     """
     names = _Names(file)
     listed = topics.bindings.items() if topics else ()

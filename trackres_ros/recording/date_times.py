@@ -3,8 +3,6 @@
 
 """Reads dates with times in text: ISO 8601, and day, month and year in the order that the whole column shows."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from datetime import date
@@ -36,12 +34,8 @@ def is_date_time(text: str) -> bool:
 class DateTimes:
     """The dates and times of one column, all in the notation of the first one.
 
-    Parameters
-    ----------
-    first
-        The first cell; `is_date_time` is true for it.
-    order
-        Of day and month if the year comes last and the topics file names it. With dots the day comes first.
+    `first`: the first cell; `is_date_time` is true for it; `order`: of day and month if the year comes last and the topics file
+    names it. With dots the day comes first.
     """
 
     def __init__(self, first: str, order: Order = "") -> None:
@@ -71,10 +65,7 @@ class DateTimes:
     def decide(self, where: str) -> None:
         """Settle the order of day and month from the cells so far.
 
-        Raises
-        ------
-        InputError
-            The column does not show it, or shows both.
+        Raises InputError if the column does not show it, or shows both.
         """
         if not self.is_open:
             return
@@ -89,10 +80,7 @@ class DateTimes:
     def ns(self, text: str) -> int:
         """Time since 1970 in UTC [ns]; digits below a nanosecond are cut off.
 
-        Raises
-        ------
-        ValueError
-            Another notation than that of the first cell, or an invalid date or time.
+        Raises ValueError for another notation than that of the first cell, or an invalid date or time.
         """
         match = self._pattern.fullmatch(text.strip())
         if not match or match["mark"] != self._mark or bool(match["zone"]) is not self._has_zone:

@@ -3,8 +3,6 @@
 
 """Defines a kind of recording: its suffixes, required library, and reader of channels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -48,12 +46,7 @@ class FileKind:
     def source(self, paths: Sequence[Path], topics: Topics | None) -> BoundSource:
         """Open one file.
 
-        Raises
-        ------
-        InputError
-            Several files, or one that cannot be read.
-        MissingExtraError
-            A library is not installed.
+        Raises InputError for several files, or one that cannot be read; MissingExtraError if a library is not installed.
         """
         if len(paths) > 1:
             given = ", ".join(str(path) for path in paths)

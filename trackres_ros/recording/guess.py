@@ -3,8 +3,6 @@
 
 """Guesses the topic or channel of each role, without a topics file."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -83,24 +81,9 @@ RULES = (
 def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
     """Guess the bindings from message types, and from topic names where types do not decide.
 
-    Acceleration is never guessed: that of an IMU contains gravity on a slope, and is treated as a specific force.
-
-    Parameters
-    ----------
-    available : mapping of str to str
-        Message type by topic.
-
-    Returns
-    -------
-    topics : Topics
-        The guesses.
-    notes : list of str
-        One sentence per role, with alternatives.
-
-    Raises
-    ------
-    InputError
-        No topic is recognised as the speed; the text lists every topic and type.
+    Acceleration is never guessed: that of an IMU contains gravity on a slope, and is treated as a specific force. `available`:
+    message type by topic. Raises InputError if no topic is recognised as the speed; the text lists every topic and type. Returns
+    `topics`: the guesses, and `notes`: one sentence per role, with alternatives.
     """
     found: dict[str, list[tuple[TopicBinding, str]]] = {}
     for rule in RULES:
@@ -132,19 +115,8 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
 def guess_channels(channels: Sequence[Channel], there: Collection[str]) -> tuple[dict[str, TopicBinding], dict[str, list[str]]]:
     """Guess by name and unit the channels of roles without one; without a unit there is no guess.
 
-    Parameters
-    ----------
-    channels
-        With unique names.
-    there
-        Roles that have a channel.
-
-    Returns
-    -------
-    bindings : dict of str to TopicBinding
-        By role, without the unit, which the file gives.
-    others : dict of str to list of str
-        By role: names of other candidates.
+    `channels`: with unique names; `there`: roles that have a channel. Returns `bindings`: by role, without the unit, which the
+    file gives, and `others`: by role: names of other candidates.
     """
     bindings: dict[str, TopicBinding] = {}
     others: dict[str, list[str]] = {}

@@ -3,8 +3,6 @@
 
 """Makes the records of an MCAP file, for the writer of bags and the reader of unfinished ones."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -3,10 +3,7 @@
 
 """Reads the index at the end of an MCAP file: its chunks, topics, and how many messages it counts."""
 
-from __future__ import annotations
-
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -45,10 +42,8 @@ class Statistics:
 class McapIndex:
     """The index of a file.
 
-    Parameters
-    ----------
-    path : Path
-        A file with its end.
+    Raises McapError if it cannot be read; TooLargeError if a chunk states an unpacked size above the ceiling. `path`: a file with
+    its end.
 
     Attributes
     ----------
@@ -58,13 +53,6 @@ class McapIndex:
         Name of the topic of each channel.
     statistics : Statistics or None
         None if the file has none.
-
-    Raises
-    ------
-    McapError
-        It cannot be read.
-    TooLargeError
-        A chunk states an unpacked size above the ceiling.
     """
 
     def __init__(self, path: Path) -> None:
@@ -121,22 +109,16 @@ def _chunk(content: bytes) -> IndexedChunk:
 
 
 def _check_chunks(file: BinaryIO, end: int) -> None:
-    """Refuse chunks that would fill the memory: a few bytes may request all of it."""
-    for at, length in _records(file, end):
-        if length < 24:
-            raise McapError(f"a chunk of {length} bytes")
-        file.seek(at + 16)
-        (unpacked,) = struct.unpack("<Q", file.read(8))
-        if max(unpacked, length) > MAX_CHUNK_BYTES:
-            raise TooLargeError(f"a chunk of {max(unpacked, length)} bytes; at most {MAX_CHUNK_BYTES} are read")
-
-
-def _records(file: BinaryIO, end: int) -> Iterator[tuple[int, int]]:
-    """Place and length of the content of each chunk, as far as records follow on one another."""
+    """Refuse chunks that would fill the memory, as far as records follow on one another: a few bytes may request all of it."""
     at = len(MAGIC)
     while at + HEAD.size <= end:
         file.seek(at)
         kind, length = HEAD.unpack(file.read(HEAD.size))
+        if kind == CHUNK and length < 24:
+            raise McapError(f"a chunk of {length} bytes")
         if kind == CHUNK:
-            yield at + HEAD.size, length
+            file.seek(at + HEAD.size + 16)
+            (unpacked,) = struct.unpack("<Q", file.read(8))
+            if max(unpacked, length) > MAX_CHUNK_BYTES:
+                raise TooLargeError(f"a chunk of {max(unpacked, length)} bytes; at most {MAX_CHUNK_BYTES} are read")
         at += HEAD.size + length

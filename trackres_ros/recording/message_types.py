@@ -17,20 +17,9 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 NUMBERS = {
-    "bool": "u1",
-    "byte": "i1",
-    "char": "u1",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "int64": "i8",
-    "uint64": "u8",
-    "float32": "f4",
-    "float64": "f8",
-}
+    "bool": "u1", "byte": "i1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4",
+    "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
+}  # fmt: skip
 """Numbers of the interface definition language, as numpy kind and size."""
 LENGTH_BYTES = 4
 """Of a string or sequence, before its content."""
@@ -41,22 +30,13 @@ HEADER, TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field of a message: a number or string or message, alone, as fixed array, or as sequence.
+    """One field of a message: a number or string or message, alone, as fixed array, or as sequence."""
 
-    Attributes
-    ----------
-    name, type : str
-        Its name, and the type of an element: a key of `NUMBERS`, ``string``, or a message type.
-    many : str
-        ``one``, ``array`` or ``sequence``.
-    count : int
-        Length of a fixed array.
-    """
-
+    # its name, and the type of an element: a key of `NUMBERS`, ``string``, or a message type
     name: str
     type: str
-    many: Literal["one", "array", "sequence"]
-    count: int
+    many: Literal["one", "array", "sequence"]  # ``one``, ``array`` or ``sequence``
+    count: int  # length of a fixed array
 
 
 Definitions = Mapping[str, tuple[Field, ...]]
@@ -71,17 +51,8 @@ def message_fields(store: Typestore) -> Typesdict:
 def definitions(fielddefs: Mapping[str, tuple[object, object]], msgtype: str) -> Definitions:
     """Return the fields of a message type and of all nested types.
 
-    Parameters
-    ----------
-    fielddefs : mapping
-        `fielddefs` of a rosbags typestore.
-    msgtype : str
-        ``package/msg/Name``.
-
-    Raises
-    ------
-    KeyError
-        A type is not in the typestore.
+    `fielddefs`: `fielddefs` of a rosbags typestore; `msgtype`: ``package/msg/Name``. Raises KeyError if a type is not in the
+    typestore.
     """
     found: dict[str, tuple[Field, ...]] = {}
     wanted = [msgtype]
@@ -108,21 +79,8 @@ def definitions(fielddefs: Mapping[str, tuple[object, object]], msgtype: str) ->
 def check_size(types: Definitions, msgtype: str, where: str, most: int) -> None:
     """Refuse a type with messages too large to read: a few letters define an array of any length.
 
-    Parameters
-    ----------
-    types : Definitions
-        The type and all nested types.
-    msgtype : str
-        ``package/msg/Name``.
-    where : str
-        For messages to the user.
-    most : int
-        Largest message that is read [bytes].
-
-    Raises
-    ------
-    InputError
-        A fixed array or nesting that is too long, or a recursive type.
+    Raises InputError for a fixed array or nesting that is too long, or a recursive type. `types`: the type and all nested types;
+    `msgtype`: ``package/msg/Name``; `where`: for messages to the user; `most`: largest message that is read [bytes].
     """
     sizes: dict[str, int] = {}
 
@@ -159,10 +117,7 @@ def stamp_path(types: Definitions, msgtype: str) -> tuple[FieldStep, ...]:
 def check_field(types: Definitions, msgtype: str, path: str, where: str) -> tuple[FieldStep, ...]:
     """Return the steps of a field path, after checking that it leads to one number.
 
-    Raises
-    ------
-    InputError
-        No such field, no number, an array without index, an index outside of a fixed array.
+    Raises InputError for no such field, no number, an array without index, an index outside of a fixed array.
     """
     steps = field_steps(path)
     within = msgtype

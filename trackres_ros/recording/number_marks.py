@@ -3,8 +3,6 @@
 
 """Reads numbers in text. The whole column decides on the decimal mark; an ambiguous one is refused."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -42,22 +40,13 @@ GROUPED = {mark: re.compile(rf"{HEAD}(?:[{other}]\d{{3}})+(?:[{mark}]\d*)?{EXPON
 
 @dataclass(slots=True)
 class ColumnMarks:
-    """Evidence on the marks in the cells of one column.
+    """Evidence on the marks in the cells of one column."""
 
-    Attributes
-    ----------
-    given
-        The decimal mark that the topics file names; empty without one.
-    surely, either
-        By mark: the first cell in which it is surely the decimal mark, and the first in which it may also separate thousands.
-    marks
-        All marks in any cell.
-    """
-
-    given: Mark | Literal[""] = ""
+    given: Mark | Literal[""] = ""  # the decimal mark that the topics file names; empty without one
+    # by mark: the first cell in which it is surely the decimal mark, and the first in which it may also separate thousands
     surely: dict[Mark, str] = field(default_factory=dict)
     either: dict[Mark, str] = field(default_factory=dict)
-    marks: set[Mark] = field(default_factory=set)
+    marks: set[Mark] = field(default_factory=set)  # all marks in any cell
 
     def see(self, cells: Sequence[str]) -> None:
         """Look at some more cells."""
@@ -74,21 +63,9 @@ def decide(columns: Mapping[str, ColumnMarks], name: str, commas_separate: bool 
     """The decimal mark of each column.
 
     A column decides for itself. In an ambiguous one, a mark is the decimal one if it surely is in other columns of the table and
-    the other mark is in none; or if it is a point and commas separate the cells.
-
-    Parameters
-    ----------
-    columns
-        By name.
-    name
-        Of the table, for messages.
-    commas_separate
-        The cells of the table.
-
-    Raises
-    ------
-    InputError
-        Neither the column nor the others decide, or a column shows both.
+    the other mark is in none; or if it is a point and commas separate the cells. Raises InputError if neither the column nor the
+    others decide, or a column shows both. `columns`: by name; `name`: of the table, for messages; `commas_separate`: the cells of
+    the table.
     """
     sure = {mark for marks in columns.values() for mark in ((marks.given,) if marks.given else marks.surely)}
     shown = sure or ({POINT} if commas_separate else set())
@@ -121,13 +98,7 @@ def is_number(text: str) -> bool:
 
 
 def number_of(text: str, mark: Mark) -> float | None:
-    """The number in a cell, None where it is empty.
-
-    Raises
-    ------
-    ValueError
-        It is no number.
-    """
+    """The number in a cell, None where it is empty. Raises ValueError if it is no number."""
     text = text.strip()
     if not text:
         return None

@@ -3,8 +3,6 @@
 
 """Opens a recording by the kind of its suffix."""
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 from collections.abc import Iterable, Sequence
@@ -35,10 +33,7 @@ def shipped_kinds() -> tuple[FileKind | BagKind, ...]:
 def further_kinds() -> tuple[FileKind, ...]:
     """The kinds of other installed packages, by the names of their entry points.
 
-    Raises
-    ------
-    InputError
-        One that cannot be imported, or is no kind.
+    Raises InputError for one that cannot be imported, or is no kind.
     """
     kinds: list[FileKind] = []
     for point in sorted(entry_points(group=GROUP), key=lambda one: one.name):
@@ -60,19 +55,9 @@ def suffixes() -> tuple[str, ...]:
 def open_source(paths: Sequence[Path], topics: Topics | None = None) -> BoundSource:
     """Return the source for the recording at some paths.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Bags, read one after another, or one other recording.
-    topics : Topics, optional
-        Topic or channel of each role; by default guessed by message type or by name and unit, or standard columns.
-
-    Raises
-    ------
-    InputError
-        Nothing there, a suffix or directory that is no recording, several kinds mixed, or several files that are no bags.
-    MissingExtraError
-        The library for this kind is not installed.
+    `paths`: bags, read one after another, or one other recording; `topics`: topic or channel of each role; by default guessed by
+    message type or by name and unit, or standard columns. Raises InputError for nothing there, a suffix or directory that is no
+    recording, several kinds, or several files that are no bags; MissingExtraError if the library for this kind is not installed.
     """
     if not paths:
         raise InputError("recording", "no path", _allowed())

@@ -3,8 +3,6 @@
 
 """Distinguishes degrees from radians by the values of a position, and converts it to radians."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 
@@ -21,13 +19,8 @@ LARGEST_RAD = {"latitude": 0.5 * math.pi, "longitude": math.pi}
 class PositionUnits:
     """The unit of latitude and longitude if neither topics file, column nor message type gives it.
 
-    There is no land within both 1.6 degrees of the equator and 3.2 degrees of the prime meridian. So a vehicle whose
-    latitudes and longitudes are all within the range of angles in radians is recorded in radians.
-
-    Parameters
-    ----------
-    bindings
-        Of the source, by role.
+    There is no land within both 1.6 degrees of the equator and 3.2 degrees of the prime meridian. So a vehicle whose latitudes
+    and longitudes are all within the range of angles in radians is recorded in radians. `bindings`: of the source, by role.
     """
 
     def __init__(self, bindings: Mapping[str, TopicBinding]) -> None:
@@ -46,12 +39,7 @@ class PositionUnits:
     def in_radians(self, block: SampleBlock, roles: Sequence[str]) -> SampleBlock:
         """A block with its position in radians; nan until the unit is known.
 
-        Parameters
-        ----------
-        block
-            The next one of the source.
-        roles
-            Those of the source.
+        `block`: the next one of the source; `roles`: those of the source.
         """
         if not self._open:
             return block

@@ -3,8 +3,6 @@
 
 """Finds defects in the samples of one role: stamps, gaps, quantisation, stuck sensors and dropouts."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import numpy as np
@@ -31,24 +29,11 @@ GRID_TOLERANCE = 1e-3
 
 
 def findings_of(role: str, samples: Series, start_ns: int, zero_is_unset: bool = True) -> list[Finding]:
-    """Find the defects of one role.
+    """Find the defects of one role: kinds ``empty``, ``non_finite``, ``zero_stamp``, ``duplicate_stamp``, ``backward_stamp``,
+    ``stamp_offset``, ``gap``, ``quantised``, ``stuck``, ``dropout``.
 
-    Parameters
-    ----------
-    role : str
-        Its name; the unit and the normal range depend on it.
-    samples : Series
-        Its samples in log order.
-    start_ns : int
-        Start of the recording [ns].
-    zero_is_unset : bool
-        Whether stamp 0 means "never set".
-
-    Returns
-    -------
-    list of Finding
-        Kinds: ``empty``, ``non_finite``, ``zero_stamp``, ``duplicate_stamp``, ``backward_stamp``, ``stamp_offset``,
-        ``gap``, ``quantised``, ``stuck``, ``dropout``.
+    `role`: the unit and the normal range depend on it; `samples`: in log order; `start_ns`: of the recording;
+    `zero_is_unset`: whether stamp 0 means "never set".
     """
     unit, lively = ROLES[base_role(role)].unit, ROLES[base_role(role)].lively
     finite = np.isfinite(samples.value)

@@ -3,8 +3,6 @@
 
 """Guards the reading of every recording: a regular file, content that fits its name, and one line for any error."""
 
-from __future__ import annotations
-
 import errno
 import stat
 import traceback
@@ -52,10 +50,7 @@ DATA_FAULTS = (OSError, EOFError, MemoryError, RecursionError, UnicodeError)
 def check_there(path: Path) -> None:
     """Refuse a path that does not exist, or is neither a regular file nor a folder.
 
-    Raises
-    ------
-    InputError
-        With what is there instead; nothing is opened.
+    Raises InputError with what is there instead; opens nothing.
     """
     try:
         mode = path.stat().st_mode
@@ -73,13 +68,7 @@ def check_there(path: Path) -> None:
 
 
 def check_file(path: Path) -> None:
-    """Refuse a file that is not regular, or whose content does not fit the suffix.
-
-    Raises
-    ------
-    InputError
-        With what it is.
-    """
+    """Refuse a file that is not regular, or whose content does not fit the suffix. Raises InputError with what it is."""
     check_there(path)
     with reading(path, "a readable file"), path.open("rb") as file:
         head = file.read(HEAD_BYTES)
@@ -99,13 +88,8 @@ def check_file(path: Path) -> None:
 def reading(path: Path, allowed: str, remedy: str = "") -> Iterator[None]:
     """Turn any exception while reading a file into one line with its name; the cause is chained.
 
-    Libraries raise exceptions of their formats, archives and the system, without documentation. A fault of
-    our own code is reported as one.
-
-    Raises
-    ------
-    InputError
-        Instead of every other exception.
+    Libraries raise exceptions of their formats, archives and the system, without documentation. A fault of our own code is
+    reported as one. Raises InputError instead of every other exception.
     """
     try:
         yield

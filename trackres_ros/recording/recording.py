@@ -67,23 +67,7 @@ class Recording:
 
     @classmethod
     def from_source(cls, source: Source) -> Recording:
-        """Read a source to its end, and find defects in its samples.
-
-        Parameters
-        ----------
-        source : Source
-            A bag or a table.
-
-        Returns
-        -------
-        Recording
-            All samples, with their defects.
-
-        Raises
-        ------
-        InputError
-            Content that the source cannot read.
-        """
+        """Read a source to its end, and find defects in its samples. Raises InputError for content that it cannot read."""
         parts: list[list[tuple[IntArray, IntArray, FloatArray]]] = [[] for _ in source.roles]
         order = [np.empty(0, np.int16)]
         for block in source.blocks():
@@ -99,10 +83,9 @@ class Recording:
         found = [*source.findings]
         for role, samples in series.items():
             found += findings_of(role, samples, start_ns, source.zero_is_unset)
-        read = MappingProxyType(series)
         return cls(
             source.name,
-            read,
+            MappingProxyType(series),
             source.notes,
             tuple(found),
             source.zero_is_unset,
@@ -116,18 +99,7 @@ class Recording:
         return tuple(self.series)
 
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
-        """All samples again, in the order of the log.
-
-        Parameters
-        ----------
-        max_rows : int
-            Samples in a block, at most.
-
-        Yields
-        ------
-        SampleBlock
-            The next samples.
-        """
+        """All samples again, in the order of the log, at most `max_rows` at a time."""
         order = self._by_arrival() if self.order is None else self.order
         place = np.empty(len(order), np.intp)  # of each sample among those of its role
         for index in range(len(self.series)):
@@ -168,7 +140,7 @@ class Recording:
         ndarray of float64, shape (n,)
             Times [s]; 0 is `start_ns`.
         """
-        return _seconds(self.series[role].stamp_ns - self.start_ns)
+        return (self.series[role].stamp_ns - self.start_ns) / 1e9
 
     def aligned(self) -> dict[str, FloatArray]:
         """Resample every role to the samples of speed, by sample and hold.
@@ -204,13 +176,7 @@ class Recording:
         )
 
     def wheel_notes(self) -> list[str]:
-        """Note the rolling radii and slip from recorded wheel speeds.
-
-        Returns
-        -------
-        list of str
-            A sentence each; empty if no wheel is recorded for long enough.
-        """
+        """Rolling radii and slip from recorded wheel speeds, a sentence each; empty if no wheel is recorded for long enough."""
         return wheel_notes(self.aligned()) if any(base_role(role) == "wheel_speed" for role in self.series) else []
 
     def _findings(self) -> Iterator[tuple[str, str]]:
@@ -256,10 +222,6 @@ def _start_ns(series: Mapping[str, Series], zero_is_unset: bool) -> int:
 def _clock(arrival_ns: IntArray) -> IntArray:
     """Log time made monotonic, as it may run backward between two bags."""
     return np.maximum.accumulate(arrival_ns) if arrival_ns.size else arrival_ns
-
-
-def _seconds(span_ns: IntArray) -> FloatArray:
-    return span_ns / 1e9
 
 
 def _measures(samples: Series) -> tuple[str, str, str, str]:

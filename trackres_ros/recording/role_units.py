@@ -3,8 +3,6 @@
 
 """Converts the units in files to those of the roles."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
@@ -57,12 +55,7 @@ def _plain(text: str) -> str:
 def conversion(text: str, inside: str) -> Conversion | None:
     """Conversion of a unit to that of the role; None if it does not fit.
 
-    Parameters
-    ----------
-    text
-        As written in a file.
-    inside
-        The internal unit.
+    `text`: as written in a file; `inside`: the internal unit.
     """
     given = _plain(text)
     names = {_plain(name): one for name, one in UNITS[inside].items()}

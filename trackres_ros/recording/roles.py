@@ -3,8 +3,6 @@
 
 """The one table of roles: meaning, internal unit and known column names of each kind of input."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -12,29 +10,14 @@ from types import MappingProxyType
 
 @dataclass(frozen=True, slots=True)
 class Role:
-    """Definition of a kind of input.
+    """Definition of a kind of input."""
 
-    Attributes
-    ----------
-    unit : str
-        Internal unit of its values, a key of `trackres_ros.recording.role_units.UNITS`.
-    text : str
-        Meaning.
-    parts : bool
-        Whether it may be given for each axle, assembly or wheel (``load/front``, ``wheel_speed/rear_left``).
-    lively : bool
-        Whether a moving vehicle changes it all the time, so that a constant value means a stuck sensor.
-    columns : mapping of str to str
-        Names of columns for it, and the unit of each.
-    words, not_words : str
-        Patterns that the words of a channel must and must not match for it to be guessed; never guessed without `words`.
-    """
-
-    unit: str
+    unit: str  # internal unit of its values, a key of `trackres_ros.recording.role_units.UNITS`
     text: str
-    parts: bool = False
-    lively: bool = False
-    columns: Mapping[str, str] = field(default_factory=dict)
+    parts: bool = False  # whether it may be given for each axle, assembly or wheel (``load/front``, ``wheel_speed/rear_left``)
+    lively: bool = False  # whether a moving vehicle changes it all the time, so that a constant value means a stuck sensor
+    columns: Mapping[str, str] = field(default_factory=dict)  # names of columns for it, and the unit of each
+    # patterns that the words of a channel must and must not match for it to be guessed; never guessed without `words`
     words: str = ""
     not_words: str = r"(?!)"
 
@@ -45,90 +28,41 @@ AMBIENT = r"\b(ambient|outside|outdoor|air)\b"
 
 ROLES: Mapping[str, Role] = MappingProxyType(
     {
-        "speed": Role(
-            "m/s",
-            "forward speed of the vehicle",
-            lively=True,
-            columns={"speed_mps": "m/s", "speed_kmh": "km/h"},
-            words=r"speed|velocity|\bspd\b",
-            not_words=NOT_VEHICLE,
-        ),
-        "load": Role(
-            "N",
-            "weight carried by the tracks, total or of an axle or assembly",
-            parts=True,
-            columns={"weight_n": "N", "weight_kn": "kN"},
-            words=r"\bload\b|weight",
-            not_words=NOT_VEHICLE,
-        ),
-        "torque": Role(
-            "Nm",
-            "measured torque at the sprockets, of the whole vehicle or of an assembly",
-            parts=True,
-            lively=True,
-            columns={"torque_nm": "Nm"},
-            words=r"torque|\btrq\b",
-            not_words=NOT_VEHICLE,
-        ),
+        "speed": Role("m/s", "forward speed of the vehicle",
+            lively=True, columns={"speed_mps": "m/s", "speed_kmh": "km/h"}, words=r"speed|velocity|\bspd\b",
+            not_words=NOT_VEHICLE),
+        "load": Role("N", "weight carried by the tracks, total or of an axle or assembly",
+            parts=True, columns={"weight_n": "N", "weight_kn": "kN"}, words=r"\bload\b|weight", not_words=NOT_VEHICLE),
+        "torque": Role("Nm", "measured torque at the sprockets, of the whole vehicle or of an assembly",
+            parts=True, lively=True, columns={"torque_nm": "Nm"}, words=r"torque|\btrq\b", not_words=NOT_VEHICLE),
         "ambient": Role("degC", "temperature of the air", columns={"ambient_degc": "degC"}, words=AMBIENT),
-        "belt": Role(
-            "degC",
-            "measured temperature of the rubber belt",
-            parts=True,
-            columns={"belt_degc": "degC"},
-            words=r"\b(belt|track|rubber)\b",
-            not_words=AMBIENT,
-        ),
+        "belt": Role("degC", "measured temperature of the rubber belt",
+            parts=True, columns={"belt_degc": "degC"}, words=r"\b(belt|track|rubber)\b", not_words=AMBIENT),
         "accel": Role("m/s2", "acceleration along the track, without gravity", lively=True, columns={"accel_mps2": "m/s2"}),
-        "specific_force": Role(
-            "m/s2",
-            "what an IMU measures along the track: acceleration and, on a slope, gravity",
-            lively=True,
-            columns={"specific_force_mps2": "m/s2"},
-        ),
+        "specific_force": Role("m/s2", "what an IMU measures along the track: acceleration and, on a slope, gravity",
+            lively=True, columns={"specific_force_mps2": "m/s2"}),
         "grade": Role("1", "slope as rise over run, positive uphill", columns={"grade": "1"}),
-        "yaw_rate": Role(
-            "rad/s",
-            "turning rate about the upward axis",
-            lively=True,
-            columns={"yaw_rate_radps": "rad/s"},
-            words=r"\byaw ?rate\b",
-        ),
+        "yaw_rate": Role("rad/s", "turning rate about the upward axis",
+            lively=True, columns={"yaw_rate_radps": "rad/s"}, words=r"\byaw ?rate\b"),
         "heading": Role("rad", "direction of travel about the upward axis", columns={"heading_rad": "rad"}),
         "distance": Role("m", "distance travelled", columns={"distance_m": "m"}),
         "stood": Role("s", "standing time before the recording began; one value", columns={"stood_s": "s"}),
-        "latitude": Role(
-            "rad", "latitude, positive north", columns={"latitude_deg": "deg", "latitude_rad": "rad"}, words=r"\blatitude\b"
-        ),
-        "longitude": Role(
-            "rad", "longitude, positive east", columns={"longitude_deg": "deg", "longitude_rad": "rad"}, words=r"\blongitude\b"
-        ),
+        "latitude": Role("rad", "latitude, positive north",
+            columns={"latitude_deg": "deg", "latitude_rad": "rad"}, words=r"\blatitude\b"),
+        "longitude": Role("rad", "longitude, positive east",
+            columns={"longitude_deg": "deg", "longitude_rad": "rad"}, words=r"\blongitude\b"),
         "altitude": Role("m", "height above a fixed level", columns={"altitude_m": "m"}, words=r"\baltitude\b"),
-        "steering_angle": Role(
-            "rad",
-            "angle of the steered wheels, positive to the left",
-            columns={"steering_angle_rad": "rad"},
-            words=r"steering angle\b",
-            not_words=r"\bwheel\b|ratio",
-        ),
-        "passengers": Role(
-            "1", "people on board, added to the empty vehicle", columns={"passengers": "1"}, words=r"\bpassengers?\b"
-        ),
-        "brake": Role(
-            "Pa",
-            "pressure of the friction brakes, or a switch (0 or 1)",
-            columns={"brake_pa": "Pa", "brake_on": "Pa"},
-            words=r"brake pressure",
-            not_words=r"park|halt",
-        ),
+        "steering_angle": Role("rad", "angle of the steered wheels, positive to the left",
+            columns={"steering_angle_rad": "rad"}, words=r"steering angle\b", not_words=r"\bwheel\b|ratio"),
+        "passengers": Role("1", "people on board, added to the empty vehicle",
+            columns={"passengers": "1"}, words=r"\bpassengers?\b"),
+        "brake": Role("Pa", "pressure of the friction brakes, or a switch (0 or 1)",
+            columns={"brake_pa": "Pa", "brake_on": "Pa"}, words=r"brake pressure", not_words=r"park|halt"),
         "wheel_speed": Role("m/s", "circumferential speed of a wheel", parts=True, columns={"wheel_speed_mps": "m/s"}),
-        "enable": Role(
-            "1",
-            "request for the feed-forward: 1 or 0, or a mode that `values` maps to them",
-            columns={"enable": "1"},
-        ),
+        "enable": Role("1", "request for the feed-forward: 1 or 0, or a mode that `values` maps to them",
+            columns={"enable": "1"}),
     }
-)
+)  # fmt: skip
 
 
 POSITION = ("latitude", "longitude")

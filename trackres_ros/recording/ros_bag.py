@@ -7,8 +7,6 @@ The opened bag has the attributes of a rosbags reader that `trackres_ros.recordi
 Counts, limits and the structure of a file are read here, since its readers neither limit unpacking nor report losses.
 """
 
-from __future__ import annotations
-
 import shutil
 import sqlite3
 import tempfile
@@ -49,40 +47,19 @@ class RosTopic:
 
 @dataclass(slots=True)
 class RosFile:
-    """One file of a bag.
-
-    Attributes
-    ----------
-    path : Path or UnfinishedBag
-        The file.
-    place : Path
-        File to read: its finished or unpacked copy, if there is one.
-    kind : str
-        ``mcap`` or ``sqlite3``.
-    connections : list of RosTopic
-        Its topics.
-    chunks, statistics
-        Of an MCAP file, from its index.
-    dbconn
-        Of a database, to count its rows.
-    """
+    """One file of a bag."""
 
     path: Path | UnfinishedBag
-    place: Path
-    kind: str
+    place: Path  # file to read: its finished or unpacked copy, if there is one
+    kind: str  # ``mcap`` or ``sqlite3``
     connections: list[RosTopic] = field(default_factory=list)
+    # of an MCAP file, from its index
     chunks: Sequence[Any] = ()
     statistics: Any = None
-    dbconn: sqlite3.Connection | None = None
+    dbconn: sqlite3.Connection | None = None  # of a database, to count its rows
 
     def open(self) -> None:
-        """Read topics, counts and index.
-
-        Raises
-        ------
-        RosError, TooLargeError
-            It cannot be read, or would fill the memory.
-        """
+        """Read topics, counts and index. Raises RosError, TooLargeError if it cannot be read, or would fill the memory."""
         names: dict[int, str] = {}
         if self.kind == "mcap":
             index = McapIndex(self.place)
@@ -107,10 +84,7 @@ class RosFile:
     def messages(self, ones: Sequence[RosTopic]) -> Iterator[tuple[RosTopic, int, bytes]]:
         """Return topic, log time [ns] and content of the messages of some topics, in the order of log times.
 
-        Raises
-        ------
-        RosError
-            The file breaks off or is damaged.
+        Raises RosError if the file breaks off or is damaged.
         """
         import rosbag2_py
 
@@ -139,15 +113,8 @@ class _Storage:
 class RosBag:
     """A rosbag2, opened with the libraries of ROS 2.
 
-    Parameters
-    ----------
-    path : Path
-        A folder with a metadata.yaml, or one file, MCAP or database.
-
-    Raises
-    ------
-    MissingExtraError
-        It is packed, and no library that unpacks zstd is installed.
+    Raises MissingExtraError if it is packed, and no library that unpacks zstd is installed. `path`: a folder with a
+    metadata.yaml, or one file, MCAP or database.
     """
 
     def __init__(self, path: Path) -> None:

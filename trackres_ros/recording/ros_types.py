@@ -1,13 +1,25 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Looks up message types with the libraries of ROS 2: in the bag's text, else in the installed packages."""
+"""Finds the definition of a topic's message type: that of the bag, else the common or the installed one."""
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
-from trackres_ros.recording.message_types import Definitions, Field
+from trackres_ros.errors import InputError
+from trackres_ros.recording.cdr import Encoding
+from trackres_ros.recording.message_types import Definitions, Field, check_size, definitions, message_fields
+from trackres_ros.recording.reading import reading
+from trackres_ros.recording.ros_bag import RosTopic
+from trackres_ros.recording.unpacking import MAX_MESSAGE_BYTES
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+    from rosbags.interfaces.typing import Typesdict
 
 SEPARATOR = "=" * 80 + "\n"
 BASIC = {"double": "float64", "float": "float32", "boolean": "bool", "octet": "byte"}
@@ -20,17 +32,8 @@ WIDE = "wstring"
 def types_of_text(msgtype: str, text: str) -> Definitions:
     """Return the types in a bag's definition: its own, and after separators the nested ones.
 
-    Parameters
-    ----------
-    msgtype : str
-        ``package/msg/Name``.
-    text : str
-        The definition. One of the interface definition language gives nothing: such types are the installed ones.
-
-    Raises
-    ------
-    Exception
-        From rosidl_adapter, for an invalid text.
+    Raises Exception from rosidl_adapter, for an invalid text. `msgtype`: ``package/msg/Name``; `text`: the definition. One of the
+    interface definition language gives nothing: such types are the installed ones.
     """
     from rosidl_adapter.parser import parse_message_string
 
@@ -51,10 +54,7 @@ def types_of_text(msgtype: str, text: str) -> Definitions:
 def with_installed(own: Definitions, msgtype: str) -> Definitions:
     """Return the fields of a message type and of all nested types, from installed packages where `own` lacks them.
 
-    Raises
-    ------
-    KeyError
-        No package has a type, or it has a text of wide characters.
+    Raises KeyError if no package has a type, or it has a text of wide characters.
     """
     found: dict[str, tuple[Field, ...]] = {}
     wanted = [msgtype]
@@ -107,3 +107,51 @@ def _of_slot(name: str, kind: Any) -> Field:
     if isinstance(kind, AbstractString):
         return Field(name, "string", many, count)
     return Field(name, WIDE, many, count)
+
+
+@lru_cache
+def _common(encoding: Encoding) -> Typesdict:
+    """Return the definitions of the common types."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return message_fields(get_typestore(Stores.ROS1_NOETIC if encoding is Encoding.ROS1 else Stores.LATEST))
+
+
+@lru_cache
+def _own_definitions(text: str, msgtype: str) -> Typesdict:
+    """Return the definitions in a bag's text of a type."""
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
+    if not text.startswith(f"{SEPARATOR}IDL: "):
+        return get_types_from_msg(text, msgtype) if text else {}
+    own: Typesdict = {}
+    for part in text.split(SEPARATOR)[1:]:
+        own.update(get_types_from_idl(part.partition("\n")[2]))
+    return own
+
+
+def _finder(one: Connection | RosTopic, encoding: Encoding) -> Callable[[], Definitions]:
+    """Read the definition in the bag; return a function that adds missing ones, or raises KeyError."""
+    if isinstance(one, RosTopic):
+        of_ros = types_of_text(one.msgtype, one.msgdef)
+        return lambda: with_installed(of_ros, one.msgtype)
+    own = _own_definitions(one.msgdef if isinstance(one.msgdef, str) else one.msgdef.data, one.msgtype)
+    return lambda: definitions({**_common(encoding), **own}, one.msgtype)
+
+
+def types_of(one: Connection | RosTopic, path: Path, encoding: Encoding) -> Definitions:
+    """Return the definition of a connection's type: the bag's if present, else the common one."""
+    where = f"{path}: {one.topic}"
+    try:
+        with reading(Path(where), f"a readable definition of {one.msgtype}"):
+            find = _finder(one, encoding)
+        types = find()
+    except KeyError as error:
+        raise InputError(
+            where,
+            f"{one.msgtype} with {error}",
+            "a message type with its definition",
+            "the bag does not define it: record as MCAP, which does",
+        ) from None
+    check_size(types, one.msgtype, where, MAX_MESSAGE_BYTES)
+    return types

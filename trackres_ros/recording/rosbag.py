@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
@@ -19,7 +20,6 @@ from numpy.typing import NDArray
 from trackres_ros.errors import InputError, nearest, one_line
 from trackres_ros.recording.bag_counts import counts_of
 from trackres_ros.recording.bag_opening import READABLE, is_ros1, messages, open_bag, remedy
-from trackres_ros.recording.bag_types import types_of
 from trackres_ros.recording.binding import NO_FIX, TopicBinding
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.cdr import Encoding, FieldReader
@@ -27,6 +27,7 @@ from trackres_ros.recording.guess import guess
 from trackres_ros.recording.message_types import Definitions, check_field, stamp_path
 from trackres_ros.recording.position_units import PositionUnits
 from trackres_ros.recording.reading import reading
+from trackres_ros.recording.ros_types import types_of
 from trackres_ros.recording.samples import Finding, IntArray, SampleBlock
 from trackres_ros.recording.sums import Sums, readings_of
 from trackres_ros.recording.torque_candidates import note_of, of_topics
@@ -53,45 +54,39 @@ class _Topic:
     reader: FieldReader
 
 
+TEXTS = {
+    "malformed": "{count} messages cannot be decoded; each counts as a value that is not a number",
+    "absent": "{count} messages do not have {field}: {lack}; they give no sample",
+    "missing": "{count} messages fewer than the bag says it holds",
+    "unusable": "{count} messages left out: they hold no bytes, or no log time between 1970 and 2116",
+}
+"""Events of the messages of a role, by kind."""
+
+
 @dataclass(slots=True)
 class _Tally:
-    """Events of one reading, by role index."""
+    """Events of one reading: count and first log time [ns] by kind and role index; the time is nan without a place."""
 
     first_ns: int | None = None
-    malformed: dict[int, tuple[int, int]] = field(default_factory=dict)
-    absent: dict[int, tuple[int, int]] = field(default_factory=dict)
-    missing: dict[int, int] = field(default_factory=dict)
-    unusable: dict[int, int] = field(default_factory=dict)
+    events: dict[str, dict[int, tuple[int, float]]] = field(default_factory=lambda: {kind: {} for kind in TEXTS})
     unknown: int = 0
     speeds: int = 0
     remarks: list[str] = field(default_factory=list)
 
-    def add(self, into: dict[int, tuple[int, int]], role: int, arrival_ns: IntArray) -> None:
-        """Count samples of a role; the first one met keeps its place."""
-        if arrival_ns.size:
-            count, first = into.get(role, (0, int(arrival_ns[0])))
-            into[role] = (count + int(arrival_ns.size), first)
+    def add(self, kind: str, role: int, count: int, first_ns: float = math.nan) -> None:
+        """Count events of a role; the first one met keeps its place."""
+        if count > 0:
+            before, first_ns = self.events[kind].get(role, (0, first_ns))
+            self.events[kind][role] = (before + count, first_ns)
 
 
 class BagSource:
     """Samples of one or several bags, one after another, each in log order.
 
-    Reads rosbag2 directories (MCAP and sqlite3, compressed, split), single ``.mcap`` and ``.db3`` files, and ROS 1
-    bags. A message that cannot be decoded becomes a sample NaN at log time and a finding.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        The bags.
-    topics : Topics, optional
-        Topic of each role; by default guessed from the message types.
-
-    Raises
-    ------
-    InputError
-        A file that is no bag, a missing topic or field, an unknown type, or no speed.
-    MissingExtraError
-        rosbags is not installed.
+    Reads rosbag2 directories (MCAP and sqlite3, compressed, split), single ``.mcap`` and ``.db3`` files, and ROS 1 bags. A
+    message that cannot be decoded becomes a sample NaN at log time and a finding. Raises InputError for a file that is no bag, a
+    missing topic or field, an unknown type, or no speed; MissingExtraError if rosbags is not installed. `paths`: the bags;
+    `topics`: topic of each role; by default guessed from the message types.
     """
 
     zero_is_unset = True
@@ -186,10 +181,7 @@ class BagSource:
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
         """Read all bags; see `trackres_ros.recording.samples.Source.blocks`.
 
-        Raises
-        ------
-        InputError
-            A bag that breaks off or is damaged.
+        Raises InputError for a bag that breaks off or is damaged.
         """
         tally, sums = _Tally(), Sums(self._readings, self.bindings)
         held: list[SampleBlock] = []
@@ -203,7 +195,7 @@ class BagSource:
             yield self._position.in_radians(sums.added(_joined(held)), self.roles)
         self.findings = (*self._found(tally), *sums.findings)
         speed = len(self._readings) - 1
-        if not tally.speeds and speed in tally.absent:
+        if not tally.speeds and speed in tally.events["absent"]:
             where, given = f"{self._origin}: speed: field", f"{self._field(speed)}, {self._lack(speed)}"
             raise InputError(where, given, f"an element that the messages of {self.name} have")
 
@@ -247,16 +239,14 @@ class BagSource:
                 if times is None or set(map(type, raws)) != {bytes}:
                     good = np.array([_times([stamp]) is not None and type(raw) is bytes for _, stamp, raw in batch])
                     for number in which[~good].tolist():
-                        role = topics[number].roles[0]
-                        tally.unusable[role] = tally.unusable.get(role, 0) + 1
+                        tally.add("unusable", topics[number].roles[0], 1)
                     which, raws = which[good], list(itertools.compress(raws, good.tolist()))
                     times = np.array(list(itertools.compress(stamps, good.tolist())), np.int64)
                 if len(raws):
                     yield self._block(topics, which, times, raws, tally)
                 size = min(most, 1 + BATCH_BYTES * len(raws) // max(1, sum(map(len, raws))))
             for topic, count in zip(topics, lost.tolist(), strict=True):
-                if count > 0:
-                    tally.missing[topic.roles[0]] = tally.missing.get(topic.roles[0], 0) + count
+                tally.add("missing", topic.roles[0], count)
 
     def _block(
         self, topics: Sequence[_Topic], which: NDArray[np.intp], arrival_ns: IntArray, raws: Sequence[bytes], tally: _Tally
@@ -283,33 +273,19 @@ class BagSource:
                 block.stamp_ns[to] = np.where(stamps != 0, stamps - binding.delay_ns, 0) if binding.delay_ns else stamps
                 block.value[to] = binding.meant(binding.scale * decoded.value[:, slot] + binding.offset)
                 keep[to] = ~decoded.absent[:, slot]
-                tally.add(tally.malformed, role, arrived[decoded.malformed])
-                tally.add(tally.absent, role, arrived[decoded.absent[:, slot]])
+                for kind, rows_of in (("malformed", decoded.malformed), ("absent", decoded.absent[:, slot])):
+                    if rows_of.any():
+                        tally.add(kind, role, int(rows_of.sum()), int(arrived[rows_of][0]))
         tally.speeds += int(np.count_nonzero(keep & (block.role == len(self._readings) - 1)))
         if keep.all():
             return block
         return SampleBlock(block.role[keep], block.stamp_ns[keep], block.arrival_ns[keep], block.value[keep])
 
     def _found(self, tally: _Tally) -> Iterator[Finding]:
-        start = tally.first_ns or 0
-        for role, (count, first) in tally.malformed.items():
-            text = f"{count} messages cannot be decoded; each counts as a value that is not a number"
-            yield Finding(self._readings[role].role, "malformed", count, (first - start) / 1e9, text)
-        for role, (count, first) in tally.absent.items():
-            yield Finding(
-                self._readings[role].role,
-                "absent",
-                count,
-                (first - start) / 1e9,
-                f"{count} messages do not have {self._field(role)}: {self._lack(role)}; they give no sample",
-            )
-        for role, count in tally.missing.items():
-            yield Finding(
-                self._readings[role].role, "missing", count, float("nan"), f"{count} messages fewer than the bag says it holds"
-            )
-        for role, count in tally.unusable.items():
-            text = f"{count} messages left out: they hold no bytes, or no log time between 1970 and 2116"
-            yield Finding(self._readings[role].role, "unusable", count, float("nan"), text)
+        for kind, text in TEXTS.items():
+            for role, (count, first) in tally.events[kind].items():
+                shown = text.format(count=count, field=self._field(role), lack=self._lack(role))
+                yield Finding(self._readings[role].role, kind, count, (first - (tally.first_ns or 0)) / 1e9, shown)
         if tally.unknown:
             text = f"{tally.unknown} messages of topics that the bag does not describe are left out"
             yield Finding("", "unknown_topic", tally.unknown, float("nan"), text)

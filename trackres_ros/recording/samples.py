@@ -3,8 +3,6 @@
 
 """Defines samples in SI and in log order: the blocks that a source is read in, the series of one role, and findings."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
@@ -20,22 +18,13 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class SampleBlock:
-    """A run of samples in log order; all arrays have the same length n.
+    """A run of samples in log order; all arrays have the same length n."""
 
-    Attributes
-    ----------
-    role : ndarray of int16, shape (n,)
-        Index into the `roles` of the source.
-    stamp_ns, arrival_ns : ndarray of int64, shape (n,)
-        Time of measurement, and time of logging [ns]. In a table both are the time column.
-    value : ndarray of float64, shape (n,)
-        Value in the unit of the role; NaN for a message that could not be decoded.
-    """
-
-    role: NDArray[np.int16]
+    role: NDArray[np.int16]  # index into the `roles` of the source, shape (n,)
+    # time of measurement, and time of logging [ns]. In a table both are the time column, shape (n,)
     stamp_ns: IntArray
     arrival_ns: IntArray
-    value: FloatArray
+    value: FloatArray  # value in the unit of the role; NaN for a message that could not be decoded, shape (n,)
 
     def __len__(self) -> int:
         return len(self.role)
@@ -43,25 +32,14 @@ class SampleBlock:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A fault or an oddity of the samples of one role.
+    """A fault or an oddity of the samples of one role."""
 
-    Attributes
-    ----------
-    role, kind : str
-        Role ("" for the whole recording), and kind: see `trackres_ros.recording.quality.findings_of`.
-    count : int
-        Number of samples.
-    first_time_s : float
-        Its first occurrence, from the start of the recording [s]; NaN without a place.
-    text : str
-        One sentence for the user.
-    """
-
+    # role ("" for the whole recording), and kind: see `trackres_ros.recording.quality.findings_of`
     role: str
     kind: str
-    count: int
-    first_time_s: float
-    text: str
+    count: int  # number of samples
+    first_time_s: float  # its first occurrence, from the start of the recording [s]; NaN without a place
+    text: str  # one sentence for the user
 
 
 class Source(Protocol):

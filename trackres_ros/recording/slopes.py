@@ -5,8 +5,6 @@
 than roads are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -30,33 +28,19 @@ MAD_TO_STD = 1.4826
 
 
 class Slopes(NamedTuple):
-    """Slopes along a drive.
+    """Slopes along a drive."""
 
-    Attributes
-    ----------
-    value
-        Rise over run, shape (n,); nan where unknown.
-    std
-        Their standard deviation, due to the error of the altitude.
-    length_m
-        Distance over which each is fitted.
-    """
-
-    value: Array
-    std: float
-    length_m: float
+    value: Array  # rise over run, shape (n,); nan where unknown
+    std: float  # their standard deviation, due to the error of the altitude
+    length_m: float  # distance over which each is fitted
 
 
 def slopes(time_s: Array, speed: Array, altitude: Array, error_m: float = 0.0) -> Slopes:
     """Slope of the road along a drive.
 
-    Parameters
-    ----------
-    time_s, speed, altitude
-        Rising times [s], speeds [m/s] and altitudes [m] that may be nan, each of shape (n,).
-    error_m
-        Standard deviation of a slow error of the altitude, which lasts longer than the fitted distance and does not show
-        as scatter [m].
+    `time_s`, `speed`, `altitude`: rising times [s], speeds [m/s] and altitudes [m] that may be nan, each of shape (n,);
+    `error_m`: standard deviation of a slow error of the altitude, which lasts longer than the fitted distance and does not show
+    as scatter [m].
 
     Notes
     -----

@@ -3,8 +3,6 @@
 
 """Adds the parts of a role from messages at different times; equal live and from a bag."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -44,15 +42,7 @@ def readings_of(roles: Sequence[str], bindings: Mapping[str, TopicBinding]) -> t
 
 
 class Sums:
-    """All sums of a bag.
-
-    Parameters
-    ----------
-    readings
-        From `readings_of`.
-    bindings
-        By role.
-    """
+    """All sums of a bag. `readings`: from `readings_of`; `bindings`: by role."""
 
     def __init__(self, readings: Sequence[Reading], bindings: Mapping[str, TopicBinding]) -> None:
         roles = list(dict.fromkeys(one.role for one in readings))
@@ -103,15 +93,9 @@ class Sums:
 class Sum:
     """The sum of parts, at the times of the first topic.
 
-    Parts of one message belong together: a missing one leaves no sum. Those of other topics are interpolated linearly to the
-    time of the first one; if the samples around it are too far apart, there is no sum.
-
-    Parameters
-    ----------
-    role
-        Role of the sum.
-    binding
-        Its parts are fields of topics.
+    Parts of one message belong together: a missing one leaves no sum. Those of other topics are interpolated linearly to the time
+    of the first one; if the samples around it are too far apart, there is no sum. `role`: role of the sum; `binding`: its parts
+    are fields of topics.
     """
 
     def __init__(self, role: str, binding: TopicBinding) -> None:
@@ -140,19 +124,8 @@ class Sum:
     def add(self, part: int, stamp_ns: int, arrival_ns: int, value: float) -> list[tuple[int, float]]:
         """Add a part of a message, and return the sums that it completes.
 
-        Parameters
-        ----------
-        part
-            Its index among the parts.
-        stamp_ns, arrival_ns
-            Of its message [ns]; a stamp of 0, never set, is replaced by the arrival.
-        value
-            Scaled by its line of the topics file.
-
-        Returns
-        -------
-        list of tuple
-            Stamp [ns], and the sum in the unit of the role.
+        `part`: its index among the parts; `stamp_ns`, `arrival_ns`: of its message [ns]; a stamp of 0, never set, is replaced by
+        the arrival; `value`: scaled by its line of the topics file. Returns stamp [ns], and the sum in the unit of the role.
         """
         index = self._topic_of[part]
         message, count, total = self._message[index]

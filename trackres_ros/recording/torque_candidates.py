@@ -3,8 +3,6 @@
 
 """Names the columns or topics that may hold the torque, if none was read."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 

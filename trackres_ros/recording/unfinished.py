@@ -3,8 +3,6 @@
 
 """Reads an MCAP file that was not finished, such as after a kill: up to its last complete chunk, with an ending made here."""
 
-from __future__ import annotations
-
 import io
 import os
 import shutil
@@ -112,15 +110,7 @@ class Recovered:
 class UnfinishedBag:
     """A file without its end, read as if it had one; to `rosbags` it is a path.
 
-    Parameters
-    ----------
-    path : Path
-        An MCAP file for which `is_unfinished` is true.
-
-    Raises
-    ------
-    InputError
-        There is no complete message in it.
+    Raises InputError if there is no complete message in it. `path`: an MCAP file for which `is_unfinished` is true.
     """
 
     suffix = ".mcap"
@@ -163,10 +153,7 @@ class UnfinishedBag:
     def write(self, path: Path) -> None:
         """Write it finished to another file, which is put in place when complete.
 
-        Raises
-        ------
-        InputError
-            It cannot be written there.
+        Raises InputError if it cannot be written there.
         """
         part = path.with_name(f".{path.name}.{os.getpid()}{SUFFIX}")
         try:
@@ -278,13 +265,7 @@ def _take_chunk(found: _Found, content: bytes, at: int) -> bool:
 
 
 def _records(data: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Kind, place and content of the records in a chunk.
-
-    Raises
-    ------
-    ValueError, struct.error
-        They do not follow on one another.
-    """
+    """Kind, place and content of the records in a chunk. Raises ValueError, struct.error if they do not follow on one another."""
     at = 0
     while at < len(data):
         kind, length = HEAD.unpack_from(data, at)

@@ -3,15 +3,16 @@
 
 """Unpacks archives inside bags up to a ceiling: a few bytes may request all of the memory."""
 
-from __future__ import annotations
-
 import bz2
 import shutil
 import struct
 import tempfile
 import zlib
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any, BinaryIO, Protocol
@@ -56,15 +57,17 @@ class _Zstandard:
         return unpacked
 
 
+def _zstd_module() -> ModuleType | None:
+    """That of Python 3.14, or its backport, if there is one."""
+    for name in ("compression.zstd", "backports.zstd"):
+        with suppress(ImportError):
+            return import_module(name)
+    return None
+
+
 def _zstd() -> Callable[[], _Decompressor]:
-    try:
-        from compression.zstd import ZstdDecompressor  # type: ignore[import-not-found, unused-ignore]  # Python 3.14
-    except ImportError:
-        try:
-            from backports.zstd import ZstdDecompressor
-        except ImportError:
-            return _Zstandard
-    return ZstdDecompressor  # type: ignore[no-any-return, unused-ignore]
+    module = _zstd_module()
+    return _Zstandard if module is None else module.ZstdDecompressor
 
 
 def _zstandard() -> ModuleType:
@@ -85,14 +88,8 @@ def _lz4() -> _Decompressor:
 
 
 def check_zstd() -> None:
-    """Refuse zstd data without a library to unpack them.
-
-    Raises
-    ------
-    MissingExtraError
-        No library for it is installed.
-    """
-    if _zstd() is _Zstandard:
+    """Refuse zstd data without a library to unpack them. Raises MissingExtraError if no library for it is installed."""
+    if _zstd_module() is None:
         _zstandard()
 
 
@@ -103,36 +100,20 @@ def unpackers() -> dict[str, Callable[[bytes, int], bytes]]:
 
 def unpack_file(packed: Path, to: Path) -> None:
     """Unpack a file of zstd, for which `check_space` has found space."""
-    if _zstd() is _Zstandard:
-        with packed.open("rb") as file, to.open("wb") as out:
-            _zstandard().ZstdDecompressor().copy_stream(file, out)
-        return
-    try:
-        from compression.zstd import open as open_zstd  # type: ignore[import-not-found, unused-ignore]  # Python 3.14
-    except ImportError:
-        from backports.zstd import open as open_zstd
-    with open_zstd(packed, "rb") as file, to.open("wb") as out:
-        shutil.copyfileobj(file, out)
+    module = _zstd_module()
+    with ExitStack() as files:
+        out = files.enter_context(to.open("wb"))
+        if module is None:
+            _zstandard().ZstdDecompressor().copy_stream(files.enter_context(packed.open("rb")), out)
+        else:
+            shutil.copyfileobj(files.enter_context(module.open(packed, "rb")), out)
 
 
 def unpacked(make: Callable[[], _Decompressor], data: bytes, most: int) -> bytes:
     """Unpack all concatenated archives in some bytes.
 
-    Parameters
-    ----------
-    make : callable
-        Makes a decompressor.
-    data : bytes
-        One or several complete archives.
-    most : int
-        The ceiling [bytes].
-
-    Raises
-    ------
-    TooLargeError
-        There is more.
-    EOFError
-        It ends within an archive.
+    Raises TooLargeError if there is more; EOFError if it ends within an archive. `make`: makes a decompressor; `data`: one or
+    several complete archives; `most`: the ceiling [bytes].
     """
     parts = []
     left = most
@@ -159,17 +140,13 @@ def set_ceilings() -> None:
     from rosbags.rosbag2 import storage_mcap as mcap
 
     makers: dict[str, Callable[[], _Decompressor]] = {"zstd": _zstd(), "bz2": bz2.BZ2Decompressor}
-    try:
-        from lz4.frame import LZ4FrameDecompressor
-
-        makers["lz4"] = LZ4FrameDecompressor
-    except ImportError:  # rosbags then has another one
-        pass
+    if find_spec("lz4"):  # rosbags has another one without it
+        makers["lz4"] = _lz4
     for name, make in makers.items():
         if name in mcap.DECOMPRESSORS:
             mcap.DECOMPRESSORS[name] = _of_size(make)
         if name in ros1.decompressors:
-            ros1.decompressors[name] = _of_any_size(make)
+            ros1.decompressors[name] = partial(unpacked, make, most=MAX_CHUNK_BYTES)
 
 
 def set_can_ceilings() -> None:
@@ -219,17 +196,10 @@ def _of_size(make: Callable[[], _Decompressor]) -> Callable[[bytes, int], bytes]
     return unpack
 
 
-def _of_any_size(make: Callable[[], _Decompressor]) -> Callable[[bytes], bytes]:
-    return lambda data: unpacked(make, data, MAX_CHUNK_BYTES)
-
-
 def check_space(path: Path) -> None:
     """Refuse a file that unpacks to more than fits into the temporary folder, where rosbags unpacks it.
 
-    Raises
-    ------
-    InputError
-        With the size.
+    Raises InputError with the size.
     """
     with path.open("rb") as file:
         size = _zstd_bound(file)

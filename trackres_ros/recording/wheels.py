@@ -3,8 +3,6 @@
 
 """Compares recorded wheel speeds with the vehicle speed: rolling radius and slip under torque."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -23,23 +21,14 @@ KNM = 1e3  # Nm
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
-    """One wheel against the vehicle.
+    """One wheel against the vehicle."""
 
-    Attributes
-    ----------
-    name : str
-        As in the role.
-    ratio, ratio_std : float
-        Its speed over that of the vehicle without torque, and its standard deviation: the wheel rolls on its nominal radius
-        over the ratio.
-    slip, slip_std : float
-        Relative excess of its speed over the vehicle's, per kNm of torque on all wheels; nan without a
-        recorded torque.
-    """
-
-    name: str
+    name: str  # as in the role
+    # its speed over that of the vehicle without torque, and its standard deviation: the wheel rolls on its nominal radius over
+    # the ratio
     ratio: float
     ratio_std: float
+    # relative excess of its speed over the vehicle's, per kNm of torque on all wheels; nan without a recorded torque
     slip: float
     slip_std: float
 
@@ -47,10 +36,7 @@ class Wheel:
 def wheels(held: Mapping[str, FloatArray]) -> tuple[Wheel, ...]:
     """Wheel ratios and slips of a recording, if it drives straight for long enough.
 
-    Parameters
-    ----------
-    held
-        Roles on the samples of the speed, from `Recording.aligned`.
+    `held`: roles on the samples of the speed, from `Recording.aligned`.
 
     Notes
     -----

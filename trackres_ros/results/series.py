@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.model.resistance import resistance_parts
-from trackres_ros.output.column_units import unit_of
+from trackres_ros.output.table import unit_of
 from trackres_ros.text.html import table
 from trackres_ros.text.numbers import decimals
 from trackres_ros.units import KMH_PER_MPS

@@ -3,8 +3,6 @@
 
 """Makes small pieces of HTML for notebooks: without colours, so that they are readable on light and on dark."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from html import escape

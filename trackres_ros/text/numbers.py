@@ -3,8 +3,6 @@
 
 """Writes numbers for people: no more figures than matter, plain below a million, and no zero with a sign."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

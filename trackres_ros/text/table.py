@@ -3,8 +3,6 @@
 
 """Lays out tables of plain text, by rich: the same on every terminal and in a file, each row one whole line."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterable, Sequence
 
@@ -14,14 +12,8 @@ WIDER_THAN_ANY = 10_000  # columns of a terminal: no row is folded or cut
 def table(rows: Iterable[Sequence[str]], head: Sequence[str] = (), indent: int = 0, numbers: bool = True) -> str:
     """Rows of cells in columns.
 
-    Parameters
-    ----------
-    head
-        Heading of each column, with a unit on a second line; omitted if empty.
-    indent
-        Spaces before each line.
-    numbers
-        Whether the columns hold numbers, which are right-aligned.
+    `head`: heading of each column, with a unit on a second line; omitted if empty; `indent`: spaces before each line; `numbers`:
+    whether the columns hold numbers, which are right-aligned.
     """
     from rich.console import Console
     from rich.padding import Padding

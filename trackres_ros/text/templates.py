@@ -17,17 +17,8 @@ if TYPE_CHECKING:
 def templates(package: str, page: str, extra: str, **filters: Callable[..., Any]) -> Environment:
     """The templates in the folder of a package.
 
-    Parameters
-    ----------
-    page, extra
-        Page that needs them, and the extra that installs jinja2.
-    filters
-        By name.
-
-    Raises
-    ------
-    MissingExtraError
-        Without jinja2.
+    `page`, `extra`: page that needs them, and the extra that installs jinja2; `filters`: by name. Raises MissingExtraError
+    without jinja2.
     """
     try:
         from jinja2 import Environment, PackageLoader, StrictUndefined

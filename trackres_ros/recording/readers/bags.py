@@ -3,8 +3,6 @@
 
 """Registers bags: rosbag2 and ROS 1."""
 
-from __future__ import annotations
-
 from trackres_ros.recording.file_kind import BagKind
 from trackres_ros.recording.rosbag import BagSource
 from trackres_ros.recording.unfinished import SUFFIX as UNFINISHED

@@ -3,8 +3,6 @@
 
 """Reads logs of CAN frames: BLF, ASC and candump."""
 
-from __future__ import annotations
-
 import io
 import logging
 import re

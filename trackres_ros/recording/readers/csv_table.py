@@ -3,8 +3,6 @@
 
 """Reads CSV in blocks, with the separator, the decimal mark and the times that the file itself shows."""
 
-from __future__ import annotations
-
 import codecs
 import csv
 import gzip
@@ -21,7 +19,6 @@ from typing import IO, Any, cast
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
 from trackres_ros.recording.date_times import DateTimes, is_date_time
 from trackres_ros.recording.file_kind import FileKind
@@ -307,8 +304,4 @@ class _Lines:
             yield row
 
 
-def _read(path: Path, name: str, _: Topics | None) -> list[CsvTable]:
-    return [CsvTable(path, name)]
-
-
-KINDS = (FileKind("CSV", (".csv", ".csv.gz"), _read, checked=True),)
+KINDS = (FileKind("CSV", (".csv", ".csv.gz"), lambda path, name, _: [CsvTable(path, name)], checked=True),)

@@ -45,10 +45,7 @@ EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 def excel_tables(path: Path, name: str, _: Topics | None = None) -> list[ExcelTable]:
     """The visible sheets of a workbook that have a row of names.
 
-    Raises
-    ------
-    InputError
-        No sheet has, or the file unpacks to more than the limit.
+    Raises InputError if no sheet has, or the file unpacks to more than the limit.
     """
     with _workbook(path) as book:
         sheets = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
@@ -184,10 +181,7 @@ def _workbook(path: Path) -> Iterator[Workbook]:
 def _check_size(path: Path) -> None:
     """Refuse a workbook that unpacks to more than the limit; no part unpacks to more than it states.
 
-    Raises
-    ------
-    InputError
-        With the part.
+    Raises InputError with the part.
     """
     size = path.stat().st_size
     if size > MOST_BYTES:

@@ -3,8 +3,6 @@
 
 """Reads MATLAB files: vectors, alone and in structs, each with the vector of its times."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -3,8 +3,6 @@
 
 """Reads measurement data in the format MDF: channels, and the frames of buses that were logged."""
 
-from __future__ import annotations
-
 import heapq
 import io
 import logging
@@ -85,10 +83,7 @@ class _Groups:
     def part(self, group: int, index: int, start: int) -> Any:
         """A part of a channel as a signal, including samples marked as invalid.
 
-        Raises
-        ------
-        InputError
-            The channel or its times lie outside of the records: asammdf would read other data.
+        Raises InputError if the channel or its times lie outside of the records: asammdf would read other data.
         """
         described = self.mdf.groups[group]
         sizes = described.channel_group
@@ -187,13 +182,7 @@ def _frames(groups: _Groups, met: Counter[str]) -> Iterator[Frame]:
 
 
 def _frames_of(groups: _Groups, number: int, met: Counter[str]) -> Iterator[Frame]:
-    """Frames of a group.
-
-    Raises
-    ------
-    InputError
-        They do not follow the standard's description.
-    """
+    """Frames of a group. Raises InputError if they do not follow the standard's description."""
     places = {channel.name: index for index, channel in enumerate(groups.mdf.groups[number].channels)}
     records = groups.records(number)
     for start in range(0, records, BLOCK_ROWS):

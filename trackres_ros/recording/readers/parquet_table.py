@@ -3,8 +3,6 @@
 
 """Reads Parquet tables in blocks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
-from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
 from trackres_ros.recording.date_times import NO_ZONE
 from trackres_ros.recording.file_kind import FileKind
@@ -113,8 +110,6 @@ def _look_at_counts(metadata: Any, names: Sequence[str], rows: int, empty: NDArr
                 yield Finding("", "missing", more, float("nan"), text)
 
 
-def _read(path: Path, name: str, _: Topics | None) -> list[ParquetTable]:
-    return [ParquetTable(path, name)]
-
-
-KINDS = (FileKind("Parquet", (".parquet",), _read, (("pyarrow", "parquet"),), checked=True),)
+KINDS = (
+    FileKind("Parquet", (".parquet",), lambda path, name, _: [ParquetTable(path, name)], (("pyarrow", "parquet"),), checked=True),
+)
