@@ -103,9 +103,9 @@ class Held:
 def steady(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = None) -> Steady:
     """The steady state of a vehicle, by the exact methods.
 
-    Raises InputError beyond the speeds of the vehicle. `vehicle`: with its effects; those without sufficient inputs in a straight
-    drive at one speed are excluded; `speed`: [m/s], forward; `ambient`: air [degC]; `weight`: whole weight [N], shared as
-    nominal; by default the vehicle file's.
+    `vehicle`: with its effects; those without sufficient inputs in a straight drive at one speed are excluded; `speed`: [m/s],
+    forward; `ambient`: air [degC]; `weight`: whole weight [N], shared as nominal; by default the vehicle file's. Raises
+    InputError beyond the speeds of the vehicle.
     """
     check_speed(vehicle, speed)
     if vehicle.active:

@@ -125,8 +125,8 @@ def sweep(
 ) -> Swept:
     """Compute all points, on the fleet's engine if there are many.
 
-    Raises InputError if there are too many points, or none is a possible vehicle. `asked`: inputs of the sweep; `address`,
-    `workers`: see `engine.engine`; `advance`: called after each point.
+    `asked`: inputs of the sweep; `address`, `workers`: see `engine.engine`; `advance`: called after each point. Raises InputError
+    if there are too many points, or none is a possible vehicle.
     """
     points, twice = asked.points, [path for path in asked.paths if asked.paths.count(path) > 1]
     if twice:

@@ -60,9 +60,9 @@ def trends(
 ) -> dict[str, Any]:
     """All findings in a dataset.
 
-    Raises InputError if there is nothing to compare, a limit of an unknown parameter, or no such vehicle. `limits`: by parameter,
-    value for maintenance: for forecasts; `rate`: of false alarms, per vehicle and year; `vehicle`: the only one to check for
-    changes; by default all.
+    `limits`: by parameter, value for maintenance: for forecasts; `rate`: of false alarms, per vehicle and year; `vehicle`: the
+    only one to check for changes; by default all. Raises InputError if there is nothing to compare, a limit of an unknown
+    parameter, or no such vehicle.
     """
     rows = dataset.rows([*TEXTS, *NUMBERS])
     kept, overlapping = without_overlaps(rows)

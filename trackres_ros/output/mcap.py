@@ -128,9 +128,9 @@ class BagWriter:
     def topic(self, name: str, msgtype: str, template: object = None, fields: Sequence[str] = ()) -> BagTopic:
         """Announce a topic.
 
-        Raises InputError for an unknown type, or a field path that does not lead to a number of the template. `name`, `msgtype`:
-        topic, and ``package/msg/Name``; `template`: for `write_block`: constant strings and sequences; `fields`: paths of the k
-        numbers that `write_block` sets.
+        `name`, `msgtype`: topic, and ``package/msg/Name``; `template`: for `write_block`: constant strings and sequences;
+        `fields`: paths of the k numbers that `write_block` sets. Raises InputError for an unknown type, or a field path that does
+        not lead to a number of the template.
         """
         try:
             types = definitions(message_fields(self.typestore), msgtype)

@@ -135,8 +135,8 @@ class TableWriter:
 def write_table(path: Path, columns: Mapping[str, NDArray[Any]], estimates: bool = False) -> None:
     """Write a whole table; see `TableWriter`.
 
-    Raises InputError for another suffix, no such folder, or columns of different lengths. `path`: ``.csv``, ``.csv.gz``,
-    ``.parquet`` or ``.mf4``; `columns`: numbers or texts by name, shape (n,); `estimates`: as there.
+    `path`: ``.csv``, ``.csv.gz``, ``.parquet`` or ``.mf4``; `columns`: numbers or texts by name, shape (n,); `estimates`: as
+    there. Raises InputError for another suffix, no such folder, or columns of different lengths.
     """
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) != 1:

@@ -21,6 +21,7 @@ IN_DEGREES = "sensor_msgs/msg/NavSatFix"
 FIX, NO_FIX = "status.status", -1
 """Field of such a message for the fix, and its value without one."""
 STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\[\]]+)\])?")
+PATH = re.compile(rf"{STEP.pattern}(?:\.{STEP.pattern})*")
 MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
 
 
@@ -127,24 +128,12 @@ def field_steps(path: str) -> tuple[FieldStep, ...]:
 
     Raises ValueError if it is no field path.
     """
-    steps, rest = [], path
-    while True:
-        match = STEP.match(rest)
-        if not match:
-            raise ValueError(f"no field path: {path!r}")
-        name, element = match.group(1), match.group(2)
-        if element is None:
-            steps.append(FieldStep(name))
-        elif element.isdecimal():
-            steps.append(FieldStep(name, index=int(element)))
-        else:
-            steps.append(FieldStep(name, element=element))
-        rest = rest[match.end() :]
-        if not rest:
-            return tuple(steps)
-        if rest[0] != ".":
-            raise ValueError(f"no field path: {path!r}")
-        rest = rest[1:]
+    if not PATH.fullmatch(path):
+        raise ValueError(f"no field path: {path!r}")
+    found = STEP.findall(path)
+    return tuple(
+        FieldStep(name, int(part)) if part.isdecimal() else FieldStep(name, element=part or None) for name, part in found
+    )
 
 
 def message_type(name: str) -> str:

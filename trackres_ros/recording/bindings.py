@@ -87,8 +87,8 @@ class Topics:
     def parse(cls, content: object, origin: str = "topics", folder: Path = Path()) -> Topics:
         """Check the content of a topics file.
 
-        Raises InputError for unknown role or key, missing or impossible value. `content`: content of the YAML; `origin`: its
-        file, for messages; `folder`: folder of relative paths in it.
+        `content`: content of the YAML; `origin`: its file, for messages; `folder`: folder of relative paths in it. Raises
+        InputError for unknown role or key, missing or impossible value.
         """
         if not isinstance(content, Mapping) or not content:
             raise InputError(origin, content, "a mapping with one line per role", f"write for example: {EXAMPLE}")

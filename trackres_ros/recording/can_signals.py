@@ -63,9 +63,10 @@ class CanSignals(ChannelFile):
 
     Messages are found by identifier. Those of J1939 are found by their group number, whatever the priority, and by the control
     unit in the database's identifier. Without one, the first sender of the group is read. Groups of more than 8 bytes are joined
-    from the packets of the transport protocol. Raises InputError for no database, or one that cannot be read. `name`: of the log,
-    for messages; `frames`: reads the log from the beginning, and counts its faults, by the keys of `TEXTS`; `topics`: the topics
-    file, which names the databases.
+    from the packets of the transport protocol.
+
+    `name`: of the log, for messages; `frames`: reads the log from the beginning, and counts its faults, by the keys of `TEXTS`;
+    `topics`: the topics file, which names the databases. Raises InputError for no database, or one that cannot be read.
     """
 
     def __init__(self, name: str, frames: Callable[[Counter[str]], Iterator[Frame]], topics: Topics | None) -> None:

@@ -38,9 +38,8 @@ class Choice:
 def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     """Choose the channels of a file.
 
-    Raises InputError for a missing or ambiguous channel, no time, no speed, or a unit that does not fit its role. `file`: the
-    opened file; `topics`: the topics file. If it names no role, channels of a file other than a table are guessed by name and
-    unit.
+    `file`: the opened file; `topics`: the topics file. If it names no role, channels of a file other than a table are guessed by
+    name and unit. Raises InputError for a missing or ambiguous channel, no time, no speed, or a unit that does not fit its role.
     """
     names = _Names(file)
     listed = topics.bindings.items() if topics else ()

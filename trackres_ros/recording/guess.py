@@ -81,9 +81,10 @@ RULES = (
 def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
     """Guess the bindings from message types, and from topic names where types do not decide.
 
-    Acceleration is never guessed: that of an IMU contains gravity on a slope, and is treated as a specific force. `available`:
-    message type by topic. Raises InputError if no topic is recognised as the speed; the text lists every topic and type. Returns
-    `topics`: the guesses, and `notes`: one sentence per role, with alternatives.
+    Acceleration is never guessed: that of an IMU contains gravity on a slope, and is treated as a specific force.
+
+    `available`: message type by topic. Raises InputError if no topic is recognised as the speed; the text lists every topic and
+    type. Returns `topics`: the guesses, and `notes`: one sentence per role, with alternatives.
     """
     found: dict[str, list[tuple[TopicBinding, str]]] = {}
     for rule in RULES:

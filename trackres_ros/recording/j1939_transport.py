@@ -53,8 +53,10 @@ def with_joined(frames: Iterator[Frame], met: Counter[str]) -> Iterator[Frame]:
     """Yield all frames, and each joined message after its last packet, with the stamp of that packet.
 
     A sender has at most one broadcast in progress, and one transfer to each receiver. Packets may be repeated or reordered, as a
-    receiver requests them again. `frames`: in the order of the log; `met`: counts losses: `incomplete` messages, and `stray`
-    packets of messages that were not announced.
+    receiver requests them again.
+
+    `frames`: in the order of the log; `met`: counts losses: `incomplete` messages, and `stray` packets of messages that were not
+    announced.
     """
     transfers: dict[tuple[int | None, int, int], _Transfer] = {}
 

@@ -42,8 +42,8 @@ class Statistics:
 class McapIndex:
     """The index of a file.
 
-    Raises McapError if it cannot be read; TooLargeError if a chunk states an unpacked size above the ceiling. `path`: a file with
-    its end.
+    `path`: a file with its end. Raises McapError if it cannot be read; TooLargeError if a chunk states an unpacked size above the
+    ceiling.
 
     Attributes
     ----------

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, cast
 
@@ -54,13 +54,8 @@ def definitions(fielddefs: Mapping[str, tuple[object, object]], msgtype: str) ->
     `fielddefs`: `fielddefs` of a rosbags typestore; `msgtype`: ``package/msg/Name``. Raises KeyError if a type is not in the
     typestore.
     """
-    found: dict[str, tuple[Field, ...]] = {}
-    wanted = [msgtype]
-    while wanted:
-        name = wanted.pop()
-        if name in found:
-            continue
-        fields = []
+
+    def fields(name: str) -> Iterator[Field]:
         for field, desc in cast("list[tuple[str, tuple[int, tuple[tuple[int, object], int]]]]", fielddefs[name][1]):
             many: Literal["one", "array", "sequence"] = "one"
             inner: tuple[int, object] = (desc[0], desc[1])
@@ -69,18 +64,28 @@ def definitions(fielddefs: Mapping[str, tuple[object, object]], msgtype: str) ->
                 many = "array" if desc[0] == 3 else "sequence"
                 inner, count = desc[1]
             kind = cast("str", inner[1]) if inner[0] == 2 else cast("tuple[str, int]", inner[1])[0]
-            if inner[0] == 2:
-                wanted.append(kind)
-            fields.append(Field(field, kind, many, count))
-        found[name] = tuple(fields)
+            yield Field(field, kind, many, count)
+
+    return with_nested(msgtype, lambda name: tuple(fields(name)))
+
+
+def with_nested(msgtype: str, fields: Callable[[str], tuple[Field, ...]]) -> Definitions:
+    """The fields of a message type and of all nested types, each as a function gives them."""
+    found: dict[str, tuple[Field, ...]] = {}
+    wanted = [msgtype]
+    while wanted:
+        name = wanted.pop()
+        if name not in found:
+            found[name] = fields(name)
+            wanted += [field.type for field in found[name] if "/" in field.type]
     return found
 
 
 def check_size(types: Definitions, msgtype: str, where: str, most: int) -> None:
     """Refuse a type with messages too large to read: a few letters define an array of any length.
 
-    Raises InputError for a fixed array or nesting that is too long, or a recursive type. `types`: the type and all nested types;
-    `msgtype`: ``package/msg/Name``; `where`: for messages to the user; `most`: largest message that is read [bytes].
+    `types`: the type and all nested types; `msgtype`: ``package/msg/Name``; `where`: for messages to the user; `most`: largest
+    message that is read [bytes]. Raises InputError for a fixed array or nesting that is too long, or a recursive type.
     """
     sizes: dict[str, int] = {}
 

@@ -63,9 +63,10 @@ def decide(columns: Mapping[str, ColumnMarks], name: str, commas_separate: bool 
     """The decimal mark of each column.
 
     A column decides for itself. In an ambiguous one, a mark is the decimal one if it surely is in other columns of the table and
-    the other mark is in none; or if it is a point and commas separate the cells. Raises InputError if neither the column nor the
-    others decide, or a column shows both. `columns`: by name; `name`: of the table, for messages; `commas_separate`: the cells of
-    the table.
+    the other mark is in none; or if it is a point and commas separate the cells.
+
+    `columns`: by name; `name`: of the table, for messages; `commas_separate`: the cells of the table. Raises InputError if
+    neither the column nor the others decide, or a column shows both.
     """
     sure = {mark for marks in columns.values() for mark in ((marks.given,) if marks.given else marks.surely)}
     shown = sure or ({POINT} if commas_separate else set())

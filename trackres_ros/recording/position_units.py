@@ -20,7 +20,9 @@ class PositionUnits:
     """The unit of latitude and longitude if neither topics file, column nor message type gives it.
 
     There is no land within both 1.6 degrees of the equator and 3.2 degrees of the prime meridian. So a vehicle whose latitudes
-    and longitudes are all within the range of angles in radians is recorded in radians. `bindings`: of the source, by role.
+    and longitudes are all within the range of angles in radians is recorded in radians.
+
+    `bindings`: of the source, by role.
     """
 
     def __init__(self, bindings: Mapping[str, TopicBinding]) -> None:

@@ -113,8 +113,8 @@ class _Storage:
 class RosBag:
     """A rosbag2, opened with the libraries of ROS 2.
 
-    Raises MissingExtraError if it is packed, and no library that unpacks zstd is installed. `path`: a folder with a
-    metadata.yaml, or one file, MCAP or database.
+    `path`: a folder with a metadata.yaml, or one file, MCAP or database. Raises MissingExtraError if it is packed, and no library
+    that unpacks zstd is installed.
     """
 
     def __init__(self, path: Path) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from trackres_ros.errors import InputError
 from trackres_ros.recording.cdr import Encoding
-from trackres_ros.recording.message_types import Definitions, Field, check_size, definitions, message_fields
+from trackres_ros.recording.message_types import Definitions, Field, check_size, definitions, message_fields, with_nested
 from trackres_ros.recording.reading import reading
 from trackres_ros.recording.ros_bag import RosTopic
 from trackres_ros.recording.unpacking import MAX_MESSAGE_BYTES
@@ -32,8 +32,8 @@ WIDE = "wstring"
 def types_of_text(msgtype: str, text: str) -> Definitions:
     """Return the types in a bag's definition: its own, and after separators the nested ones.
 
-    Raises Exception from rosidl_adapter, for an invalid text. `msgtype`: ``package/msg/Name``; `text`: the definition. One of the
-    interface definition language gives nothing: such types are the installed ones.
+    `msgtype`: ``package/msg/Name``; `text`: the definition. One of the interface definition language gives nothing: such types
+    are the installed ones. Raises Exception from rosidl_adapter, for an invalid text.
     """
     from rosidl_adapter.parser import parse_message_string
 
@@ -56,17 +56,14 @@ def with_installed(own: Definitions, msgtype: str) -> Definitions:
 
     Raises KeyError if no package has a type, or it has a text of wide characters.
     """
-    found: dict[str, tuple[Field, ...]] = {}
-    wanted = [msgtype]
-    while wanted:
-        name = wanted.pop()
-        if name not in found:
-            found[name] = own[name] if name in own else _installed(name)
-            kinds = [field.type for field in found[name]]
-            if WIDE in kinds:
-                raise KeyError(WIDE)
-            wanted += [kind for kind in kinds if "/" in kind]
-    return found
+
+    def fields(name: str) -> tuple[Field, ...]:
+        found = own[name] if name in own else _installed(name)
+        if any(field.type == WIDE for field in found):
+            raise KeyError(WIDE)
+        return found
+
+    return with_nested(msgtype, fields)
 
 
 def _of_field(field: Any) -> Field:

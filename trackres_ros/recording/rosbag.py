@@ -84,9 +84,10 @@ class BagSource:
     """Samples of one or several bags, one after another, each in log order.
 
     Reads rosbag2 directories (MCAP and sqlite3, compressed, split), single ``.mcap`` and ``.db3`` files, and ROS 1 bags. A
-    message that cannot be decoded becomes a sample NaN at log time and a finding. Raises InputError for a file that is no bag, a
-    missing topic or field, an unknown type, or no speed; MissingExtraError if rosbags is not installed. `paths`: the bags;
-    `topics`: topic of each role; by default guessed from the message types.
+    message that cannot be decoded becomes a sample NaN at log time and a finding.
+
+    `paths`: the bags; `topics`: topic of each role; by default guessed from the message types. Raises InputError for a file that
+    is no bag, a missing topic or field, an unknown type, or no speed; MissingExtraError if rosbags is not installed.
     """
 
     zero_is_unset = True

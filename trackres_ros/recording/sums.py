@@ -94,8 +94,9 @@ class Sum:
     """The sum of parts, at the times of the first topic.
 
     Parts of one message belong together: a missing one leaves no sum. Those of other topics are interpolated linearly to the time
-    of the first one; if the samples around it are too far apart, there is no sum. `role`: role of the sum; `binding`: its parts
-    are fields of topics.
+    of the first one; if the samples around it are too far apart, there is no sum.
+
+    `role`: role of the sum; `binding`: its parts are fields of topics.
     """
 
     def __init__(self, role: str, binding: TopicBinding) -> None:

@@ -110,7 +110,7 @@ class Recovered:
 class UnfinishedBag:
     """A file without its end, read as if it had one; to `rosbags` it is a path.
 
-    Raises InputError if there is no complete message in it. `path`: an MCAP file for which `is_unfinished` is true.
+    `path`: an MCAP file for which `is_unfinished` is true. Raises InputError if there is no complete message in it.
     """
 
     suffix = ".mcap"

@@ -112,8 +112,8 @@ def unpack_file(packed: Path, to: Path) -> None:
 def unpacked(make: Callable[[], _Decompressor], data: bytes, most: int) -> bytes:
     """Unpack all concatenated archives in some bytes.
 
-    Raises TooLargeError if there is more; EOFError if it ends within an archive. `make`: makes a decompressor; `data`: one or
-    several complete archives; `most`: the ceiling [bytes].
+    `make`: makes a decompressor; `data`: one or several complete archives; `most`: the ceiling [bytes]. Raises TooLargeError if
+    there is more; EOFError if it ends within an archive.
     """
     parts = []
     left = most
