@@ -14,7 +14,8 @@ from trackres_ros.cli.main import cli
 from trackres_ros.effects import Active, Terms, catalogue, check_effects, together
 from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, REFERENCE_NM
 from trackres_ros.effects.effect import conditions as known_conditions
-from trackres_ros.effects.stepping import FIRST_OWN, effect_table, is_compiled, look, new_memory, new_work, step_effects
+from trackres_ros.effects.native import is_compiled
+from trackres_ros.effects.stepping import FIRST_OWN, effect_table, look, new_memory, new_work, step_effects
 from trackres_ros.effects.vehicle.payne import EXPONENT
 from trackres_ros.errors import InputError
 from trackres_ros.model.vehicle_constants import vehicle_constants

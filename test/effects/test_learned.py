@@ -57,12 +57,12 @@ from trackres_ros.effects.learned import (
     SidedGain,
     sized,
 )
+from trackres_ros.effects.native import is_compiled
 from trackres_ros.effects.stepping import (
     ALL_WELL,
     EXTRAPOLATED,
     FIRST_OWN,
     effect_table,
-    is_compiled,
     look,
     new_memory,
     new_work,

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import trackres_ros as tr
-from trackres_ros.effects import Active, Effect, catalogue, stepping
+from trackres_ros.effects import Active, Effect, catalogue, native
 from trackres_ros.effects.learned import BELOW, BELT, BRAKES, OPEN, SPEED, STEP, Corner, Curve, Latch, SidedGain
 from trackres_ros.estimator import warm_up
 from trackres_ros.estimator.columns import Results
@@ -199,7 +199,7 @@ def test_where_nothing_is_to_be_compiled_effects_are_not_either(monkeypatch):
     def refuse(*_):
         raise AssertionError("an effect is compiled")
 
-    monkeypatch.setattr(stepping, "_machine_code", refuse)
+    monkeypatch.setattr(native, "_machine_code", refuse)
     drag = catalogue()["drivetrain_drag"]
     vehicle = replace(load("xgd24d"), effects=(Active(drag, drag.values()),))
     estimator = Estimator(vehicle, entries=interpreted_entries())

@@ -15,9 +15,9 @@ from hypothesis import strategies as some
 
 from trackres_ros.errors import InputError
 from trackres_ros.export.c_source import TEMPLATES, filled
+from trackres_ros.export.flow import translate_body
 from trackres_ros.export.functions import Translator
 from trackres_ros.export.kinds import INT, REAL, ArrayOf
-from trackres_ros.export.statements import translate_body
 from trackres_ros.jit.rows import Real, Reals, Row
 
 STEPS = (2.0, -1.0, 0.25)

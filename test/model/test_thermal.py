@@ -19,7 +19,7 @@ from scipy.optimize import brentq
 
 from trackres_ros.estimator.columns import Belt
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.state import State
+from trackres_ros.estimator.records import State
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import (
     ThermalNetwork,

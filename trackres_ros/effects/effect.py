@@ -24,39 +24,19 @@ BELONGS_TO = ("vehicle", "surroundings", "sensor")
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter of an effect.
-
-    Attributes
-    ----------
-    name, unit, text
-        What it is; SI, temperatures in degC.
-    low, high
-        Physically plausible bounds.
-    start
-        A typical value, where fits begin.
-    off
-        The value without effect; None for a parameter of shape, which has no meaning while the others are off.
-    more_starts
-        Other values to begin a fit at, where its result may depend on that.
-    of_size
-        Whether bounds and typical values are those of a vehicle of `REFERENCE_NM`, and grow with the vehicle.
-    on_tyres
-        Typical value over weight times wheel radius where the whole vehicle runs on tyres, if that makes a difference.
-    fitted
-        Whether a fit may move it; what is not fitted stays at `start`.
-    """
+    """One parameter of an effect; SI, temperatures in degC."""
 
     name: str
     unit: str
-    low: float
+    low: float  # physically plausible bounds
     high: float
-    start: float
+    start: float  # a typical value, where fits begin
     text: str
-    off: float | None = None
-    more_starts: tuple[float, ...] = ()
-    of_size: bool = False
-    on_tyres: float | None = None
-    fitted: bool = True
+    off: float | None = None  # the value without effect; None for one of shape, without a meaning while the others are off
+    more_starts: tuple[float, ...] = ()  # other values to begin a fit at, where its result may depend on that
+    of_size: bool = False  # whether bounds and typical values are of a vehicle of `REFERENCE_NM`, and grow with the vehicle
+    on_tyres: float | None = None  # typical value over weight times wheel radius on tyres, if that makes a difference
+    fitted: bool = True  # whether a fit may move it; what is not fitted stays at `start`
 
     @property
     def is_fixed(self) -> bool:
@@ -151,47 +131,23 @@ def conditions(
 
 
 class Terms(NamedTuple):
-    """The action of an effect at one instant. The defaults do nothing.
+    """The action of an effect at one instant. The defaults do nothing."""
 
-    Attributes
-    ----------
-    torque
-        Added to the resistance [Nm], whole vehicle, positive against forward travel.
-    drive_gain
-        Factor on the torque that drives.
-    loss_factor, softening
-        Factor on the belt's loss, and a further exp(-softening (T - `SOFTENING_FROM_DEGC`)) [1/K]: torque and heat.
-    film_offset_factor, film_slope_factor
-        Factors on the two parts of the film coefficient.
-    conductance, sink
-        Of one belt to something [W/K] at a temperature [degC].
-    heat
-        Into one belt [W].
-    inner_resistance
-        From the mean of one belt to its surface [K/W]; depends on the parameters alone.
-    speed_factor
-        True over measured speed; as those below it depends on the parameters alone.
-    sensor_gain, sensor_offset, sensor_delay
-        What the torque sensor makes of it: factor, [Nm], by how much it is late [s].
-    extrapolated
-        1 outside the range in which it was learned, where it holds the value at the end of that range.
-    """
-
-    torque: float = 0.0
-    drive_gain: float = 1.0
-    loss_factor: float = 1.0
-    softening: float = 0.0
-    film_offset_factor: float = 1.0
+    torque: float = 0.0  # added to the resistance [Nm], whole vehicle, positive against forward travel
+    drive_gain: float = 1.0  # factor on the torque that drives
+    loss_factor: float = 1.0  # factor on the belt's loss: torque and heat
+    softening: float = 0.0  # a further exp(-softening (T - `SOFTENING_FROM_DEGC`)) [1/K]
+    film_offset_factor: float = 1.0  # factors on the two parts of the film coefficient
     film_slope_factor: float = 1.0
-    conductance: float = 0.0
-    sink: float = 0.0
-    heat: float = 0.0
-    inner_resistance: float = 0.0
-    speed_factor: float = 1.0
-    sensor_gain: float = 1.0
-    sensor_offset: float = 0.0
-    sensor_delay: float = 0.0
-    extrapolated: float = 0.0
+    conductance: float = 0.0  # of one belt to something [W/K]
+    sink: float = 0.0  # at this temperature [degC]
+    heat: float = 0.0  # into one belt [W]
+    inner_resistance: float = 0.0  # from the mean of one belt to its surface [K/W]; depends on the parameters alone
+    speed_factor: float = 1.0  # true over measured speed; this and the next three depend on the parameters alone
+    sensor_gain: float = 1.0  # of the torque sensor
+    sensor_offset: float = 0.0  # Nm
+    sensor_delay: float = 0.0  # s
+    extrapolated: float = 0.0  # 1 outside the range in which it was learned, where it holds the value at the end of that range
 
     def with_(self, other: Terms) -> Terms:
         """Both together."""
@@ -226,39 +182,19 @@ class Effect(ABC):
     `lag` and `terms` are for one instant: numbers in, numbers out. They are compiled into the step that runs live, in replay and
     in a fit, so they use their arguments, constants of their file and `math`, and no `self`; what cannot be compiled runs in
     plain Python, some hundred times slower.
-
-    Attributes
-    ----------
-    name
-        Stable identifier.
-    acts_on
-        One of `ACTS_ON`.
-    belongs_to
-        One of `BELONGS_TO`: what stays with the vehicle wherever it drives; what is of the site, the weather or the ground,
-        and is another tomorrow; what a sensor makes of it.
-    text
-        One line that a test engineer understands.
-    needs
-        Fields of `Conditions` that must be known for it.
-    parameters
-        See `Parameter`.
-    belt_only
-        Whether it makes sense only where there is a belt.
-    only_of
-        ``rolls`` or ``slides`` where it makes sense only of what rolls, or of what does not; empty else.
-    source
-        The file of an effect of the user's own; None for those of the catalogue.
     """
 
-    name: str
-    acts_on: ClassVar[str]
+    name: str  # stable identifier
+    acts_on: ClassVar[str]  # one of `ACTS_ON`
+    # One of `BELONGS_TO`: what stays with the vehicle wherever it drives; what is of the site, the weather or the ground, and is
+    # another tomorrow; what a sensor makes of it.
     belongs_to: ClassVar[str]
-    text: str
-    needs: tuple[str, ...] = ("speed",)
+    text: str  # one line that a test engineer understands
+    needs: tuple[str, ...] = ("speed",)  # fields of `Conditions` that must be known for it
     parameters: tuple[Parameter, ...]
-    belt_only: ClassVar[bool] = False
-    only_of: ClassVar[Literal["", "rolls", "slides"]] = ""
-    source: Path | None = None
+    belt_only: ClassVar[bool] = False  # whether it makes sense only where there is a belt
+    only_of: ClassVar[Literal["", "rolls", "slides"]] = ""  # where it makes sense only of what rolls, or of what does not
+    source: Path | None = None  # the file of an effect of the user's own; None for those of the catalogue
 
     def lag(self, at: Conditions, p: Values) -> Lag | None:  # noqa: ARG002 - most have none
         """Target of its own state, if it has one, under the conditions."""

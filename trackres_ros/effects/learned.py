@@ -146,11 +146,8 @@ class EmpiricalEffect(Effect):
     acts_on = "torque"
     belongs_to = "vehicle"
     variable = ALWAYS
-
-    @property
-    def rising(self) -> list[str]:
-        """The parameters that rise from one to the next."""
-        return [q.name for q in self.parameters if q.name.startswith("x")]
+    rising: Sequence[str] = ()
+    """The parameters that rise from one to the next."""
 
     @property
     def knots(self) -> int:
@@ -191,6 +188,7 @@ class Curve(EmpiricalEffect):
             ),
             *(height(f"y{i}", f"torque at knot {i}", (constant and gate != OPEN) or i != zero) for i in range(1, len(at) + 1)),
         )
+        self.rising = [f"x{i}" for i in range(1, len(at) + 1)]
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         if not is_open(at, p[1], p[2]):
@@ -220,6 +218,8 @@ class Corner(EmpiricalEffect):
         The variable's value at both ends of the driven range and at the corner, rising.
     """
 
+    rising = ("x1", "threshold", "x2")
+
     def __init__(self, variable: int, kind: int, low: float = 0.0, threshold: float = 0.5, high: float = 1.0) -> None:
         follows = VARIABLES[variable]
         self.variable, self.kind, self.needs = variable, kind, follows.needs
@@ -234,11 +234,6 @@ class Corner(EmpiricalEffect):
             _place("x2", follows, high, "highest that was driven"),
             height("y1", "torque above the threshold" if kind == STEP else "torque at the end of the range"),
         )
-
-    @property
-    def rising(self) -> list[str]:
-        """The parameters that rise from one to the next."""
-        return ["x1", "threshold", "x2"]
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         x, low, high = variable(at, p[0]), p[3], p[4]
@@ -263,9 +258,11 @@ class Latch(EmpiricalEffect):
         The variable's value at both ends of the driven range, and at switching off and on, rising.
     """
 
+    rising = ("x1", "off", "on", "x2")
+
     def __init__(self, variable: int, low: float = 0.0, off: float = 0.3, on: float = 0.7, high: float = 1.0) -> None:
         follows = VARIABLES[variable]
-        self.variable, self.needs, self.name = variable, follows.needs, latch_name(variable)
+        self.variable, self.needs, self.name = variable, follows.needs, f"latch_of_{follows.name}"
         self.text = f"a torque that comes above one value of the {follows.text} and goes below another"
         self.parameters = (
             _fixed("variable", variable, "code of the variable that it follows"),
@@ -275,11 +272,6 @@ class Latch(EmpiricalEffect):
             _place("x2", follows, high, "highest that was driven"),
             height("y1", "torque while it acts"),
         )
-
-    @property
-    def rising(self) -> list[str]:
-        """The parameters that rise from one to the next."""
-        return ["x1", "off", "on", "x2"]
 
     def lag(self, at: Conditions, p: Values) -> Lag:
         return Lag(latched(variable(at, p[0]), at.own, p[1], p[2]), LATCHES_S, 0.0)
@@ -291,21 +283,14 @@ class Latch(EmpiricalEffect):
 
 
 class SidedGain(EmpiricalEffect):
-    """Another gain on the driving torque for one sign of it: while it drives, or while it brakes.
-
-    Parameters
-    ----------
-    side
-        Of `SIDES`.
-    most
-        The largest torque of that sign that was driven [Nm].
-    """
+    """Another gain on the driving torque for one sign of it, of `SIDES`; `most` is the largest that was driven [Nm]."""
 
     variable = DRIVING_TORQUE
+    rising = ("x1",)
 
     def __init__(self, side: int, most: float = 1.0) -> None:
         of = SIDES[side]
-        self.side, self.name, self.needs = side, gain_name(side), VARIABLES[DRIVING_TORQUE].needs
+        self.side, self.name, self.needs = side, f"gain_while_{of.name}", VARIABLES[DRIVING_TORQUE].needs
         self.text = f"another gain on the torque {of.text}"
         self.parameters = (
             _fixed("side", side, "1 while driving, -1 while braking"),
@@ -325,12 +310,7 @@ class BuildUp(EmpiricalEffect):
     """A torque against travel that builds up with distance or time since a stop, which resets it; or that
     builds up with braking and decays with time.
 
-    Parameters
-    ----------
-    by
-        Of `BUILD_UPS`.
-    scale
-        Distance [m] or time [s] for two thirds of the build-up, or of the decay.
+    `scale` is the distance [m] or time [s] for two thirds of the build-up, or of the decay.
     """
 
     def __init__(self, by: int, scale: float) -> None:
@@ -370,21 +350,11 @@ def corner_name(variable: int, kind: int) -> str:
     return f"{CORNERS[kind]}_{VARIABLES[variable].name}"
 
 
-def latch_name(variable: int) -> str:
-    """The name of a latch."""
-    return f"latch_of_{VARIABLES[variable].name}"
-
-
-def gain_name(side: int) -> str:
-    """The name of a gain for one sign of the torque."""
-    return f"gain_while_{SIDES[side].name}"
-
-
 CURVES = {curve_name(v, g): (v, g) for v in VARIABLES for g in GATES if v != ALWAYS or g != OPEN}
 OTHERS: dict[str, Callable[[], EmpiricalEffect]] = {
     **{corner_name(v, kind): partial(Corner, v, kind) for v in VARIABLES if v != ALWAYS for kind in CORNERS},
-    **{latch_name(v): partial(Latch, v) for v in LATCHED},
-    **{gain_name(side): partial(SidedGain, side) for side in SIDES},
+    **{f"latch_of_{VARIABLES[v].name}": partial(Latch, v) for v in LATCHED},
+    **{f"gain_while_{SIDES[side].name}": partial(SidedGain, side) for side in SIDES},
     **{of.name: partial(BuildUp, by, 300.0) for by, of in BUILD_UPS.items()},
 }
 NAMES = (*CURVES, *OTHERS)

@@ -1,31 +1,25 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes effects callable from the compiled step: each is a machine function of one signature, called by its address.
+"""Steps all effects of a vehicle, each through the addresses of its `terms` and `lag`, see `native`.
 
-An effect is a Python file; the step is compiled once. They are connected by a table. It has a row for each effect with the
-addresses of its `terms` and `lag`, and a row of values of its parameters. A function that cannot be compiled, such as a user's,
-has an address too, and runs in plain Python.
+They are in a table, with a row for each effect and a row of values of its parameters. So the step is compiled once, whatever
+effects there are.
 """
 
 from __future__ import annotations
 
-import ctypes
-import hashlib
 import math
-from collections.abc import Callable, Sequence
-from functools import cache
-from importlib import import_module
-from types import FunctionType
-from typing import Any, NamedTuple, cast
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.effects.effect import Active, Conditions, Effect, Lag, Terms, VehicleConstants, values_type
+from trackres_ros.effects.effect import Active, Conditions, Terms, VehicleConstants
+from trackres_ros.effects.native import ANSWERED, FACTS, LOOKED_AT, call_at, native
 from trackres_ros.jit.arithmetic import length, squared
-from trackres_ros.jit.code_cache import CodeCache
-from trackres_ros.jit.compiled import HAVE_NUMBA, code_folder, compiled, compiled_anew, inlined
+from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.units import STANDSTILL_MPS
 
 Array = NDArray[np.float64]
@@ -39,22 +33,10 @@ ROW = 5
 UNFED, FED, FED_WITH_ACCEL, SHIFTED = range(4)
 
 # Work space of a step: what effects look at, the facts first; then what one of them answers.
-FACTS, ANSWERED = len(VehicleConstants._fields), len(Terms._fields)
-LOOKED_AT = FACTS + len(Conditions._fields) - 1
 (
-    AT_SPEED,
-    AT_ACCEL,
-    AT_WEIGHT,
-    AT_AMBIENT,
-    AT_YAW_RATE,
-    AT_HEADING,
-    AT_DISTANCE,
-    AT_DRIVE_TORQUE,
-    AT_DIRECTION,
-    AT_CURVATURE,
-    AT_BELT,
-    AT_OWN,
-) = range(FACTS, LOOKED_AT)
+    AT_SPEED, AT_ACCEL, AT_WEIGHT, AT_AMBIENT, AT_YAW_RATE, AT_HEADING, AT_DISTANCE, AT_DRIVE_TORQUE, AT_DIRECTION, AT_CURVATURE,
+    AT_BELT, AT_OWN,
+) = range(FACTS, LOOKED_AT)  # fmt: skip
 RADIUS, WEIGHT, CONTACT_LENGTH, STANDSTILL = (
     VehicleConstants._fields.index(name) for name in ("radius", "weight", "contact_length", "standstill")
 )
@@ -67,23 +49,10 @@ if Conditions._fields[1:] != (
 # What effects do together in a step. The first are those of `Terms`; fed forward are only the vehicle's own: torque, gain, and
 # the torque that comes with an acceleration. Variances are of torque [Nm^2], and relative ones of loss and of driving torque.
 (
-    TERM_TORQUE,
-    TERM_DRIVE_GAIN,
-    TERM_LOSS_FACTOR,
-    TERM_SOFTENING,
-    TERM_FILM_OFFSET,
-    TERM_FILM_SLOPE,
-    TERM_CONDUCTANCE,
-    TERM_SINK,
-    TERM_HEAT,
-    TERM_INNER_RESISTANCE,
-    TERM_FED,
-    TERM_FED_GAIN,
-    TERM_FED_INERTIA,
-    TERM_VARIANCE,
-    TERM_LOSS_VARIANCE,
+    TERM_TORQUE, TERM_DRIVE_GAIN, TERM_LOSS_FACTOR, TERM_SOFTENING, TERM_FILM_OFFSET, TERM_FILM_SLOPE, TERM_CONDUCTANCE,
+    TERM_SINK, TERM_HEAT, TERM_INNER_RESISTANCE, TERM_FED, TERM_FED_GAIN, TERM_FED_INERTIA, TERM_VARIANCE, TERM_LOSS_VARIANCE,
     TERM_GAIN_VARIANCE,
-) = range(16)
+) = range(16)  # fmt: skip
 TERMS = 16
 NO_TERMS = (0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
 WORK = TERMS + LOOKED_AT + ANSWERED
@@ -119,9 +88,6 @@ SOFTENED_OVER_K = 20.0  # assumed distance of a belt from the temperature about 
 # gives no number, or one outside of the limits.
 ALL_WELL, EXTRAPOLATED, INPUT_UNKNOWN, UNUSABLE = range(4)
 ANSWER_EXTRAPOLATED = Terms._fields.index("extrapolated")
-
-ANSWERS = {"terms": ANSWERED, "lag": len(Lag._fields)}
-CALL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
 
 class EffectTable(NamedTuple):
@@ -186,17 +152,9 @@ def neutral(work: Array) -> None:
 
 @inlined
 def look(
-    work: Array,
-    speed: float,
-    accel: float,
-    weight: float,
-    ambient: float,
-    yaw_rate: float,
-    heading: float,
-    distance: float,
-    drive_torque: float,
-    belt: float,
-) -> None:
+    work: Array, speed: float, accel: float, weight: float, ambient: float, yaw_rate: float, heading: float, distance: float,
+    drive_torque: float, belt: float,
+) -> None:  # fmt: skip
     """Write known values of a step for the effects; units of `Conditions`. A missing distance is integrated from the speed."""
     looked_at = work[TERMS : TERMS + LOOKED_AT]
     looked_at[AT_SPEED], looked_at[AT_ACCEL], looked_at[AT_WEIGHT], looked_at[AT_AMBIENT] = speed, accel, weight, ambient
@@ -335,152 +293,3 @@ def call_terms(address: int, looked_at: Array, values: Array, answer: Array) -> 
     for i in range(LIMITED):
         answer[i] = math.nan
     call_at(address, looked_at, values, answer)
-
-
-def call_at(address: int, looked_at: Array, values: Array, answer: Array) -> None:
-    """Call the function at an address; compiled code does so without leaving itself."""
-    CALL(int(address))(looked_at.ctypes.data, values.ctypes.data, answer.ctypes.data)
-
-
-def native(effect: Effect, machine: bool = True) -> tuple[int, int]:
-    """Addresses of an effect's `terms` and `lag`, 0 without one; of machine code, if allowed and possible."""
-    return _address(effect, "terms", machine), _address(effect, "lag", machine) if effect.has_lag else 0
-
-
-def is_compiled(effect: Effect) -> bool:
-    """Whether the step calls machine code for an effect, not plain Python."""
-    methods = ("terms", "lag") if effect.has_lag else ("terms",)
-    return all(_machine_code(effect, method) is not None for method in methods)
-
-
-def _address(effect: Effect, method: str, machine: bool) -> int:
-    code = _machine_code(effect, method) if machine else None
-    if code is not None:
-        return int(code.address)
-    return ctypes.cast(_callback(effect, method), ctypes.c_void_p).value or 0
-
-
-def _machine_code(effect: Effect, method: str) -> Any:
-    """Machine code of an effect's method; None without numba, or if it cannot be compiled."""
-    return _machine(type(effect), method, tuple(q.name for q in effect.parameters)) if HAVE_NUMBA else None
-
-
-@cache
-def _callback(effect: Effect, method: str) -> Any:
-    """An effect's method in plain Python as a machine function. It is kept: its address may be in any table."""
-    return CALL(_python_function(effect, method, ANSWERS[method]))
-
-
-def _python_function(effect: Effect, method: str, answered: int) -> Callable[[int, int, int], None]:
-    """An effect's method behind the signature of machine code; after a failure the result is nan."""
-    run, pack, count = getattr(effect, method), effect.pack, len(effect.parameters)
-    given, wanted, out = (ctypes.c_double * n for n in (LOOKED_AT, count, answered))
-
-    def call(looked_at_: int, values_: int, answer_: int) -> None:
-        try:
-            known = given.from_address(looked_at_)[:]
-            answer = run(Conditions(VehicleConstants(*known[:FACTS]), *known[FACTS:]), pack(*wanted.from_address(values_)))
-            if answer is None:  # no own state after all
-                answer = Lag(0.0, 1.0, 0.0)
-            out.from_address(answer_)[:] = [float(x) for x in answer]
-        except Exception:  # of any kind, as the code is not ours
-            out.from_address(answer_)[:] = [math.nan] * answered
-
-    return call
-
-
-if HAVE_NUMBA:
-    ir: Any = import_module("llvmlite.ir")
-    numba: Any = import_module("numba")
-    extending: Any = import_module("numba.extending")
-    ccallback: Any = import_module("numba.core.ccallback")
-    sigutils: Any = import_module("numba.core.sigutils")
-
-    _POINTER = numba.types.CPointer(numba.types.float64)
-    _SIGNATURE = sigutils.normalize_signature(numba.types.void(_POINTER, _POINTER, _POINTER))
-
-    @extending.intrinsic  # type: ignore[untyped-decorator]
-    def _call(typing: Any, address: Any, looked_at: Any, values: Any, answer: Any) -> Any:  # noqa: ARG001
-        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:  # noqa: ARG001
-            pointer = ir.IntType(8).as_pointer()
-            kind = ir.FunctionType(ir.VoidType(), [pointer] * 3)
-            function = builder.inttoptr(given[0], kind.as_pointer())
-            builder.call(function, [builder.inttoptr(each, pointer) for each in given[1:]])
-            return context.get_dummy_value()
-
-        return numba.types.void(address, looked_at, values, answer), generate
-
-    @extending.overload(call_at)  # type: ignore[untyped-decorator]
-    def _call_at(address: Any, looked_at: Any, values: Any, answer: Any) -> Any:  # noqa: ARG001
-        def call(address: Any, looked_at: Any, values: Any, answer: Any) -> Any:
-            _call(address, looked_at.ctypes.data, values.ctypes.data, answer.ctypes.data)
-
-        return call
-
-    @compiled
-    def _terms(
-        torque: float = 0.0,
-        drive_gain: float = 1.0,
-        loss_factor: float = 1.0,
-        softening: float = 0.0,
-        film_offset_factor: float = 1.0,
-        film_slope_factor: float = 1.0,
-        conductance: float = 0.0,
-        sink: float = 0.0,
-        heat: float = 0.0,
-        inner_resistance: float = 0.0,
-        speed_factor: float = 1.0,
-        sensor_gain: float = 1.0,
-        sensor_offset: float = 0.0,
-        sensor_delay: float = 0.0,
-        extrapolated: float = 0.0,
-    ) -> Terms:
-        """`Terms` with its defaults, which compiled code lacks."""
-        return Terms(
-            float(torque), float(drive_gain), float(loss_factor), float(softening), float(film_offset_factor),
-            float(film_slope_factor), float(conductance), float(sink), float(heat), float(inner_resistance),
-            float(speed_factor), float(sensor_gain), float(sensor_offset), float(sensor_delay), float(extrapolated),
-        )  # fmt: skip
-
-    @cache
-    def _machine(kind: type[Effect], method: str, names: tuple[str, ...]) -> Any:
-        """A method of an effect as a machine function; None if that is impossible, as for some users' effects."""
-        try:
-            return _compile(kind, method, names, ANSWERS[method])
-        except Exception:
-            if kind.__module__.startswith(f"{__package__}."):
-                raise
-            return None
-
-    def _compile(kind: type[Effect], method: str, names: tuple[str, ...], answered: int) -> Any:
-        python = getattr(kind, method)
-        inner = compiled_anew(FunctionType(python.__code__, {**python.__globals__, "Terms": _terms}, python.__name__))
-        known = ", ".join(f"x[{i}]" for i in range(FACTS, LOOKED_AT))
-        lines = [
-            "def call(x_, p_, out_):",
-            f"    x, p, out = carray(x_, {LOOKED_AT}), carray(p_, {len(names)}), carray(out_, {answered})",
-            f"    at = Conditions(VehicleConstants({', '.join(f'x[{i}]' for i in range(FACTS))}), {known})",
-            f"    found = run(None, at, pack({', '.join(f'p[{i}]' for i in range(len(names)))}))",
-            *(f"    out[{i}] = found[{i}]" for i in range(answered)),
-        ]
-        namespace: dict[str, Any] = {"carray": numba.carray, "Conditions": Conditions, "run": inner}
-        namespace["VehicleConstants"] = VehicleConstants
-        namespace["pack"] = values_type(names)
-        exec("\n".join(lines), namespace)
-        function = cast(FunctionType, namespace["call"])
-        # The name distinguishes codes in the cache: the catalogue is part of its folder's name, a user's file is not.
-        known_as = repr((python.__code__.co_filename, python.__code__.co_code, python.__code__.co_consts, _frozen(python)))
-        function.__module__ = __name__
-        function.__qualname__ = f"{kind.__name__}.{method}.{hashlib.sha256(known_as.encode()).hexdigest()[:16]}"
-        found = ccallback.CFunc(function, _SIGNATURE, locals={}, options={"nopython": True, "error_model": "numpy"})
-        if kind.__module__.startswith(f"{__package__}.") or _frozen(python) is not None:
-            found._cache = CodeCache(function, code_folder)
-        found.compile()
-        return found
-
-    def _frozen(python: FunctionType) -> list[tuple[str, Any]] | None:
-        """Constants of its file that are part of a function's code; None if there are others than plain numbers and `math`."""
-        used = {name: python.__globals__[name] for name in python.__code__.co_names if name in python.__globals__}
-        numbers = {name: value for name, value in used.items() if isinstance(value, int | float)}
-        others = [value for name, value in used.items() if name not in numbers]
-        return sorted(numbers.items()) if all(value in (math, np, Terms, Lag) for value in others) else None

@@ -36,17 +36,9 @@ BEHIND_BELTS = RESTED + 2 * BELT_COLUMNS
 
 @inlined
 def advance_belt(
-    k: Constants,
-    assembly: Assembly,
-    belt: Array,
-    speed: float,
-    log10_speed: float,
-    log_load: float,
-    drive_torque: float,
-    ambient: float,
-    ambient_std: float,
-    dt: float,
-) -> tuple[float, float]:
+    k: Constants, assembly: Assembly, belt: Array, speed: float, log10_speed: float, log_load: float, drive_torque: float,
+    ambient: float, ambient_std: float, dt: float,
+) -> tuple[float, float]:  # fmt: skip
     """Advance one belt by dt [s] at constant speed [m/s]; change `belt`, return heat in and out [J] over the step.
 
     Both are nan where only the temperatures are wanted.
@@ -65,18 +57,9 @@ def advance_belt(
 
 @inlined
 def roll(
-    k: Constants,
-    assembly: Assembly,
-    belt: Array,
-    speed_from: float,
-    speed_to: float,
-    log10_middle: float,
-    log_load: float,
-    drive_torque: float,
-    ambient: float,
-    ambient_std: float,
-    dt: float,
-) -> tuple[float, float]:
+    k: Constants, assembly: Assembly, belt: Array, speed_from: float, speed_to: float, log10_middle: float, log_load: float,
+    drive_torque: float, ambient: float, ambient_std: float, dt: float,
+) -> tuple[float, float]:  # fmt: skip
     """Advance one belt by dt [s] with the speed linear between two values; return heat in and out [J].
 
     `log10_middle` is log10 of the middle speed, shared by all belts in a short step.
@@ -96,16 +79,9 @@ def roll(
 
 @compiled
 def pass_gap(
-    k: Constants,
-    assembly: Assembly,
-    belt: Array,
-    speed_from: float,
-    speed_to: float,
-    log_load: float,
-    ambient: float,
-    ambient_std: float,
-    dt: float,
-) -> None:
+    k: Constants, assembly: Assembly, belt: Array, speed_from: float, speed_to: float, log_load: float, ambient: float,
+    ambient_std: float, dt: float,
+) -> None:  # fmt: skip
     """Pass a gap too long to bridge (ours): the mean of a rest and of a drive throughout, as uncertain as the two differ.
 
     A temperature anywhere between the two has their difference over sqrt(12) as its standard deviation.
@@ -122,10 +98,8 @@ def pass_gap(
     roll(
         k, assembly, belt, speed_from, speed_to, log_speed(0.5 * (speed_from + speed_to)), log_load, 0.0, ambient, ambient_std, dt
     )
-    difference_1, difference_2 = (
-        belt[0, TEMPERATURE] - rested[TEMPERATURE],
-        belt[1, TEMPERATURE] - rested[BELT_COLUMNS + TEMPERATURE],
-    )
+    difference_1 = belt[0, TEMPERATURE] - rested[TEMPERATURE]
+    difference_2 = belt[1, TEMPERATURE] - rested[BELT_COLUMNS + TEMPERATURE]
     for node in range(2):
         for column in range(BELT_COLUMNS):
             belt[node, column] = 0.5 * (belt[node, column] + rested[node * BELT_COLUMNS + column])

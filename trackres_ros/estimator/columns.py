@@ -13,23 +13,9 @@ from trackres_ros.vehicle import AnyVehicle
 
 # Channels of messages. Loads by axle and assembly, belt temperatures by assembly, and wheel speeds follow these.
 (
-    SPEED,
-    LOAD,
-    TORQUE,
-    AMBIENT,
-    BELT,
-    ACCEL,
-    GRADE,
-    YAW_RATE,
-    HEADING,
-    DISTANCE,
-    PASSENGERS,
-    LATITUDE,
-    LONGITUDE,
-    ENABLE,
-    ALTITUDE,
-    SPECIFIC_FORCE,
-) = range(16)
+    SPEED, LOAD, TORQUE, AMBIENT, BELT, ACCEL, GRADE, YAW_RATE, HEADING, DISTANCE, PASSENGERS, LATITUDE, LONGITUDE, ENABLE,
+    ALTITUDE, SPECIFIC_FORCE,
+) = range(16)  # fmt: skip
 CHANNELS = (
     "speed", "load", "torque", "ambient", "belt", "accel", "grade", "yaw_rate", "heading", "distance", "passengers", *POSITION,
     "enable", *GROUND,
@@ -63,8 +49,7 @@ class Assembly(Row):
     consider_capacity = Reals(4)
     consider_radius = Reals(4)
     # Inverse of Lambda's first three rows and columns: the causes that make up a relative departure of the loss, the cooling or
-    # the
-    # capacity, with the other two unchanged.
+    # the capacity, with the other two unchanged.
     causes_of = Reals(9)
 
 
@@ -165,7 +150,7 @@ class Times(Row):
 
 
 class Tracked(Row):
-    """Memory for the checks of the speed, see `plausible_speed`, and of the odometer, see `speed_witnesses`."""
+    """Memory for the checks of the speed, and of the odometer, see `plausible_speed`."""
 
     reference = Real()  # m/s, of the accepted speeds
     run = Real()  # m/s, of the speeds in doubt

@@ -58,32 +58,19 @@ LEAST_RESISTANCE = 1e-6  # K/W: below it mean and surface of a belt are one
 class Numbers(NamedTuple):
     """Single constants of the kernel."""
 
-    first_x: float
-    step_x: float
-    glass_transition: float
-    wlf_c1: float
-    wlf_c2: float
-    hottest: float  # degC: the rubber data end here
-    fastest_x: float  # log10(a_T v): the rubber data end here
     with_uncertainty: bool  # whether to compute standard deviations and heat, too
     surroundings: bool  # whether effects of the surroundings are among the effects
     slopes_by_place: bool  # whether slopes, or torques, by place are among the surroundings
     torques_by_place: bool
     route_latitude: float  # rad, of the middle of their places
     route_longitude: float
-    two_nodes: bool
     belt_shows_surface: bool
     bearing_friction: float  # bearing friction over weight, at a crawl
     bearing_relative_std: float
-    rolling_rise: float  # s/m, its growth with speed; 0 of tracks
-    rolling_rise_std: float
     drag_area: float
     drag_relative_std: float
     air_density: float
     rotating_mass_factor: float
-    motor_gain: float  # motor torque per sprocket torque; nan where the vehicle file gives none
-    torque_scale: float  # shown over true torque; 1 of tracks
-    torque_offset: float  # shown at no torque, over that scale
     nominal_ambient: float
     axles: int
     first_wheel: int  # channel of the wheel speeds; those of single axles and assemblies follow it
@@ -121,6 +108,20 @@ class Numbers(NamedTuple):
     speed_max_age: float
     feedforward_fade: float
     belt_std_warn: float
+    # By default those of wheels without belts.
+    first_x: float = 0.0
+    step_x: float = 1.0
+    glass_transition: float = 0.0
+    wlf_c1: float = 0.0
+    wlf_c2: float = 1.0
+    hottest: float = math.inf  # degC: the rubber data end here
+    fastest_x: float = math.inf  # log10(a_T v): the rubber data end here
+    two_nodes: bool = False
+    rolling_rise: float = 0.0  # s/m, its growth with speed; 0 of tracks
+    rolling_rise_std: float = 0.0
+    motor_gain: float = math.nan  # motor torque per sprocket torque; nan where the vehicle file gives none
+    torque_scale: float = 1.0  # shown over true torque; 1 of tracks
+    torque_offset: float = 0.0  # shown at no torque, over that scale
 
 
 class Constants(NamedTuple):
@@ -230,18 +231,11 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
 
 def _times_ns(settings: Settings) -> dict[str, Any]:
     """Times of the settings that are compared with message times [ns]."""
-    seconds = {
-        "clock_jump": settings.clock_jump_s,
-        "load_hold": settings.load_hold_s,
-        "passengers_hold": settings.passengers_hold_s,
-        "ambient_hold": settings.ambient_hold_s,
-        "motion_hold": settings.motion_hold_s,
-        "torque_hold": settings.torque_hold_s,
-        "position_hold": settings.position_hold_s,
-        "stuck": settings.stuck_s,
-        "enable_hold": settings.enable_hold_s,
-        "disagreeing": settings.speed_max_age_s,
-    }
+    names = (
+        "clock_jump", "load_hold", "passengers_hold", "ambient_hold", "motion_hold", "torque_hold", "position_hold", "stuck",
+        "enable_hold",
+    )  # fmt: skip
+    seconds = {name: getattr(settings, f"{name}_s") for name in names} | {"disagreeing": settings.speed_max_age_s}
     return {f"{name}_ns": int(round(value * 1e9)) for name, value in seconds.items()}
 
 
@@ -273,12 +267,9 @@ def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
         row.share_of_all = load / loads.sum()
     factors = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
     causes = np.array([np.linalg.inv(spreads[a.track].factor[:3, :3]).ravel() for a in vehicle.assemblies])
-    gain = (
-        np.nan
-        if chassis.motor_ratio is None or chassis.motor_efficiency is None
-        else (1.0 / (chassis.motor_ratio * chassis.motor_efficiency))
-    )
-
+    gain = math.nan
+    if chassis.motor_ratio is not None and chassis.motor_efficiency is not None:
+        gain = 1.0 / (chassis.motor_ratio * chassis.motor_efficiency)
     # The fit gave the drag of the whole area; the air density differs from day to day.
     area = () if vehicle.parameters["chassis.drag_coefficient"].flag == FITTED else ("chassis.frontal_area",)
     return Running(
@@ -295,12 +286,8 @@ def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
             "fastest_x": min(each.log_reduced_speed for each in covered),
             "two_nodes": two_nodes,
             "bearing_relative_std": relative_std(vehicle, "chassis.bearing_friction"),
-            "rolling_rise": 0.0,
-            "rolling_rise_std": 0.0,
             "drag_relative_std": relative_std(vehicle, "chassis.drag_coefficient", *area, "chassis.air_density"),
-            "motor_gain": float(gain),
-            "torque_scale": 1.0,
-            "torque_offset": 0.0,
+            "motor_gain": gain,
         },
     )
 
@@ -318,19 +305,10 @@ def wheels(vehicle: RoadVehicle) -> Running:
         nothing,
         nothing,
         {
-            "first_x": 0.0,
-            "step_x": 1.0,
-            "glass_transition": 0.0,
-            "wlf_c1": 0.0,
-            "wlf_c2": 1.0,
-            "hottest": math.inf,
-            "fastest_x": math.inf,
-            "two_nodes": False,
             "bearing_relative_std": relative_std(vehicle, "road_load.rolling_coefficient"),
             "rolling_rise": vehicle.values["rolling_rise"],
             "rolling_rise_std": vehicle.parameters["road_load.rolling_rise"].standard_deviation,
             "drag_relative_std": relative_std(vehicle, "road_load.drag_area", "road_load.air_density"),
-            "motor_gain": math.nan,
             "torque_scale": vehicle.values["torque_scale"],
             "torque_offset": vehicle.values.get("torque_offset", 0.0),
         },

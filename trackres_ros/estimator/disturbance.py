@@ -34,30 +34,17 @@ MOST_LOG = 500.0  # of a ratio of likelihoods: its exponential is finite
 def later_there(there: float, comes: float, goes: float, blocks: float = 1.0) -> float:
     """Predict the probability of a spell some blocks later, without a measurement.
 
-    Parameters
-    ----------
-    there
-        The probability now.
-    comes, goes
-        Probabilities that it begins, or ends, from one block to the next; their sum is at most 1 for fractional `blocks`.
-    blocks
-        Number of blocks.
+    `comes` and `goes` are the probabilities that it begins, or ends, from one block to the next; their sum is at most 1 for
+    fractional `blocks`.
     """
     share = comes / (comes + goes)
     return share + (there - share) * math.pow(1.0 - comes - goes, blocks)
 
 
 def seen_there(there: float, mean: float, levels: tuple[float, float], variance: float) -> float:
-    """Update the probability of a spell by the mean of a block.
+    """Update the probability of a spell by the mean of a block [Nm], given its noise variance [Nm^2].
 
-    Parameters
-    ----------
-    there
-        The probability before.
-    mean, variance
-        Mean of the block [Nm], and the variance of its noise [Nm^2].
-    levels
-        Torque outside and inside a spell [Nm].
+    `levels` are the torques outside and inside a spell [Nm].
     """
     away, present = levels
     log_ratio = 0.5 * ((mean - away) ** 2 - (mean - present) ** 2) / variance
@@ -69,14 +56,7 @@ def seen_there(there: float, mean: float, levels: tuple[float, float], variance:
 def later_level(level: float, variance: float, keep: float, size: float) -> tuple[float, float]:
     """Predict mean [Nm] and variance [Nm^2] of a drifting level.
 
-    Parameters
-    ----------
-    level, variance
-        The present values.
-    keep
-        Share of the level that remains by then.
-    size
-        Stationary standard deviation of the level [Nm].
+    `keep` is the share of the level that remains by then, `size` its stationary standard deviation [Nm].
     """
     return keep * level, keep**2 * variance + size**2 * (1.0 - keep**2)
 
@@ -90,31 +70,15 @@ def seen_level(level: float, variance: float, mean: float, noise_variance: float
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """Belief about a disturbance at one time.
+    """Belief about a disturbance at one time."""
 
-    Attributes
-    ----------
-    form
-        `spells` or `drift`.
-    there
-        Probability of a spell; nan for a drift.
-    torque_nm, std_nm
-        Expected torque against travel and its standard deviation [Nm].
-    since_ns
-        Stamp at which the present spell began or the last one ended, if known; None before either, and for a drift.
-    present
-        Whether a spell is reported.
-    overdue
-        Whether it lasts longer than spells do: then it is a different, lasting change.
-    """
-
-    form: str
-    there: float
-    torque_nm: float
-    std_nm: float
-    since_ns: int | None
-    present: bool
-    overdue: bool
+    form: str  # `spells` or `drift`
+    there: float  # probability of a spell; nan for a drift
+    torque_nm: float  # expected torque against travel
+    std_nm: float  # its standard deviation
+    since_ns: int | None  # stamp at which the present spell began or the last one ended; None before either, and for a drift
+    present: bool  # whether a spell is reported
+    overdue: bool  # whether it lasts longer than spells do: then it is a different, lasting change
 
     @property
     def text(self) -> str:
@@ -197,21 +161,9 @@ class DisturbanceWatch:
         self._since_ns: int | None = None
 
     def take(self, stamp_ns: int, residual_nm: float, speed_mps: float) -> Belief:
-        """Process a residual.
+        """Process measured less expected torque, nan where it is invalid; return the belief at that time.
 
-        Parameters
-        ----------
-        stamp_ns
-            Its time [ns].
-        residual_nm
-            Measured less expected torque [Nm]; nan where it is invalid.
-        speed_mps
-            Speed [m/s]; its sign is the direction of travel.
-
-        Returns
-        -------
-        Belief
-            At that time.
+        The sign of the speed is the direction of travel.
         """
         began_ns = stamp_ns
         if self._block_ns is not None and stamp_ns - self._block_ns < -LATE_NS:

@@ -23,8 +23,7 @@ from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.guards import ACCEPTED_AFTER_RESET, GAP, Memory, admit, forget_others, gather
 from trackres_ros.estimator.kernel import advance, predict, start
 from trackres_ros.estimator.records import Carried, DriveSeries, Inputs
-from trackres_ros.jit.compiled import HAVE_NUMBA, inlined, interpreted
-from trackres_ros.jit.entries import entry
+from trackres_ros.jit.compiled import HAVE_NUMBA, entry, inlined, interpreted
 from trackres_ros.units import NANOSECOND
 
 Array = NDArray[np.float64]
@@ -42,17 +41,9 @@ class Messages(NamedTuple):
 
 @inlined
 def feed(
-    k: Constants,
-    memory: Memory,
-    carried: Carried,
-    loads: Array,
-    belt_measured: Array,
-    channel: int,
-    stamp: int,
-    arrival: int,
-    value: float,
-    out: Array,
-) -> bool:
+    k: Constants, memory: Memory, carried: Carried, loads: Array, belt_measured: Array, channel: int, stamp: int, arrival: int,
+    value: float, out: Array,
+) -> bool:  # fmt: skip
     """Take one message in. An accepted speed makes a step and fills `out`; returns whether it did."""
     motion = Motion(carried.motion)
     outcome, elapsed = admit(k, memory, channel, stamp, arrival, value, motion.quantum)
@@ -78,16 +69,9 @@ def feed(
 
 @inlined
 def feed_all(
-    k: Constants,
-    memory: Memory,
-    carried: Carried,
-    loads: Array,
-    belt_measured: Array,
-    messages: Messages,
-    out: Array,
-    out_stamps: IntArray,
-    out_arrivals: IntArray,
-) -> int:
+    k: Constants, memory: Memory, carried: Carried, loads: Array, belt_measured: Array, messages: Messages, out: Array,
+    out_stamps: IntArray, out_arrivals: IntArray,
+) -> int:  # fmt: skip
     """`feed` for many messages; fills one row of `out` with its stamp and arrival [ns] for each step, returns their number."""
     steps = 0
     for i in range(messages.channels.shape[0]):
@@ -143,7 +127,7 @@ def rest(k: Constants, carried: Carried, ambient: float, ambient_std: float, sec
 class Entries:
     """Functions that an estimator runs, compiled by numba or in plain Python, with equal results.
 
-    Each takes the fields of `Constants`, `Memory`, `Carried`, `Inputs`, `Messages` and `DriveSeries`, see `jit.entries`.
+    Each takes the fields of `Constants`, `Memory`, `Carried`, `Inputs`, `Messages` and `DriveSeries`, see `jit.compiled.entry`.
     """
 
     compiled: bool

@@ -85,19 +85,11 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Steps:
-    """Results of a block of messages: one row a step.
+    """Results of a block of messages: one row a step."""
 
-    Attributes
-    ----------
-    stamp_ns, arrival_ns
-        Time of measurement and of logging of the speed that made the step [ns], shape (steps,).
-    rows
-        Results, shape (steps, columns), as `Estimator.columns` names them.
-    """
-
-    stamp_ns: IntArray
-    arrival_ns: IntArray
-    rows: Array
+    stamp_ns: IntArray  # (steps,), time of measurement of the speed that made the step
+    arrival_ns: IntArray  # (steps,), of its logging
+    rows: Array  # (steps, columns), as `Estimator.columns` names them
 
     def __len__(self) -> int:
         return len(self.rows)

@@ -20,10 +20,9 @@ from trackres_ros.estimator.constants import Constants, kernel_arguments, make_c
 from trackres_ros.estimator.entry_points import COMPILED, Entries
 from trackres_ros.estimator.estimate import Estimate, Steps
 from trackres_ros.estimator.guards import Memory, new_memory
-from trackres_ros.estimator.records import Carried, DriveSeries, GroundSeries, Inputs
+from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
+from trackres_ros.estimator.records import Carried, DriveSeries, GroundSeries, Inputs, State
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.estimator.speed_witnesses import NOTHING_TRACKED
-from trackres_ros.estimator.state import State
 from trackres_ros.route.follower import NOTHING_YET
 from trackres_ros.vehicle import AnyVehicle
 
@@ -102,7 +101,7 @@ class Estimator:
         distance: float = math.nan,
         measured_torque: float = math.nan,
     ) -> Inputs:
-        """Make the inputs of a step from known values, the rest nominal.
+        """Make the inputs of a step from known values; None is nominal.
 
         Parameters
         ----------
@@ -117,11 +116,6 @@ class Estimator:
         acceleration, grade, yaw_rate, heading, distance, measured_torque
             [m/s^2], rise over run, [rad/s], [rad], [m] and [Nm]; nan where unknown. An unknown distance is integrated
             from the speed. The last four are for effects and the residual.
-
-        Returns
-        -------
-        Inputs
-            With nominal values for None.
         """
         k = self.constants
         loads = k.assembly[:, at.Assembly.nominal_load].copy() if load is None else np.asarray(load, dtype=float)
@@ -144,19 +138,7 @@ class Estimator:
     def cold_start(self, inputs: Inputs, belt_degc: float | None = None, belt_std_k: float | None = None) -> State:
         """Make the state of belts at the ambient temperature, or at a known one [degC] with a standard deviation [K].
 
-        Parameters
-        ----------
-        inputs
-            From `inputs`; only the ambient temperature is used.
-        belt_degc
-            Temperature of all belts [degC]; by default the ambient temperature.
-        belt_std_k
-            Its standard deviation [K]; by default `initial_belt_std_k` of the settings.
-
-        Returns
-        -------
-        State
-            Initial state.
+        Of `inputs` only the ambient temperature is used. By default the standard deviation is that of the settings.
         """
         belts = np.empty((len(self.assemblies), 2, at.BELT_COLUMNS))
         state = State(belts, np.empty(at.Motion.columns), new_effects_memory(len(self.vehicle.active)))
@@ -171,15 +153,6 @@ class Estimator:
     def step(self, state: State, inputs: Inputs, dt: float) -> tuple[State, Estimate]:
         """Advance by dt [s] to the time of `inputs`. Pure: the given state does not change.
 
-        Parameters
-        ----------
-        state
-            State before the step.
-        inputs
-            From `inputs`, at the end of the step.
-        dt
-            Length of the step [s].
-
         Returns
         -------
         state, estimate
@@ -190,13 +163,7 @@ class Estimator:
         return after, Estimate(row, self.column_index)
 
     def own_arguments(self) -> tuple[Any, ...]:
-        """The kernel's arguments with a new work space, so that threads do not share one.
-
-        Returns
-        -------
-        tuple
-            First arguments of the entry points.
-        """
+        """The kernel's arguments, first of an entry point, with a new work space, so that threads do not share one."""
         return (*self.kernel_arguments[:-1], self.kernel_arguments[-1].copy())
 
     def run(
@@ -238,15 +205,8 @@ class Estimator:
             times, *(np.array(np.broadcast_to(np.asarray(a, dtype=float), times.shape), order="C") for a in given)
         )
         after, rows = _copy(state), np.empty((len(times), len(self.columns)))
-        self.entries.run_series(
-            *self.own_arguments(),
-            *_arrays(after),
-            *series,
-            self.constants.number.ambient_std,
-            np.empty(len(self.constants.assembly)),
-            self._no_belts,
-            rows,
-        )
+        work = self.constants.number.ambient_std, np.empty(len(self.constants.assembly)), self._no_belts
+        self.entries.run_series(*self.own_arguments(), *_arrays(after), *series, *work, rows)
         return after, rows
 
     def along_route(self, time_s: Array, speed: Array, latitude: Array, longitude: Array) -> GroundSeries:
@@ -272,38 +232,14 @@ class Estimator:
     def rest(self, state: State, ambient: float, seconds: float) -> State:
         """Compute the state after standing or being switched off for some time [s] at an ambient temperature [degC].
 
-        Parameters
-        ----------
-        state
-            State before; it is not changed.
-        ambient
-            Ambient temperature [degC].
-        seconds
-            Time at rest [s].
-
-        Returns
-        -------
-        State
-            With cooled belts.
+        The given state does not change.
         """
-        after = _copy(state)
-        self.entries.rest_vehicle(
-            *self.own_arguments(),
-            *_arrays(after),
-            float(ambient),
-            self.constants.number.ambient_unknown_std,
-            float(seconds),
-        )
+        after, std = _copy(state), self.constants.number.ambient_unknown_std
+        self.entries.rest_vehicle(*self.own_arguments(), *_arrays(after), float(ambient), std, float(seconds))
         return after
 
     def session(self) -> Session:
-        """Begin a session: a stream of messages through the guards.
-
-        Returns
-        -------
-        Session
-            Without a message yet.
-        """
+        """Begin a session: a stream of messages through the guards."""
         return Session(self)
 
 

@@ -19,9 +19,16 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.by_place import ground_now, is_missing
 from trackres_ros.estimator.columns import Assembly, Motion, Times, Tracked
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.estimator.plausible_speed import is_plausible, seems_to_stand, trust
+from trackres_ros.estimator.plausible_speed import (
+    NOTHING_TRACKED,
+    disagrees,
+    drive_on,
+    is_plausible,
+    odometer_came,
+    seems_to_stand,
+    trust,
+)
 from trackres_ros.estimator.records import Inputs
-from trackres_ros.estimator.speed_witnesses import NOTHING_TRACKED, disagrees, drive_on, odometer_came
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.route.follower import NOTHING_YET, forget
 

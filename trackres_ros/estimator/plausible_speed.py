@@ -1,27 +1,39 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Checks that the vehicle can have changed its speed as its messages say.
+"""Checks that the vehicle can have changed its speed as its messages say, and that wheel speeds and odometer agree with it.
 
 A reference follows the accepted speeds, at most at the vehicle's greatest acceleration. A speed further from it than
 noise, resolution and delay explain is refused and begins a doubt. Then nothing is accepted until a run of consistent speeds
 ends the doubt. The run has as many speeds as a clock jump needs, lasts as long as the doubt before it, and can have been
 reached by the vehicle. So one wrong value costs a few samples, and two alternating values are never believed. No doubt
-lasts longer than the vehicle needs from the old speed to the new one.
+lasts longer than the vehicle needs from the old speed to the new one. Wheel speeds and the odometer are used only for this check.
 """
 
 from __future__ import annotations
 
 import math
 
-from trackres_ros.estimator.columns import Times, Tracked
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.estimator.columns import SPEED, Times, Tracked
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.feedforward import towards
 from trackres_ros.estimator.motion_step import LARGEST_QUANTUM
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.units import NANOSECOND
 
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
 LONGEST_RUN_NS = 2_000_000_000  # by then the feed-forward is zero: a longer wait is no safer
+SEEN, LAST_ARRIVAL = Times.seen, Times.last_arrival
+NOTHING_TRACKED = (math.nan, math.nan, math.nan, math.nan, 0.0, 0.0, 0.0, 0.0)
+SHARE = 0.25  # wheels slip, and their radii are nominal ones
+SLOW_MPS = 1.0  # pulses of a slow wheel are too rare: those of the ZTBus show nothing up to 0.6 m/s
+COMPARED_M, COMPARED_STEPS = 50.0, 8.0  # a comparison takes so far, and so many steps of the odometer
+FARTHEST_M = 1000.0  # a greater jump is a restarted odometer
 
 
 @inlined
@@ -71,3 +83,55 @@ def is_plausible(k: Constants, times: Times, tracked: Tracked, stamp: int, elaps
         trust(times, tracked, tracked.run)
         return True
     return False
+
+
+@inlined
+def forget_way(tracked: Tracked) -> None:
+    """Restart the comparison with the odometer."""
+    tracked.began, tracked.way, tracked.net = math.nan, 0.0, 0.0
+    tracked.apart = 0.0
+
+
+@inlined
+def odometer_came(tracked: Tracked, distance: float) -> None:
+    """Process a distance [m]; compare it with the integrated speed where both are long enough."""
+    moved = abs(distance - tracked.last)
+    if moved > FARTHEST_M:
+        forget_way(tracked)
+    elif moved > tracked.step:
+        tracked.step = moved
+    tracked.last = distance
+    if math.isnan(tracked.began):
+        tracked.began, tracked.way, tracked.net = distance, 0.0, 0.0
+    by_odometer, step = abs(distance - tracked.began), tracked.step
+    longest = max(by_odometer, tracked.way)
+    if step > 0.0 and longest >= max(COMPARED_M, COMPARED_STEPS * step):
+        off = min(abs(by_odometer - tracked.way), abs(by_odometer - abs(tracked.net)))
+        apart = 1.0 if off > SHARE * longest + step else 0.0
+        forget_way(tracked)
+        tracked.began, tracked.apart = distance, apart
+
+
+@inlined
+def drive_on(k: Constants, tracked: Tracked, speed: float, elapsed: int) -> None:
+    """Integrate a speed [m/s] over its duration [ns]; restart after an unknown gap."""
+    seconds = elapsed * NANOSECOND
+    if seconds > k.number.bridge:
+        forget_way(tracked)
+        return
+    tracked.way += abs(speed) * seconds
+    tracked.net += speed * seconds
+
+
+@inlined
+def disagrees(k: Constants, times: IntArray, values: Array, speed: float, stamp: int, now: int) -> bool:
+    """Whether the speed [m/s] has been outside the range of all fresh wheel speeds for longer than the longest pause."""
+    size, low, high = abs(speed), math.inf, 0.0
+    for channel in range(k.number.first_wheel, times.shape[0]):
+        if times[channel, SEEN] and now - times[channel, LAST_ARRIVAL] <= k.number.motion_hold_ns:
+            low, high = min(low, abs(values[channel])), max(high, abs(values[channel]))
+    apart = low < math.inf and (size > (1.0 + SHARE) * high + SLOW_MPS or size < (1.0 - SHARE) * low - SLOW_MPS)
+    of_speed = Times(times[SPEED])
+    if not apart or of_speed.disagrees_since == 0:
+        of_speed.disagrees_since = stamp if apart else 0
+    return apart and stamp - of_speed.disagrees_since > k.number.disagreeing_ns

@@ -6,10 +6,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from trackres_ros.effects.stepping import new_memory
+from trackres_ros.estimator import columns as at
+from trackres_ros.text.numbers import decimals
 
 Array = NDArray[np.float64]
 
@@ -33,6 +38,21 @@ class Inputs(NamedTuple):
     torque_by_place_std: float = math.nan  # Nm
     reasons: int = 0  # columns.Reason found before the step
     fed: float = 1.0  # 0 for no feed-forward: it is not enabled, or the speed is not trusted
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class State:
+    """State carried from one step to the next; not to be changed. `columns` describes the numbers."""
+
+    belts: Array  # (assemblies, 2, BELT_COLUMNS): temperature [degC] and its departures [K], of the mean and of the surface
+    motion: Array  # (MOTION_COLUMNS,): filtered speed and values of the last step
+    effects: Array = field(default_factory=lambda: new_memory(0))  # memory of the effects, see `effects.stepping`
+    learned: Array = field(default_factory=lambda: np.zeros(at.Learned.columns))  # learned departures of the vehicle
+
+    def __repr__(self) -> str:
+        degrees = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, at.Belt.temperature])
+        belts = f"belts {degrees} degC, " if degrees else ""
+        return f"<State: {belts}speed {decimals(float(self.motion[at.Motion.last_speed]), 2)} m/s>"
 
 
 class Carried(NamedTuple):

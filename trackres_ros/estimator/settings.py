@@ -16,7 +16,8 @@ PARTS = ("hysteresis", "bearing", "wind", "grade", "inertia")
 BELT_SENSORS = ("mean", "surface")
 
 
-def _setting(default: float, unit: str, low: float, high: float, meaning: str) -> Any:
+def setting(default: float, unit: str, low: float, high: float, meaning: str) -> Any:
+    """A field with unit, limits and meaning in its metadata."""
     return field(default=default, metadata={"unit": unit, "low": low, "high": high, "meaning": meaning})
 
 
@@ -24,29 +25,29 @@ def _setting(default: float, unit: str, low: float, high: float, meaning: str) -
 class Settings:
     """Settings of the estimator; the field metadata holds unit, limits and meaning of each."""
 
-    initial_belt_std_k: float = _setting(15.0, "K", 0.0, 100.0, "standard deviation of the belt temperature at a cold start")
-    process_noise_k: float = _setting(0.02, "K/sqrt(s)", 0.0, 10.0, "random walk of the belt temperature, for unmodelled effects")
-    ambient_std_k: float = _setting(2.0, "K", 0.0, 30.0, "standard deviation of a given ambient temperature")
-    ambient_unknown_std_k: float = _setting(
+    initial_belt_std_k: float = setting(15.0, "K", 0.0, 100.0, "standard deviation of the belt temperature at a cold start")
+    process_noise_k: float = setting(0.02, "K/sqrt(s)", 0.0, 10.0, "random walk of the belt temperature, for unmodelled effects")
+    ambient_std_k: float = setting(2.0, "K", 0.0, 30.0, "standard deviation of a given ambient temperature")
+    ambient_unknown_std_k: float = setting(
         10.0, "K", 0.0, 60.0, "standard deviation of the nominal ambient temperature, used if none is given"
     )
-    belt_measured_std_k: float = _setting(3.0, "K", 0.01, 60.0, "standard deviation of a measured belt temperature")
-    gap_s: float = _setting(1.0, "s", 0.05, 60.0, "a longer pause in the speed is reported as a gap")
-    bridge_s: float = _setting(30.0, "s", 0.1, 600.0, "the speed is interpolated over gaps up to this length")
-    clock_jump_s: float = _setting(
+    belt_measured_std_k: float = setting(3.0, "K", 0.01, 60.0, "standard deviation of a measured belt temperature")
+    gap_s: float = setting(1.0, "s", 0.05, 60.0, "a longer pause in the speed is reported as a gap")
+    bridge_s: float = setting(30.0, "s", 0.1, 600.0, "the speed is interpolated over gaps up to this length")
+    clock_jump_s: float = setting(
         1.0, "s", 0.05, 3600.0, "a stamp that differs more from the time expected by arrival is not accepted at once"
     )
-    jumps_to_accept: int = _setting(3, "1", 2, 100, "number of consecutive consistent stamps that are accepted as a clock jump")
-    load_hold_s: float = _setting(60.0, "s", 0.1, 1e6, "longest age of the last load; then the nominal one is used")
-    passengers_hold_s: float = _setting(3600.0, "s", 1.0, 1e6, "longest age of the last passenger count; counts come at stops")
-    passenger_kg: float = _setting(PASSENGER_KG, "kg", 1.0, 500.0, "mass of a passenger, added to the vehicle file's loads")
-    ambient_hold_s: float = _setting(1800.0, "s", 1.0, 1e6, "longest age of the last ambient temperature")
-    motion_hold_s: float = _setting(0.5, "s", 0.01, 60.0, "longest age of a given acceleration or grade")
-    torque_hold_s: float = _setting(0.5, "s", 0.01, 60.0, "longest age of a measured torque")
-    position_hold_s: float = _setting(
+    jumps_to_accept: int = setting(3, "1", 2, 100, "number of consecutive consistent stamps that are accepted as a clock jump")
+    load_hold_s: float = setting(60.0, "s", 0.1, 1e6, "longest age of the last load; then the nominal one is used")
+    passengers_hold_s: float = setting(3600.0, "s", 1.0, 1e6, "longest age of the last passenger count; counts come at stops")
+    passenger_kg: float = setting(PASSENGER_KG, "kg", 1.0, 500.0, "mass of a passenger, added to the vehicle file's loads")
+    ambient_hold_s: float = setting(1800.0, "s", 1.0, 1e6, "longest age of the last ambient temperature")
+    motion_hold_s: float = setting(0.5, "s", 0.01, 60.0, "longest age of a given acceleration or grade")
+    torque_hold_s: float = setting(0.5, "s", 0.01, 60.0, "longest age of a measured torque")
+    position_hold_s: float = setting(
         10.0, "s", 0.2, 600.0, "longest age of the last position, extrapolated by the speed, on a route of the surroundings"
     )
-    enable_hold_s: float = _setting(
+    enable_hold_s: float = setting(
         0.0,
         "s",
         0.0,
@@ -54,17 +55,17 @@ class Settings:
         "longest age of an enable; then the feed-forward goes to zero. 0: none needed, "
         "or 0.5 s with the role enable in the topics file",
     )
-    stuck_s: float = _setting(120.0, "s", 1.0, 1e6, "a moving speed that has not changed for longer is reported as stuck")
-    speed_std_mps: float = _setting(0.02, "m/s", 0.0, 5.0, "noise of the speed, without its quantisation")
-    acceleration_std: float = _setting(0.5, "m/s^2", 0.01, 20.0, "standard deviation of the vehicle's own acceleration")
-    acceleration_time_s: float = _setting(3.0, "s", 0.05, 600.0, "time constant of the vehicle's acceleration")
-    feedforward_rate: float = _setting(20000.0, "Nm/s", 1.0, 1e9, "largest change of the feed-forward torque")
-    feedforward_share: float = _setting(0.10, "1", 0.001, 2.0, "largest feed-forward torque over weight x sprocket radius")
-    speed_max_age_s: float = _setting(
+    stuck_s: float = setting(120.0, "s", 1.0, 1e6, "a moving speed that has not changed for longer is reported as stuck")
+    speed_std_mps: float = setting(0.02, "m/s", 0.0, 5.0, "noise of the speed, without its quantisation")
+    acceleration_std: float = setting(0.5, "m/s^2", 0.01, 20.0, "standard deviation of the vehicle's own acceleration")
+    acceleration_time_s: float = setting(3.0, "s", 0.05, 600.0, "time constant of the vehicle's acceleration")
+    feedforward_rate: float = setting(20000.0, "Nm/s", 1.0, 1e9, "largest change of the feed-forward torque")
+    feedforward_share: float = setting(0.10, "1", 0.001, 2.0, "largest feed-forward torque over weight x sprocket radius")
+    speed_max_age_s: float = setting(
         0.5, "s", 0.01, 60.0, "longest age of a trusted speed; then the feed-forward fades and the live status is stale"
     )
-    feedforward_fade_s: float = _setting(1.0, "s", 0.01, 60.0, "time in which the feed-forward then goes to zero")
-    belt_std_warn_k: float = _setting(25.0, "K", 0.1, 1000.0, "a belt temperature with a larger standard deviation is reported")
+    feedforward_fade_s: float = setting(1.0, "s", 0.01, 60.0, "time in which the feed-forward then goes to zero")
+    belt_std_warn_k: float = setting(25.0, "K", 0.1, 1000.0, "a belt temperature with a larger standard deviation is reported")
     feedforward_parts: tuple[str, ...] = field(
         default=("hysteresis", "bearing", "wind"),
         metadata={

@@ -25,7 +25,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.plausible_state import check_effects, check_learned, check_memory, check_state
-from trackres_ros.estimator.state import State
+from trackres_ros.estimator.records import State
 from trackres_ros.files import own_files
 from trackres_ros.files.jsons import parse_json
 from trackres_ros.vehicle import Vehicle

@@ -58,11 +58,8 @@ def spread(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> Para
     offset and slope, so their errors are fully correlated.
     """
     ranges = {path: (q.low, q.high, q.flag == FITTED) for path, q in vehicle.parameters.items()}
-    key = hashlib.sha256(
-        json.dumps(
-            [fingerprint(vehicle, track_name), ranges, vehicle.chassis.max_speed, vehicle.thermal], sort_keys=True
-        ).encode()
-    ).hexdigest()[:32]
+    parts = [fingerprint(vehicle, track_name), ranges, vehicle.chassis.max_speed, vehicle.thermal]
+    key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
     arrays = cached_arrays(f"spread-{key}", {"factor": (4, 4)}, lambda: {"factor": _factor(vehicle, track_name)}, cache)
     return ParameterUncertainty(arrays["factor"])
 

@@ -70,16 +70,9 @@ def same_in_python(vehicle: AnyVehicle) -> bool:
 
 @contextmanager
 def first_run(work: str, vehicle: AnyVehicle, steps: int = 0) -> Iterator[CompilerWarmUp]:
-    """Warm-up for some work offline; it goes on for the next run if this one ends earlier.
+    """Warm-up for some `WORK` offline; it goes on for the next run if this one ends earlier.
 
-    Parameters
-    ----------
-    work
-        See `WORK`.
-    vehicle
-        Vehicle of the work.
-    steps
-        Number of steps for work that does not change over; above `MOST_IN_PYTHON` it waits for compiled functions.
+    Work that does not change over gives its number of steps: above `MOST_IN_PYTHON` it waits for compiled functions.
     """
     warm_up = CompilerWarmUp(work, lasting=True, meanwhile=steps <= MOST_IN_PYTHON and same_in_python(vehicle))
     try:
@@ -89,27 +82,15 @@ def first_run(work: str, vehicle: AnyVehicle, steps: int = 0) -> Iterator[Compil
 
 
 class CompilerWarmUp:
-    """Chooses the initial functions; `finished` gives the compiled ones once they are ready.
-
-    Parameters
-    ----------
-    work
-        Kind of work, see `WORK`.
-    vehicle_file, surroundings_file
-        Vehicle whose effects are compiled too.
-    lasting
-        Whether to continue compiling after `close`, for the next run.
-    meanwhile
-        Whether to use plain Python until then; else the work itself compiles, and waits.
-    """
+    """Chooses the initial functions for some `WORK`; `finished` gives the compiled ones once they are ready."""
 
     def __init__(
         self,
         work: str,
-        vehicle_file: str = ANY_VEHICLE,
+        vehicle_file: str = ANY_VEHICLE,  # whose effects are compiled too
         surroundings_file: str = "",
-        lasting: bool = False,
-        meanwhile: bool = True,
+        lasting: bool = False,  # whether to continue compiling after `close`, for the next run
+        meanwhile: bool = True,  # whether to use plain Python until then; else the work itself compiles, and waits
     ) -> None:
         self._work, self._files = work, (vehicle_file, surroundings_file)
         self._ready = threading.Event()

@@ -20,7 +20,6 @@ from trackres_ros.recording.role_units import UNITS
 from trackres_ros.recording.roles import ROLES
 
 TEMPLATES = Path(__file__).parent / "templates"
-FILES = ("trackres.h", "trackres.c", "main.c", "CMakeLists.txt")
 LARGEST_WHOLE = 9.2e18  # inside of 64 bits
 CHECKED_BYTES = 8  # version and checksum, before the arrays
 
@@ -41,17 +40,7 @@ def in_c(name: str) -> str:
 
 
 class CSource:
-    """The files of an export as texts.
-
-    Parameters
-    ----------
-    parts
-        Translated parts.
-    title
-        Of the vehicle.
-    made
-        Lines on the origin of the export, for the head of each file.
-    """
+    """The files of an export as texts; `made` are lines on its origin, for the head of each file."""
 
     def __init__(self, parts: Parts, title: str, made: tuple[str, ...]) -> None:
         self.parts, self.translator = parts, parts.translator
@@ -66,12 +55,7 @@ class CSource:
     def files(self) -> dict[str, str]:
         """Each file by its name."""
         common = {"TITLE": self._title, "MADE": self._made, "REAL": self.real, "VERSION": self.version()}
-        values = {
-            "trackres.h": self._header(),
-            "trackres.c": self._source(),
-            "main.c": self._main(),
-            "CMakeLists.txt": {},
-        }
+        values = {"trackres.h": self._header(), "trackres.c": self._source(), "main.c": self._main(), "CMakeLists.txt": {}}
         return {name: filled((TEMPLATES / name).read_text(encoding="utf-8"), common | of) for name, of in values.items()}
 
     def version(self) -> str:
@@ -201,9 +185,7 @@ class CSource:
 
     def _call(self, one: Instance, **given: str) -> str:
         """The call of an entry: records by their names, arrays of the state, and other arguments as given."""
-        codes = []
-        for name, kind in one.given:
-            codes.append(f"&{name}" if isinstance(kind, Record) else given.get(name, f"state->{name}"))
+        codes = [f"&{name}" if isinstance(kind, Record) else given.get(name, f"state->{name}") for name, kind in one.given]
         return f"{one.name}({', '.join(codes)})"
 
     # The program that replays

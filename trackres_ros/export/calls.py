@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.export.expressions import UNARY, Expressions, Value
+from trackres_ros.export.expressions import UNARY, Value
 from trackres_ros.export.kinds import BOOL, INT, REAL, ArrayOf, Const, Kind, Record, Scalar, joined, widened, words
+from trackres_ros.export.operators import Operators
 from trackres_ros.jit.rows import Row
 
 SAME_IN_C = (
@@ -25,7 +26,7 @@ SAME_IN_C = (
 OF_NUMPY = {"abs": "fabs", "absolute": "fabs", "arctan": "atan", "arctan2": "atan2", "arcsin": "asin", "arccos": "acos"}
 
 
-class Calls(Expressions):
+class Calls(Operators):
     """The calls of one function; `statements.Body` has its statements."""
 
     def _call(self, node: ast.Call) -> Value:
@@ -56,10 +57,8 @@ class Calls(Expressions):
         if set(values) != set(cls._fields):
             raise self.refuse(node, ast.unparse(node)[:80], f"each of {', '.join(cls._fields)}")
         ordered = [values[name] for name in cls._fields]
-        annotated = cls.__annotations__
-        kinds = [
-            REAL if annotated.get(n) in ("float", float) else widened(v.kind) for n, v in zip(cls._fields, ordered, strict=True)
-        ]
+        reals = {name for name, kind in cls.__annotations__.items() if kind in ("float", float)}
+        kinds = [REAL if name in reals else widened(v.kind) for name, v in zip(cls._fields, ordered, strict=True)]
         return self.tuple_of(ordered, Record(words(cls.__name__), tuple(zip(cls._fields, kinds, strict=True))))
 
     def call_of(self, node: ast.Call, function: FunctionType, values: list[Value]) -> Value:
@@ -78,7 +77,7 @@ class Calls(Expressions):
                 if isinstance(v.const, np.ndarray):
                     raise self.refuse(node, ast.unparse(node)[:80], "an array that may change")
                 self.note_written(v)
-        if not one.changes_something and (one.returns is None or isinstance(one.returns, Const)):
+        if not one.writes and (one.returns is None or isinstance(one.returns, Const)):
             return self.const(one.returns.value if isinstance(one.returns, Const) else None)
         self.calls.append(one)
         codes = [self.argument(given[name], kind) for name, kind in one.given]
@@ -118,9 +117,8 @@ class Calls(Expressions):
                 pass
         found = self._of_numbers(function, values)
         if found is None:
-            raise self.refuse(
-                node, ast.unparse(node)[:80], f"abs, min, max, int, float, round, and {', '.join(SAME_IN_C)} of math"
-            )
+            allowed = f"abs, min, max, int, float, round, and {', '.join(SAME_IN_C)} of math"
+            raise self.refuse(node, ast.unparse(node)[:80], allowed)
         return found
 
     def _of_numbers(self, function: Any, values: list[Value]) -> Value | None:

@@ -46,27 +46,15 @@ def sources() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """Inputs of an export.
+    """Inputs of an export."""
 
-    Attributes
-    ----------
-    vehicle
-        Path of a vehicle file, or the name of a shipped one.
-    surroundings, params, state
-        Files as for `trackres replay`; of the state only learned values are used.
-    method, thermal
-        Models instead of those of the vehicle file.
-    single
-        Whether numbers are `float` instead of `double`.
-    """
-
-    vehicle: str
-    surroundings: Path | None = None
+    vehicle: str  # path of a vehicle file, or the name of a shipped one
+    surroundings: Path | None = None  # this and the next two: files as for `trackres replay`
     params: Path | None = None
-    state: Path | None = None
-    method: str | None = None
+    state: Path | None = None  # only learned values are used
+    method: str | None = None  # models instead of those of the vehicle file
     thermal: str | None = None
-    single: bool = False
+    single: bool = False  # whether numbers are `float` instead of `double`
 
     def load(self) -> AnyVehicle:
         """The vehicle."""
@@ -99,10 +87,8 @@ def translated(request: Request, tuned: tuple[str, ...] = ()) -> CSource:
 def _learned(estimator: Estimator, path: Path) -> Any:
     learned = snapshot.resume(estimator, path).learned
     if not learned[at.Learned.on] > 0.0:
-        remedy = "save it with --learning on, after enough driving"
-        raise InputError(
-            f"state file {path}", "a state without active learned parameters", "a state of a run with --learning on", remedy
-        )
+        given, allowed = "a state without active learned parameters", "a state of a run with --learning on"
+        raise InputError(f"state file {path}", given, allowed, "save it with --learning on, after enough driving")
     return learned
 
 
@@ -116,11 +102,7 @@ def export_c(request: Request, folder: Path) -> list[Path]:
     """
     output_folder(folder)
     source = translated(request)
-    return write_files(request, source.estimator, source.files(), folder)
-
-
-def write_files(request: Request, estimator: Estimator, files: dict[str, str], folder: Path) -> list[Path]:
-    """Write texts into a folder, and their list."""
+    estimator, files = source.estimator, source.files()
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -197,11 +179,7 @@ def _read_list(path: Path) -> dict[str, Any]:
     keys = ("program", "sources", "vehicle", "vehicle_sha256", "surroundings", "method", "thermal", "settings", "values", "files")
     if not isinstance(listed, dict) or (listed.get("format"), listed.get("version")) != (FORMAT, VERSION):
         raise InputError(str(path), "another kind of list, or of another version", allowed, "export again")
-    if (
-        any(key not in listed for key in keys)
-        or not isinstance(listed["files"], dict)
-        or not isinstance(listed["settings"], dict)
-    ):
+    if not set(keys) <= set(listed) or not all(isinstance(listed[name], dict) for name in ("files", "settings")):
         raise InputError(str(path), "an incomplete list", allowed, "export again")
     return listed
 

@@ -152,9 +152,8 @@ def _description(source: CSource, variables: list[Variable], token: str) -> byte
         "fmiModelDescription", fmiVersion="3.0", modelName=vehicle.name, instantiationToken=token, description=vehicle.title,
         generationTool=f"trackres_ros {tr.__version__}", variableNamingConvention="structured",
     )  # fmt: skip
-    can: dict[str, Any] = dict.fromkeys(
-        ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState"), "true"
-    )
+    abilities = ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState")
+    can: dict[str, Any] = dict.fromkeys(abilities, "true")
     Xml.SubElement(root, "CoSimulation", modelIdentifier=MODEL, **can)
     units = Xml.SubElement(root, "UnitDefinitions")
     for name in sorted({v.unit for v in variables}):

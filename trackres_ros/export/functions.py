@@ -44,31 +44,17 @@ class Source:
 
 @dataclass(eq=False)
 class Instance:
-    """A function for given kinds of its arguments.
-
-    Attributes
-    ----------
-    arguments
-        Name and kind of each parameter, including constants.
-    returns
-        Kind of its result; None without one.
-    text
-        Its body in C.
-    reads, writes
-        Parameters that it reads, and arrays among them that it changes.
-    calls
-        The instances that it calls.
-    """
+    """A function for given kinds of its arguments."""
 
     function: FunctionType
     source: Source
     name: str
-    arguments: dict[str, Kind]
-    returns: Kind | None = None
-    text: str = ""
-    reads: set[str] = field(default_factory=set)
-    writes: set[str] = field(default_factory=set)
-    calls: list[Instance] = field(default_factory=list)
+    arguments: dict[str, Kind]  # by the name of each parameter, including constants
+    returns: Kind | None = None  # kind of its result; None without one
+    text: str = ""  # its body in C
+    reads: set[str] = field(default_factory=set)  # parameters that it reads
+    writes: set[str] = field(default_factory=set)  # arrays among them that it changes
+    calls: list[Instance] = field(default_factory=list)  # the instances that it calls
     done: bool = False
 
     @property
@@ -76,21 +62,11 @@ class Instance:
         """Its parameters in C."""
         return [(n, k) for n, k in self.arguments.items() if n in self.reads and not isinstance(k, Const)]
 
-    @property
-    def changes_something(self) -> bool:
-        """Whether a call has side effects."""
-        return bool(self.writes)
-
 
 class Translator:
     """Keeps translated functions with their structs and tables.
 
-    Parameters
-    ----------
-    translate
-        Fills in an instance: `statements.translate_body`.
-    single
-        Whether numbers are `float` in C instead of `double`.
+    `translate` fills in an instance: `flow.translate_body`. With `single`, numbers are `float` in C instead of `double`.
     """
 
     def __init__(self, translate: Callable[[Translator, Instance], None], single: bool = False) -> None:

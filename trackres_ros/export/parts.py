@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.effects import stepping
+from trackres_ros.effects import native, stepping
 from trackres_ros.effects.effect import Active, Conditions, VehicleConstants
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.export import step
 from trackres_ros.export.expressions import Expressions, Value
+from trackres_ros.export.flow import translate_body
 from trackres_ros.export.functions import Instance, Translator
 from trackres_ros.export.kinds import INT, REAL, ArrayOf, Const, Kind, Record
-from trackres_ros.export.statements import translate_body
 
 NAMES_OF_CONSTANTS = {"assembly": "assemblies", "loss": "loss", "drive": "drive", "channel_limits": "limits"}
 
@@ -39,18 +39,9 @@ class StateArray:
 
 
 class Parts:
-    """The parts of the C of one estimator.
+    """The parts of the C of one estimator, with learned values as `State.learned`.
 
-    Parameters
-    ----------
-    estimator
-        Of the vehicle, with its settings.
-    learned
-        Learned values, as `State.learned`; None for none.
-    single
-        Whether numbers are `float`.
-    tuned
-        Numbers of the kernel in the state instead of the code, to be changed while it runs.
+    `single` makes numbers `float`. `tuned` numbers of the kernel are in the state, not in the code, to be changed while it runs.
     """
 
     def __init__(self, estimator: Estimator, learned: Any = None, single: bool = False, tuned: Sequence[str] = ()) -> None:
@@ -66,7 +57,7 @@ class Parts:
         self.arrays = [array for array in self.arrays if array.start.size]
         self.translator = Translator(translate_body, single)
         self.effects: dict[int, Instance] = {}
-        self.translator.intrinsics[stepping.call_at] = self._call_effect
+        self.translator.intrinsics[native.call_at] = self._call_effect
         self._translate_effects()
         self.entries = self._translate_entries()
 
@@ -97,11 +88,11 @@ class Parts:
 
     def _effect_function(self, cls: type, method: str, names: tuple[str, ...]) -> Instance:
         """`terms` or `lag` of an effect behind the signature that the step calls."""
-        facts, looked_at = stepping.FACTS, stepping.LOOKED_AT
+        facts, looked_at = native.FACTS, native.LOOKED_AT
         known = ", ".join(f"x[{i}]" for i in range(facts, looked_at))
         vehicle = ", ".join(f"x[{i}]" for i in range(facts))
         name = f"{cls.__name__.lower()}_{method}"
-        answered = stepping.ANSWERS[method]
+        answered = native.ANSWERS[method]
         lines = [
             f"def {name}(x, p, out):",
             f'    """{method} of {cls.__name__}"""',
@@ -109,9 +100,7 @@ class Parts:
             *(f"    out[{i}] = found[{i}]" for i in range(answered)),
         ]
         text = "\n".join(lines)
-        namespace: dict[str, Any] = {
-            "Conditions": Conditions, "VehicleConstants": VehicleConstants, "run": getattr(cls, method),
-        }  # fmt: skip
+        namespace: dict[str, Any] = {"Conditions": Conditions, "VehicleConstants": VehicleConstants, "run": getattr(cls, method)}
         exec(text, namespace)
         function: FunctionType = namespace[name]
         self.translator.add_text(function, text)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Translates the statements of a function, repeatedly until the kinds of its variables are stable."""
+"""Translates assignments and the other statements without branches, and finds the variables of a function."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import ast
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from trackres_ros.export.calls import Calls
@@ -17,47 +18,30 @@ from trackres_ros.export.functions import Instance, Translator
 from trackres_ros.export.kinds import INT, REAL, ArrayOf, Const, Kind, Record, Scalar, joined, safe, widened
 from trackres_ros.export.scopes import Path, Scopes
 
-MOST_PASSES = 12
 ENTRIES = ast.Subscript | ast.Attribute  # of an array
 COMMENT = re.compile(r"/\*.*?\*/")
 ONLY_STORED = re.compile(r"^\s*(?:(?:const )?(?:struct )?\w+ \*?)?\w+ [-+*/|&]?= ")
 NAME = re.compile(r"(?<![\w.])(?<!->)[A-Za-z_]\w*")
 
 
-def translate_body(translator: Translator, one: Instance) -> None:
-    """Fill in the text, the returned kind and other attributes of an instance."""
-    body = Body(translator, one)
-    before: Any = None
-    for _ in range(MOST_PASSES):
-        body.run()
-        if body.found == before:
-            break
-        before = body.found
-    one.text = body.text
-    one.calls = [called for called in body.calls if f"{called.name}(" in one.text or "tr_call_effect(" in one.text]
-
-
-class Body(Calls):
-    """The statements of one function."""
+class Statements(Calls):
+    """The statements of one function; `flow.Body` has those that branch and repeat."""
 
     def __init__(self, translator: Translator, one: Instance) -> None:
         super().__init__(translator, one)
         self._tree = one.source.tree
         self._stores = Counter(_stored_names(self._tree))
         self._parameters = {a.arg for a in self._tree.args.args}
-        loops = [
-            node.target.id for node in ast.walk(self._tree) if isinstance(node, ast.For) and isinstance(node.target, ast.Name)
-        ]
+        targets = [node.target for node in ast.walk(self._tree) if isinstance(node, ast.For)]
+        loops = Counter(target.id for target in targets if isinstance(target, ast.Name))
         self._of_loops = set(loops)
-        for name, count in Counter(loops).items():
+        for name, count in loops.items():
             if name in self._parameters or self._stores[name] != count:
                 raise self.refuse(self._tree, f"{name} of a loop that has another meaning too", "a name of its own for it")
         self._within: list[str] = []
         self._read_before: set[str] = set()
         self._scopes = Scopes()
-        for name, kind in one.arguments.items():
-            changes = self._stores[name] > 0
-            self.kinds[name] = widened(kind) if changes else kind
+        self.kinds = {name: widened(kind) if self._stores[name] else kind for name, kind in one.arguments.items()}
         self.pointers = {n for n, k in one.arguments.items() if isinstance(k, Record)}
         self.text = ""
         self.found: Any = None
@@ -77,7 +61,10 @@ class Body(Calls):
         at_top = [name for name in self._scopes.at_top if name in self._read_before]
         declared = [self._declaration(name) for name in at_top if self._is_stored(name)]
         self.text = "".join(f"    {line}\n" for line in declared) + "".join(self._lines)
-        self._close_over_parents()
+        for name in [*self.written]:  # a change of a view changes its array
+            while (parent := self.parents.get(name)) is not None and parent not in self.written:
+                self.written.add(parent)
+                name = parent
         self._read_before = self._read_names()
         self.one.reads = self._parameters & self._read_before
         self.one.writes = self._parameters & self.written
@@ -85,19 +72,8 @@ class Body(Calls):
 
     def _read_names(self) -> set[str]:
         """Names whose value is used: not those that are only assigned."""
-        found: set[str] = set()
-        for line in self._lines:
-            needed = ONLY_STORED.sub("", COMMENT.sub("", line))
-            found.update(NAME.findall(needed))
+        found = {name for line in self._lines for name in NAME.findall(ONLY_STORED.sub("", COMMENT.sub("", line)))}
         return {name for name in (*self.kinds, *self._parameters) if safe(name) in found}
-
-    def _close_over_parents(self) -> None:
-        """Record that a change of a view changes its array."""
-        for name in [*self.written]:
-            parent = self.parents.get(name)
-            while parent is not None and parent not in self.written:
-                self.written.add(parent)
-                parent = self.parents.get(parent)
 
     # Lines
 
@@ -134,13 +110,18 @@ class Body(Calls):
                 return True
         return False
 
-    def inner(self, statements: Sequence[ast.stmt], depth: int) -> bool:
-        """A block within braces."""
+    @contextmanager
+    def braces(self) -> Iterator[None]:
+        """Translate what follows within braces."""
         self._blocks += 1
         outer, self._path = self._path, (*self._path, self._blocks)
-        ended = self.block(statements, depth)
+        yield
         self._path = outer
-        return ended
+
+    def inner(self, statements: Sequence[ast.stmt], depth: int) -> bool:
+        """A block within braces."""
+        with self.braces():
+            return self.block(statements, depth)
 
     # Variables
 
@@ -173,7 +154,7 @@ class Body(Calls):
         if not self._is_stored(name):
             return
         if self.found is not None and name not in self._read_before:
-            if any(one.changes_something and one.name in value.code for one in self.calls):
+            if any(one.writes and one.name in value.code for one in self.calls):
                 self.line(f"(void){self.within(value, 8)};", depth)
             return
         code = self.as_kind(value, known)
@@ -283,8 +264,6 @@ class Body(Calls):
         self.line(f"{place.code} {sign}= {self.as_kind(value, place.kind)};", depth)
         return False
 
-    # Flow
-
     def _expr_statement(self, node: ast.Expr, depth: int) -> bool:
         if isinstance(node.value, ast.Constant):
             return False  # a docstring
@@ -295,146 +274,6 @@ class Body(Calls):
 
     def _pass_statement(self, node: ast.Pass, depth: int) -> bool:  # noqa: ARG002
         return False
-
-    def _if_statement(self, node: ast.If, depth: int, chained: str = "") -> bool:
-        test = self.truth(node.test, self.value(node.test))
-        if test.is_const:
-            taken = node.body if test.const else node.orelse
-            if not chained:
-                return self.block(taken, depth)
-            self.line("} else {", depth)
-            ended = self.inner(taken, depth + 1)
-            self.line("}", depth)
-            return ended
-        self.line(f"{chained}if ({test.code}) {{", depth)
-        ended = self.inner(node.body, depth + 1)
-        if len(node.orelse) == 1 and isinstance(node.orelse[0], ast.If):
-            self._blocks += 1
-            outer, self._path = self._path, (*self._path, self._blocks)
-            self._depth = depth
-            before = len(self._lines)
-            other = self._if_statement(node.orelse[0], depth, "} else ")
-            self._path = outer
-            if self._lines[before:] == [f"{'    ' * depth}}} else {{\n", f"{'    ' * depth}}}\n"]:
-                self._lines[before:] = [f"{'    ' * depth}}}\n"]
-            return ended and other
-        other = False
-        if node.orelse:
-            self.line("} else {", depth)
-            other = self.inner(node.orelse, depth + 1)
-        self.line("}", depth)
-        return ended and other
-
-    def _return_statement(self, node: ast.Return, depth: int) -> bool:
-        value = self.const(None) if node.value is None else self.value(node.value)
-        if value.const is None and value.is_const:
-            if self.one.returns is not None:
-                raise self.refuse(node, "None", "a value, as at the other ends")
-            self.line("return;", depth)
-            return True
-        if isinstance(value.kind, ArrayOf):
-            self.note_written(value)
-        elif value.is_const and not isinstance(value.const, bool | int | float | tuple):
-            raise self.refuse(node, ast.unparse(node)[:80], "numbers, or a tuple of them")
-        kind = joined(self.one.returns, value.kind)
-        if kind is None:
-            raise self.refuse(node, ast.unparse(node)[:80], "the kind of value that the other ends give")
-        self.one.returns = kind
-        if not isinstance(kind, Const):
-            self.line(f"return {self.as_kind(value, kind)};", depth)
-        elif self.written:
-            self.one.returns = widened(kind)
-        return True
-
-    def _for_statement(self, node: ast.For, depth: int) -> bool:
-        if not isinstance(node.target, ast.Name):
-            raise self.refuse(node, ast.unparse(node.target), "one variable in a loop")
-        head = self._range(node, depth) if _is_range(node.iter) else self._entries(node, depth)
-        if head is None:
-            return False
-        completed = self.temporary("completed") if node.orelse else ""
-        if completed:
-            self.line(f"bool {completed} = true;", depth)
-        self._loops.append(completed)
-        self.line(f"{head[0]} {{", depth)
-        name = node.target.id
-        self._blocks += 1
-        outer, self._path = self._path, (*self._path, self._blocks)
-        self.kinds[name] = joined(self.kinds.get(name), head[1].kind) or INT
-        self._within.append(name)
-        if head[1].code and (self.found is None or name in self._read_before):
-            self.line(f"const {self.translator.declared(self.kinds[name])}{safe(name)} = {head[1].code};", depth + 1)
-        self.block(node.body, depth + 1)
-        self._path = outer
-        self._within.pop()
-        self.line("}", depth)
-        self._loops.pop()
-        if completed:
-            self.line(f"if ({completed}) {{", depth)
-            self.inner(node.orelse, depth + 1)
-            self.line("}", depth)
-        return False
-
-    def _range(self, node: ast.For, depth: int) -> tuple[str, Value] | None:
-        """The head of a loop over integers; None if it never runs."""
-        assert isinstance(node.iter, ast.Call)
-        assert isinstance(node.target, ast.Name)
-        given = self.spread(node.iter.args)
-        first, until = (self.const(0), given[0]) if len(given) == 1 else given[:2]
-        step = given[2] if len(given) > 2 else self.const(1)
-        if not step.is_const or step.const == 0 or not all(widened(v.kind) == INT for v in (first, until)):
-            raise self.refuse(node, ast.unparse(node.iter), "a range of whole numbers with a step that is known")
-        if first.is_const and until.is_const and not range(first.const, until.const, step.const):
-            return None
-        if not until.is_const and not until.code.isidentifier():
-            name = self.temporary("until")
-            self.line(f"const int64_t {name} = {until.code};", depth)
-            until = Value(INT, name)
-        name = safe(node.target.id)
-        sign, by = (
-            ("<", "++") if step.const == 1 else ("<", f" += {step.const}") if step.const > 0 else (">", f" -= {-step.const}")
-        )
-        return f"for (int64_t {name} = {first.code}; {name} {sign} {until.code}; {name}{by})", Value(INT, "")
-
-    def _entries(self, node: ast.For, depth: int) -> tuple[str, Value] | None:
-        """The head of a loop over the numbers of a tuple."""
-        values = self.parts(node.iter, self.value(node.iter))
-        kind: Kind | None = None
-        for value in values:
-            kind = joined(kind, widened(value.kind))
-        if not isinstance(kind, Scalar):
-            raise self.refuse(node, ast.unparse(node.iter)[:80], "range, or a tuple of numbers")
-        name, index = self.temporary("entries"), self.temporary("entry")
-        codes = ", ".join(self.as_kind(value, kind) for value in values)
-        self.line(f"const {self.translator.number(kind)} {name}[{len(values)}] = {{{codes}}};", depth)
-        return f"for (int64_t {index} = 0; {index} < {len(values)}; {index}++)", Value(kind, f"{name}[{index}]")
-
-    def _while_statement(self, node: ast.While, depth: int) -> bool:
-        if node.orelse:
-            raise self.refuse(node, "else of a while", "a while without else")
-        test = self.truth(node.test, self.value(node.test))
-        if test.is_const and not test.const:
-            return False
-        self.line(f"while ({test.code}) {{", depth)
-        self._loops.append("")
-        self.inner(node.body, depth + 1)
-        self._loops.pop()
-        self.line("}", depth)
-        return False
-
-    def _break_statement(self, node: ast.Break, depth: int) -> bool:  # noqa: ARG002
-        if self._loops[-1]:
-            self.line(f"{self._loops[-1]} = false;", depth)
-        self.line("break;", depth)
-        return True
-
-    def _continue_statement(self, node: ast.Continue, depth: int) -> bool:  # noqa: ARG002
-        self.line("continue;", depth)
-        return True
-
-
-def _is_range(node: ast.expr) -> bool:
-    return isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "range"
 
 
 def _stored_names(tree: ast.AST) -> Iterator[str]:

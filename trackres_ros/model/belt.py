@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import Belt, Rubber
@@ -65,11 +64,6 @@ def least_tension_for_sag(sag: float, mass: float, half_span: float, stiffness: 
     if depth <= 0.0:
         raise ValueError(f"a sag of {sag:g} m is less than the belt's own stretch; no tension holds it")
     return mass * GRAVITY * max(half_span**2 - depth**2, 0.0) / (2.0 * depth)
-
-
-def tension_by_search(sag: float, mass: float, half_span: float, stiffness: float) -> float:
-    """The same by root search on `catenary_sag`: the check on the closed form."""
-    return float(brentq(lambda tension: float(catenary_sag(tension, mass, half_span, stiffness)) - sag, 1e-3, 1e9))
 
 
 def belt_tension(belt: Belt, rubber: Rubber, rubber_modulus: float) -> float:

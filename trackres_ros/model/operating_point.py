@@ -22,7 +22,7 @@ from trackres_ros.model.resistance import ON_WHEELS, RESISTANCE_PARTS
 from trackres_ros.model.thermal import film_coefficient, surface_temperature
 from trackres_ros.model.track import TrackModel, steady_tension, track_model
 from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
+from trackres_ros.vehicle import AnyVehicle, Chassis, RoadVehicle, Vehicle
 
 UNKNOWN = {"yaw_rate", "heading", "distance"}  # inputs of effects that an operating point lacks
 DRIVE_PASSES = 4  # the torque strains the belt by 1e-4 of the wheels' strain; a second pass already converges
@@ -61,9 +61,9 @@ def explain(
     models = {name: track_model(vehicle, name) for name in vehicle.tracks}
     usable, left_out = _effects(vehicle)
     at = conditions(vehicle_constants(vehicle), speed, weight=weight, ambient=ambient, belt=belt_degc)
-    steady = _SteadyState(vehicle, speed, belt_degc, ambient, weight, _together(usable, at))
+    terms = _together(usable, at)
     assemblies = [
-        steady.assembly(models[assembly.track], load)
+        _assembly_state(vehicle.chassis, at, belt_degc, terms, models[assembly.track], load)
         for assembly, load in zip(vehicle.assemblies, weight * nominal / nominal.sum(), strict=True)
     ]
     torque = dict.fromkeys((*RESISTANCE_PARTS, "inertia"), 0.0)
@@ -119,47 +119,33 @@ class _AssemblyState:
     surface_degc: float
 
 
-@dataclass(frozen=True, eq=False)
-class _SteadyState:
-    """Speed [m/s], temperatures [degC], weight [N] and terms of effects."""
-
-    vehicle: Vehicle
-    speed: float
-    belt_degc: float
-    ambient: float
-    weight: float
-    effects: Terms
-
-    def assembly(self, model: TrackModel, load: float) -> _AssemblyState:
-        """Results of an assembly under a load [N]."""
-        speed, belt_degc, effects = self.speed, self.belt_degc, self.effects
-        chassis, direction = self.vehicle.chassis, float(resistance.direction(speed))
-        wind = float(resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density))
-        loss_factor = float(effects.loss_factor) * math.exp(-effects.softening * (belt_degc - SOFTENING_FROM_DEGC))
-        radius, network = model.track.sprocket_radius, model.network
-        bearing = float(resistance.bearing_force(speed, load, chassis.bearing_friction))
-        drive = 0.0
-        for _ in range(DRIVE_PASSES):
-            loss = model.loss.loss_force(speed, belt_degc, load, drive)
-            total = float(loss.total) * loss_factor
-            drive = radius * (total * direction + bearing + wind * load / self.weight)
-        slope = network.film_slope * float(effects.film_slope_factor)
-        film = float(film_coefficient(speed, network.film_offset * float(effects.film_offset_factor), slope))
-        by_sink = float(effects.conductance) * (belt_degc - float(effects.sink))
-        return _AssemblyState(
-            load=float(load),
-            loss_force={**{part: float(f) * loss_factor for part, f in loss._asdict().items()}, "total": total},
-            drive_torque=drive,
-            torque={
-                "hysteresis": radius * total * direction,
-                "bearing": radius * bearing,
-                "wind": radius * wind * load / self.weight,
-            },
-            film=film,
-            heat=total * abs(speed) + float(effects.heat),
-            cooling=film * network.area * (belt_degc - self.ambient) + by_sink,
-            surface_degc=float(surface_temperature(belt_degc, self.ambient, film, network.area, network.inner_conductance)),
-        )
+def _assembly_state(
+    chassis: Chassis, at: Conditions, belt_degc: float, effects: Terms, model: TrackModel, load: float
+) -> _AssemblyState:
+    """Results of an assembly under a load [N], with the terms of effects."""
+    speed, direction = at.speed, float(resistance.direction(at.speed))
+    wind = float(resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density))
+    loss_factor = float(effects.loss_factor) * math.exp(-effects.softening * (belt_degc - SOFTENING_FROM_DEGC))
+    radius, network = model.track.sprocket_radius, model.network
+    bearing = float(resistance.bearing_force(speed, load, chassis.bearing_friction))
+    drive = 0.0
+    for _ in range(DRIVE_PASSES):
+        loss = model.loss.loss_force(speed, belt_degc, load, drive)
+        total = float(loss.total) * loss_factor
+        drive = radius * (total * direction + bearing + wind * load / at.weight)
+    slope = network.film_slope * float(effects.film_slope_factor)
+    film = float(film_coefficient(speed, network.film_offset * float(effects.film_offset_factor), slope))
+    by_sink = float(effects.conductance) * (belt_degc - float(effects.sink))
+    return _AssemblyState(
+        load=float(load),
+        loss_force={**{part: float(f) * loss_factor for part, f in loss._asdict().items()}, "total": total},
+        drive_torque=drive,
+        torque={"hysteresis": radius * total * direction, "bearing": radius * bearing, "wind": radius * wind * load / at.weight},
+        film=film,
+        heat=total * abs(speed) + float(effects.heat),
+        cooling=film * network.area * (belt_degc - at.ambient) + by_sink,
+        surface_degc=float(surface_temperature(belt_degc, at.ambient, film, network.area, network.inner_conductance)),
+    )
 
 
 def explain_road(

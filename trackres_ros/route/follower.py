@@ -31,21 +31,8 @@ SLOPES, TORQUES = range(2)  # kinds of values learned by place, as of `lookup.lo
 # length 1; whether it backs up; distance driven since that position, and since the last one [m]; time since the last look [s];
 # and what that saw: slope the way it points, torque against travel and its standard deviation [Nm], whether the place was known.
 (
-    AT_X,
-    AT_Y,
-    FROM_X,
-    FROM_Y,
-    EAST,
-    NORTH,
-    BACKWARD,
-    SINCE_M,
-    AHEAD_M,
-    LOOKED_S,
-    SLOPE,
-    TORQUE,
-    TORQUE_STD,
-    PLACE_KNOWN,
-) = range(14)
+    AT_X, AT_Y, FROM_X, FROM_Y, EAST, NORTH, BACKWARD, SINCE_M, AHEAD_M, LOOKED_S, SLOPE, TORQUE, TORQUE_STD, PLACE_KNOWN,
+) = range(14)  # fmt: skip
 FOLLOWED = 14
 NOTHING_YET = (*(math.nan,) * 6, 0.0, 0.0, 0.0, EVERY_S, *(math.nan,) * 3, 0.0)
 

@@ -25,29 +25,15 @@ KINDS = {SLOPE: SLOPES, TORQUE: TORQUES}
 
 @dataclass(frozen=True, eq=False)
 class RouteMap:
-    """A slope or a torque by place; arrays of shape (places,), or (places, 2).
+    """A slope or a torque by place; arrays of shape (places,), or (places, 2)."""
 
-    Attributes
-    ----------
-    kind
-        `SLOPE`: rise over run in the direction of a place; `TORQUE`: against travel [Nm].
-    latitude, longitude
-        [rad].
-    course
-        Direction of a place, about the upward axis from east [rad].
-    value, std
-        For travel in the direction of a place, and against it; nan where not driven. Shape (places, 2).
-    passes
-        Number of passes used for learning.
-    """
-
-    kind: str
-    latitude: Array
+    kind: str  # `SLOPE`: rise over run in the direction of a place; `TORQUE`: against travel [Nm]
+    latitude: Array  # rad
     longitude: Array
-    course: Array
-    value: Array
+    course: Array  # direction of a place, about the upward axis from east [rad]
+    value: Array  # (places, 2), for travel in the direction of a place, and against it; nan where not driven
     std: Array
-    passes: NDArray[np.int64]
+    passes: NDArray[np.int64]  # number of passes used for learning
 
     def __len__(self) -> int:
         return len(self.latitude)

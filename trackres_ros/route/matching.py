@@ -79,23 +79,13 @@ class Places:
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """Position of the points of a track between places.
+    """Position of the points of a track between places; arrays of shape (points, 2) or (points,)."""
 
-    Attributes
-    ----------
-    place, share, sign
-        The places behind and ahead, -1 without one, their weights, and 1 if the place's direction is that of
-        travel, else -1; shape (points, 2).
-    number, number_this_way
-        Index of this pass among all of the nearer place, and among those in this direction, from 0; -1 without a place.
-        Shape (points,).
-    """
-
-    place: Indices
-    share: Array
-    sign: Array
-    number: Indices
-    number_this_way: Indices
+    place: Indices  # (points, 2), the places behind and ahead, -1 without one
+    share: Array  # their weights
+    sign: Array  # 1 if the place's direction is that of travel, else -1
+    number: Indices  # (points,), index of this pass among all of the nearer place, from 0; -1 without a place
+    number_this_way: Indices  # among those in this direction
 
     @property
     def known(self) -> NDArray[np.bool_]:

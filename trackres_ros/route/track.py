@@ -62,23 +62,13 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class DrivenTrack:
-    """Points every `STEP_M` of a drive; arrays of shape (n,).
+    """Points every `STEP_M` of a drive; arrays of shape (n,)."""
 
-    Attributes
-    ----------
-    x, y
-        East and north [m].
-    east, north
-        Direction of travel, of length 1.
-    known
-        Where positions and the distance driven agree.
-    """
-
-    x: Array
-    y: Array
-    east: Array
+    x: Array  # east [m]
+    y: Array  # north [m]
+    east: Array  # direction of travel, of length 1
     north: Array
-    known: Mask
+    known: Mask  # where positions and the distance driven agree
 
     def __len__(self) -> int:
         return len(self.x)

@@ -24,24 +24,6 @@ from trackres_ros.vehicle.road import AnyVehicle, RoadVehicle, load_any
 from trackres_ros.vehicle.surroundings import with_surroundings
 
 __all__ = [
-    "AnyVehicle",
-    "Assembly",
-    "Axle",
-    "Beam",
-    "Belt",
-    "Chassis",
-    "Disturbance",
-    "Drift",
-    "Quantity",
-    "RoadVehicle",
-    "RoadWheels",
-    "Rubber",
-    "Spells",
-    "Track",
-    "Vehicle",
-    "WrappedWheel",
-    "load",
-    "load_any",
-    "variants",
-    "with_surroundings",
-]
+    "AnyVehicle", "Assembly", "Axle", "Beam", "Belt", "Chassis", "Disturbance", "Drift", "Quantity", "RoadVehicle", "RoadWheels",
+    "Rubber", "Spells", "Track", "Vehicle", "WrappedWheel", "load", "load_any", "variants", "with_surroundings",
+]  # fmt: skip

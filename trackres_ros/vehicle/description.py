@@ -265,42 +265,14 @@ class Vehicle:
         return sum(axle.load for axle in self.axles) + sum(self.track_of(a).own_weight for a in self.assemblies)
 
     def track_of(self, assembly: Assembly) -> Track:
-        """Kind of track of an assembly.
-
-        Parameters
-        ----------
-        assembly
-            One of `assemblies`.
-
-        Returns
-        -------
-        Track
-            The kind that it names.
-        """
+        """Kind of track of an assembly."""
         return self.tracks[assembly.track]
 
     def assemblies_of(self, axle: str) -> tuple[int, ...]:
-        """Indices of the assemblies that an axle rests on.
-
-        Parameters
-        ----------
-        axle
-            Its name.
-
-        Returns
-        -------
-        tuple of int
-            Indices into `assemblies`.
-        """
+        """Indices of the assemblies that an axle of a name rests on."""
         return tuple(i for i, a in enumerate(self.assemblies) if a.axle == axle)
 
     def nominal_loads(self) -> Array:
-        """Load on each assembly with its own weight [N], shape (assemblies,).
-
-        Returns
-        -------
-        ndarray, shape (assemblies,)
-            Loads [N].
-        """
+        """Load on each assembly with its own weight [N], shape (assemblies,)."""
         loads = {axle.name: axle.load / len(self.assemblies_of(axle.name)) for axle in self.axles}
         return np.array([loads[a.axle] + self.track_of(a).own_weight for a in self.assemblies])

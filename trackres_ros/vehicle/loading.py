@@ -39,8 +39,7 @@ from trackres_ros.vehicle.description import (
     Vehicle,
     WrappedWheel,
 )
-from trackres_ros.vehicle.disturbance import read_disturbance
-from trackres_ros.vehicle.reading import ValueReader
+from trackres_ros.vehicle.reading import ValueReader, read_disturbance
 
 TOP_KEYS = ("schema", "name", "title", "model", "rubber", "chassis", "assemblies", "tracks")
 EFFECT_KEYS = ("effects", "effect_files")
@@ -110,7 +109,7 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
         assemblies=_assemblies(reader, content["assemblies"], axles, tracks),
         tracks=MappingProxyType(tracks),
         parameters=MappingProxyType(reader.parameters),
-        disturbance=read_disturbance(reader, content[DISTURBANCE]) if DISTURBANCE in content else None,
+        disturbance=read_disturbance(path, content[DISTURBANCE]) if DISTURBANCE in content else None,
     )
     vehicle = replace(vehicle, effects=listed_effects(reader, content, vehicle.size, False, "vehicle"))
     reader.check_overrides_used()
@@ -139,25 +138,20 @@ def listed_effects(
 
 def _rubber(reader: ValueReader, given: Any) -> tuple[Rubber, Path]:
     values = reader.table(given, "rubber", schema.RUBBER, others=("file",))
-    path = _rubber_file(reader.path, Path(reader.text(given["file"], "rubber.file")))
+    file = Path(reader.text(given["file"], "rubber.file"))
+    path, shipped = reader.path.parent / file, config_dir() / "rubber" / file.name
+    if not path.exists() and not file.is_absolute() and shipped.exists():
+        _say_shipped(path, shipped)
+        path = shipped
     if not path.is_file():
         raise InputError(reader.where("rubber.file"), str(path), "a readable CSV with a temperature sweep, relative to this file")
     sweep_degc, storage_pa, loss_pa = read_rubber_sweep(path)
     return Rubber(sweep_degc, storage_pa, loss_pa, **values), path
 
 
-def _rubber_file(vehicle_file: Path, file: Path) -> Path:
-    """The rubber file, relative to the vehicle file; if missing, the shipped one of that name, which is logged once."""
-    path = vehicle_file.parent / file
-    shipped = config_dir() / "rubber" / file.name
-    if path.exists() or file.is_absolute() or not shipped.exists():
-        return path
-    _say_shipped(path, shipped)
-    return shipped
-
-
 @cache
 def _say_shipped(path: Path, shipped: Path) -> None:
+    """Log, once, that the shipped file is used in place of a missing one of that name."""
     logging.getLogger("trackres").warning("trackres: %s does not exist: the shipped %s is used", path, shipped)
 
 
@@ -192,11 +186,8 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             except (TypeError, ValueError):
                 raise InputError(f"{path}: row {numbered[i + 1][0]}, {name}", row[name], "a number") from None
     if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
-        raise InputError(
-            f"{path}",
-            "temperatures that do not increase, or values that are not finite",
-            "finite numbers with T_degC increasing from row to row",
-        )
+        refused = "temperatures that do not increase, or values that are not finite"
+        raise InputError(f"{path}", refused, "finite numbers with T_degC increasing from row to row")
     _check_sweep(path, table, columns)
     return table[:, 0].copy(), table[:, 1] * 1e6, table[:, 2] * 1e6
 
@@ -268,8 +259,7 @@ def _refuse_repeats(reader: ValueReader, key: str, names: list[str]) -> None:
 def _track(reader: ValueReader, name: str, given: Any) -> Track:
     key = f"tracks.{name}"
     values = reader.table(given, key, schema.TRACK, others=("belt", "road_wheels", "wrapped_wheels", "beams"))
-    choices = tuple(schema.BELT_CHOICES)
-    belt_values = reader.table(given["belt"], f"{key}.belt", schema.BELT, others=choices)
+    belt_values = reader.table(given["belt"], f"{key}.belt", schema.BELT, others=tuple(schema.BELT_CHOICES))
     unit = reader.text(given["belt"]["film_speed_unit"], f"{key}.belt.film_speed_unit", schema.BELT_CHOICES["film_speed_unit"])
     wheels = reader.keys(given["road_wheels"], f"{key}.road_wheels", tuple(schema.ROAD_WHEELS))
     road_wheels = RoadWheels(
@@ -300,9 +290,9 @@ def _wrapped_wheels(reader: ValueReader, key: str, given: Any, sprocket_radius: 
         name = reader.text(entry["name"], f"{place}.name")
         kind = reader.text(entry["kind"], f"{place}.kind", schema.WHEEL_KINDS)
         path = f"{key}.wrapped_wheels.{name}"
-        radius = (
-            sprocket_radius if sprocket else reader.quantity(entry["radius"], f"{path}.radius", schema.WRAPPED_WHEEL["radius"])
-        )
+        radius = sprocket_radius
+        if not sprocket:
+            radius = reader.quantity(entry["radius"], f"{path}.radius", schema.WRAPPED_WHEEL["radius"])
         wrap = reader.quantity(entry["wrap_angle"], f"{path}.wrap_angle", schema.WRAPPED_WHEEL["wrap_angle"])
         wheels.append(WrappedWheel(name, kind, radius, wrap))
     if sum(wheel.kind == "sprocket" for wheel in wheels) != 1:
@@ -322,66 +312,48 @@ def _beam(reader: ValueReader, key: str, given: Any, top: bool = False) -> Beam 
     return Beam(split, own, _beam(reader, f"{key}.front", given["front"]), _beam(reader, f"{key}.rear", given["rear"]))
 
 
-def _wheels_side_by_side(positions: np.ndarray, radius: float) -> int:
-    """Largest number of road wheels over one place of the ground: more than one if they interleave."""
-    return max(int(np.count_nonzero((positions >= at) & (positions < at + 2 * radius * (1 - 1e-9)))) for at in positions)
-
-
 def _check_geometry(reader: ValueReader, key: str, track: Track) -> None:
     """Refuse a track whose parts do not fit each other."""
     belt, wheels = track.belt, track.road_wheels
+
+    def refused(part: str, given: object, allowed: str, remedy: str = "") -> InputError:
+        return InputError(reader.where(f"{key}.{part}"), given, allowed, remedy)
+
     positions = np.array(wheels.positions)
     count = len(positions)
     if (np.diff(positions) <= 0).any() or positions[-1] > wheels.ground_run:
-        raise InputError(
-            reader.where(f"{key}.road_wheels.positions"),
-            list(wheels.positions),
-            f"rising positions on the ground run of {wheels.ground_run:g} m",
-        )
+        allowed = f"rising positions on the ground run of {wheels.ground_run:g} m"
+        raise refused("road_wheels.positions", list(wheels.positions), allowed)
     hung = [track.beams] if isinstance(track.beams, int) else list(track.beams.wheels())
     if sorted(hung) != list(range(count)):
-        raise InputError(
-            reader.where(f"{key}.beams"), [wheel + 1 for wheel in hung], f"each road wheel 1 to {count} on exactly one beam end"
-        )
+        raise refused("beams", [wheel + 1 for wheel in hung], f"each road wheel 1 to {count} on exactly one beam end")
     if belt.cord_height >= belt.thickness:
-        raise InputError(
-            reader.where(f"{key}.belt.cord_height"), belt.cord_height, f"less than the thickness {belt.thickness:g} m"
-        )
+        raise refused("belt.cord_height", belt.cord_height, f"less than the thickness {belt.thickness:g} m")
     if wheels.contact_length > belt.width:
-        raise InputError(
-            reader.where(f"{key}.road_wheels.contact_length"), wheels.contact_length, f"at most the belt width {belt.width:g} m"
-        )
-    beside = _wheels_side_by_side(positions, wheels.radius)
+        raise refused("road_wheels.contact_length", wheels.contact_length, f"at most the belt width {belt.width:g} m")
+    reach = 2 * wheels.radius * (1 - 1e-9)
+    beside = max(int(np.count_nonzero((positions >= at) & (positions < at + reach))) for at in positions)  # if they interleave
     if beside * wheels.contact_length > belt.width:
-        raise InputError(
-            reader.where(f"{key}.road_wheels.positions"),
+        raise refused(
+            "road_wheels.positions",
             f"{beside} wheels of radius {wheels.radius:g} m that overlap along the track, with contacts of "
             f"{wheels.contact_length:g} m each on a belt {belt.width:g} m wide",
             f"wheels at least {2 * wheels.radius:g} m apart, or so narrow that overlapping wheels fit side by side",
             "check radius (not diameter) and positions",
         )
-    if belt.tread_depth * belt.width * belt.tread_land_ratio > belt.lug_section:
-        raise InputError(
-            reader.where(f"{key}.belt.lug_section"),
-            belt.lug_section,
-            f"at least the tread bars {figures(belt.tread_depth * belt.width * belt.tread_land_ratio, 4)} m^2",
-        )
+    tread = belt.tread_depth * belt.width * belt.tread_land_ratio
+    if tread > belt.lug_section:
+        raise refused("belt.lug_section", belt.lug_section, f"at least the tread bars {figures(tread, 4)} m^2")
     if belt.cord_section >= belt.width * belt.thickness / 2:
-        raise InputError(reader.where(f"{key}.belt.cord_section"), belt.cord_section, "less than half the belt section")
+        raise refused("belt.cord_section", belt.cord_section, "less than half the belt section")
     wraps = sum(wheel.wrap_angle for wheel in track.wrapped_wheels)
     if abs(wraps - 2 * math.pi) > CLOSED_LOOP_TOLERANCE_RAD:
-        raise InputError(
-            reader.where(f"{key}.wrapped_wheels"),
-            f"wrap angles that sum to {wraps:.3f} rad",
-            f"a closed loop: 2 pi within {CLOSED_LOOP_TOLERANCE_RAD} rad",
-        )
+        allowed = f"a closed loop: 2 pi within {CLOSED_LOOP_TOLERANCE_RAD} rad"
+        raise refused("wrapped_wheels", f"wrap angles that sum to {wraps:.3f} rad", allowed)
     arcs = 0.0
     for wheel in track.wrapped_wheels:  # a wheel on the outer face carries the belt's other side below the cord
         below_cord = belt.cord_height if wheel.wrap_angle >= 0 else belt.thickness - belt.cord_height
         arcs += abs(wheel.wrap_angle) * (wheel.radius + below_cord)
     if wheels.ground_run + arcs >= belt.loop_length:
-        raise InputError(
-            reader.where(f"{key}.belt.loop_length"),
-            belt.loop_length,
-            f"more than the ground run and the wraps together, {wheels.ground_run + arcs:.3f} m",
-        )
+        allowed = f"more than the ground run and the wraps together, {wheels.ground_run + arcs:.3f} m"
+        raise refused("belt.loop_length", belt.loop_length, allowed)

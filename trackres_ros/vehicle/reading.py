@@ -12,11 +12,12 @@ from typing import Any
 from trackres_ros import checks
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.vehicle import schema
-from trackres_ros.vehicle.description import Quantity
+from trackres_ros.vehicle.description import Disturbance, Drift, Quantity, Spells
 
 QUANTITY_KEYS = ("value", "unit", "flag", "range", "reason")
 FITTED = "F"
 FLAGS = ("P", "L", "A", FITTED)
+FORMS: Mapping[str, type[Spells | Drift]] = {kind.form: kind for kind in (Spells, Drift)}
 
 
 class ValueReader:
@@ -112,3 +113,24 @@ class ValueReader:
             if key not in self.parameters or isinstance(self.parameters[key].value, tuple):
                 allowed = "the path of a scalar quantity in this file"
                 raise InputError(self.where(key), key, allowed, nearest(key, self.parameters))
+
+
+def read_disturbance(path: Path, given: Any) -> Disturbance:
+    """Check the section `disturbance` of a vehicle file.
+
+    It has its own reader, as a watched disturbance affects neither the estimate, nor its uncertainty, nor the validity of a
+    stored state.
+
+    Raises
+    ------
+    InputError
+        If a value does not satisfy `schema`, or if the two levels of spells are equal.
+    """
+    own = ValueReader(path)
+    if not isinstance(given, dict) or "form" not in given:
+        raise InputError(own.where("disturbance"), given, f"a mapping with a form, one of {', '.join(FORMS)}")
+    form = own.text(given["form"], "disturbance.form", tuple(FORMS))
+    found = FORMS[form](**own.table(given, "disturbance", schema.DISTURBANCES[form], others=("form",)))
+    if isinstance(found, Spells) and found.level == found.rest:
+        raise InputError(own.where("disturbance.level"), found.level, "a torque different from that of the rest")
+    return found

@@ -24,9 +24,8 @@ from trackres_ros.files.yamls import read_yaml
 from trackres_ros.route.learned import RouteMap
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 from trackres_ros.vehicle.description import Assembly, Axle, Chassis, Disturbance, Quantity, Vehicle
-from trackres_ros.vehicle.disturbance import read_disturbance
 from trackres_ros.vehicle.loading import DISTURBANCE, EFFECT_KEYS, build, listed_effects
-from trackres_ros.vehicle.reading import ValueReader
+from trackres_ros.vehicle.reading import ValueReader, read_disturbance
 from trackres_ros.vehicle.schema import ROAD_LOAD
 
 SECTION = "road_load"
@@ -125,13 +124,7 @@ class RoadVehicle:
         return scale.low * mass.low / self.values["mass"], scale.high * mass.high / self.values["mass"]
 
     def nominal_loads(self) -> NDArray[np.float64]:
-        """Its weight [N], shape (1,): all wheels are one.
-
-        Returns
-        -------
-        ndarray, shape (1,)
-            Load [N].
-        """
+        """Its weight [N], shape (1,): all wheels are one."""
         return np.array([self.weight])
 
 
@@ -139,13 +132,7 @@ AnyVehicle = Vehicle | RoadVehicle
 
 
 def built_in(values: Mapping[str, float]) -> Iterator[tuple[Effect, str, str, float]]:
-    """Each effect given as a quantity of the road-load file: the effect, its parameter, the quantity, and its factor.
-
-    Parameters
-    ----------
-    values
-        Quantities of the section `road_load`, by name.
-    """
+    """Each effect given as a quantity of the section `road_load`: the effect, its parameter, the quantity, and its factor."""
     yield GEARS, "efficiency", "efficiency", 1.0
     for name, (effect, parameter) in OF_SLIDES.items():
         if name in values:
@@ -176,5 +163,5 @@ def build_road(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
     name, title = reader.text(content["name"], "name"), reader.text(content["title"], "title")
     size = values["mass"] * GRAVITY * values["wheel_radius"]
     effects = listed_effects(reader, content, size, True, "vehicle")
-    watched = read_disturbance(reader, content[DISTURBANCE]) if DISTURBANCE in content else None
+    watched = read_disturbance(path, content[DISTURBANCE]) if DISTURBANCE in content else None
     return RoadVehicle(name, title, path, values, reader.parameters, brakes, effects, disturbance=watched)

@@ -32,8 +32,7 @@ from trackres_ros.effects.stepping import (
 )
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
 from trackres_ros.errors import InputError
-from trackres_ros.jit.compiled import inlined
-from trackres_ros.jit.entries import entry
+from trackres_ros.jit.compiled import entry, inlined
 from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle.road import SLOW_SHARE
 from trackres_ros.vehicle.writing.changes import FileChanges

@@ -34,33 +34,15 @@ class LearnedDisturbance:
 
 @dataclass(frozen=True, eq=False)
 class FileChanges:
-    """Changes to write: only those that the hold-out laps confirm, see `confirm.keep`.
+    """Changes to write: only those that the hold-out laps confirm, see `confirm.keep`."""
 
-    Attributes
-    ----------
-    values
-        Of the base's parameters; None if the file's own stay.
-    effects
-        Added to those of the file.
-    intervals
-        Of parameters, by (effect or "", parameter).
-    text
-        Accepted changes and the reason, in a sentence.
-    disturbance
-        Disturbance to watch for live; None keeps that of the file.
-    route
-        A slope, or a torque, by place; others given with the surroundings stay.
-    by
-        The command that found it.
-    """
-
-    values: Mapping[str, float] | None
-    effects: tuple[Active, ...]
-    intervals: Mapping[tuple[str, str], Interval]
-    text: str = ""
-    disturbance: LearnedDisturbance | None = None
-    route: tuple[RouteMap, ...] = ()
-    by: str = "trackres diagnose"
+    values: Mapping[str, float] | None  # of the base's parameters; None if the file's own stay
+    effects: tuple[Active, ...]  # added to those of the file
+    intervals: Mapping[tuple[str, str], Interval]  # of parameters, by (effect or "", parameter)
+    text: str = ""  # accepted changes and the reason, in a sentence
+    disturbance: LearnedDisturbance | None = None  # to watch for live; None keeps that of the file
+    route: tuple[RouteMap, ...] = ()  # a slope, or a torque, by place; others given with the surroundings stay
+    by: str = "trackres diagnose"  # the command that found it
 
     def with_disturbance(self, learned: LearnedDisturbance | None) -> FileChanges:
         """The same changes, with a disturbance to watch for."""

@@ -18,34 +18,19 @@ NOTHING_KNOWN = conditions(VehicleConstants(1.0, 1.0, 0.0, 0.0, 1.0, 1, 0.0, 0.0
 
 
 def sensor_lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding], torque_scale: float) -> dict[str, str]:
-    """Lines for the topics file by role, which correct the effects of sensors.
+    """Lines for the topics file by role, which correct the effects of sensors and replace the bindings of the recordings.
 
-    Parameters
-    ----------
-    sensors
-        Effects that belong to a sensor.
-    bindings
-        Bindings of the recordings; the lines replace these.
-    torque_scale
-        Measured over true torque, from the vehicle file.
+    `torque_scale` is the measured over the true torque, from the vehicle file.
     """
     if not sensors:
         return {}
     terms = together([active.terms(NOTHING_KNOWN) for active in sensors])
     speed, torque = (bindings.get(role, TopicBinding()) for role in ("speed", "torque"))
     gain, offset = terms.sensor_gain, terms.sensor_offset * torque_scale
-    corrected = {
-        "speed": (speed, replace(speed, scale=speed.scale * terms.speed_factor, offset=speed.offset * terms.speed_factor)),
-        "torque": (
-            torque,
-            replace(
-                torque,
-                scale=torque.scale / gain,
-                offset=(torque.offset - offset) / gain,
-                delay_s=torque.delay_s + terms.sensor_delay,
-            ),
-        ),
-    }
+    faster = replace(speed, scale=speed.scale * terms.speed_factor, offset=speed.offset * terms.speed_factor)
+    delay_s = torque.delay_s + terms.sensor_delay
+    stronger = replace(torque, scale=torque.scale / gain, offset=(torque.offset - offset) / gain, delay_s=delay_s)
+    corrected = {"speed": (speed, faster), "torque": (torque, stronger)}
     return {role: f"{role}: {flow(_said(after))}" for role, (before, after) in corrected.items() if after != before}
 
 

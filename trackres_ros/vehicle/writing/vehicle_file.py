@@ -49,7 +49,7 @@ def write_track_vehicle(vehicle: Vehicle, path: Path, kept: FileChanges, text: s
     for key, method in (("hysteresis", vehicle.hysteresis), ("thermal", vehicle.thermal)):
         document.set(("model", key), method)
     if kept.values is not None:
-        _set_values(document, vehicle, kept)
+        _set_values(document, vehicle, kept.values, kept)
     return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text, vehicle.route)
 
 
@@ -62,8 +62,10 @@ def write_road_vehicle(vehicle: RoadVehicle, path: Path, kept: FileChanges, text
     return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text, vehicle.route)
 
 
-def _set_values(document: Document, vehicle: Vehicle, kept: FileChanges) -> None:
-    values, q = kept.values or {}, vehicle.parameters
+def _set_values(document: Document, vehicle: Vehicle, values: Mapping[str, float], kept: FileChanges) -> None:
+    def put(path: tuple[str, ...], value: float, learned: Range, limits: Mapping[str, QuantityLimits]) -> None:
+        set_quantity(document, path, vehicle.parameters[".".join(path)], value, learned, limits[path[-1]], kept.by)
+
     for section, name, limits in (
         ("rubber", "loss_modulus_scale", RUBBER),
         ("chassis", "bearing_friction", CHASSIS),
@@ -71,24 +73,16 @@ def _set_values(document: Document, vehicle: Vehicle, kept: FileChanges) -> None
         ("rubber", "conductivity", RUBBER),
     ):
         if name in values:
-            set_quantity(
-                document, (section, name), q[f"{section}.{name}"], values[name], kept.range_of(name), limits[name], kept.by
-            )
+            put((section, name), values[name], kept.range_of(name), limits)
     capacity = [_heat_capacity(vehicle, scale) for scale in (values["capacity_scale"], *(kept.range_of("capacity_scale") or ()))]
-    path = ("rubber", "heat_capacity")
-    set_quantity(document, path, q[".".join(path)], capacity[0], _range(capacity[1:]), RUBBER["heat_capacity"], kept.by)
-    for track in vehicle.tracks:
-        belt = ("tracks", track, "belt")
-        for name in ("film_offset", "film_slope"):
-            old = q[".".join((*belt, name))]
-            assert isinstance(old.value, float)
-            film = [old.value * scale for scale in (values["film_scale"], *(kept.range_of("film_scale") or ()))]
-            set_quantity(document, (*belt, name), old, film[0], _range(film[1:]), BELT[name], kept.by)
+    put(("rubber", "heat_capacity"), capacity[0], _range(capacity[1:]), RUBBER)
+    for name, track in vehicle.tracks.items():
+        belt = ("tracks", name, "belt")
+        for film, old in (("film_offset", track.belt.film_offset), ("film_slope", track.belt.film_slope)):
+            scaled = [old * scale for scale in (values["film_scale"], *(kept.range_of("film_scale") or ()))]
+            put((*belt, film), scaled[0], _range(scaled[1:]), BELT)
         if "surface_share" in values:
-            old, share = q[".".join((*belt, "surface_share"))], values["surface_share"]
-            set_quantity(
-                document, (*belt, "surface_share"), old, share, kept.range_of("surface_share"), BELT["surface_share"], kept.by
-            )
+            put((*belt, "surface_share"), values["surface_share"], kept.range_of("surface_share"), BELT)
 
 
 def _set_disturbance(document: Document, learned: LearnedDisturbance) -> None:

@@ -1,0 +1,168 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Makes each effect a machine function of one signature, called by its address.
+
+An effect is a Python file; the step that calls it is compiled once. A function that cannot be compiled, such as a user's, has an
+address too, and runs in plain Python.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import math
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
+from types import FunctionType
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.effects.effect import Conditions, Effect, Lag, Terms, VehicleConstants, values_type
+from trackres_ros.jit.code_cache import CodeCache
+from trackres_ros.jit.compiled import HAVE_NUMBA, code_folder, compiled, compiled_anew
+
+Array = NDArray[np.float64]
+
+FACTS, ANSWERED = len(VehicleConstants._fields), len(Terms._fields)  # numbers that an effect looks at, and that it answers
+LOOKED_AT = FACTS + len(Conditions._fields) - 1
+ANSWERS = {"terms": ANSWERED, "lag": len(Lag._fields)}
+CALL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+
+
+def call_at(address: int, looked_at: Array, values: Array, answer: Array) -> None:
+    """Call the function at an address; compiled code does so without leaving itself."""
+    CALL(int(address))(looked_at.ctypes.data, values.ctypes.data, answer.ctypes.data)
+
+
+def native(effect: Effect, machine: bool = True) -> tuple[int, int]:
+    """Addresses of an effect's `terms` and `lag`, 0 without one; of machine code, if allowed and possible."""
+    return _address(effect, "terms", machine), _address(effect, "lag", machine) if effect.has_lag else 0
+
+
+def is_compiled(effect: Effect) -> bool:
+    """Whether the step calls machine code for an effect, not plain Python."""
+    methods = ("terms", "lag") if effect.has_lag else ("terms",)
+    return all(_machine_code(effect, method) is not None for method in methods)
+
+
+def _address(effect: Effect, method: str, machine: bool) -> int:
+    code = _machine_code(effect, method) if machine else None
+    if code is not None:
+        return int(code.address)
+    return ctypes.cast(_callback(effect, method), ctypes.c_void_p).value or 0
+
+
+def _machine_code(effect: Effect, method: str) -> Any:
+    """Machine code of an effect's method; None without numba, or if it cannot be compiled."""
+    return _machine(type(effect), method, tuple(q.name for q in effect.parameters)) if HAVE_NUMBA else None
+
+
+@cache
+def _callback(effect: Effect, method: str) -> Any:
+    """An effect's method in plain Python as a machine function. It is kept: its address may be in any table."""
+    return CALL(_python_function(effect, method, ANSWERS[method]))
+
+
+def _python_function(effect: Effect, method: str, answered: int) -> Callable[[int, int, int], None]:
+    """An effect's method behind the signature of machine code; after a failure the result is nan."""
+    run, pack, count = getattr(effect, method), effect.pack, len(effect.parameters)
+    given, wanted, out = (ctypes.c_double * n for n in (LOOKED_AT, count, answered))
+
+    def call(looked_at_: int, values_: int, answer_: int) -> None:
+        try:
+            known = given.from_address(looked_at_)[:]
+            answer = run(Conditions(VehicleConstants(*known[:FACTS]), *known[FACTS:]), pack(*wanted.from_address(values_)))
+            if answer is None:  # no own state after all
+                answer = Lag(0.0, 1.0, 0.0)
+            out.from_address(answer_)[:] = [float(x) for x in answer]
+        except Exception:  # of any kind, as the code is not ours
+            out.from_address(answer_)[:] = [math.nan] * answered
+
+    return call
+
+
+if HAVE_NUMBA:
+    ir: Any = import_module("llvmlite.ir")
+    numba: Any = import_module("numba")
+    extending: Any = import_module("numba.extending")
+    ccallback: Any = import_module("numba.core.ccallback")
+    sigutils: Any = import_module("numba.core.sigutils")
+
+    _POINTER = numba.types.CPointer(numba.types.float64)
+    _SIGNATURE = sigutils.normalize_signature(numba.types.void(_POINTER, _POINTER, _POINTER))
+
+    @extending.intrinsic  # type: ignore[untyped-decorator]
+    def _call(typing: Any, address: Any, looked_at: Any, values: Any, answer: Any) -> Any:  # noqa: ARG001
+        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:  # noqa: ARG001
+            pointer = ir.IntType(8).as_pointer()
+            kind = ir.FunctionType(ir.VoidType(), [pointer] * 3)
+            function = builder.inttoptr(given[0], kind.as_pointer())
+            builder.call(function, [builder.inttoptr(each, pointer) for each in given[1:]])
+            return context.get_dummy_value()
+
+        return numba.types.void(address, looked_at, values, answer), generate
+
+    @extending.overload(call_at)  # type: ignore[untyped-decorator]
+    def _call_at(address: Any, looked_at: Any, values: Any, answer: Any) -> Any:  # noqa: ARG001
+        def call(address: Any, looked_at: Any, values: Any, answer: Any) -> Any:
+            _call(address, looked_at.ctypes.data, values.ctypes.data, answer.ctypes.data)
+
+        return call
+
+    def _terms_in_code() -> Any:
+        """`Terms` with its defaults, which compiled code lacks."""
+        given = ", ".join(f"{name}={default!r}" for name, default in Terms._field_defaults.items())
+        namespace: dict[str, Any] = {"Terms": Terms}
+        exec(f"def terms({given}):\n    return Terms({', '.join(f'float({name})' for name in Terms._fields)})", namespace)
+        made = namespace["terms"]
+        made.__module__ = __name__
+        return compiled(made)
+
+    _terms = _terms_in_code()
+
+    @cache
+    def _machine(kind: type[Effect], method: str, names: tuple[str, ...]) -> Any:
+        """A method of an effect as a machine function; None if that is impossible, as for some users' effects."""
+        try:
+            return _compile(kind, method, names, ANSWERS[method])
+        except Exception:
+            if kind.__module__.startswith(f"{__package__}."):
+                raise
+            return None
+
+    def _compile(kind: type[Effect], method: str, names: tuple[str, ...], answered: int) -> Any:
+        python = getattr(kind, method)
+        inner = compiled_anew(FunctionType(python.__code__, {**python.__globals__, "Terms": _terms}, python.__name__))
+        known = ", ".join(f"x[{i}]" for i in range(FACTS, LOOKED_AT))
+        lines = [
+            "def call(x_, p_, out_):",
+            f"    x, p, out = carray(x_, {LOOKED_AT}), carray(p_, {len(names)}), carray(out_, {answered})",
+            f"    at = Conditions(VehicleConstants({', '.join(f'x[{i}]' for i in range(FACTS))}), {known})",
+            f"    found = run(None, at, pack({', '.join(f'p[{i}]' for i in range(len(names)))}))",
+            *(f"    out[{i}] = found[{i}]" for i in range(answered)),
+        ]
+        namespace: dict[str, Any] = {"carray": numba.carray, "Conditions": Conditions, "run": inner}
+        namespace["VehicleConstants"] = VehicleConstants
+        namespace["pack"] = values_type(names)
+        exec("\n".join(lines), namespace)
+        function = cast(FunctionType, namespace["call"])
+        # The name distinguishes codes in the cache: the catalogue is part of its folder's name, a user's file is not.
+        known_as = repr((python.__code__.co_filename, python.__code__.co_code, python.__code__.co_consts, _frozen(python)))
+        function.__module__ = __name__
+        function.__qualname__ = f"{kind.__name__}.{method}.{hashlib.sha256(known_as.encode()).hexdigest()[:16]}"
+        found = ccallback.CFunc(function, _SIGNATURE, locals={}, options={"nopython": True, "error_model": "numpy"})
+        if kind.__module__.startswith(f"{__package__}.") or _frozen(python) is not None:
+            found._cache = CodeCache(function, code_folder)
+        found.compile()
+        return found
+
+    def _frozen(python: FunctionType) -> list[tuple[str, Any]] | None:
+        """Constants of its file that are part of a function's code; None if there are others than plain numbers and `math`."""
+        used = {name: python.__globals__[name] for name in python.__code__.co_names if name in python.__globals__}
+        numbers = {name: value for name, value in used.items() if isinstance(value, int | float)}
+        others = [value for name, value in used.items() if name not in numbers]
+        return sorted(numbers.items()) if all(value in (math, np, Terms, Lag) for value in others) else None

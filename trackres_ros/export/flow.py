@@ -1,0 +1,164 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Translates branches, loops and returns, and the whole of a function: repeatedly until the kinds of its variables are stable."""
+
+from __future__ import annotations
+
+import ast
+from typing import Any
+
+from trackres_ros.export.expressions import Value
+from trackres_ros.export.functions import Instance, Translator
+from trackres_ros.export.kinds import INT, ArrayOf, Const, Kind, Scalar, joined, safe, widened
+from trackres_ros.export.statements import Statements
+
+MOST_PASSES = 12
+
+
+def translate_body(translator: Translator, one: Instance) -> None:
+    """Fill in the text, the returned kind and other attributes of an instance."""
+    body = Body(translator, one)
+    before: Any = None
+    for _ in range(MOST_PASSES):
+        body.run()
+        if body.found == before:
+            break
+        before = body.found
+    one.text = body.text
+    one.calls = [called for called in body.calls if f"{called.name}(" in one.text or "tr_call_effect(" in one.text]
+
+
+class Body(Statements):
+    """The whole body of one function."""
+
+    def _if_statement(self, node: ast.If, depth: int, chained: str = "") -> bool:
+        test = self.truth(node.test, self.value(node.test))
+        if test.is_const:
+            taken = node.body if test.const else node.orelse
+            if not chained:
+                return self.block(taken, depth)
+            self.line("} else {", depth)
+            ended = self.inner(taken, depth + 1)
+            self.line("}", depth)
+            return ended
+        self.line(f"{chained}if ({test.code}) {{", depth)
+        ended = self.inner(node.body, depth + 1)
+        if len(node.orelse) == 1 and isinstance(node.orelse[0], ast.If):
+            self._depth = depth
+            before = len(self._lines)
+            with self.braces():
+                other = self._if_statement(node.orelse[0], depth, "} else ")
+            if self._lines[before:] == [f"{'    ' * depth}}} else {{\n", f"{'    ' * depth}}}\n"]:
+                self._lines[before:] = [f"{'    ' * depth}}}\n"]
+            return ended and other
+        other = False
+        if node.orelse:
+            self.line("} else {", depth)
+            other = self.inner(node.orelse, depth + 1)
+        self.line("}", depth)
+        return ended and other
+
+    def _return_statement(self, node: ast.Return, depth: int) -> bool:
+        value = self.const(None) if node.value is None else self.value(node.value)
+        if value.const is None and value.is_const:
+            if self.one.returns is not None:
+                raise self.refuse(node, "None", "a value, as at the other ends")
+            self.line("return;", depth)
+            return True
+        if isinstance(value.kind, ArrayOf):
+            self.note_written(value)
+        elif value.is_const and not isinstance(value.const, bool | int | float | tuple):
+            raise self.refuse(node, ast.unparse(node)[:80], "numbers, or a tuple of them")
+        kind = joined(self.one.returns, value.kind)
+        if kind is None:
+            raise self.refuse(node, ast.unparse(node)[:80], "the kind of value that the other ends give")
+        self.one.returns = kind
+        if not isinstance(kind, Const):
+            self.line(f"return {self.as_kind(value, kind)};", depth)
+        elif self.written:
+            self.one.returns = widened(kind)
+        return True
+
+    def _for_statement(self, node: ast.For, depth: int) -> bool:
+        if not isinstance(node.target, ast.Name):
+            raise self.refuse(node, ast.unparse(node.target), "one variable in a loop")
+        of_range = isinstance(node.iter, ast.Call) and isinstance(node.iter.func, ast.Name) and node.iter.func.id == "range"
+        head = self._range(node, depth) if of_range else self._entries(node, depth)
+        if head is None:
+            return False
+        completed = self.temporary("completed") if node.orelse else ""
+        if completed:
+            self.line(f"bool {completed} = true;", depth)
+        self._loops.append(completed)
+        self.line(f"{head[0]} {{", depth)
+        name = node.target.id
+        with self.braces():
+            self.kinds[name] = joined(self.kinds.get(name), head[1].kind) or INT
+            self._within.append(name)
+            if head[1].code and (self.found is None or name in self._read_before):
+                self.line(f"const {self.translator.declared(self.kinds[name])}{safe(name)} = {head[1].code};", depth + 1)
+            self.block(node.body, depth + 1)
+        self._within.pop()
+        self.line("}", depth)
+        self._loops.pop()
+        if completed:
+            self.line(f"if ({completed}) {{", depth)
+            self.inner(node.orelse, depth + 1)
+            self.line("}", depth)
+        return False
+
+    def _range(self, node: ast.For, depth: int) -> tuple[str, Value] | None:
+        """The head of a loop over integers; None if it never runs."""
+        assert isinstance(node.iter, ast.Call)
+        assert isinstance(node.target, ast.Name)
+        given = self.spread(node.iter.args)
+        first, until = (self.const(0), given[0]) if len(given) == 1 else given[:2]
+        step = given[2] if len(given) > 2 else self.const(1)
+        if not step.is_const or step.const == 0 or not all(widened(v.kind) == INT for v in (first, until)):
+            raise self.refuse(node, ast.unparse(node.iter), "a range of whole numbers with a step that is known")
+        if first.is_const and until.is_const and not range(first.const, until.const, step.const):
+            return None
+        if not until.is_const and not until.code.isidentifier():
+            name = self.temporary("until")
+            self.line(f"const int64_t {name} = {until.code};", depth)
+            until = Value(INT, name)
+        name, sign = safe(node.target.id), "<" if step.const > 0 else ">"
+        by = "++" if step.const == 1 else f" += {step.const}" if step.const > 0 else f" -= {-step.const}"
+        return f"for (int64_t {name} = {first.code}; {name} {sign} {until.code}; {name}{by})", Value(INT, "")
+
+    def _entries(self, node: ast.For, depth: int) -> tuple[str, Value] | None:
+        """The head of a loop over the numbers of a tuple."""
+        values = self.parts(node.iter, self.value(node.iter))
+        kind: Kind | None = None
+        for value in values:
+            kind = joined(kind, widened(value.kind))
+        if not isinstance(kind, Scalar):
+            raise self.refuse(node, ast.unparse(node.iter)[:80], "range, or a tuple of numbers")
+        name, index = self.temporary("entries"), self.temporary("entry")
+        codes = ", ".join(self.as_kind(value, kind) for value in values)
+        self.line(f"const {self.translator.number(kind)} {name}[{len(values)}] = {{{codes}}};", depth)
+        return f"for (int64_t {index} = 0; {index} < {len(values)}; {index}++)", Value(kind, f"{name}[{index}]")
+
+    def _while_statement(self, node: ast.While, depth: int) -> bool:
+        if node.orelse:
+            raise self.refuse(node, "else of a while", "a while without else")
+        test = self.truth(node.test, self.value(node.test))
+        if test.is_const and not test.const:
+            return False
+        self.line(f"while ({test.code}) {{", depth)
+        self._loops.append("")
+        self.inner(node.body, depth + 1)
+        self._loops.pop()
+        self.line("}", depth)
+        return False
+
+    def _break_statement(self, node: ast.Break, depth: int) -> bool:  # noqa: ARG002
+        if self._loops[-1]:
+            self.line(f"{self._loops[-1]} = false;", depth)
+        self.line("break;", depth)
+        return True
+
+    def _continue_statement(self, node: ast.Continue, depth: int) -> bool:  # noqa: ARG002
+        self.line("continue;", depth)
+        return True

@@ -1,0 +1,182 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Translates operators: arithmetic, comparisons, conditions and choices."""
+
+from __future__ import annotations
+
+import ast
+import operator
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from trackres_ros.export.expressions import (
+    AND,
+    ATOM,
+    BITS,
+    COMPARED,
+    OR,
+    PRODUCT,
+    SHIFTED,
+    SUM,
+    TERNARY,
+    UNARY,
+    Expressions,
+    Value,
+)  # fmt: skip
+from trackres_ros.export.kinds import BOOL, INT, REAL, Const, Kind, Scalar, joined, widened
+
+OPERATORS: dict[type, tuple[str, int, Callable[..., Any]]] = {
+    ast.Add: ("+", SUM, operator.add),
+    ast.Sub: ("-", SUM, operator.sub),
+    ast.Mult: ("*", PRODUCT, operator.mul),
+    ast.Div: ("/", PRODUCT, operator.truediv),
+    ast.FloorDiv: ("/", PRODUCT, operator.floordiv),
+    ast.Mod: ("%", PRODUCT, operator.mod),
+    ast.Pow: ("**", PRODUCT, operator.pow),
+    ast.BitAnd: ("&", BITS, operator.and_),
+    ast.BitOr: ("|", BITS, operator.or_),
+    ast.BitXor: ("^", BITS, operator.xor),
+    ast.LShift: ("<<", SHIFTED, operator.lshift),
+    ast.RShift: (">>", SHIFTED, operator.rshift),
+}
+OF_WHOLE_NUMBERS = ("&", "|", "^", "<<", ">>")
+COMPARISONS: dict[type, tuple[str, Callable[..., Any]]] = {
+    ast.Lt: ("<", operator.lt),
+    ast.LtE: ("<=", operator.le),
+    ast.Gt: (">", operator.gt),
+    ast.GtE: (">=", operator.ge),
+    ast.Eq: ("==", operator.eq),
+    ast.NotEq: ("!=", operator.ne),
+}
+
+
+class Operators(Expressions):
+    """The operators of one function; `calls.Calls` has its calls."""
+
+    def truth(self, node: ast.AST, value: Value) -> Value:
+        """A value as a condition."""
+        if value.is_const and isinstance(value.const, bool | int | float):
+            return self.const(bool(value.const))
+        if value.kind == BOOL:
+            return value
+        if value.kind in (INT, REAL):
+            return Value(BOOL, f"{self.within(value, SHIFTED)} != 0", COMPARED)
+        raise self.refuse(node, ast.unparse(node)[:80], "a condition")
+
+    def _binop(self, node: ast.BinOp) -> Value:
+        return self.binary(node, node.op, self.value(node.left), self.value(node.right))
+
+    def binary(self, node: ast.AST, op: ast.operator, left: Value, right: Value) -> Value:
+        """Two numbers and an operator between them."""
+        if type(op) not in OPERATORS or not all(isinstance(widened(v.kind), Scalar) for v in (left, right)):
+            raise self.refuse(node, ast.unparse(node)[:80], "numbers, with operators of numbers between them")
+        sign, binds, python = OPERATORS[type(op)]
+        if left.is_const and right.is_const:
+            try:
+                return self.const(python(left.const, right.const))
+            except (ArithmeticError, ValueError, TypeError):
+                pass
+        kind = max(widened(left.kind), widened(right.kind), INT, key=lambda k: (k == REAL, k == INT))
+        if sign == "**":
+            return self._power(left, right)
+        if sign in ("%", "/") and isinstance(op, ast.Mod | ast.FloorDiv):
+            which = "modulo" if isinstance(op, ast.Mod) else "floored"
+            return self.helped(f"{which}_{'real' if kind == REAL else 'int'}", [left, right], kind)
+        if sign == "/":
+            kind = REAL
+            if left.kind != REAL and right.kind != REAL:
+                left = Value(REAL, self.as_real(left), UNARY)
+        if sign in OF_WHOLE_NUMBERS and kind == REAL:
+            raise self.refuse(node, ast.unparse(node)[:80], "whole numbers")
+        if sign in OF_WHOLE_NUMBERS and left.kind == right.kind == BOOL:
+            kind = BOOL
+        if kind == REAL:
+            left, right = self._real_pair(left, right)
+        low = SUM if sign in ("<<", ">>") else UNARY if sign in ("&", "|", "^") else binds
+        code = f"{self.within(left, low)} {sign} {self.within(right, low if sign in OF_WHOLE_NUMBERS else binds + 1)}"
+        return Value(kind, code, binds)
+
+    def _real_pair(self, left: Value, right: Value) -> tuple[Value, Value]:
+        """Convert constants of both to real numbers, none wider than a `float`."""
+        both = []
+        for v in (left, right):
+            code = self.as_kind(v, REAL)
+            both.append(v if code == v.code else replace(v, code=code, binds=UNARY))
+        return both[0], both[1]
+
+    def as_real(self, value: Value) -> str:
+        """The code of a number as a real one."""
+        if value.is_const:
+            return self.translator.literal(float(value.const))
+        return value.code if value.kind == REAL else f"({self.translator.number(REAL)}){self.within(value, UNARY)}"
+
+    def _power(self, base: Value, exponent: Value) -> Value:
+        if exponent.is_const and exponent.const == 2 and base.code.replace("_", "").isalnum():
+            return Value(widened(base.kind), f"{base.code} * {base.code}", PRODUCT)
+        return Value(REAL, f"{self.translator.call('pow')}({self.as_real(base)}, {self.as_real(exponent)})")
+
+    def _unaryop(self, node: ast.UnaryOp) -> Value:
+        of = self.value(node.operand)
+        if isinstance(node.op, ast.Not):
+            truth = self.truth(node, of)
+            return self.const(not truth.const) if truth.is_const else Value(BOOL, f"!{self.within(truth, UNARY)}", UNARY)
+        if not isinstance(widened(of.kind), Scalar) or not isinstance(node.op, ast.USub | ast.UAdd):
+            raise self.refuse(node, ast.unparse(node)[:80], "a number with a sign, or not")
+        if isinstance(node.op, ast.UAdd):
+            return of
+        return self.const(-of.const) if of.is_const else Value(widened(of.kind), f"-{self.within(of, ATOM)}", UNARY)
+
+    def _boolop(self, node: ast.BoolOp) -> Value:
+        stops = isinstance(node.op, ast.Or)  # the value that decides
+        kept: list[Value] = []
+        for one in node.values:
+            truth = self.truth(one, self.value(one))
+            if truth.is_const:
+                if truth.const is stops:
+                    kept.append(truth)
+                    break
+                continue
+            kept.append(truth)
+        if not kept or (len(kept) == 1 and kept[0].is_const):
+            return kept[0] if kept else self.const(not stops)
+        if len(kept) == 1:
+            return kept[0]
+        sign, binds = ("||", OR) if stops else ("&&", AND)
+        return Value(BOOL, f" {sign} ".join(self.within(v, COMPARED) for v in kept), binds)
+
+    def _compare(self, node: ast.Compare) -> Value:
+        values = [self.value(one) for one in (node.left, *node.comparators)]
+        found: list[str] = []
+        for op, left, right in zip(node.ops, values, values[1:], strict=False):
+            if type(op) not in COMPARISONS or not all(isinstance(widened(v.kind), Scalar) for v in (left, right)):
+                raise self.refuse(node, ast.unparse(node)[:80], "numbers that are compared")
+            sign, python = COMPARISONS[type(op)]
+            if left.is_const and right.is_const:
+                if not python(left.const, right.const):
+                    return self.const(False)
+                continue
+            if REAL in (left.kind, right.kind):
+                left, right = self._real_pair(left, right)
+            found.append(f"{self.within(left, SHIFTED)} {sign} {self.within(right, SHIFTED)}")
+        if not found:
+            return self.const(True)
+        return Value(BOOL, found[0], COMPARED) if len(found) == 1 else Value(BOOL, " && ".join(found), AND)
+
+    def _ifexp(self, node: ast.IfExp) -> Value:
+        test = self.truth(node.test, self.value(node.test))
+        if test.is_const:
+            return self.value(node.body if test.const else node.orelse)
+        one, other = self.value(node.body), self.value(node.orelse)
+        kind = joined(widened(one.kind), other.kind)
+        if kind is None or isinstance(kind, Const):
+            raise self.refuse(node, ast.unparse(node)[:80], "two values of one kind")
+        codes = [v.code if isinstance(kind, Scalar) and not v.is_const else self.as_kind(v, kind) for v in (one, other)]
+        first = codes[0] if one.binds > TERNARY else f"({codes[0]})"
+        return Value(kind, f"{self.within(test, OR)} ? {first} : {codes[1]}", TERNARY)
+
+    def helped(self, name: str, values: Sequence[Value], kind: Kind) -> Value:
+        """A call of a function of the file's own, see templates/helpers.c."""
+        codes = [self.as_kind(v, kind) for v in values]
+        return Value(kind, f"tr_{name}({', '.join(codes)})")
