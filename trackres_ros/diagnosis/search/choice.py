@@ -101,11 +101,8 @@ class Choice:
     def graded(self, judged: ScoredExplanation, name: str) -> Graded:
         """Cross-validated grade of a term of an explanation."""
         at = judged.key, name
-        if at not in self._graded:
-            self._graded[at] = self._grade(judged, name)
-        return self._graded[at]
-
-    def _grade(self, judged: ScoredExplanation, name: str) -> Graded:
+        if at in self._graded:
+            return self._graded[at]
         without = self.judged(self._search.without(judged.explanation, name))
         change = name in judged.explanation.terms and judged.explanation.terms[name].change is not None
         improvement = self._validation.improvement(without.score, judged.score, for_good=change)
@@ -114,7 +111,9 @@ class Choice:
         gained = float((without.score.square - judged.score.square).sum())
         cancels = gained < LEAST_OF_SIZE * float((adds**2).sum())
         active = next(a for a in judged.final.effects if a.effect.name == name)
-        return Graded(name, improvement, on_bounds(active), displaced(improvement, judged.final, without.final), cancels=cancels)
+        instead = displaced(improvement, judged.final, without.final)
+        self._graded[at] = Graded(name, improvement, on_bounds(active), instead, cancels)
+        return self._graded[at]
 
     def _all_graded(self, judged: ScoredExplanation) -> dict[str, Graded]:
         return {name: self.graded(judged, name) for name in judged.explanation.candidates}

@@ -85,17 +85,14 @@ class HeldOutLaps:
     def improvement(self, before: Sequence[Array], after: Sequence[Array]) -> Improvement:
         """Improvement by one predicted torque of each session over another [Nm]."""
         errors = [np.abs(self.measured - self.of(x)) for x in (before, after)]
-        means = self._over_laps(errors[0] - errors[1]) / (self._draws @ self._count)
+        gained = np.bincount(self._piece, weights=errors[0] - errors[1])
+        means = (self._draws @ gained) / (self._draws @ self._count)  # over resampled laps
         low, high = np.quantile(means, (0.025, 0.975))
         return Improvement(float(errors[0].mean()), float(errors[1].mean()), float(low), float(high))
 
     def improvement_of(self, before: Fit, after: Fit) -> Improvement:
         """Improvement by one fit over another."""
         return self.improvement(*([p.torque for p in fit.predicted] for fit in (before, after)))
-
-    def _over_laps(self, gained: Array) -> Array:
-        """Sums of a gain per sample, over resampled laps."""
-        return np.asarray(self._draws @ np.bincount(self._piece, weights=gained))
 
 
 @dataclass(frozen=True, eq=False)
