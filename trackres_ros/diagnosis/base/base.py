@@ -79,7 +79,7 @@ class Base(ABC):
 
     def __init__(self) -> None:
         self.parts: Mapping[str, float] = {}  # rotating ones, with their distance per turn [m]
-        self.held: Values = {}  # of fixed parameters
+        self.fixed: Values = {}  # of parameters that no fit changes
 
     @abstractmethod
     def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
@@ -118,11 +118,11 @@ class Base(ABC):
         return found
 
 
-class Remembered(threading.local):
+class LastSimulation(threading.local):
     """Cache of the last simulation per thread, reused where only sensor effects differ."""
 
     def __init__(self) -> None:
-        self._hangs_on: tuple[object, ...] = ()
+        self._key: tuple[object, ...] = ()
         self._rows: list[Array] = []
 
     def rows(
@@ -130,9 +130,9 @@ class Remembered(threading.local):
     ) -> list[Array]:
         """Result of `simulate`, cached for the last arguments."""
         stepped = tuple((active.effect, *active.numbers) for active in (*acting.stepped, *acting.slopes, *acting.torques))
-        hangs_on = (*map(id, sessions), *values.values(), acting.sensors.speed_factor, *stepped)
-        if hangs_on != self._hangs_on:
-            self._hangs_on, self._rows = hangs_on, simulate()
+        key = (*map(id, sessions), *values.values(), acting.sensors.speed_factor, *stepped)
+        if key != self._key:
+            self._key, self._rows = key, simulate()
             self._sessions = tuple(sessions)  # keeps them alive, so their identities stay unique
         return self._rows
 

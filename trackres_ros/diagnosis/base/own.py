@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, Predicted, Remembered, Values
+from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, LastSimulation, Predicted, Values
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, with_unseen
 from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.effects.effect import Active, VehicleConstants
@@ -95,7 +95,7 @@ class OwnBase(Base):
     def __init__(self, model: OwnModel) -> None:
         super().__init__()
         self.model, self.name = model, model.name
-        self._simulated = Remembered()
+        self._simulated = LastSimulation()
         self.includes = (RotatingInertia.name, *(active.effect.name for active in model.effects))
         self.facts = VehicleConstants(
             radius=1.0, weight=model.known.weight, drag_area=0.0, air_density=0.0, contact_length=1.0, assemblies=1,
@@ -105,7 +105,7 @@ class OwnBase(Base):
 
     def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
-        values = {name: of[0] for name, of in self.model.parameters.items()} | {**self.held, **values}
+        values = {name: of[0] for name, of in self.model.parameters.items()} | {**self.fixed, **values}
         acting = Acting.of([*self.model.effects, *effects], self.facts)
         torques = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
         found = []

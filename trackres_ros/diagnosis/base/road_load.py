@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, Predicted, Remembered, Values
+from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, LastSimulation, Predicted, Values
 from trackres_ros.diagnosis.base.simulated import simulated
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects.effect import Active
@@ -54,7 +54,7 @@ class RoadBase(Base):
         super().__init__()
         self.vehicle = vehicle
         self._active = (*vehicle.effects, *vehicle.surroundings)
-        self._simulated = Remembered()
+        self._simulated = LastSimulation()
         v = vehicle.values
         self.torque_scale, self.rotating_mass_factor = v["torque_scale"], v["rotating_mass_factor"]
         self.facts = vehicle.constants
@@ -83,7 +83,7 @@ class RoadBase(Base):
 
     def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
-        values = {**self.vehicle.values, **self.held, **values}
+        values = {**self.vehicle.values, **self.fixed, **values}
         chain = [Active(effect, {q: arm * values[name]}) for effect, q, name, arm in built_in(values)]
         chain.append(Active(Delay(), {"time": values["torque_delay"]}))
         if TORQUE_OFFSET in values:

@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, Predicted, Remembered, Values
+from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, LastSimulation, Predicted, Values
 from trackres_ros.diagnosis.base.simulated import simulated
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects.effect import Active
@@ -68,7 +68,7 @@ class TrackBase(Base):
             name: thermal_network(vehicle.thermal, track.belt, vehicle.rubber) for name, track in vehicle.tracks.items()
         }
         self._firsts, self._count = _kinds(self._constants)
-        self._simulated = Remembered()
+        self._simulated = LastSimulation()
         self._loss_tables: tuple[tuple[float, Array], ...] = ((1.0, self._constants.loss),)
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = vehicle_constants(vehicle)
@@ -122,7 +122,7 @@ class TrackBase(Base):
 
     def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
-        values = {**self.held, **values}
+        values = {**self.fixed, **values}
         acting = Acting.of([*self.vehicle.active, *effects], self.facts)
         rows = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
         found = []

@@ -144,7 +144,7 @@ def _with_free(base: Base, names: Collection[str]) -> Base:
     """The base with these parameters free, and without errors of a torque sensor."""
     found = copy.copy(base)
     found.parameters = tuple(q for q in base.parameters if q.name in names)
-    found.held = {**base.held, **{q.name: q.nominal for q in base.parameters if q.name not in names}}
+    found.fixed = {**base.fixed, **{q.name: q.nominal for q in base.parameters if q.name not in names}}
     found.includes = (*base.includes, *(effect.name for effect in instrument(base)))
     return found
 
