@@ -145,11 +145,7 @@ class _Torque:
 
 
 def resample(
-    recording: Recording,
-    step: float,
-    settings: GateSettings,
-    notes: list[str],
-    shortest_s: float = SHORTEST_S,
+    recording: Recording, step: float, settings: GateSettings, notes: list[str], shortest_s: float = SHORTEST_S
 ) -> tuple[DriveSession, dict[str, Mask]]:
     """Put a recording with a speed and a torque on an even grid of `step` [s]; `notes` receives the assumptions.
 
