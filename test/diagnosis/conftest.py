@@ -17,8 +17,8 @@ from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.search.choice import Choice
+from trackres_ros.diagnosis.search.cross_validation import CrossValidation
 from trackres_ros.diagnosis.search.explanations import Search
-from trackres_ros.diagnosis.search.left_out import LeaveLapsOut
 from trackres_ros.diagnosis.selection import naming
 from trackres_ros.diagnosis.selection.as_used import AsUsed, inside_ranges
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
@@ -119,12 +119,18 @@ def explained():
         laps = HeldOutLaps(problem.sessions, masks, rng)
         use = AsUsed(problem.base, problem.sessions, problem.sessions, laps)
         refitted = inside_ranges(with_levels(found), use)
-        left_out = LeaveLapsOut(refitted, masks, rng)
+        validation = CrossValidation(refitted, masks, rng)
         search = Search(found, effects, None, (), 19, rng, lambda _: None)
         search.run()
-        choice = Choice(search, refitted, left_out, laps, use)
+        choice = Choice(search, refitted, validation, laps, use)
         return SimpleNamespace(
-            search=search, choice=choice, chosen=choice.best(**given), left_out=left_out, laps=laps, use=use, refitted=refitted
+            search=search,
+            choice=choice,
+            chosen=choice.best(**given),
+            validation=validation,
+            laps=laps,
+            use=use,
+            refitted=refitted,
         )
 
     return explain

@@ -18,13 +18,12 @@ from trackres_ros.diagnosis.base.instrument import usual_offset
 from trackres_ros.diagnosis.base.patterns import WATCHED
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
-from trackres_ros.diagnosis.prepare.at_rest import LEAST_S, seconds_without_torque
 from trackres_ros.diagnosis.prepare.gate import Gated
 from trackres_ros.diagnosis.prepare.session import Cumulative
 from trackres_ros.diagnosis.selection import as_used
 from trackres_ros.diagnosis.selection.as_used import AsUsed, choose_written, inside_ranges
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
-from trackres_ros.diagnosis.stages.prepare import without_an_offset
+from trackres_ros.diagnosis.stages.prepare import LEAST_S, seconds_without_torque, without_an_offset
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.effects.effect import Parameter
 from trackres_ros.errors import InputError
@@ -324,7 +323,7 @@ def held_out_of(paths, file, report):
     """The recordings as the diagnosis prepares them, and their held-out samples."""
     from trackres_ros.diagnosis import read_recordings
     from trackres_ros.diagnosis.prepare.split import lap_name
-    from trackres_ros.diagnosis.stages.prepared import prepared
+    from trackres_ros.diagnosis.stages.prepare import prepared
 
     loaded = load_base(file)
     sessions = prepared(read_recordings(paths, None), loaded)[0].sessions

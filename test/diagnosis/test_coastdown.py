@@ -83,7 +83,7 @@ def test_what_resists_is_found_within_its_ranges(tmp_path, reference_vehicle, ro
     true = heavier_bearings(reference_vehicle)
     by_name = {p.name: p for p in found.coastdown.parameters}
     of = by_name["bearing_friction"]
-    assert of.told
+    assert of.determined
     assert of.interval.low < true.chassis.bearing_friction < of.interval.high
     for name in ("loss_modulus_scale", "drag_coefficient"):
         assert by_name[name].interval.low < by_name[name].before < by_name[name].interval.high

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.report.content import report
-from trackres_ros.diagnosis.stages.prepared import prepared
+from trackres_ros.diagnosis.stages.prepare import prepared
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.offline.replay import replay

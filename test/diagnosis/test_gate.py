@@ -11,7 +11,7 @@ import pytest
 
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.prepare.torque_checks import nothing_to_conclude
-from trackres_ros.diagnosis.stages.prepared import prepared
+from trackres_ros.diagnosis.stages.prepare import prepared
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, OUTSIDE, Case
 from trackres_ros.evaluation.sealed.generate import make_case
@@ -110,7 +110,7 @@ def test_no_effect_that_nature_has_is_refused(tmp_path, name):
     folder = tmp_path / "cases" / "case"
     passed = judged(sorted(folder.glob("drive*.csv")), load_base(folder / "vehicle.yaml"))
     assert len(passed.sessions) >= 3
-    assert not any("filled" in x.reason for x in passed.left_out)
+    assert not any("filled" in reason for reason in passed.excluded)
     assert not any("clocks overlap" in note or "unusual" in note for note in passed.notes)
 
 
@@ -136,10 +136,10 @@ def test_a_gap_filled_by_straight_lines_is_left_out_and_counted(recorded, loaded
     one, other = recorded()
     healthy = judged([one, other], loaded)
     found = judged([rewritten(one, tmp_path, fill), other], loaded)
-    (count,) = [x.seconds for x in found.left_out if "filled" in x.reason]
+    (count,) = [seconds for reason, seconds in found.excluded.items() if "filled" in reason]
     assert end - begin - 1 <= count <= end - begin + 2
     assert not found.sessions[0].used[round(begin) + 1 : round(end) - 1].any()
-    assert not any("filled" in x.reason for x in healthy.left_out)
+    assert not any("filled" in reason for reason in healthy.excluded)
 
 
 SENSORS = {"fine": (0.01 / 3.6, 1.0), "usual": (0.1 / 3.6, 5.0), "coarse": (1.0 / 3.6, 50.0)}  # resolution [m/s], [Nm]
@@ -167,7 +167,7 @@ def test_lines_in_a_gap_show_within_the_resolution_of_a_sensor(recorded, loaded,
     rises = np.abs((speed[300:] - speed[:-300]) * (torque[300:] - torque[:-300]))
     gap = slice(int(np.argmax(rises)), int(np.argmax(rises)) + 300)
     found = judged([rewritten(one, tmp_path, fill), other], loaded)
-    (count,) = [x.seconds for x in found.left_out if "filled" in x.reason]
+    (count,) = [seconds for reason, seconds in found.excluded.items() if "filled" in reason]
     assert 56 <= count <= 62
     assert not found.sessions[0].used[gap.start // 5 + 2 : gap.stop // 5 - 2].any()
 
@@ -175,7 +175,7 @@ def test_lines_in_a_gap_show_within_the_resolution_of_a_sensor(recorded, loaded,
 @pytest.mark.parametrize("sensors", SENSORS)
 def test_no_sensor_that_rounds_shows_a_filled_gap(recorded, loaded, tmp_path, sensors):
     found = judged([rewritten(path, tmp_path, lambda c: shown(c, sensors)) for path in recorded()], loaded)
-    assert not any("filled" in x.reason or "repeated" in x.reason for x in found.left_out)
+    assert not any("filled" in reason or "repeated" in reason for reason in found.excluded)
 
 
 def test_a_last_value_that_is_repeated_is_left_out_and_counted(recorded, loaded, tmp_path):
@@ -185,7 +185,7 @@ def test_a_last_value_that_is_repeated_is_left_out_and_counted(recorded, loaded,
 
     one, other = recorded()
     found = judged([rewritten(one, tmp_path, hold), other], loaded)
-    assert [x.seconds for x in found.left_out if "repeated" in x.reason] == [pytest.approx(40, abs=1)]
+    assert [seconds for reason, seconds in found.excluded.items() if "repeated" in reason] == [pytest.approx(40, abs=1)]
     assert not found.sessions[0].used[201:239].any()
 
 
@@ -218,7 +218,7 @@ def test_a_short_recording_among_others_is_left_out_with_a_note(recorded, loaded
     found = judged([one, short], loaded)
     assert [s.name for s in found.sessions] == [str(one)]
     assert any("short.csv" in note and "not used" in note for note in found.notes)
-    assert [x.seconds for x in found.left_out if "left out" in x.reason] == [79]
+    assert [seconds for reason, seconds in found.excluded.items() if "left out" in reason] == [79]
     with pytest.raises(InputError, match="at least 120 s"):
         judged([short], loaded)
 
@@ -250,7 +250,7 @@ def test_one_wrong_recording_is_left_out_with_the_line(recorded, loaded, tmp_pat
     assert [s.name for s in found.sessions] == [str(path) for path in others]
     (note,) = [n for n in found.notes if n.startswith(f"{wrong}: not used: ")]
     assert said in note
-    assert [x.seconds for x in found.left_out if "left out" in x.reason] == [pytest.approx(600, abs=1)]
+    assert [seconds for reason, seconds in found.excluded.items() if "left out" in reason] == [pytest.approx(600, abs=1)]
 
 
 def without_torque(columns):

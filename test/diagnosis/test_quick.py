@@ -106,7 +106,7 @@ def test_the_sentence_counts_what_resists_against_travel(tried):
 
 
 def test_the_whole_drive_of_a_slide_is_compared(tried):
-    assert not any("brake" in left.reason for left in tried.lacking.gated.left_out)
+    assert not any("brake" in reason for reason in tried.lacking.gated.excluded)
     again = gate(read_recordings([EMPS], Topics.load("emps")), load_base("emps").known).sessions[0]
     assert again.used.mean() > 0.9
     assert (again.speed[again.used] < 0.0).any()

@@ -17,7 +17,7 @@ from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.split import split
-from trackres_ros.diagnosis.stages.prepared import prepared
+from trackres_ros.diagnosis.stages.prepare import prepared
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.field.data import car, robot, trips
 from trackres_ros.evaluation.field.run import BUT_WHEELS, SHOWS_TURNING
@@ -106,7 +106,7 @@ def test_bus_notes_cover_altitude_brakes_passengers_and_wheels(bus):
     assert "grade" not in session.given
     assert np.isfinite(session.latitude).mean() > 0.9
     assert 20.0 * 70.0 * 9.8 < session.payload.max() < 120.0 * 70.0 * 9.8
-    left_out = {x.reason: x.seconds for x in found.left_out}
+    left_out = found.excluded
     assert left_out["brakes on"] < 0.25 * session.used.sum() * session.step
     assert (session.torque[session.used] < 0.0).mean() > 0.2  # what its motors brake is compared
 
@@ -142,5 +142,5 @@ def test_a_bag_without_a_torque_has_nothing_to_diagnose(run, tmp_path):
 def test_three_short_rollings_out_of_a_bus_tell_nothing():
     found = tr.coastdown(BUS, "ztbus_hess19", topics=config_dir() / "topics" / "ztbus.yaml")
     assert len(found.coastdown.rolled.stretches) == 3
-    assert not any(p.told for p in found.coastdown.parameters)
+    assert not any(p.determined for p in found.coastdown.parameters)
     assert not found.better

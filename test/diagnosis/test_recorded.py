@@ -35,10 +35,6 @@ def gated(folder, topics=None, friction_brakes=True, hide=(), **columns):
     return gate([tr.read(drive(folder, **columns), topics=topics)], known, hide)
 
 
-def left_out(found):
-    return {x.reason: x.seconds for x in found.left_out}
-
-
 def test_position_altitude_and_steering_exist_where_measured(tmp_path):
     time = np.arange(float(SECONDS))
     tunnel = (time > 100) & (time < 150)
@@ -101,12 +97,12 @@ def test_a_recorded_brake_excludes_only_the_times_it_is_on(tmp_path):
     assert not session.used[19:25].any()
     assert session.used[25]
     assert session.used[200]
-    assert left_out(found)["brakes on"] == 6
-    assert "may brake" not in left_out(found)
+    assert found.excluded["brakes on"] == 6
+    assert "may brake" not in found.excluded
     assert (session.torque[session.used] < 0.0).any()
     assert any("brakes on in 6 s of" in note for note in found.notes)
     unknown = gated(tmp_path)
-    assert left_out(unknown)["may brake"] > 100
+    assert unknown.excluded["may brake"] > 100
 
 
 @pytest.mark.parametrize(("column", "topics"), [("brake_on", None), ("valve", {"brake": {"column": "valve", "threshold": 3.0}})])
@@ -114,4 +110,4 @@ def test_a_switch_and_a_threshold_do_as_well(tmp_path, column, topics):
     value = np.zeros(SECONDS)
     value[20:25] = 1.0 if column == "brake_on" else 3.0
     value[100] = 0.0 if column == "brake_on" else 2.9
-    assert left_out(gated(tmp_path, topics, **{column: value}))["brakes on"] == 6
+    assert gated(tmp_path, topics, **{column: value}).excluded["brakes on"] == 6

@@ -17,8 +17,8 @@ from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT, with_levels
 from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, _class_of
+from trackres_ros.diagnosis.search.cross_validation import FOLDS, CrossValidation
 from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Search
-from trackres_ros.diagnosis.search.left_out import FOLDS, LeaveLapsOut
 from trackres_ros.diagnosis.selection.as_used import AsUsed
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, SUSPECTED, HeldOutLaps
 from trackres_ros.diagnosis.selection.naming import compared
@@ -71,8 +71,8 @@ def held_out_masks(found):
     return [s.used & ~m for s, m in zip(found.problem.sessions, found.problem.masks, strict=True)]
 
 
-def left_out_of(found):
-    return LeaveLapsOut(found, held_out_masks(found), np.random.default_rng(1))
+def validation_of(found):
+    return CrossValidation(found, held_out_masks(found), np.random.default_rng(1))
 
 
 def beside(found, *effects):
@@ -97,39 +97,39 @@ def scaled(driven, known):
     """The base alone and beside the effect that is hidden, and the laps left out of them."""
     found = driven(GAIN)
     plain = with_levels(found)
-    return plain, beside(found, known["torque_gain"]), left_out_of(plain)
+    return plain, beside(found, known["torque_gain"]), validation_of(plain)
 
 
 def test_a_model_scored_against_itself_gains_nothing(scaled):
-    plain, _, left_out = scaled
-    one, same = left_out.score(plain), left_out.score(plain)
-    improvement = left_out.improvement(one, same)
-    assert left_out.gain(one, same) == left_out.least_gain(one, same) == 0.0
+    plain, _, validation = scaled
+    one, same = validation.score(plain), validation.score(plain)
+    improvement = validation.improvement(one, same)
+    assert validation.gain(one, same) == validation.least_gain(one, same) == 0.0
     assert (improvement.before - improvement.after, improvement.low, improvement.high) == (0.0, 0.0, 0.0)
     assert not improvement.confirmed
-    np.testing.assert_allclose(left_out.shares([one, same]), [0.5, 0.5])
+    np.testing.assert_allclose(validation.shares([one, same]), [0.5, 0.5])
 
 
 def test_a_true_effect_surely_gains_and_its_removal_does_not(scaled):
-    plain, true, left_out = scaled
-    before, after = left_out.score(plain), left_out.score(true)
-    assert 0.0 < left_out.least_gain(before, after) < left_out.gain(before, after)
-    assert left_out.least_gain(after, before) < 0.0
-    assert left_out.improvement(before, after).confirmed
-    assert left_out.shares([before, after])[1] > 0.99
+    plain, true, validation = scaled
+    before, after = validation.score(plain), validation.score(true)
+    assert 0.0 < validation.least_gain(before, after) < validation.gain(before, after)
+    assert validation.least_gain(after, before) < 0.0
+    assert validation.improvement(before, after).confirmed
+    assert validation.shares([before, after])[1] > 0.99
 
 
 def test_what_is_expected_of_a_fold_is_that_of_a_fit_without_it(scaled):
     """One Newton step, against fits of the other laps."""
-    _, true, left_out = scaled
-    score, problem = left_out.score(true), true.problem
-    whole, fold_of = left_out._of([p.torque for p in true.predicted]), left_out._of(left_out._fold)
+    _, true, validation = scaled
+    score, problem = validation.score(true), true.problem
+    whole, fold_of = validation._of([p.torque for p in true.predicted]), validation._of(validation._fold)
     for fold in range(FOLDS):
-        masks = tuple(m & (of != fold) for m, of in zip(problem.masks, left_out._fold, strict=True))
+        masks = tuple(m & (of != fold) for m, of in zip(problem.masks, validation._fold, strict=True))
         effects = [a.effect for a in true.effects]
         refit = fit(replace(problem, masks=masks), effects, true.at, true.noises, largest_root=LARGEST_ROOT)
         at = fold_of == fold
-        moved = left_out._of([p.torque for p in refit.predicted])[at] - whole[at]
+        moved = validation._of([p.torque for p in refit.predicted])[at] - whole[at]
         off = score.expected[at] - whole[at] - moved
         assert np.sqrt(np.mean(off**2)) < 0.3 * np.sqrt(np.mean(moved**2)) + 0.01 * NOISE_NM
     held_out = fold_of < 0
@@ -137,13 +137,13 @@ def test_what_is_expected_of_a_fold_is_that_of_a_fit_without_it(scaled):
 
 
 def test_every_fitted_sample_is_of_one_fold_and_no_other_is(scaled):
-    plain, _, left_out = scaled
-    for session, mask, fold in zip(plain.problem.sessions, plain.problem.masks, left_out._fold, strict=True):
+    plain, _, validation = scaled
+    for session, mask, fold in zip(plain.problem.sessions, plain.problem.masks, validation._fold, strict=True):
         assert (fold[mask] >= 0).all()
         assert (fold[~mask] == -1).all()
         of_lap = {int(b): set(fold[mask & (session.block == b)].tolist()) for b in np.unique(session.block[mask])}
         assert all(len(of) == 1 for of in of_lap.values())
-    assert len(left_out.measured) == sum(int(s.used.sum()) for s in plain.problem.sessions)
+    assert len(validation.measured) == sum(int(s.used.sum()) for s in plain.problem.sessions)
 
 
 def test_what_only_fitted_laps_show_has_no_held_out_gain(driven):
@@ -153,14 +153,14 @@ def test_what_only_fitted_laps_show_has_no_held_out_gain(driven):
         return LEVEL_NM * np.sign(np.sin(session.time / 6.0))
 
     found = driven(adds=comes_and_goes)
-    plain, left_out = with_levels(found), left_out_of(found)
-    before = left_out.score(plain)
+    plain, validation = with_levels(found), validation_of(found)
+    before = validation.score(plain)
     unknown, known = (beside(found, series(found, comes_and_goes, ahead)) for ahead in (0.0, 1.0))
     assert unknown.log_likelihood > plain.log_likelihood + 100.0
-    assert left_out.least_gain(before, left_out.score(known)) > 100.0
-    assert left_out.least_gain(before, left_out.score(unknown)) <= 0.0
-    assert left_out.gain(before, left_out.score(unknown)) < 0.02 * left_out.gain(before, left_out.score(known))
-    assert not left_out.improvement(before, left_out.score(unknown)).confirmed
+    assert validation.least_gain(before, validation.score(known)) > 100.0
+    assert validation.least_gain(before, validation.score(unknown)) <= 0.0
+    assert validation.gain(before, validation.score(unknown)) < 0.02 * validation.gain(before, validation.score(known))
+    assert not validation.improvement(before, validation.score(unknown)).confirmed
 
 
 # The search, and the choice of an explanation
@@ -264,7 +264,7 @@ def graded(loaded):
         sessions, masks, rng = found.problem.sessions, held_out_masks(found), np.random.default_rng(1)
         laps, search = HeldOutLaps(sessions, masks, rng), Search(found, {}, None, (), 19, rng, lambda _: None)
         plain = with_levels(found)
-        choice = Choice(search, plain, LeaveLapsOut(plain, masks, rng), laps, AsUsed(loaded.base, sessions, sessions, laps))
+        choice = Choice(search, plain, CrossValidation(plain, masks, rng), laps, AsUsed(loaded.base, sessions, sessions, laps))
         choice._by_file = min(choice._by_file, by_file)
         whole = fit(found.problem, effects, found.at, found.noises)
         candidates = {}
@@ -331,7 +331,7 @@ def test_a_form_takes_the_place_of_a_name_beyond_a_tenth_of_it(fallen, beaten):
             explanation=explanation, final=final, key=set(names), score=SimpleNamespace(square=np.array([square]))
         )
 
-    choice = SimpleNamespace(_left_out=SimpleNamespace(least_gain=lambda *_: 100.0), _beyond_base=lambda series: series)
+    choice = SimpleNamespace(_validation=SimpleNamespace(least_gain=lambda *_: 100.0), _beyond_base=lambda series: series)
     name = judged(["scrub"], 0, 1e6)
     form = judged([], 1, 1e6 - fallen * samples * (0.1 * adds) ** 2)
     assert Choice._beats(choice, form, name) == beaten

@@ -16,8 +16,14 @@ from trackres_ros.diagnosis.findings.residual_sources import residual_sources
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare import resample as resample_module
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
-from trackres_ros.diagnosis.prepare.speed_smoothing import SmoothedSpeed, at_rest, rounding_step, smooth_speed, without_repeats
+from trackres_ros.diagnosis.prepare.speed_smoothing import (
+    SmoothedSpeed,
+    at_rest,
+    noise_of_means,
+    rounding_step,
+    smooth_speed,
+    without_repeats,
+)
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.evaluation.synthetic import STEP_S, TORQUE_NOISE_NM
 

@@ -114,7 +114,7 @@ def test_means_of_a_course_keep_its_integral():
 
 def test_the_gate_loses_no_sample_without_saying_so(gated):
     samples = sum(len(s) for s in gated.sessions)
-    assert sum(int(s.used.sum()) for s in gated.sessions) + sum(x.seconds for x in gated.left_out) == samples
+    assert sum(int(s.used.sum()) for s in gated.sessions) + sum(gated.excluded.values()) == samples
     assert all(s.step == STEP_S for s in gated.sessions)
 
 

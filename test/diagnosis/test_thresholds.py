@@ -13,7 +13,7 @@ from trackres_ros.diagnosis.empirical.candidates import candidates, shows
 from trackres_ros.diagnosis.empirical.thresholds import found_by_scan, latched_states
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.selection.visibility import base_columns
-from trackres_ros.diagnosis.stages.prepared import prepared
+from trackres_ros.diagnosis.stages.prepare import prepared
 from trackres_ros.effects.effect import conditions
 from trackres_ros.effects.learned import ABOVE, AMBIENT, BELT, SPEED, STEP, Corner, Latch, latched
 

@@ -72,7 +72,7 @@ def coastdown(
     from trackres_ros import checks
     from trackres_ros.diagnosis.base.loading import load_base
     from trackres_ros.diagnosis.coastdown.fitted import coastdown as run
-    from trackres_ros.diagnosis.prepare.order import in_order
+    from trackres_ros.diagnosis.prepare.gate import in_order
     from trackres_ros.recording.recording import Recording
     from trackres_ros.results.coastdown import CoastdownResult
 

@@ -11,8 +11,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from trackres_ros.diagnosis.coastdown.fitted import Coastdown
-from trackres_ros.diagnosis.coastdown.speeds import rollouts_of
+from trackres_ros.diagnosis.coastdown.fitted import Coastdown, rollouts_of
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.output_files import output_file
 from trackres_ros.text.numbers import alike, figures
@@ -46,7 +45,7 @@ class CoastdownResult:
             return ""
         hidden = not all("grade" in session.given for session in self.coastdown.rolled.sessions)
         remedy = "; an unrecorded slope may hide a gain: record the slope or the altitude" if hidden else ""
-        if not any(p.told for p in self.coastdown.parameters):
+        if not any(p.determined for p in self.coastdown.parameters):
             return f"the coast-downs add nothing to the vehicle file{remedy}"
         if improvement is None:
             return "too few coast-downs for a hold-out set: record two or more, in both directions if the slope is unknown"
@@ -64,8 +63,8 @@ class CoastdownResult:
         for p in found.parameters:
             at = alike([p.before, p.value, p.interval.low, p.interval.high], p.interval.high - p.interval.low)
             std = "" if math.isinf(p.before_std) else figures(2.0 * p.before_std, 2)
-            beside = f"only together with {', '.join(p.with_others)}" if p.with_others and p.told else ""
-            told = (at[1], at[2], at[3]) if p.told else ("not identified", "", "")
+            beside = f"only together with {', '.join(p.with_others)}" if p.with_others and p.determined else ""
+            told = (at[1], at[2], at[3]) if p.determined else ("not identified", "", "")
             rows.append((p.name, at[0], std, *told, "" if p.unit == "1" else p.unit, beside))
         widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
         align = ("<", ">", ">", ">", ">", ">", "<", "<")
@@ -80,7 +79,7 @@ class CoastdownResult:
         else:
             lines.append(f"The vehicle file stays as it is: {self.why_not}")
         lines += [f"  note: {note}" for note in rolled.notes]
-        lines += [f"  not used: {count} {reason}" for reason, count in rolled.left_out.items()]
+        lines += [f"  not used: {count} {reason}" for reason, count in rolled.rejected.items()]
         return "\n".join(map(one_line, lines))
 
     def as_dict(self) -> dict[str, Any]:
@@ -103,7 +102,7 @@ class CoastdownResult:
             "parameters": {
                 p.name: {
                     "unit": p.unit, "file": p.before, "file_std": None if math.isinf(p.before_std) else p.before_std,
-                    "value": p.value, "low": p.interval.low, "high": p.interval.high, "told": p.told,
+                    "value": p.value, "low": p.interval.low, "high": p.interval.high, "told": p.determined,
                     "only_with": list(p.with_others),
                 }
                 for p in found.parameters
@@ -116,7 +115,7 @@ class CoastdownResult:
             "better": self.better,
             "why_not": self.why_not,
             "notes": list(found.rolled.notes),
-            "left_out": dict(found.rolled.left_out),
+            "left_out": dict(found.rolled.rejected),
         }  # fmt: skip
 
     def save_vehicle(self, path: str | PathLike[str]) -> list[Path]:

@@ -7,22 +7,21 @@ from __future__ import annotations
 
 import copy
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern, SlopeByPlace, TorqueByPlace
-from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects.effect import Active, Conditions, Terms, VehicleConstants, conditions, together
 from trackres_ros.effects.stepping import LIMITS, MOST_TORQUE, EffectTable, effect_table
 from trackres_ros.errors import InputError
 from trackres_ros.vehicle.writing.changes import FileChanges
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 USABLE = "finite, plausible terms, with all values of its parameters within their bounds"
@@ -32,27 +31,15 @@ MOST_CHECKED = 20  # steps checked to find why an effect was omitted
 
 @dataclass(frozen=True, slots=True)
 class BaseParameter:
-    """A parameter of a base model that may be re-fitted.
-
-    Attributes
-    ----------
-    name, unit
-        Name, and unit of the value.
-    nominal, std
-        Value of the vehicle file, and its standard deviation: a Gaussian prior. Infinite for an unknown value.
-    low, high
-        Bounds of a fit.
-    by_file
-        Range in the vehicle file; bounds of a fit are wider.
-    """
+    """A parameter of a base model that may be re-fitted."""
 
     name: str
     unit: str
-    nominal: float
-    std: float
-    low: float
+    nominal: float  # of the vehicle file
+    std: float  # its standard deviation: a Gaussian prior; infinite for an unknown value
+    low: float  # bounds of a fit
     high: float
-    by_file: tuple[float, float] = (-np.inf, np.inf)
+    by_file: tuple[float, float] = (-np.inf, np.inf)  # range in the vehicle file; the bounds of a fit are wider
 
     def outside(self, value: float) -> bool:
         """Whether a value leaves the range of the vehicle file."""
@@ -78,21 +65,23 @@ class Predicted:
     skin: Array
 
 
-class Model(Protocol):
-    """The least interface of a model. `Defaults` adds the rest of a `Base`; `own.OwnModel` wraps a function."""
+class Base(ABC):
+    """A base model of one vehicle. By default it has no rolling resistance, belt, surroundings or fixed parameters."""
 
-    @property
-    def name(self) -> str:
-        """Name of the model, such as ``track`` or ``road_load``."""
+    name: str
+    parameters: tuple[BaseParameter, ...]  # may be re-fitted
+    facts: VehicleConstants  # for effects, whose bounds and typical values scale with weight times radius
+    has_belt = False
+    rolls = False  # a sliding machine has friction instead, see `Effect.only_of`
+    includes: tuple[str, ...] = ()  # names of effects that the model already has
+    torque_scale = 1.0  # shown over true torque, unless the torque's topic gives it
+    rotating_mass_factor = 1.0  # effective over true mass in acceleration
 
-    @property
-    def parameters(self) -> tuple[BaseParameter, ...]:
-        """Parameters that may be re-fitted: units, values with standard deviations, ranges and bounds."""
+    def __init__(self) -> None:
+        self.parts: Mapping[str, float] = {}  # rotating ones, with their distance per turn [m]
+        self.fixed: Values = {}  # of parameters that no fit changes
 
-    @property
-    def facts(self) -> VehicleConstants:
-        """Constants that effects may read: their bounds and typical values scale with weight times radius."""
-
+    @abstractmethod
     def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """Simulate sessions in sequence.
 
@@ -106,87 +95,34 @@ class Model(Protocol):
             Effects to add, sorted by `Acting`.
         """
 
-
-class Base(Model, Protocol):
-    """A base model of one vehicle with the full interface for a diagnosis."""
-
-    @property
-    def has_belt(self) -> bool:
-        """Whether the model has belts with a temperature."""
-
-    @property
-    def rolls(self) -> bool:
-        """Whether the model has rolling resistance; a sliding machine has friction instead, see `Effect.only_of`."""
-
-    @property
-    def includes(self) -> tuple[str, ...]:
-        """Names of effects that the model already has."""
-
-    @property
-    def parts(self) -> Mapping[str, float]:
-        """Rotating parts, with their distance per turn [m]."""
-
-    @property
-    def torque_scale(self) -> float:
-        """Shown over true torque, unless the torque's topic gives it."""
-
-    @property
-    def rotating_mass_factor(self) -> float:
-        """Effective over true mass in acceleration, from the vehicle file."""
-
-    @property
-    def held(self) -> Values:
-        """Possible further effects by name."""
-
-    @property
-    def alone(self) -> Base:
-        """The same vehicle without the given surroundings, as a controller runs it."""
-
-    def inside_ranges(self, free: Collection[str]) -> Base:
-        """The same base, its parameters bound to the ranges of the vehicle file, except those in `free`."""
-
-    def as_written(self, values: Values) -> Base:
-        """The base that a reader gets from the file `write` makes of these values, in the same surroundings."""
-
+    @abstractmethod
     def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
         """Write a vehicle file with the kept changes, and surroundings next to it; returns the files to use."""
 
-
-class Defaults:
-    """Defaults of a `Base`: no rolling, no belt, no surroundings, no further effects."""
-
-    has_belt = rolls = False
-    includes: tuple[str, ...] = ()
-    torque_scale = rotating_mass_factor = 1.0
-    parameters: tuple[BaseParameter, ...]
-
-    def __init__(self) -> None:
-        self.parts: Mapping[str, float] = {}
-        self.held: Values = {}
-
     @property
     def alone(self) -> Self:
-        """See `Base`."""
+        """The same vehicle without the given surroundings, as a controller runs it."""
         return self
 
     def inside_ranges(self, free: Collection[str]) -> Self:
-        """See `Base`."""
-        found = copy.copy(self)
-        found.parameters = tuple(q if q.name in free else q.inside() for q in self.parameters)
-        return found
+        """The same base, its parameters bound to the ranges of the vehicle file, except those in `free`."""
+        return self._with_parameters(tuple(q if q.name in free else q.inside() for q in self.parameters))
 
     def as_written(self, values: Values) -> Self:
-        """See `Base`."""
+        """The base that a reader gets from the file `write` makes of these values, in the same surroundings."""
+        return self._with_parameters(tuple(replace(q, nominal=values[q.name]) for q in self.parameters))
+
+    def _with_parameters(self, parameters: tuple[BaseParameter, ...]) -> Self:
         found = copy.copy(self)
-        found.parameters = tuple(replace(q, nominal=values[q.name]) for q in self.parameters)
+        found.parameters = parameters
         return found
 
 
-class Remembered(threading.local):
+class LastSimulation(threading.local):
     """Cache of the last simulation per thread, reused where only sensor effects differ."""
 
     def __init__(self) -> None:
-        self._hangs_on: tuple[object, ...] = ()
+        self._key: tuple[object, ...] = ()
         self._rows: list[Array] = []
 
     def rows(
@@ -194,18 +130,16 @@ class Remembered(threading.local):
     ) -> list[Array]:
         """Result of `simulate`, cached for the last arguments."""
         stepped = tuple((active.effect, *active.numbers) for active in (*acting.stepped, *acting.slopes, *acting.torques))
-        hangs_on = (*map(id, sessions), *values.values(), acting.sensors.speed_factor, *stepped)
-        if hangs_on != self._hangs_on:
-            self._hangs_on, self._rows = hangs_on, simulate()
+        key = (*map(id, sessions), *values.values(), acting.sensors.speed_factor, *stepped)
+        if key != self._key:
+            self._key, self._rows = key, simulate()
             self._sessions = tuple(sessions)  # keeps them alive, so their identities stay unique
         return self._rows
 
 
 @dataclass(frozen=True)
 class Acting:
-    """Effects sorted for the step: those acting in every step, those with their own series, slopes and torques by place
-    separately, and sensor effects on speed and torque.
-    """
+    """Effects sorted: those of every step, those with their own series, slopes and torques by place, and those of sensors."""
 
     stepped: tuple[Active, ...]
     table: EffectTable
@@ -259,18 +193,12 @@ class Acting:
         later = session.torque_course.later_means(session.time, session.step, terms.sensor_delay)
         return np.asarray(shown - (later - session.torque))
 
-    def check(self, left_out: Array, session: DriveSession, facts: VehicleConstants) -> None:
-        """Raise a user effect's error in a step that omitted it, although all its inputs are known.
-
-        Raises
-        ------
-        InputError
-            If the effect fails there, or returns no number or an absurd one.
-        """
+    def check(self, omitted: Array, session: DriveSession, facts: VehicleConstants) -> None:
+        """Raise the error of a user effect that was omitted in a step, although all its inputs are known there."""
         own = [active for active in self.stepped if active.effect.source is not None]
-        if not own or not left_out.any():
+        if not own or not omitted.any():
             return
-        for i in np.flatnonzero(left_out)[:MOST_CHECKED]:
+        for i in np.flatnonzero(omitted)[:MOST_CHECKED]:
             at = conditions(
                 facts, self.speed(session)[i], self.accel(session)[i], session.weight[i],
                 session.ambient[i], session.yaw_rate[i], session.heading[i], session.distance[i],

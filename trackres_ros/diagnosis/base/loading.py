@@ -26,9 +26,7 @@ from trackres_ros.vehicle import RoadVehicle, Vehicle, load, load_any, with_surr
 
 @dataclass(frozen=True, eq=False)
 class LoadedBase:
-    """A base model, the vehicle's title, settings for the gate, and the surroundings: effects, ground by place,
-    and the file.
-    """
+    """A base model, the vehicle's title, settings for the gate, and the surroundings: effects, ground by place, and the file."""
 
     base: Base
     title: str

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Defaults, Predicted, Remembered, Values
-from trackres_ros.diagnosis.prepare.session import DriveSession, with_unseen
+from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, LastSimulation, Predicted, Values
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, with_unseen
 from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.effects.effect import Active, VehicleConstants
 from trackres_ros.effects.stepping import (
@@ -39,7 +39,6 @@ from trackres_ros.vehicle.writing.changes import FileChanges
 from trackres_ros.vehicle.writing.vehicle_file import finish
 from trackres_ros.vehicle.writing.yaml_edit import Document, flow
 
-Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Torque = Callable[[DriveSession, Values], Array]
 
@@ -89,13 +88,13 @@ class OwnModel:
         return GateSettings(self.max_torque / SIZE, self.max_speed, AMBIENT_DEGC, None)
 
 
-class OwnBase(Defaults):
+class OwnBase(Base):
     """Base model of a function; see `base.Base`."""
 
     def __init__(self, model: OwnModel) -> None:
         super().__init__()
         self.model, self.name = model, model.name
-        self._simulated = Remembered()
+        self._simulated = LastSimulation()
         self.includes = (RotatingInertia.name, *(active.effect.name for active in model.effects))
         self.facts = VehicleConstants(
             radius=1.0, weight=model.known.weight, drag_area=0.0, air_density=0.0, contact_length=1.0, assemblies=1,
@@ -105,7 +104,7 @@ class OwnBase(Defaults):
 
     def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
-        values = {name: of[0] for name, of in self.model.parameters.items()} | {**self.held, **values}
+        values = {name: of[0] for name, of in self.model.parameters.items()} | {**self.fixed, **values}
         acting = Acting.of([*self.model.effects, *effects], self.facts)
         torques = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
         found = []
@@ -137,13 +136,7 @@ class OwnBase(Defaults):
         return found
 
     def _own(self, session: DriveSession, values: Values) -> Array:
-        """Result of the user's function.
-
-        Raises
-        ------
-        InputError
-            If it fails, or does not return a finite number for each step.
-        """
+        """Result of the user's function; an `InputError` if it fails, or is not a finite number for each step."""
         try:
             own = np.array(self.model.torque(session, values), dtype=float)
         except Exception as error:

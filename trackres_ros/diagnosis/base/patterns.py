@@ -7,14 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.effects.effect import REFERENCE_NM, Effect, Parameter
 from trackres_ros.effects.learned import height
 from trackres_ros.route.learned import RouteMap
-
-Array = NDArray[np.float64]
 
 WATCHED = "watched"
 STEEPEST = 0.3  # rise over run, as of the catalogue's slopes
@@ -23,14 +19,8 @@ STEEPEST = 0.3  # rise over run, as of the catalogue's slopes
 class ResidualPattern(Effect):
     """A series for each session, times a size.
 
-    Parameters
-    ----------
-    shape
-        Series of each session, in the order of the problem: shape (n,), about 1 where it acts; zero on hold-out laps.
-    size
-        Weight times wheel radius of the vehicle [Nm].
-    ahead
-        The same from earlier measurements only, for the value to a live user. By default the shape.
+    `shape` has the series of each session, in the order of the problem: shape (n,), about 1 where it acts; zero on hold-out laps.
+    `ahead` is the same from earlier measurements only, for the value to a live user. `size` is weight times wheel radius [Nm].
     """
 
     acts_on = WATCHED
@@ -46,10 +36,7 @@ class ResidualPattern(Effect):
 class ByPlace(ResidualPattern):
     """A learned value for each place of a route. Positions make it predictable, so it may be written.
 
-    Parameters
-    ----------
-    route
-        Map learned at the typical value of its parameter.
+    The map `route` was learned at the typical value of its parameter.
     """
 
     acts_on = "torque"

@@ -12,11 +12,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Defaults, Predicted, Remembered, Values
+from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, LastSimulation, Predicted, Values
 from trackres_ros.diagnosis.base.simulated import simulated
-from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects.effect import Active
 from trackres_ros.effects.sensor.delay import Delay
 from trackres_ros.effects.sensor.torque_gain import TorqueGain
@@ -33,8 +32,6 @@ from trackres_ros.vehicle.schema import ROAD_LOAD
 from trackres_ros.vehicle.writing.changes import FileChanges
 from trackres_ros.vehicle.writing.vehicle_file import write_road_vehicle
 
-Array = NDArray[np.float64]
-
 FITTED = (
     "rolling_coefficient", "rolling_rise", "drag_area", "mass",
     "rotating_mass_factor", "torque_scale", "efficiency", "torque_delay",
@@ -48,7 +45,7 @@ Its turning friction went to its bound. A car's mean error on hold-out laps fell
 """
 
 
-class RoadBase(Defaults):
+class RoadBase(Base):
     """Base model `road_load`; see `base.Base`."""
 
     name = "road_load"
@@ -57,32 +54,23 @@ class RoadBase(Defaults):
         super().__init__()
         self.vehicle = vehicle
         self._active = (*vehicle.effects, *vehicle.surroundings)
-        self._simulated = Remembered()
+        self._simulated = LastSimulation()
         v = vehicle.values
         self.torque_scale, self.rotating_mass_factor = v["torque_scale"], v["rotating_mass_factor"]
         self.facts = vehicle.constants
         self._constants = make_constants(vehicle, Settings())
         self.parts = {"wheels": 2.0 * math.pi * v["wheel_radius"]}
-        free = [
-            name
-            for name in (*FITTED, *OF_SLIDES, TORQUE_OFFSET)
-            if name in v and vehicle.parameters[f"{SECTION}.{name}"].standard_deviation > 0.0
-        ]
         self.rolls = vehicle.rolls
+        known = {name: vehicle.parameters[f"{SECTION}.{name}"] for name in (*FITTED, *OF_SLIDES, TORQUE_OFFSET) if name in v}
+        free = [name for name, q in known.items() if q.standard_deviation > 0.0]
         if set(ONLY_ONE_OF) <= set(free):
             free = [name for name in free if name not in ONLY_ONE_OF]
-        self.parameters = tuple(
-            BaseParameter(
-                name,
-                ROAD_LOAD[name].unit,
-                v[name],
-                vehicle.parameters[f"{SECTION}.{name}"].standard_deviation,
-                ROAD_LOAD[name].low,
-                ROAD_LOAD[name].high,
-                (vehicle.parameters[f"{SECTION}.{name}"].low, vehicle.parameters[f"{SECTION}.{name}"].high),
-            )
-            for name in free
-        )
+
+        def parameter(name: str) -> BaseParameter:
+            q, limit = known[name], ROAD_LOAD[name]
+            return BaseParameter(name, limit.unit, v[name], q.standard_deviation, limit.low, limit.high, (q.low, q.high))
+
+        self.parameters = tuple(map(parameter, free))
         same = {"torque_scale": TorqueGain.name, "rotating_mass_factor": RotatingInertia.name}
         refitted = (effect for parameter, effect in same.items() if parameter in free)
         chain = (Delay.name, *(effect.name for effect, *_ in built_in(v)), *([TORQUE_OFFSET] if TORQUE_OFFSET in v else []))
@@ -95,7 +83,7 @@ class RoadBase(Defaults):
 
     def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
-        values = {**self.vehicle.values, **self.held, **values}
+        values = {**self.vehicle.values, **self.fixed, **values}
         chain = [Active(effect, {q: arm * values[name]}) for effect, q, name, arm in built_in(values)]
         chain.append(Active(Delay(), {"time": values["torque_delay"]}))
         if TORQUE_OFFSET in values:

@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Acting
-from trackres_ros.diagnosis.prepare.session import DriveSession, with_unseen
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, with_unseen
 from trackres_ros.effects.effect import VehicleConstants
 from trackres_ros.effects.stepping import DISTANCE, UNUSABLE, new_memory
 from trackres_ros.estimator import columns as at
@@ -19,8 +18,6 @@ from trackres_ros.estimator.constants import Constants, kernel_arguments, work_s
 from trackres_ros.estimator.entry_points import COMPILED
 from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_OUTCOME
 from trackres_ros.estimator.records import Carried, DriveSeries
-
-Array = NDArray[np.float64]
 
 
 def simulated(
@@ -34,14 +31,8 @@ def simulated(
 ) -> list[Array]:
     """Rows from `kernel.predict`, shape (n, `PREDICTED`), of each session.
 
-    Parameters
-    ----------
-    k
-        Constants of the step without effects; these come from `acting`.
-    count, belts
-        Number of assemblies of each kind, shape (kinds,), and number of kinds with a belt.
-    weight
-        Weight of the whole vehicle along a session [N].
+    `k` has the constants of the step without effects, which come from `acting`. There are `count` assemblies of each kind, shape
+    (kinds,), of which `belts` kinds have a belt. `weight` is that of the whole vehicle along a session [N].
     """
     table = acting.table
     k = k._replace(effects=table.rows, effect_values=table.values, work=work_space(facts, 0))

@@ -13,11 +13,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Defaults, Predicted, Remembered, Values
+from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, LastSimulation, Predicted, Values
 from trackres_ros.diagnosis.base.simulated import simulated
-from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects.effect import Active
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import (
@@ -37,8 +36,6 @@ from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER
 from trackres_ros.vehicle.writing.changes import FileChanges
 from trackres_ros.vehicle.writing.vehicle_file import rubber_share, write_track_vehicle
 
-Array = NDArray[np.float64]
-
 LOSS, BEARING, DRAG, FILM, CAPACITY = "loss_modulus_scale", "bearing_friction", "drag_coefficient", "film_scale", "capacity_scale"
 CONDUCTIVITY, SURFACE_SHARE = "conductivity", "surface_share"
 MOST_AT_SURFACE = 0.8
@@ -57,7 +54,7 @@ LESS_LOSS = 0.8  # times the file's loss modulus scale, for the derivative of th
 CAPACITY_STD = 0.15  # relative: thickness, lug section and specific heat of the file's ranges together
 
 
-class TrackBase(Defaults):
+class TrackBase(Base):
     """Base model `track`; see `base.Base`."""
 
     name = "track"
@@ -71,7 +68,7 @@ class TrackBase(Defaults):
             name: thermal_network(vehicle.thermal, track.belt, vehicle.rubber) for name, track in vehicle.tracks.items()
         }
         self._firsts, self._count = _kinds(self._constants)
-        self._simulated = Remembered()
+        self._simulated = LastSimulation()
         self._loss_tables: tuple[tuple[float, Array], ...] = ((1.0, self._constants.loss),)
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = vehicle_constants(vehicle)
@@ -97,11 +94,12 @@ class TrackBase(Defaults):
         learned = capacity.flag == FITTED
         capacity_std = share * capacity.standard_deviation / capacity.value if learned else CAPACITY_STD
         film_std = film.standard_deviation / film.value
+        film_factors = _film_factors(vehicle, *PLAUSIBLE_FILM, by_file=False)
         self.parameters: tuple[BaseParameter, ...] = (
             known(LOSS, "rubber.loss_modulus_scale"),
             known(BEARING, "chassis.bearing_friction"),
             known(DRAG, "chassis.drag_coefficient"),
-            BaseParameter(FILM, "1", 1.0, film_std, *_film_factors(vehicle), _film_by_file(vehicle)),
+            BaseParameter(FILM, "1", 1.0, film_std, *film_factors, _film_factors(vehicle, 0.0, np.inf, by_file=True)),
             BaseParameter(
                 CAPACITY,
                 "1",
@@ -124,7 +122,7 @@ class TrackBase(Defaults):
 
     def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
-        values = {**self.held, **values}
+        values = {**self.fixed, **values}
         acting = Acting.of([*self.vehicle.active, *effects], self.facts)
         rows = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
         found = []
@@ -157,9 +155,7 @@ class TrackBase(Defaults):
 
     @cached_property
     def _loss_power(self) -> Array:
-        """Power with which each value of the loss table grows with the loss modulus scale: a lossier belt is
-        also stiffer, so the wheels sink in less.
-        """
+        """Power with which a value of the loss table grows with the loss modulus scale: a lossier belt is stiffer, too."""
         now = self.vehicle.rubber
         less = replace(self.vehicle, rubber=replace(now, loss_modulus_scale=LESS_LOSS * now.loss_modulus_scale))
         then = np.stack([loss_table(less, name).loss for name in less.tracks])
@@ -208,32 +204,20 @@ def _kinds(k: Constants) -> tuple[list[int], Array]:
     return [rows[0] for rows in found.values()], np.array([len(rows) for rows in found.values()], dtype=float)
 
 
-def _film_factors(vehicle: Vehicle) -> tuple[float, float]:
-    """Bounds of the factor on the film coefficient that keep every belt within the limits of a vehicle file."""
-    low, high = PLAUSIBLE_FILM
-    for name in vehicle.tracks:
-        for key in ("film_offset", "film_slope"):
-            value, limit = vehicle.parameters[f"tracks.{name}.belt.{key}"].value, BELT[key]
-            assert isinstance(value, float)
-            if value > 0.0:
-                low, high = max(low, limit.low / value), min(high, limit.high / value)
-    return low, high
-
-
-def _film_by_file(vehicle: Vehicle) -> tuple[float, float]:
-    """Factors that keep every film value inside its range of the vehicle file."""
-    low, high = 0.0, np.inf
+def _film_factors(vehicle: Vehicle, low: float, high: float, by_file: bool) -> tuple[float, float]:
+    """Factors that keep every film value within the limits of a vehicle file, or `by_file` inside its own range there."""
     for name in vehicle.tracks:
         for key in ("film_offset", "film_slope"):
             q = vehicle.parameters[f"tracks.{name}.belt.{key}"]
+            limit = q if by_file else BELT[key]
             assert isinstance(q.value, float)
             if q.value > 0.0:
-                low, high = max(low, q.low / q.value), min(high, q.high / q.value)
+                low, high = max(low, limit.low / q.value), min(high, limit.high / q.value)
     return low, high
 
 
 def _capacity_factors(heat_capacity: float, share: float) -> tuple[float, float]:
-    """The same for the belt's heat capacity, with the rubber's share of it."""
+    """Bounds of the factor on the belt's heat capacity, with the rubber's share of it."""
     (low, high), limit = PLAUSIBLE_CAPACITY, RUBBER["heat_capacity"]
     least, most = _capacity_scales((limit.low, limit.high), heat_capacity, share)
     return max(low, least), min(high, most)

@@ -9,12 +9,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Predicted
-from trackres_ros.diagnosis.prepare.session import DriveSession
-
-Array = NDArray[np.float64]
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 
 SLOWEST_TURNING_MPS = 0.3  # bounds the curvature while turning on the spot
 CONSTANT_SHARE = 1e-9  # of its size: a smaller variation is constant
@@ -22,9 +19,7 @@ CONSTANT_SHARE = 1e-9  # of its size: a smaller variation is constant
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable with its unit, and its series of shape (n,) from a session and its prediction; and whether it only
-    grows during a drive, like the clock.
-    """
+    """A variable with its series of shape (n,), and whether it only grows during a drive, like the clock."""
 
     name: str
     unit: str

@@ -15,7 +15,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from trackres_ros.diagnosis.base.base import Base
@@ -29,15 +28,15 @@ from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
 from trackres_ros.diagnosis.inference.noise import MOST_LAGS, whole_past
 from trackres_ros.diagnosis.prepare.refuse import check_speed
 from trackres_ros.diagnosis.prepare.resample import step_for
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals, lap_std
 from trackres_ros.errors import InputError
 from trackres_ros.progress import counted
 from trackres_ros.recording.recording import Recording
 from trackres_ros.text.numbers import figures
+from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle.writing.changes import FileChanges, Interval
-
-Array = NDArray[np.float64]
 
 SCALES = ("mass", "rotating_mass_factor", "torque_scale", "efficiency", "torque_delay")
 """A coast-down does not determine these, nor the parameters of a torque sensor."""
@@ -47,62 +46,35 @@ SAMPLES_A_STEP = 1  # the deceleration hardly changes within a step
 FEWEST_GROUPS = 3  # of coast-downs, for a scatter
 FEWEST_ROWS = 20  # including history, for the noise and the values
 MOST_FOLDS = 6
-UNTOLD = 0.7  # of the prior standard deviation: a parameter with a larger posterior one is not determined
+UNDETERMINED = 0.7  # of the prior standard deviation: a parameter with a larger posterior one is not determined
 TOGETHER = 0.9  # of two errors above which only a combination is determined
 
 
 @dataclass(frozen=True, slots=True)
 class FittedValue:
-    """Parameter of a coast-down fit.
-
-    Attributes
-    ----------
-    name, unit, before, before_std
-        Values of the vehicle file; the standard deviation is infinite for an unknown value.
-    value, interval
-        Fitted value, and its interval including the uncertainty of the mass.
-    told
-        Whether the coast-downs determine it; else the value of the file stays.
-    with_others
-        Parameters that are not identifiable separately from it.
-    """
+    """Parameter of a coast-down fit."""
 
     name: str
     unit: str
-    before: float
-    before_std: float
+    before: float  # of the vehicle file
+    before_std: float  # infinite for an unknown value
     value: float
-    interval: Interval
-    told: bool
-    with_others: tuple[str, ...]
+    interval: Interval  # including the uncertainty of the mass
+    determined: bool  # whether the coast-downs determine it; else the value of the file stays
+    with_others: tuple[str, ...]  # parameters that are not identifiable separately from it
 
 
 @dataclass(frozen=True, eq=False)
 class Coastdown:
-    """Results of a fit to coast-downs.
-
-    Attributes
-    ----------
-    loaded, rolled
-        Vehicle and its coast-downs.
-    nominal, fitted
-        Torque of each session [Nm] with the vehicle file, and with the fitted values; the true torque while coasting
-        is zero.
-    parameters
-        Fitted parameters, and undetermined ones, which stay.
-    mass_std
-        Relative standard deviation of mass and rotating masses, in all intervals.
-    improvement
-        Change of the hold-out error over coast-downs; None for a single one.
-    """
+    """Results of a fit to coast-downs."""
 
     loaded: LoadedBase
     rolled: Rollouts
-    nominal: tuple[Array, ...]
-    fitted: tuple[Array, ...]
-    parameters: tuple[FittedValue, ...]
-    mass_std: float
-    improvement: Improvement | None
+    nominal: tuple[Array, ...]  # torque of each session with the vehicle file [Nm]; the true torque while coasting is zero
+    fitted: tuple[Array, ...]  # and with the fitted values [Nm]
+    parameters: tuple[FittedValue, ...]  # fitted, and undetermined ones, which stay
+    mass_std: float  # relative standard deviation of mass and rotating masses, in all intervals
+    improvement: Improvement | None  # of the hold-out error over coast-downs; None for a single one
 
     @property
     def better(self) -> bool:
@@ -113,31 +85,16 @@ class Coastdown:
     def kept(self) -> FileChanges:
         """Changes that may be written."""
         values = {p.name: p.value for p in self.parameters}
-        spans = {("", p.name): p.interval for p in self.parameters if p.told}
-        told = ", ".join(p.name for p in self.parameters if p.told) or "none"
+        spans = {("", p.name): p.interval for p in self.parameters if p.determined}
+        determined = ", ".join(p.name for p in self.parameters if p.determined) or "none"
         return FileChanges(
-            values, (), spans, f"found in {len(self.rolled.stretches)} coast-downs: {told}", by="trackres coastdown"
+            values, (), spans, f"found in {len(self.rolled.stretches)} coast-downs: {determined}", by="trackres coastdown"
         )
 
 
 def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1) -> Coastdown:
-    """Estimate resistance parameters from coast-downs.
-
-    Parameters
-    ----------
-    recordings
-        Have a speed, in the order of their times.
-    loaded
-        Vehicle with its base model.
-    seed
-        Of the bootstrap over coast-downs.
-
-    Raises
-    ------
-    InputError
-        If there are no coast-downs, with the reasons for rejected stretches; or if the vehicle has no free parameters.
-    """
-    base = _told_by_rolling(loaded.base)
+    """Estimate resistance parameters; an `InputError` without coast-downs or free parameters. `seed` is that of the bootstrap."""
+    base = _with_free(loaded.base, [q.name for q in loaded.base.parameters if q.name not in SCALES])
     if not base.parameters:
         given = "a vehicle file with a zero-width range on every value that a coast-down could determine"
         raise InputError("vehicle", given, "ranges for its values", "widen the ranges of uncertain values")
@@ -146,7 +103,7 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
     for session in rolled.sessions:
         check_speed(session, loaded.known.max_speed)
     if not rolled.stretches:
-        counts = "; ".join(f"{count} {reason}" for reason, count in rolled.left_out.items())
+        counts = "; ".join(f"{count} {reason}" for reason, count in rolled.rejected.items())
         why = counts or "it nowhere slows down for several seconds"
         raise InputError(
             ", ".join(r.name for r in recordings),
@@ -166,9 +123,9 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
     problem = Problem(base, rolled.sessions, tuple(s.used for s in rolled.sessions))
     all_free = fit(problem, largest_root=LARGEST_ROOT)
     scatter = _scatter(all_free, rolled)
-    told = [f.key[1] for f in all_free.free if max(all_free.std_of(*f.key), scatter.get(f.key, 0.0)) < UNTOLD * f.std]
-    problem = replace(problem, base=_with_free(base, told))
-    found = fit(problem, start=all_free.at, largest_root=LARGEST_ROOT) if told else None
+    determined = [f.key[1] for f in all_free.free if max(all_free.std_of(*f.key), scatter.get(f.key, 0.0)) < UNDETERMINED * f.std]
+    problem = replace(problem, base=_with_free(base, determined))
+    found = fit(problem, start=all_free.at, largest_root=LARGEST_ROOT) if determined else None
     nominal = tuple(p.torque for p in problem.predict({q.name: q.nominal for q in base.parameters}, ()))
     mass_std = _mass_std(loaded.base, rolled)
     rng = np.random.default_rng(seed)
@@ -179,21 +136,15 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
         nominal if found is None else tuple(p.torque for p in found.predicted),
         _parameters(base, all_free, found, scatter, mass_std),
         mass_std,
-        _improvement(problem, rolled, nominal, rng) if told else None,
+        _improvement(problem, rolled, nominal, rng) if determined else None,
     )
-
-
-def _told_by_rolling(base: Base) -> Base:
-    """The base with the parameters free that a coast-down determines."""
-    return _with_free(base, [q.name for q in base.parameters if q.name not in SCALES])
 
 
 def _with_free(base: Base, names: Collection[str]) -> Base:
     """The base with these parameters free, and without errors of a torque sensor."""
     found = copy.copy(base)
-    assert isinstance(found, TrackBase | RoadBase)
     found.parameters = tuple(q for q in base.parameters if q.name in names)
-    found.held = {**base.held, **{q.name: q.nominal for q in base.parameters if q.name not in names}}
+    found.fixed = {**base.fixed, **{q.name: q.nominal for q in base.parameters if q.name not in names}}
     found.includes = (*base.includes, *(effect.name for effect in instrument(base)))
     return found
 
@@ -209,9 +160,7 @@ def _mass_std(base: Base, rolled: Rollouts) -> float:
 
 
 def _scatter(all_free: Fit, rolled: Rollouts) -> dict[tuple[str, str], float]:
-    """Standard deviations from leaving out coast-downs, widened by Student's distribution for few of them. They include
-    unmeasured slopes and winds.
-    """
+    """Standard deviations from leaving out coast-downs, thus with unmeasured slopes and winds, wider for few of them."""
     together = _together(rolled, FEWEST_GROUPS)
     groups = math.ceil(len(rolled.stretches) / together)
     wider = float(student.ppf(0.975, groups - 1)) / NORMAL_95 if groups > 1 else 1.0
@@ -219,9 +168,7 @@ def _scatter(all_free: Fit, rolled: Rollouts) -> dict[tuple[str, str], float]:
 
 
 def _together(rolled: Rollouts, fewest: int) -> int:
-    """Number of consecutive coast-downs left out at once: without a known slope two, one in each direction, if there are
-    enough pairs.
-    """
+    """Number of consecutive coast-downs left out at once: without a known slope two, of both directions, if there are enough."""
     known = all("grade" in s.given for s in rolled.sessions)
     return 1 if known or len(rolled.stretches) < 2 * fewest else 2
 
@@ -235,14 +182,14 @@ def _parameters(
     values = {} if found is None else found.at
     listed = []
     for i, (q, f) in enumerate(zip(base.parameters, all_free.free, strict=True)):
-        told, at, span = f.key in values, all_free.at[f.key], spans[f.key]
+        determined, at, span = f.key in values, all_free.at[f.key], spans[f.key]
         value = values.get(f.key, q.nominal)
         of_mass = NORMAL_95 * mass_std * abs(value) if q.name in FORCES else 0.0
         by_rollings = NORMAL_95 * scatter.get(f.key, 0.0)
         below, above = (np.hypot(max(reach, by_rollings), of_mass) for reach in (at - span.low, span.high - at))
         span = Interval(max(f.low, value - float(below)), min(f.high, value + float(above)), span.bound_only)
         others = [g.key[1] for j, g in enumerate(all_free.free) if j != i and abs(correlation[i, j]) > TOGETHER]
-        listed.append(FittedValue(q.name, q.unit, q.nominal, q.std, value, span, told, tuple(others)))
+        listed.append(FittedValue(q.name, q.unit, q.nominal, q.std, value, span, determined, tuple(others)))
     return tuple(listed)
 
 
@@ -262,3 +209,31 @@ def _improvement(problem: Problem, rolled: Rollouts, nominal: Sequence[Array], r
             series[mask] = of.torque[mask]
     masks = [s.used for s in rolled.sessions]
     return HeldOutLaps(rolled.sessions, masks, rng).improvement(nominal, expected)
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """Speeds of one coast-down; series of shape (n,)."""
+
+    name: str  # of the recording
+    time: Array  # since the start of the recording [s]
+    measured: Array  # speed [m/s]
+    by_file: Array  # speed with the vehicle file, from the first measured one on [m/s]
+    by_found: Array  # and with the fitted values [m/s]
+    over_file: Array  # excess resistance torque [Nm]
+    over_found: Array
+
+
+def rollouts_of(found: Coastdown) -> list[Rollout]:
+    """All coast-downs of a result, in order."""
+    base, listed = found.loaded.base, []
+    for stretch in found.rolled.stretches:
+        session, at = found.rolled.sessions[stretch.session], slice(stretch.begin, stretch.end)
+        sense = np.sign(session.speed[at])
+        per_acceleration = session.weight[at] / GRAVITY * base.rotating_mass_factor * base.facts.radius
+        over = [sense * (torque[stretch.session][at] - session.torque[at]) for torque in (found.nominal, found.fitted)]
+        # Excess torque of a model adds deceleration; the effect of the changed speed is neglected.
+        behind = [np.concatenate(([0.0], np.cumsum(x / per_acceleration)[:-1])) * session.step for x in over]
+        measured = np.abs(session.speed[at])
+        listed.append(Rollout(session.name, session.time[at], measured, *(measured - b for b in behind), *over))
+    return listed

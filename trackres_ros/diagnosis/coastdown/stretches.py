@@ -38,39 +38,18 @@ class RollOut:
 
 @dataclass(frozen=True, eq=False)
 class Rollouts:
-    """Sessions with only coast-downs in use, each as its own lap.
+    """Sessions with only coast-downs in use, each as its own lap."""
 
-    Attributes
-    ----------
-    sessions
-        On an even grid. A missing torque is zero.
-    stretches
-        In driving order.
-    left_out
-        Reasons for rejecting other decelerations, with their counts.
-    notes
-        Assumptions, one sentence each.
-    """
-
-    sessions: tuple[DriveSession, ...]
-    stretches: tuple[RollOut, ...]
-    left_out: Mapping[str, int]
-    notes: tuple[str, ...]
+    sessions: tuple[DriveSession, ...]  # on an even grid; a missing torque is zero
+    stretches: tuple[RollOut, ...]  # in driving order
+    rejected: Mapping[str, int]  # reasons for rejecting other decelerations, with their counts
+    notes: tuple[str, ...]  # assumptions, one sentence each
 
 
 def rollouts(recordings: list[Recording], settings: GateSettings, radius: float, step: float) -> Rollouts:
-    """Find the coast-downs of recordings.
+    """Find the coast-downs of recordings, on a grid of `step` [s].
 
-    Parameters
-    ----------
-    recordings
-        Have a speed; with a recorded torque, only stretches of zero torque are used.
-    settings
-        Of the vehicle.
-    radius
-        Radius of the sprocket, or of the wheel [m].
-    step
-        Step of the grid [s].
+    With a recorded torque, only stretches of zero torque are used. `radius` is that of the sprocket, or of the wheel [m].
 
     Raises
     ------
@@ -79,24 +58,24 @@ def rollouts(recordings: list[Recording], settings: GateSettings, radius: float,
     """
     sessions: list[DriveSession] = []
     stretches: list[RollOut] = []
-    left_out: Counter[str] = Counter()
+    rejected: Counter[str] = Counter()
     notes: list[str] = []
     for recording in recordings:
         measured = any(r.partition("/")[0] == "torque" and np.isfinite(s.value).any() for r, s in recording.series.items())
         if not measured:
             notes.append(f"{recording.name}: no torque was recorded; deceleration is assumed to be without drive or brakes")
         rolling = recording if measured else _without_torque(recording)
-        session, unknown = resample(rolling, step, settings, frozenset(), notes, SHORTEST_RECORDING_S)
+        session, unknown = resample(rolling, step, settings, notes, SHORTEST_RECORDING_S)
         session, of_slope = with_slope(session)
         notes += [of_slope] if of_slope else []
         used = np.zeros(len(session), dtype=bool)
         block = np.full(len(session), -1, dtype=np.int64)
-        for begin, end in _falls(session, unknown, settings, measured, radius, left_out):
+        for begin, end in _falls(session, unknown, settings, measured, radius, rejected):
             block[begin:end] = len(stretches)
             used[begin:end] = True
             stretches.append(RollOut(len(sessions), begin, end))
         sessions.append(replace(session, used=used, block=block))
-    return Rollouts(tuple(sessions), tuple(stretches), dict(left_out), tuple(notes))
+    return Rollouts(tuple(sessions), tuple(stretches), dict(rejected), tuple(notes))
 
 
 def _without_torque(recording: Recording) -> Recording:
@@ -114,7 +93,7 @@ def _falls(
     settings: GateSettings,
     measured: bool,
     radius: float,
-    left_out: Counter[str],
+    rejected: Counter[str],
 ) -> list[tuple[int, int]]:
     """Stretches of free deceleration: first sample, and the one after the last."""
     slows = np.sign(session.speed) * _smooth(session.accel, session.step)
@@ -122,7 +101,7 @@ def _falls(
     for reason, bad in unknown.items():
         lost = float((falls & bad).sum()) * session.step
         if lost >= SHORTEST_S:
-            left_out[f"s of {session.name}: {reason}"] += round(lost)
+            rejected[f"s of {session.name}: {reason}"] += round(lost)
     for bad in unknown.values():
         falls &= ~bad
     if measured:
@@ -135,11 +114,11 @@ def _falls(
         speed = np.abs(session.speed[begin:end])
         fall, seconds = float(speed[0] - speed[-1]), (end - begin) * session.step
         if seconds < SHORTEST_S or fall < LEAST_FALL_MPS:
-            left_out[f"shorter than {SHORTEST_S:g} s, or by less than {LEAST_FALL_MPS:g} m/s"] += 1
+            rejected[f"shorter than {SHORTEST_S:g} s, or by less than {LEAST_FALL_MPS:g} m/s"] += 1
         elif not measured and fall < LEAST_FALL_SHARE * speed[0]:
-            left_out[f"by less than {LEAST_FALL_SHARE:.0%} of the speed, with no torque recorded"] += 1
+            rejected[f"by less than {LEAST_FALL_SHARE:.0%} of the speed, with no torque recorded"] += 1
         elif "brake" not in session.given and float(np.min(slows[begin:end])) < -HARDEST_MPS2:
-            left_out[f"harder than {HARDEST_MPS2:g} m/s^2: brakes"] += 1
+            rejected[f"harder than {HARDEST_MPS2:g} m/s^2: brakes"] += 1
         else:
             found.append((begin, end))
     return found

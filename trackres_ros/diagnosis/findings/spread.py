@@ -23,8 +23,8 @@ from scipy.stats import t
 
 from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.prepare.sample_noise import SECOND_DIFFERENCE
 from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.prepare.speed_smoothing import SECOND_DIFFERENCE
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import MAD_TO_STD
 

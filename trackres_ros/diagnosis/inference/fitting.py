@@ -16,11 +16,8 @@ from scipy.optimize import least_squares
 from trackres_ros.diagnosis.base.base import Base, BaseParameter, Predicted
 from trackres_ros.diagnosis.base.instrument import instrument
 from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, Noise, estimate_noise, whitened
-from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.effects.effect import Active, Effect
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 ROUNDS, MOST_ROUNDS = 3, 10  # of fit and noise
 SETTLED = 0.3  # in log-likelihood: a round with a smaller gain is the last
@@ -46,23 +43,13 @@ class Free:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Measurements of one kind in one session; arrays of shape (n,).
+    """Measurements of one kind in one session; arrays of shape (n,)."""
 
-    Attributes
-    ----------
-    kind
-        ``torque`` [Nm] or ``belt`` [degC].
-    session
-        Index of the session.
-    measured, mask, block
-        Values, the mask of used ones, and the lap of each.
-    """
-
-    kind: str
-    session: int
+    kind: str  # `torque` [Nm] or `belt` [degC]
+    session: int  # index
     measured: Array
-    mask: Mask
-    block: NDArray[np.int64]
+    mask: Mask  # used values
+    block: NDArray[np.int64]  # lap of each
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,35 +128,19 @@ def log_likelihood(problem: Problem, residuals: Sequence[Array], noises: Mapping
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted model.
-
-    Attributes
-    ----------
-    base_values, effects
-        Fitted values and effects.
-    instrument
-        Errors of the torque sensor within an instrument's bounds, see `base.instrument`.
-    free, point, covariance
-        The fitted parameters, in their order, their estimates, and the covariance of these.
-    noises, log_likelihood
-        Noise of each kind of residual; the likelihood including the priors.
-    samples
-        Number of used residuals.
-    predicted
-        Prediction of each session.
-    """
+    """A fitted model."""
 
     problem: Problem
     base_values: dict[str, float]
     effects: tuple[Active, ...]
-    instrument: tuple[Active, ...]
-    free: tuple[Free, ...]
-    point: Array
-    covariance: Array
-    noises: dict[str, Noise]
-    log_likelihood: float
-    samples: int
-    predicted: tuple[Predicted, ...]
+    instrument: tuple[Active, ...]  # errors of the torque sensor within an instrument's bounds
+    free: tuple[Free, ...]  # the fitted parameters, in their order
+    point: Array  # their estimates
+    covariance: Array  # of these
+    noises: dict[str, Noise]  # of each kind of residual
+    log_likelihood: float  # including the priors
+    samples: int  # number of used residuals
+    predicted: tuple[Predicted, ...]  # of each session
 
     @cached_property
     def residuals(self) -> list[Array]:
@@ -210,6 +181,11 @@ class Fit:
         """Whitened residuals of each segment, over their standard deviation."""
         return self.problem.white(self.residuals, self.noises)
 
+    @cached_property
+    def weights(self) -> Array:
+        """Weights of the residuals of all segments, concatenated; nan where unused."""
+        return np.concatenate([self.noises[g.kind].weights(w) for w, g in zip(self.white, self.problem.segments, strict=True)])
+
     @property
     def effect_names(self) -> tuple[str, ...]:
         """Names of the fitted effects."""
@@ -217,9 +193,7 @@ class Fit:
 
     @cached_property
     def log_evidence(self) -> float:
-        """Log-likelihood less the cost of estimating parameters within their priors (Laplace). Only differences
-        between fits of the same base are meaningful.
-        """
+        """Log-likelihood less the cost of parameters within their priors (Laplace), comparable between fits of one base."""
         prior = np.array([f.std if np.isfinite(f.std) else f.scale for f in self.free])
         settled = np.linalg.eigvalsh(self.covariance / np.outer(prior, prior))
         return self.log_likelihood + 0.5 * float(np.log(np.maximum(settled, 1e-12)).sum())
@@ -232,6 +206,10 @@ class Fit:
 
 def free_parameters(base: Base, effects: Sequence[Effect]) -> tuple[Free, ...]:
     """All parameters of effects and of a base. Those of sensors come first, because they need no new simulation."""
+
+    def of_base(q: BaseParameter) -> Free:
+        return Free(("", q.name), q.unit, q.low, q.high, q.nominal, q.std, q.std if np.isfinite(q.std) else q.high - q.low)
+
     found = []
     for effect in sorted(effects, key=lambda e: e.acts_on != "sensor"):
         for q in (q for q in effect.parameters if q.fitted):
@@ -240,7 +218,7 @@ def free_parameters(base: Base, effects: Sequence[Effect]) -> tuple[Free, ...]:
             std = 0.5 * wide if q.off is None else LARGE * abs(q.start - q.off)
             found.append(Free((effect.name, q.name), q.unit, q.low, q.high, q.start if q.off is None else q.off, std, wide))
     of_sensors = sum(q.fitted for e in effects if e.acts_on == "sensor" for q in e.parameters)
-    return (*found[:of_sensors], *map(_of_base, base.parameters), *found[of_sensors:])
+    return (*found[:of_sensors], *map(of_base, base.parameters), *found[of_sensors:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,14 +366,8 @@ def fit(
     )  # fmt: skip
 
 
-def _of_base(q: BaseParameter) -> Free:
-    return Free(("", q.name), q.unit, q.low, q.high, q.nominal, q.std, q.std if np.isfinite(q.std) else q.high - q.low)
-
-
 def jacobian(function: Callable[[Array], Array], at: Array, free: Sequence[Free]) -> Array:
-    """Derivatives of a function by each free parameter, shape (values, parameters), by differences within the
-    bounds.
-    """
+    """Derivatives of a function by each free parameter, shape (values, parameters), by differences within the bounds."""
     here = function(at)
     columns = np.empty((len(here), len(at)))
     for i, f in enumerate(free):

@@ -13,14 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import MAD_TO_STD
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 MOST_LAGS = 4
 LARGEST_ROOT = 0.995  # of the autoregression: a larger one would treat a constant as noise
@@ -32,9 +29,7 @@ TURNS = 6  # of weights and coefficients
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """An autoregression with innovations e_t = x_t - sum phi_i x_(t-i) of Student's t: `scale` times t with `degrees` degrees of
-    freedom.
-    """
+    """An autoregression e_t = x_t - sum phi_i x_(t-i) with innovations of Student's t, times `scale`."""
 
     phi: Array
     scale: float
@@ -94,16 +89,9 @@ def shortened(noise: Noise) -> Noise | None:
 
 
 def whitened(series: Array, mask: Mask, phi: Array) -> Array:
-    """Whitened series along axis 0; rows without `MOST_LAGS` known past samples are nan.
+    """Whitened series along axis 0, shape (n,) or (n, k); rows without `MOST_LAGS` known past samples are nan.
 
     The number is independent of the order, so likelihoods of two fits use the same rows.
-
-    Parameters
-    ----------
-    series
-        Shape (n,) or (n, k).
-    mask
-        Usable samples, shape (n,).
     """
     valid = whole_past(mask, MOST_LAGS)
     out = np.array(series, dtype=float)
@@ -143,10 +131,7 @@ def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask], largest_ro
 def improved(x: Array, y: Array, noise: Noise, turns: int = 2, largest_root: float = LARGEST_ROOT) -> Noise:
     """Improve coefficients and scale in turn, by expectation-maximisation; order and tails stay.
 
-    Parameters
-    ----------
-    x, y
-        Past values, nearest first, shape (n, lags), and the series, shape (n,).
+    x are past values, nearest first, shape (n, lags), and y is the series, shape (n,).
     """
     phi, scale, degrees = noise.phi, noise.scale, noise.degrees
     left = y - x @ phi

@@ -23,18 +23,10 @@ MOST_LOST = 0.2  # of a braking torque: a gear loss of a tenth in both direction
 def motor_brakes_alone(sessions: Sequence[DriveSession], compared: Sequence[Mask]) -> float:
     """Torque [Nm], zero or negative, down to which the motor brakes alone; zero where unknown.
 
-    Parameters
-    ----------
-    sessions
-        Sessions of one vehicle.
-    compared
-        Moving steps of each with known speed and torque.
-
-    Notes
-    -----
     The torque of driving steps depends on speed, acceleration and slope. With friction brakes, the vehicle decelerates more
-    than its torque explains: much more in some steps of a torque level, or a little in all of them. Braking steps
-    are checked level by level, from the smallest torque on, up to the first level with either sign.
+    than its torque explains: much more in some steps of a torque level, or a little in all of them. Braking steps are checked
+    level by level, from the smallest torque on, up to the first level with either sign. Compared are the moving steps of each
+    session with known speed and torque.
     """
     torque, columns = (np.concatenate(rows) for rows in zip(*map(_rows, sessions, compared), strict=True))
     drives = np.concatenate([~near(s.torque <= 0.0)[m] for s, m in zip(sessions, compared, strict=True)])

@@ -41,14 +41,9 @@ class _Offset(NamedTuple):
 def on_one_clock(recording: Recording) -> tuple[Recording, list[str]]:
     """The recording with every role on the clock of the speed, and notes.
 
-    A role that begins and ends the same time before or after the speed has another clock. A torque is shifted if it then
-    fits the speed. Another role is shifted if the logging times, or such a torque, confirm the offset. Another role that is
-    off by a time zone is not used. The speed's clock is the reference.
-
-    Raises
-    ------
-    InputError
-        If the clock of the speed or of a torque was set back, or the offset of a torque is ambiguous.
+    A role that begins and ends the same time before or after the speed has another clock. A torque is shifted if it then fits the
+    speed, and refused if ambiguous. Another role is shifted if the logging times, or such a torque, confirm the offset. Another
+    role that is off by a time zone is not used. A clock of speed or torque that was set back is refused.
     """
     series = {role: _set(samples) if recording.zero_is_unset else samples for role, samples in recording.series.items()}
     torques = [role for role in series if base_role(role) == "torque"]
@@ -106,13 +101,7 @@ def _refuse_set_back(where: str, series: Series, several: bool) -> None:
 
 
 def _pauses(name: str, at: Array) -> list[str]:
-    """Notes on long pauses of the speed [s].
-
-    Raises
-    ------
-    InputError
-        If one is longer than a day.
-    """
+    """Notes on long pauses of the speed; an `InputError` if one is longer than a day."""
     gaps = np.diff(at)
     longest = int(np.argmax(gaps)) if len(gaps) else 0
     if len(gaps) and gaps[longest] > LONGEST_PAUSE_S:
@@ -140,13 +129,7 @@ def _ahead_ns(series: Series) -> float:
 
 
 def _goes_better(speed: tuple[Array, Array], torque: tuple[Array, Array], seconds: int, where: str, given: str) -> bool:
-    """Whether a torque fits the speed better after the shift; False where it fits without.
-
-    Raises
-    ------
-    InputError
-        If it fits neither way.
-    """
+    """Whether a torque fits the speed better after the shift, not without it; an `InputError` if it fits neither way."""
     as_it_is, moved = (_explained(speed, (torque[0] - off, torque[1])) for off in (0, seconds))
     if moved >= SURE and moved >= as_it_is + CLEARLY_BETTER:
         return True

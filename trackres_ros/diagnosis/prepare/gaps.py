@@ -30,19 +30,10 @@ FEWEST_FOR_SPACING = 100
 
 
 def filled_steps(speed: Samples, torques: Sequence[Samples], edges: Array, slowest: float) -> dict[str, Mask]:
-    """Steps with a filled-in speed or torque, by reason.
+    """Steps with a filled-in speed or torque, by reason; `edges` of the steps [s] have the shape (n + 1,).
 
-    A line filled a gap where speed and torque are both straight within their resolution, or one is straight far
-    longer than usual. A last value was repeated where both stay constant far longer than usual.
-
-    Parameters
-    ----------
-    speed, torques
-        Times [s] and values of each series.
-    edges
-        Of the steps [s], shape (n + 1,).
-    slowest
-        Speed above which the vehicle moves [m/s].
+    A line filled a gap where speed and torque are both straight within their resolution, or one is straight far longer than
+    usual. A last value was repeated where both stay constant far longer than usual, above the `slowest` speed of motion [m/s].
     """
     of_speed, *of_torques = (_straight(samples, edges) for samples in (speed, *torques))
     any_torque, long_torque = (np.any(masks, axis=0) for masks in zip(*of_torques, strict=True))

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,10 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.altitude import with_slope
-from trackres_ros.diagnosis.prepare.brakes import motor_brakes_alone
+from trackres_ros.diagnosis.prepare.brakes import motor_brakes_alone, near
 from trackres_ros.diagnosis.prepare.clocks import on_one_clock
-from trackres_ros.diagnosis.prepare.laps import lap_numbers
-from trackres_ros.diagnosis.prepare.order import in_order
 from trackres_ros.diagnosis.prepare.refuse import (
     EARLIEST_CLOCK_S,
     SHORTEST_S,
@@ -27,48 +26,33 @@ from trackres_ros.diagnosis.prepare.refuse import (
     nothing_left,
     refuse_overlaps,
 )
-from trackres_ros.diagnosis.prepare.resample import is_hidden, resample, step_for
-from trackres_ros.diagnosis.prepare.session import DriveSession, Mask
+from trackres_ros.diagnosis.prepare.resample import BRAKES_ON, resample, step_for
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S, GateSettings, pace
-from trackres_ros.diagnosis.prepare.usable import BRAKES_ON, is_slow, usable
+from trackres_ros.diagnosis.prepare.split import lap_numbers
 from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import base_role
 from trackres_ros.recording.wheels import wheel_notes
 
-LEFT_OUT = "in recordings that are left out"
+UNUSED = "in recordings that are left out"
 SLOWER = 5.0  # times the step of half of the driving: slower recordings would blur the others
 LONGEST_STEP_S = 60.0  # speed and torque vary within it, so their means hardly show inertia
 SHORTEST_MOVING_S = 60.0
 LONGEST_BREAK_S = 7 * 86400.0  # between recordings with continuous clocks
 CLOCK_OFF_S = 60.0  # most by which a given standing time may be shorter than the clocks' without a conflict
-
-
-@dataclass(frozen=True, slots=True)
-class Exclusion:
-    """Excluded time [s], and the reason."""
-
-    reason: str
-    seconds: int
+SAME_SHARE = 1e-9  # of the largest torque: a rounding difference
+LONGEST_STUCK_S = 30.0
+BRAKING_MPS2 = -0.5  # at a torque that does not drive: friction brakes may act
 
 
 @dataclass(frozen=True, eq=False)
 class Gated:
-    """Recordings that passed the checks.
+    """Recordings that passed the checks."""
 
-    Attributes
-    ----------
-    sessions
-        One for each used recording.
-    left_out
-        Exclusions, by reason.
-    notes
-        Assumptions, one sentence each.
-    """
-
-    sessions: tuple[DriveSession, ...]
-    left_out: tuple[Exclusion, ...]
-    notes: tuple[str, ...]
+    sessions: tuple[DriveSession, ...]  # one for each used recording, of one step, cut into laps
+    excluded: Mapping[str, int]  # time [s], by reason
+    notes: tuple[str, ...]  # assumptions, one sentence each
 
 
 def gate(
@@ -76,21 +60,7 @@ def gate(
 ) -> Gated:
     """Check recordings and resample them to an even grid; unusable ones are skipped with a note.
 
-    Parameters
-    ----------
-    recordings
-        In any order; see `in_order`.
-    settings
-        Of the vehicle.
-    hide
-        Roles that are not read.
-    refused
-        Recordings rejected before the gate.
-
-    Returns
-    -------
-    Gated
-        Sessions of one step, cut into laps; exclusions, and assumptions.
+    Roles in `hide` are not read. `refused` are recordings rejected before the gate.
 
     Raises
     ------
@@ -114,9 +84,9 @@ def gate(
         checked = each_usable(checked, _enough, refused)
     if not checked:
         raise nothing_left(refused)
-    left_out = sum((one.left_out for one in checked), Counter[str]())
+    excluded = sum((one.excluded for one in checked), Counter[str]())
     unused = [r for r in given if r.name in {one.name for one in refused}]
-    left_out[LEFT_OUT] = sum(int(duration_s(r.series)) for r in unused)
+    excluded[UNUSED] = sum(int(duration_s(r.series)) for r in unused)
     notes = [f"{one.name}: not used: {one.reason}" for one in refused] + overlaps
     if step < STEP_S:
         notes.append(
@@ -126,7 +96,7 @@ def gate(
     if step > STEP_S:
         notes.append(f"samples are sparse, so torques are compared as means over {step:.0f} s")
     sessions = _one_after_another(checked, [r for r in unused if _drove(r)], notes)
-    return Gated(tuple(sessions), tuple(Exclusion(reason, n) for reason, n in left_out.items() if n), tuple(notes))
+    return Gated(tuple(sessions), {reason: n for reason, n in excluded.items() if n}, tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +118,7 @@ class _Resampled(_Admitted):
 
     session: DriveSession
     unknown: Mapping[str, Mask]
-    left_out: Counter[str]
+    excluded: Counter[str]
 
     @property
     def compared_s(self) -> float:
@@ -156,7 +126,8 @@ class _Resampled(_Admitted):
 
 
 def _admitted(recording: Recording, hide: Sequence[str], settings: GateSettings) -> _Admitted:
-    recording = replace(recording, series={role: s for role, s in recording.series.items() if not is_hidden(role, hide)})
+    shown = {role: s for role, s in recording.series.items() if role not in hide and base_role(role) not in hide}
+    recording = replace(recording, series=shown)
     shortest_s = SHORTEST_S * pace(step_for([recording], slowest_speed=settings.slowest))
     check_compared(recording.name, recording.series, shortest_s, recording.torque_candidates)
     recording, notes = on_one_clock(recording)
@@ -191,26 +162,28 @@ def _of_one_step(admitted: Sequence[_Admitted], refused: list[Refusal], settings
 
 
 def _resampled(one: _Admitted, step: float, settings: GateSettings) -> _Resampled:
-    session, unknown = resample(one.recording, step, settings, frozenset(), one.notes, SHORTEST_S * pace(step))
+    session, unknown = resample(one.recording, step, settings, one.notes, SHORTEST_S * pace(step))
     check_speed(session, settings.max_speed)
     return _Resampled(one.recording, one.stood, one.notes, session, unknown, Counter())
 
 
 def _checked(one: _Resampled, settings: GateSettings, alone: float) -> _Resampled:
     """The session with its mask of comparable samples, and a slope from its altitude."""
-    session = replace(one.session, used=usable(one.session, one.unknown, settings, one.left_out, alone))
+    session = replace(one.session, used=usable(one.session, one.unknown, settings, one.excluded, alone))
     if "brake" in session.given:
         one.notes.append(_of_brakes(session, one.unknown[BRAKES_ON], settings))
     session, of_slope = with_slope(session)
     one.notes.extend([of_slope] if of_slope else [])
-    one.notes.extend(f"{session.name}: {note}" for note in _of_wheels(one.recording))
+    if any(base_role(role) == "wheel_speed" for role in one.recording.series):
+        one.notes.extend(f"{session.name}: {note}" for note in wheel_notes(one.recording.aligned()))
     return replace(one, session=session)
 
 
 def _enough(one: _Resampled) -> _Resampled:
     shortest = SHORTEST_MOVING_S * one.session.pace
     if one.compared_s < shortest:
-        given = f"{one.compared_s:.0f} s of driving with a torque; not used: {_listed(one.left_out) or 'nothing'}"
+        excluded = ", ".join(f"{n} s {reason}" for reason, n in one.excluded.items() if n)
+        given = f"{one.compared_s:.0f} s of driving with a torque; not used: {excluded or 'nothing'}"
         remedy = "give a longer recording, or check units and topics"
         raise InputError(one.name, given, f"at least {shortest:.3g} s", remedy)
     return one
@@ -269,19 +242,8 @@ def _of_brakes(session: DriveSession, on: Mask, settings: GateSettings) -> str:
     )
 
 
-def _of_wheels(recording: Recording) -> list[str]:
-    """Notes about the wheel speeds."""
-    return wheel_notes(recording.aligned()) if any(base_role(role) == "wheel_speed" for role in recording.series) else []
-
-
 def _stood(recording: Recording) -> float:
-    """Recorded standing time before the drive [s]; infinite if unknown, or too long to matter.
-
-    Raises
-    ------
-    InputError
-        If it is negative.
-    """
+    """Recorded standing time before the drive [s]; infinite if unknown, or too long to matter."""
     series = recording.series.get("stood")
     given = series.value[np.isfinite(series.value)] if series is not None else np.empty(0)
     if not len(given):
@@ -304,5 +266,56 @@ def _motor_brakes_alone(resampled: Sequence[_Resampled], settings: GateSettings,
     return alone
 
 
-def _listed(left_out: Counter[str]) -> str:
-    return ", ".join(f"{n} s {reason}" for reason, n in left_out.items() if n)
+def in_order(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings by their start; those with equal starts by their samples: of speed, then of the other roles.
+
+    Without a common clock all start at 0 s. Their order is then arbitrary but reproducible: the hold-out set depends on it.
+    """
+
+    def digests(recording: Recording) -> list[str]:
+        roles = sorted(recording.series, key=lambda role: (role != "speed", role))
+        series = [recording.series[role] for role in roles]
+        content = [(s.stamp_ns - recording.start_ns).tobytes() + s.value.tobytes() for s in series]
+        return [hashlib.blake2b(one, digest_size=16).hexdigest() for one in content]
+
+    return sorted(recordings, key=lambda r: (r.start_ns, digests(r), r.name))
+
+
+def usable(
+    session: DriveSession, unknown: Mapping[str, Mask], settings: GateSettings, excluded: Counter[str], alone: float
+) -> Mask:
+    """Steps with a comparable torque; `excluded` receives the seconds of the others, each under its first reason.
+
+    `unknown` are steps without a needed measurement, each of shape (n,), by reason. Down to the torque `alone` [Nm], zero or
+    negative, the motor brakes alone.
+    """
+    used = np.ones(len(session), dtype=bool)
+    braking = (session.accel < BRAKING_MPS2) & (session.torque <= 0.0)
+    if settings.friction_brakes:  # applied with a braking torque, and for a moment after it
+        braking = near(session.torque < alone if alone < 0.0 else session.torque <= 0.0)
+    if "brake" in session.given or settings.friction_brakes is None:  # all braking except the torque is known
+        braking = np.zeros(len(session), dtype=bool)
+    slow = is_slow(session, settings)
+    stuck = _stuck(session.torque, session.step, ~slow, LONGEST_STUCK_S * session.pace)
+    for reason, bad in (
+        *((reason, bad) for reason, bad in unknown.items() if reason != BRAKES_ON),
+        (f"slower than {settings.slowest:g} m/s", slow),
+        ("torque stuck", stuck),
+        (BRAKES_ON, unknown[BRAKES_ON]),
+        ("may brake", braking),
+    ):
+        excluded[reason] += round(int((used & bad).sum()) * session.step)
+        used &= ~bad
+    return used
+
+
+def is_slow(session: DriveSession, settings: GateSettings) -> Mask:
+    """Steps in which friction may be static."""
+    return np.asarray(np.abs(session.speed) < settings.slowest)
+
+
+def _stuck(torque: Array, step: float, moving: Mask, longest_s: float) -> Mask:
+    """Steps with a constant torque, but for rounding, while moving."""
+    changes = np.flatnonzero(~(np.abs(np.diff(torque, prepend=np.nan)) <= SAME_SHARE * np.abs(torque).max()))
+    lengths = np.diff(np.append(changes, len(torque)))
+    return np.repeat(lengths * step > longest_s, lengths) & moving

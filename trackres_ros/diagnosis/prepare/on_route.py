@@ -19,9 +19,7 @@ from trackres_ros.route.track import track_of
 
 
 def on_route(gated: Gated, route: Sequence[RouteMap]) -> Gated:
-    """Sessions with the torque of the route by position, and its slope if none is recorded; samples off the route are
-    excluded.
-    """
+    """Sessions with torque and, if not recorded, slope of the route by position; samples off the route are excluded."""
     sessions, notes = list(gated.sessions), list(gated.notes)
     for one in route:
         for i, session in enumerate(sessions):
@@ -51,9 +49,7 @@ def way_of(session: DriveSession) -> Way:
 
 
 def _along(session: DriveSession, route: RouteMap) -> Array:
-    """Learned values along the direction of travel, of a slope along the heading; mean over each step, nan where nothing
-    was learned.
-    """
+    """Means over each step of the values learned in the direction of travel, a slope along the heading; nan where unknown."""
     way = way_of(session)
     track = track_of(way.driven, *route.frame.metres(way.latitude, way.longitude))
     at = matched(route.places, [track])[0].at(track.nearest(way.driven))

@@ -105,13 +105,7 @@ def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
 def check_compared(
     name: str, series: Mapping[str, Series], shortest_s: float = SHORTEST_S, candidates: Sequence[str] = ()
 ) -> None:
-    """Refuse a recording without a torque, without a speed, or too short; `candidates` may hold its torque.
-
-    Raises
-    ------
-    InputError
-        Lists the roles that it has instead.
-    """
+    """Refuse a recording without a torque, without a speed, or too short; `candidates` may hold its torque."""
     if not any(role.partition("/")[0] == "torque" and np.isfinite(s.value).any() for role, s in series.items()):
         raise InputError(
             name,
@@ -127,13 +121,7 @@ def check_compared(
 
 
 def check_speed(session: DriveSession, max_speed: float) -> None:
-    """Refuse a session that never moves, or exceeds its vehicle's maximum speed [m/s].
-
-    Raises
-    ------
-    InputError
-        With the line of the topics file for another unit.
-    """
+    """Refuse a session that never moves, or exceeds its vehicle's maximum speed [m/s]."""
     fastest = float(np.percentile(np.abs(session.speed), 99.0))
     if fastest < min(SLOWEST_MPS, SLOWEST_SHARE * max_speed):
         raise InputError(session.name, f"speeds up to {fastest:.2f} m/s", "a vehicle that moves")

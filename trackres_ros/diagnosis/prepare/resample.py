@@ -6,27 +6,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.gaps import filled_steps, steps_without_value
 from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, SHORTEST_S, check_compared
-from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
 from trackres_ros.diagnosis.prepare.sampling import LONGEST_HOLD_S, any_from, carried, held, means, middles, ordered, read_off
 from trackres_ros.diagnosis.prepare.session import Array, Cumulative, DriveSession, Mask, Way
 from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, SLOWEST_MPS, STEP_S, GateSettings, pace
-from trackres_ros.diagnosis.prepare.speed_smoothing import smooth_speed
+from trackres_ros.diagnosis.prepare.speed_smoothing import noise_of_means, smooth_speed
 from trackres_ros.diagnosis.prepare.turning import turning
 from trackres_ros.diagnosis.prepare.unit_checks import check_speed_unit, check_units
-from trackres_ros.diagnosis.prepare.usable import BRAKES_ON
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import POSITION
 from trackres_ros.recording.samples import Series
 from trackres_ros.units import GRAVITY
 
+BRAKES_ON = "brakes on"
 MOST_UNKNOWN = 0.5  # of a recording
 ODOMETER_OFF = 0.15  # of the speed: a larger deviation means a reset or stuck odometer
 QUICK, STEADY = 1.0 / 3.0, 0.01
@@ -38,12 +37,7 @@ CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
 
 def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES, slowest_speed: float = SLOWEST_MPS) -> float:
     """Common step of recordings [s]: the usual one; longer for slow speed or torque, so that each step has several samples;
-    or shorter where the speed changes within the usual one.
-
-    Parameters
-    ----------
-    slowest_speed
-        A lower mean speed is standstill, and its variation is noise [m/s].
+    or shorter where the speed changes within the usual one. Mean speeds below the slowest [m/s] are standstill and noise.
 
     Notes
     -----
@@ -71,7 +65,7 @@ def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES, slow
 
 def _changes(recordings: Sequence[Recording], step: float, slowest_speed: float) -> float:
     """Share of the speed's mean square that changes by the next step, or averages out within steps; 0 at standstill, without
-    a speed, or with fewer samples than steps, as after a clock jump.
+    a speed, or with fewer samples than steps.
     """
     alike, whole, count = 0.0, 0.0, 0
     for recording in recordings:
@@ -86,22 +80,18 @@ def _changes(recordings: Sequence[Recording], step: float, slowest_speed: float)
     return 1.0 - alike / whole if whole > count * slowest_speed**2 else 0.0
 
 
-def is_hidden(role: str, hide: Collection[str]) -> bool:
-    """Whether a role is hidden, by itself or with all of its kind."""
-    return role in hide or role.partition("/")[0] in hide
-
-
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Readable channels of a recording, and their even grid; assumptions are added to the notes."""
+    """Readable channels of a recording, and their even grid; notes receive the assumptions, and `given` the known roles."""
 
     name: str
-    series: dict[str, Series]
+    series: Mapping[str, Series]
     start: int
     edges: Array
     step: float
     settings: GateSettings
     notes: list[str]
+    given: set[str]
 
     @property
     def count(self) -> int:
@@ -120,6 +110,12 @@ class _Grid:
 
     def samples(self, role: str) -> tuple[Array, Array]:
         return ordered(self.series[role], self.start)
+
+    def known(self, role: str, values: Array) -> Array:
+        """The values; the role is given if any is known."""
+        if np.isfinite(values).any():
+            self.given.add(role)
+        return values
 
     def held(self, role: str, default: float) -> Array:
         return held(self.series[role], self.start, self.edges, default) if role in self.series else np.full(self.count, default)
@@ -148,87 +144,43 @@ class _Torque:
     noise: float
 
 
-@dataclass(frozen=True, eq=False)
-class _Place:
-    """Position [rad], altitude [m], and the recorded ones of these."""
-
-    latitude: Array
-    longitude: Array
-    altitude: Array
-    given: frozenset[str]
-
-
-@dataclass(frozen=True, eq=False)
-class _Load:
-    """Weight of the whole and of the passengers [N], their number, and the recorded ones of these."""
-
-    weight: Array
-    payload: Array
-    passengers: Array
-    given: frozenset[str]
-
-
 def resample(
-    recording: Recording,
-    step: float,
-    settings: GateSettings,
-    hide: frozenset[str],
-    notes: list[str],
-    shortest_s: float = SHORTEST_S,
+    recording: Recording, step: float, settings: GateSettings, notes: list[str], shortest_s: float = SHORTEST_S
 ) -> tuple[DriveSession, dict[str, Mask]]:
-    """Put a recording on an even grid.
+    """Put a recording with a speed and a torque on an even grid of `step` [s]; `notes` receives the assumptions.
 
-    Parameters
-    ----------
-    recording
-        Has a speed and a torque.
-    step
-        Step of the grid [s].
-    settings
-        Of the vehicle; its weight and ambient temperature replace missing ones.
-    hide
-        Roles that are not read.
-    notes
-        Receives the assumptions.
-    shortest_s
-        Least duration [s].
-
-    Returns
-    -------
-    session
-        One lap with every step in use.
-    unknown
-        Steps without a needed measurement, each of shape (n,), by reason.
+    Weight and ambient temperature of the `settings` replace missing ones. The session is one lap with every step in use. Returned
+    with it are the steps without a needed measurement, each of shape (n,), by reason.
 
     Raises
     ------
     InputError
-        No torque, no speed, too short, or another unit.
+        No torque, no speed, shorter than `shortest_s`, or another unit.
     """
-    series = {role: s for role, s in recording.series.items() if not is_hidden(role, hide)}
+    series = recording.series
     check_compared(recording.name, series, shortest_s, recording.torque_candidates)
     edges = np.arange(0.0, ordered(series["speed"], recording.start_ns)[0][-1] + 1e-9, step)
     notes += check_units(recording.name, series, settings.weight)
-    grid = _Grid(recording.name, series, recording.start_ns, edges, step, settings, notes)
-    speed, torque, load, place = _speed(grid), _torque(grid), _load(grid), _place(grid)
+    grid = _Grid(recording.name, series, recording.start_ns, edges, step, settings, notes, set())
+    grid.given.update(role for role in CHANNELS if grid.has(role))
+    speed, torque = _speed(grid), _torque(grid)
+    weight, payload, passengers = _load(grid)
+    latitude, longitude, altitude = _place(grid)
     belts = [grid.held(role, np.nan) for role in series if role.partition("/")[0] == "belt"]
-    belt = np.mean(belts, axis=0) if belts else grid.nan
-    steering = _steering(grid)
-    given = frozenset(role for role in CHANNELS if grid.has(role)) | load.given | place.given
-    given |= {role for role, there in (("belt", np.isfinite(belt).any()), ("steering_angle", steering is not None)) if there}
-    yaw_rate, heading, given = _turning(grid, speed, given)
-    no_slope, given = _slope(grid, given)
+    belt = grid.known("belt", np.mean(belts, axis=0) if belts else grid.nan)
+    steering_angle = _steering(grid)
+    yaw_rate, heading = _turning(grid, speed)
+    no_slope = _slope(grid)
     braked = _braked(grid, recording.bindings.get("brake", TopicBinding()))
-    given |= frozenset() if braked is None else {"brake"}
     session = DriveSession(
         name=recording.name,
         step=step,
         time=edges[:-1],
         speed=speed.mean,
         accel=speed.accel,
-        weight=load.weight,
+        weight=weight,
         ambient=grid.held("ambient", settings.ambient),
-        grade=grid.held("grade", 0.0) if "grade" in given else np.zeros(grid.count),
+        grade=grid.held("grade", 0.0) if "grade" in grid.given else np.zeros(grid.count),
         yaw_rate=yaw_rate,
         heading=heading,
         distance=np.cumsum(_driven(speed.mean, speed.by_way)) * step,
@@ -236,34 +188,29 @@ def resample(
         belt=belt,
         used=~grid.nowhere,
         block=np.zeros(grid.count, dtype=np.int64),
-        given=given,
+        given=frozenset(grid.given),
         torque_course=_course(torque.samples),
         accel_noise=speed.accel_noise,
         torque_noise=torque.noise,
         belt_shows_surface=settings.belt_shows_surface,
         start_s=grid.start * 1e-9 if grid.start * 1e-9 > EARLIEST_CLOCK_S else np.nan,
-        latitude=place.latitude,
-        longitude=place.longitude,
-        altitude=place.altitude,
-        steering_angle=grid.nan if steering is None else steering,
-        passengers=load.passengers,
-        payload=load.payload,
-        way=_way(grid, speed) if "position" in given else None,
+        latitude=latitude,
+        longitude=longitude,
+        altitude=altitude,
+        steering_angle=steering_angle,
+        passengers=passengers,
+        payload=payload,
+        way=_way(grid, speed) if "position" in grid.given else None,
     )
+    scale = pace(step)
+    samples = [(at / scale, value) for at, value in ((speed.at, speed.raw), *torque.samples)]
     return session, {
         "no speed": ~speed.known,
         "no torque": ~torque.known,
-        **_filled(grid, speed, torque),
+        **filled_steps(samples[0], samples[1:], edges / scale, settings.slowest),
         "slope not known": no_slope,
-        BRAKES_ON: grid.nowhere if braked is None else braked,
+        BRAKES_ON: braked,
     }
-
-
-def _filled(grid: _Grid, speed: _Speed, torque: _Torque) -> dict[str, Mask]:
-    scale, torques = pace(grid.step), torque.samples
-    return filled_steps(
-        (speed.at / scale, speed.raw), [(at / scale, value) for at, value in torques], grid.edges / scale, grid.settings.slowest
-    )
 
 
 def _speed(grid: _Grid) -> _Speed:
@@ -296,69 +243,75 @@ def _torque(grid: _Grid) -> _Torque:
     return _Torque(samples, torque, known, noise)
 
 
-def _load(grid: _Grid) -> _Load:
-    """Measured weight, or the vehicle file's plus that of passengers."""
-    weight, of_load = _weight(grid.series, grid.start, grid.edges, grid.settings.weight)
-    given, payload = frozenset({"load"} if of_load else ()), np.zeros(grid.count)
-    passengers = carried(grid.series["passengers"], grid.start, grid.edges) if "passengers" in grid.series else grid.nan
-    if np.isfinite(passengers).any():
-        given |= {"passengers"}
-        grid.notes.append(_of_passengers(grid.name, passengers, grid.step, grid.settings.passenger_kg, of_load))
-        if not of_load:
-            payload = np.nan_to_num(passengers) * grid.settings.passenger_kg * GRAVITY
-            weight = weight + payload
-    return _Load(weight, payload, passengers, given)
+def _load(grid: _Grid) -> tuple[Array, Array, Array]:
+    """Weight of the whole vehicle, measured or the file's plus that of passengers, theirs [N], and their number."""
+    weight, payload = _weight(grid), np.zeros(grid.count)
+    passengers = grid.known(
+        "passengers", carried(grid.series["passengers"], grid.start, grid.edges) if "passengers" in grid.series else grid.nan
+    )
+    if "passengers" in grid.given and "load" in grid.given:
+        grid.notes.append(f"{grid.name}: the weight comes from the load channel, which is assumed to include the passengers")
+    elif "passengers" in grid.given:
+        kg_each, first = grid.settings.passenger_kg, int(np.argmax(np.isfinite(passengers)))
+        empty = f"; treated as empty until the first count, {first * grid.step:.0f} s after the start" if first else ""
+        grid.notes.append(f"{grid.name}: passengers of {kg_each:g} kg each are added to the empty vehicle{empty}")
+        payload = np.nan_to_num(passengers) * kg_each * GRAVITY
+        weight = weight + payload
+    return weight, payload, passengers
 
 
-def _place(grid: _Grid) -> _Place:
+def _place(grid: _Grid) -> tuple[Array, Array, Array]:
+    """Latitude and longitude [rad], and altitude [m]."""
     latitude, longitude = _position(grid.series, grid.start, grid.edges)
     altitude = read_off(grid.series["altitude"], grid.start, grid.edges) if "altitude" in grid.series else grid.nan
-    there = (("position", latitude), ("altitude", altitude))
-    return _Place(latitude, longitude, altitude, frozenset(role for role, values in there if np.isfinite(values).any()))
+    return grid.known("position", latitude), longitude, grid.known("altitude", altitude)
 
 
-def _steering(grid: _Grid) -> Array | None:
+def _steering(grid: _Grid) -> Array:
     if "steering_angle" not in grid.series or np.isfinite(grid.series["steering_angle"].value).sum() < 2:
-        return None
+        return grid.nan
     angle, there = means(*grid.samples("steering_angle"), grid.edges)
+    grid.given.add("steering_angle")
     return np.where(there, angle, np.nan)
 
 
-def _turning(grid: _Grid, speed: _Speed, given: frozenset[str]) -> tuple[Array, Array, frozenset[str]]:
-    """Yaw rate and heading, measured or derived, and the given channels."""
+def _turning(grid: _Grid, speed: _Speed) -> tuple[Array, Array]:
+    """Yaw rate and heading, measured or derived."""
     series, edges, settings = grid.series, grid.edges, grid.settings
     heading, yaw_rate = grid.held("heading", np.nan), grid.nan
-    if "yaw_rate" in given and not np.ptp(series["yaw_rate"].value[np.isfinite(series["yaw_rate"].value)]):
-        given -= {"yaw_rate"}  # a gyroscope is never exactly still
+    if "yaw_rate" in grid.given and not np.ptp(series["yaw_rate"].value[np.isfinite(series["yaw_rate"].value)]):
+        grid.given.remove("yaw_rate")  # a gyroscope is never exactly still
         grid.notes.append(f"{grid.name}: yaw_rate never changes; treated as not recorded")
-    if "yaw_rate" in given:
+    if "yaw_rate" in grid.given:
         yaw_rate = means(*grid.samples("yaw_rate"), edges)[0]
     elif made := turning(series, grid.start, edges, speed.mean, settings.slowest, settings.track_width):
         known_turns = np.isfinite(made.yaw_rate)
         if known_turns.mean() > 1.0 - MOST_UNKNOWN:
             yaw_rate = np.interp(edges[:-1], edges[:-1][known_turns], made.yaw_rate[known_turns])
-            given |= {"yaw_rate"}
+            grid.given.add("yaw_rate")
             grid.notes.append(f"{grid.name}: the yaw rate is computed from {made.made_of}")
-    if "yaw_rate" in given and "heading" not in given:
+    if "yaw_rate" in grid.given and "heading" not in grid.given:
         heading = np.cumsum(np.nan_to_num(yaw_rate)) * grid.step
-        given |= {"heading"}
+        grid.given.add("heading")
         grid.notes.append(f"{grid.name}: heading is integrated from the yaw rate")
-    return yaw_rate, heading, given
+    return yaw_rate, heading
 
 
-def _slope(grid: _Grid, given: frozenset[str]) -> tuple[Mask, frozenset[str]]:
+def _slope(grid: _Grid) -> Mask:
     """Steps without a slope; if these are the majority, the slope is treated as not recorded."""
-    unknown = steps_without_value(grid.samples("grade")[0], grid.edges) if "grade" in given else grid.nowhere
+    unknown = steps_without_value(grid.samples("grade")[0], grid.edges) if "grade" in grid.given else grid.nowhere
     if unknown.mean() > MOST_UNKNOWN:
         grid.notes.append(f"{grid.name}: the slope is unknown for {unknown.mean():.0%} of the time; treated as not recorded")
-        return grid.nowhere, given - {"grade"}
-    return unknown, given
+        grid.given.remove("grade")
+        return grid.nowhere
+    return unknown
 
 
-def _braked(grid: _Grid, binding: TopicBinding) -> Mask | None:
-    """Steps with brakes on; None where that was not recorded."""
+def _braked(grid: _Grid, binding: TopicBinding) -> Mask:
+    """Steps with brakes on."""
     if not grid.has("brake"):
-        return None
+        return grid.nowhere
+    grid.given.add("brake")
     value = grid.series["brake"].value
     from_on = binding.brakes_from(value[np.isfinite(value)])
     grid.notes.append(
@@ -383,16 +336,7 @@ def _course(torques: Sequence[tuple[Array, Array]]) -> Cumulative:
     return Cumulative.of(at, np.sum([np.interp(at, t, v) for t, v in torques], axis=0))
 
 
-def _of_passengers(name: str, passengers: Array, step: float, kg_each: float, of_load: bool) -> str:
-    """Note on the passengers."""
-    if of_load:
-        return f"{name}: the weight comes from the load channel, which is assumed to include the passengers"
-    first = int(np.argmax(np.isfinite(passengers)))
-    empty = f"; treated as empty until the first count, {first * step:.0f} s after the start" if first else ""
-    return f"{name}: passengers of {kg_each:g} kg each are added to the empty vehicle{empty}"
-
-
-def _position(series: dict[str, Series], start: int, edges: Array) -> tuple[Array, Array]:
+def _position(series: Mapping[str, Series], start: int, edges: Array) -> tuple[Array, Array]:
     """Latitude and longitude [rad]; a receiver without a fix gives zeros."""
     if not set(POSITION) <= series.keys():
         return np.full(len(edges) - 1, np.nan), np.full(len(edges) - 1, np.nan)
@@ -411,11 +355,13 @@ def _way(grid: _Grid, speed: _Speed) -> Way:
     return Way(latitude, longitude, np.interp(middles(fine), driven.at, driven.integral))
 
 
-def _weight(series: dict[str, Series], start: int, edges: Array, nominal: float) -> tuple[Array, bool]:
-    """Weight of the whole vehicle [N], and whether it was measured."""
+def _weight(grid: _Grid) -> Array:
+    """Weight of the whole vehicle [N], from one load or the sum of several, else from the vehicle file."""
+    series, nominal = grid.series, grid.settings.weight
     for roles in (["load"], [r for r in series if r.startswith("load/")]):
-        there = [r for r in roles if r in series and np.isfinite(series[r].value).any()]
+        there = [r for r in roles if grid.has(r)]
         if there:
-            total = np.sum([held(series[r], start, edges, np.nan) for r in there], axis=0)
-            return np.where(np.isfinite(total) & (total > 0.1 * nominal), total, nominal), True
-    return np.full(len(edges) - 1, nominal), False
+            grid.given.add("load")
+            total = np.sum([grid.held(r, np.nan) for r in there], axis=0)
+            return np.where(np.isfinite(total) & (total > 0.1 * nominal), total, nominal)
+    return np.full(grid.count, nominal)

@@ -48,10 +48,7 @@ def carried(series: Series, start: int, edges: Array) -> Array:
 def read_off(series: Series, start: int, edges: Array, angle: bool = False) -> Array:
     """The value at the middle of each step, along straight lines between samples; nan in gaps.
 
-    Parameters
-    ----------
-    angle
-        Whether it wraps at pi: the line then takes the short way, and the result is wrapped again.
+    An `angle` wraps at pi: the line then takes the short way, and the result is wrapped again.
     """
     at, value = ordered(series, start)
     if len(at) < 2:

@@ -58,103 +58,53 @@ class Cumulative:
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """Positions of a session within its steps: a fixed number in each, evenly spaced in time, shape (n times that number,).
+    """Positions within the steps of a session: a fixed number in each, evenly spaced in time, shape (n times that number,)."""
 
-    Attributes
-    ----------
-    latitude, longitude
-        [rad]; nan where unknown.
-    driven
-        Distance since the start of the session [m].
-    """
-
-    latitude: Array
-    longitude: Array
-    driven: Array
+    latitude: Array  # [rad]; nan where unknown
+    longitude: Array  # [rad]
+    driven: Array  # distance since the start of the session [m]
 
 
 @dataclass(frozen=True, eq=False)
 class DriveSession:
     """One recording. All series have the shape (n,), evenly spaced by `step` [s]; nan where unknown.
 
-    Attributes
-    ----------
-    name
-        Name of the recording.
-    step, time
-        Spacing, and times from the start of the recording [s].
-    speed, accel, weight, ambient, grade, yaw_rate, heading, distance
-        Known inputs, in the units of `effects.Conditions`.
-    torque, belt
-        Measured: at the sprockets, whole vehicle [Nm], and of the belt [degC].
-    used
-        Samples whose torque may be compared.
-    block
-        Number of the lap, or of the piece, of each sample; counted through all sessions.
-    gap
-        Time off since the previous session [s]; infinite where the belt starts at the ambient temperature.
-    after_unseen
-        Whether the drive before, `gap` ago, is not among the recordings; it is assumed to be like this one.
-    given
-        The measured channels.
-    accel_noise
-        Standard deviation of the acceleration due to errors of the speed [m/s^2]; 0 where unknown. It refers to a
-        smoothed speed and does not depend on the noise assumed for the speed: it hides no share of the inertia.
-    torque_noise
-        Standard deviation of a step's mean torque due to sample-to-sample noise [Nm]; 0 where
-        unknown.
-    belt_shows_surface
-        Whether the measured belt temperature is that of the surface, or the mean.
-    grade_std
-        Standard deviation of `grade` derived from an altitude; nan where unknown.
-    start_s
-        Start [s since 1970, UTC]; nan without a clock of the day.
-    torque_course
-        The torque as measured, for delays of less than a step; None without one.
-    latitude, longitude, altitude, steering_angle
-        [rad], [rad], [m], [rad]: recorded position, and steering angle.
-    passengers
-        Number of people on board, between counts; their weight is in `payload`.
-    payload
-        Part of `weight` due to passengers [N].
-    torque_by_place
-        Torque against travel, from the surroundings [Nm].
-    way
-        Positions within its steps; None without positions.
+    The noise of the acceleration refers to a smoothed speed and does not depend on the noise assumed for the speed: it hides no
+    share of the inertia. An unseen drive before it, `gap` ago, is assumed to be like this one.
     """
 
-    name: str
+    name: str  # of the recording
     step: float
-    time: Array
-    speed: Array
-    accel: Array
-    weight: Array
-    ambient: Array
-    grade: Array
-    yaw_rate: Array
-    heading: Array
-    distance: Array
-    torque: Array
-    belt: Array
-    used: Mask
-    block: NDArray[np.int64]
-    gap: float = np.inf
-    after_unseen: bool = False
-    given: frozenset[str] = field(default_factory=frozenset)
-    torque_course: Cumulative | None = None
-    accel_noise: float = 0.0
-    torque_noise: float = 0.0
-    belt_shows_surface: bool = False
-    start_s: float = np.nan
-    grade_std: float = np.nan
-    latitude: Array = field(default_factory=lambda: np.empty(0))
-    longitude: Array = field(default_factory=lambda: np.empty(0))
-    altitude: Array = field(default_factory=lambda: np.empty(0))
-    steering_angle: Array = field(default_factory=lambda: np.empty(0))
-    passengers: Array = field(default_factory=lambda: np.empty(0))
-    payload: Array = field(default_factory=lambda: np.empty(0))
-    torque_by_place: Array = field(default_factory=lambda: np.empty(0))
-    way: Way | None = None
+    time: Array  # from the start of the recording [s]
+    speed: Array  # [m/s]
+    accel: Array  # [m/s^2]
+    weight: Array  # [N]
+    ambient: Array  # [degC]
+    grade: Array  # rise over run
+    yaw_rate: Array  # [rad/s]
+    heading: Array  # [rad]
+    distance: Array  # [m]
+    torque: Array  # measured at the sprockets, whole vehicle [Nm]
+    belt: Array  # measured [degC]
+    used: Mask  # samples whose torque may be compared
+    block: NDArray[np.int64]  # number of the lap, or of the piece, counted through all sessions
+    gap: float = np.inf  # time off since the previous session [s]; infinite where the belt starts at ambient temperature
+    after_unseen: bool = False  # whether the drive before is not among the recordings
+    given: frozenset[str] = field(default_factory=frozenset)  # the measured channels
+    torque_course: Cumulative | None = None  # the torque as measured, for delays of less than a step
+    accel_noise: float = 0.0  # standard deviation due to errors of the speed [m/s^2]; 0 where unknown
+    torque_noise: float = 0.0  # of a step's mean, due to sample-to-sample noise [Nm]; 0 where unknown
+    belt_shows_surface: bool = False  # whether the belt temperature is that of the surface
+    start_s: float = np.nan  # [s since 1970, UTC]; nan without a clock of the day
+    grade_std: float = np.nan  # of a grade derived from an altitude
+    latitude: Array = field(default_factory=lambda: np.empty(0))  # [rad]
+    longitude: Array = field(default_factory=lambda: np.empty(0))  # [rad]
+    altitude: Array = field(default_factory=lambda: np.empty(0))  # [m]
+    steering_angle: Array = field(default_factory=lambda: np.empty(0))  # [rad]
+    passengers: Array = field(default_factory=lambda: np.empty(0))  # number on board, between counts
+    payload: Array = field(default_factory=lambda: np.empty(0))  # part of the weight [N]
+    torque_by_place: Array = field(default_factory=lambda: np.empty(0))  # against travel [Nm]
+    way: Way | None = None  # positions within its steps
 
     def __post_init__(self) -> None:
         for name, default in NOT_RECORDED.items():
@@ -177,9 +127,7 @@ class DriveSession:
 
 
 def with_unseen(sessions: Sequence[DriveSession]) -> Iterator[tuple[DriveSession, bool]]:
-    """Sessions in sequence, with the unrecorded drives before them; and whether each is an unrecorded
-    one.
-    """
+    """Sessions in sequence, with the unrecorded drives before them; and whether each is an unrecorded one."""
     for session in sessions:
         if session.after_unseen:
             yield replace(session, gap=np.inf, after_unseen=False), True

@@ -17,43 +17,24 @@ SLOWEST_MPS, SLOWEST_SHARE = 0.3, 0.1  # of the greatest speed; below both frict
 def pace(step: float) -> float:
     """Time scale of a recording over that of a drive: 1, or less for a quick machine with steps of less than `STEP_S`.
 
-    Built-in times of the diagnosis (length of a piece, of a long gap) refer to steps of `STEP_S`. For a machine, this
-    factor scales them.
+    It scales the built-in times of the diagnosis (length of a piece, of a long gap).
     """
     return min(1.0, step / STEP_S)
 
 
 @dataclass(frozen=True, slots=True)
 class GateSettings:
-    """Facts of a vehicle for the checks of its recordings.
+    """Facts of a vehicle for the checks of its recordings."""
 
-    Attributes
-    ----------
-    weight, max_speed, ambient
-        [N], [m/s], [degC]; the first and last replace missing measurements.
-    friction_brakes
-        Whether friction brakes may add to a braking torque, if not recorded; None for a vehicle without.
-    belt_shows_surface
-        Whether a measured belt temperature is that of the surface, as from infrared, or the mean.
-    motor_ratio
-        Motor turns per sprocket turn; None if not in the file.
-    torque_scale
-        Lower and upper limit of shown over expected torque, from the file.
-    passenger_kg
-        Mass of a passenger [kg].
-    track_width
-        Distance of left from right wheels [m]; None if not in the file.
-    """
-
-    weight: float
-    max_speed: float
-    ambient: float
-    friction_brakes: bool | None
-    belt_shows_surface: bool = False
-    motor_ratio: float | None = None
-    torque_scale: tuple[float, float] = (1.0, 1.0)
-    passenger_kg: float = PASSENGER_KG
-    track_width: float | None = None
+    weight: float  # [N], for recordings without it
+    max_speed: float  # [m/s]
+    ambient: float  # [degC], for recordings without it
+    friction_brakes: bool | None  # whether they may add to a braking torque, if not recorded; None for a vehicle without
+    belt_shows_surface: bool = False  # whether a measured belt temperature is that of the surface, as from infrared
+    motor_ratio: float | None = None  # motor turns per sprocket turn; None if not in the file
+    torque_scale: tuple[float, float] = (1.0, 1.0)  # limits of shown over expected torque, from the file
+    passenger_kg: float = PASSENGER_KG  # of one passenger
+    track_width: float | None = None  # distance of left from right wheels [m]; None if not in the file
 
     @property
     def slowest(self) -> float:

@@ -14,13 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.jit.compiled import compiled
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from trackres_ros.units import MAD_TO_STD
 
 SLOWEST_S, FEWEST = 0.25, 100  # slower samples, or fewer, do not separate noise from motion
 JERK = 0.002, 1.0  # m/s^2/sqrt(s): from a heavy vehicle at constant speed to a pushed robot; assumed
@@ -38,27 +36,18 @@ LOCAL_S = 1.0  # to either side of a moment, for its local jerk
 LEAST_LOCAL, MOST_LOCAL = 0.02, 4.0  # times the jerk of the whole recording
 EVEN = 0.3  # median over mean of squared jerks: 0.65 where it is white throughout, below 0.1 where steady speeds are held
 MOST_LAGS, STILL_ALIKE = 60, 0.02  # samples, and the correlation below which the noise is forgotten
+SECOND_DIFFERENCE = 6.0  # variance of a second difference over that of the noise
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothedSpeed:
-    """Smoothed speed at chosen times.
+    """Smoothed speed at chosen times."""
 
-    Attributes
-    ----------
-    speed
-        At those times [m/s], shape (n,).
-    change_std
-        Standard deviation of the change's error to the next of them [m/s], shape (n - 1,); 0 at rest, nan over gaps.
-    jerk, noise, step
-        Density of the jerk [m/s^2/sqrt(s)], standard deviation of a sample, and resolution of the sensor [m/s].
-    """
-
-    speed: Array
-    change_std: Array
-    jerk: float
-    noise: float
-    step: float
+    speed: Array  # at those times [m/s], shape (n,)
+    change_std: Array  # of the change's error to the next [m/s], shape (n - 1,); 0 at rest, nan over gaps
+    jerk: float  # density [m/s^2/sqrt(s)]
+    noise: float  # standard deviation of a sample [m/s]
+    step: float  # resolution of the sensor [m/s]
 
     @property
     def typical_change_std(self) -> float:
@@ -68,16 +57,8 @@ class SmoothedSpeed:
 
 
 def smooth_speed(at: Array, shown: Array, times: Array, longest_gap_s: float) -> SmoothedSpeed | None:
-    """Speed at some times from all samples before and after; None for slow sampling, or a moving vehicle with too few samples.
-
-    Parameters
-    ----------
-    at, shown
-        Times [s], rising, and samples [m/s].
-    times
-        Times of the result [s], rising.
-    longest_gap_s
-        Longer gaps get a straight line.
+    """Speed at some rising `times` [s] from all samples `shown` [m/s] before and after; None for slow sampling, or a moving
+    vehicle with too few samples. Gaps longer than `longest_gap_s` get a straight line.
     """
     if len(at) < FEWEST or float(np.median(np.diff(at))) > SLOWEST_S:
         return None
@@ -163,10 +144,7 @@ def at_rest(at: Array, shown: Array) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Samples of stretches of driving and the asked times within them, in order.
-
-    A stretch begins and ends at a gap or a rest, and includes the nearest zero of a rest.
-    """
+    """Samples of stretches of driving and the asked times within them, in order; each is cut at gaps and rests."""
 
     at: Array
     shown: Array
@@ -242,10 +220,7 @@ def _apart(grid: _Grid) -> Mask:
 
 
 def _times_alike(left: Array) -> float:
-    """Number of samples with the information of one independent sample: 1 for white noise.
-
-    Rounding errors are correlated while the speed stays between two steps.
-    """
+    """Number of samples with the information of one independent sample: 1 for white noise, more for that of rounding."""
     left = left - left.mean()
     total = float(left @ left)
     alike = 1.0
@@ -263,20 +238,10 @@ def filter_forward(
 ) -> float:
     """Kalman filter: half the deviance of the innovations.
 
-    Parameters
-    ----------
-    at, shown
-        Times [s] and samples [m/s].
-    sample
-        Samples among them; elsewhere only the state is computed.
-    begins
-        Starts of stretches, independent of earlier samples.
-    jerk
-        Jerk density up to each moment [m/s^2/sqrt(s)].
-    of
-        Standard deviation of a sample [m/s], and the threshold of an outlier in standard deviations.
-    states
-        Receives speed, acceleration, and variance of the speed, covariance and variance of the acceleration, shape (n, 5).
+    `at` are times [s], at which `shown` [m/s] are samples, if marked in `sample`, else only the state is computed. Stretches that
+    are independent of earlier samples start at `begins`. `jerk` is the density up to each moment [m/s^2/sqrt(s)]. `of` has the
+    standard deviation of a sample [m/s], and the threshold of an outlier in standard deviations. `states` receives speed,
+    acceleration, and variance of the speed, covariance and variance of the acceleration, shape (n, 5).
     """
     deviance, known = 0.0, 0
     v, a, vv, va, aa = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -311,12 +276,8 @@ def filter_forward(
 def smooth_backward(at: Array, asked: Mask, begins: Mask, jerk: Array, states: Array, variances: Array) -> None:
     """Rauch, Tung and Striebel's pass over the states of `filter_forward`, in place.
 
-    Parameters
-    ----------
-    asked
-        Requested times, between which the change of speed is needed.
-    variances
-        Receives the variance of the change of speed from each of them to the next of the stretch, shape (n,).
+    `variances` receives the variance of the change of speed from each of the `asked` times to the next of the stretch,
+    shape (n,).
     """
     later, with_v, with_a = -1, 0.0, 0.0  # the next requested time, and covariances of its speed with the state here
     for i in range(len(at) - 1, -1, -1):
@@ -345,3 +306,16 @@ def smooth_backward(at: Array, asked: Mask, begins: Mask, jerk: Array, states: A
             if later >= 0:
                 variances[i] = max(states[i, 2] + states[later, 2] - 2.0 * with_v, 0.0)
             later, with_v, with_a = i, states[i, 2], states[i, 3]
+
+
+def noise_of_means(at: Array, value: Array, step: float) -> float:
+    """Standard deviation of a mean over a step [s] due to sample-to-sample noise; 0 where unknown.
+
+    Second differences show that noise if the sampling is faster than changes of the signal. They exclude slower noise.
+    """
+    new = without_repeats(value)
+    at, value = at[new], value[new]
+    if len(at) < FEWEST or float(np.median(np.diff(at))) > SLOWEST_S:
+        return 0.0
+    noise = MAD_TO_STD * np.median(np.abs(np.diff(value, 2))) / np.sqrt(SECOND_DIFFERENCE)  # a median, as a torque may jump
+    return float(noise * np.sqrt(np.median(np.diff(at)) / step))

@@ -7,28 +7,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from trackres_ros.diagnosis.prepare.session import DriveSession, Split
+from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
 from trackres_ros.errors import InputError
 
 FEWEST_SESSIONS = 4
 HELD_OUT_SHARE = 0.25
+FULL_STOP_S = 5.0
+PIECES, SHORTEST_PIECE_S, LONGEST_PIECE_S = 20, 60.0, 300.0
+FEWEST_DRIVES = 8
 
 
 def split(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None = None) -> Split:
-    """Choose the hold-out blocks: the last ones.
+    """Choose the hold-out blocks: the last ones, or `held_out`.
 
-    Parameters
-    ----------
-    sessions
-        In the order of their recordings.
-    held_out
-        Number of the last sessions (of several) or blocks, or the names of recordings, or of laps as in a report
-        ("drive_3.csv: 5"). With names, added recordings do not change the hold-out set.
-
-    Returns
-    -------
-    Split
-        Numbers of the fitted and of the hold-out blocks, and a sentence about them.
+    That is the number of the last sessions (of several) or blocks, or the names of recordings, or of laps as in a report
+    ("drive_3.csv: 5"). With names, added recordings do not change the hold-out set.
 
     Raises
     ------
@@ -75,3 +72,18 @@ def _by_laps(sessions: Sequence[DriveSession], blocks: Sequence[Sequence[int]], 
         raise InputError("--holdout", sorted(held_out), "some, but not all, of the laps")
     text = f"held out: {', '.join(lap_name(s, b) for s, of in zip(sessions, blocks, strict=True) for b in of if b in held_out)}"
     return Split(training, tuple(sorted(held_out)), text)
+
+
+def lap_numbers(session: DriveSession) -> NDArray[np.int64]:
+    """Number of the drive between two stops, or of a piece of equal length if there are few stops; shape (n,), from 0."""
+    standing = np.abs(session.speed) < SLOWEST_MPS
+    begins = np.flatnonzero(np.diff(standing.astype(int), prepend=0) == 1)
+    ends = np.flatnonzero(np.diff(standing.astype(int), append=0) == -1)
+    full_stop = FULL_STOP_S * session.pace
+    cuts = [b for b, e in zip(begins, ends, strict=True) if (e - b + 1) * session.step >= full_stop and 0 < b < len(session)]
+    if len(cuts) >= FEWEST_DRIVES - 1:
+        return np.searchsorted(np.array(cuts), np.arange(len(session)), side="right").astype(np.int64)
+    duration = len(session) * session.step
+    length = min(max(duration / PIECES, SHORTEST_PIECE_S * session.pace), LONGEST_PIECE_S * session.pace)
+    pieces = max(1, int(duration // length))
+    return np.minimum((np.arange(len(session)) * pieces) // len(session), pieces - 1).astype(np.int64)

@@ -7,18 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.prepare.refuse import Refusal, each_usable
-from trackres_ros.diagnosis.prepare.session import Cumulative, DriveSession
+from trackres_ros.diagnosis.prepare.session import Array, Cumulative, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, GateSettings
 from trackres_ros.diagnosis.prepare.unit_checks import Conversion
 from trackres_ros.errors import InputError
 from trackres_ros.units import KMH_PER_MPS, MAD_TO_STD
-
-Array = NDArray[np.float64]
 
 SURE = 0.5  # correlation for a certain wrong sign or unit
 HEALTHY = (0.62, 1.7)  # of the inertia: covers a gear loss of a quarter, rotating parts and a sensor gain together
@@ -38,7 +37,8 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
     Shifts only by whole steps from `LEAST_SHIFT_S` on: a shorter delay is physical, or a sensor's.
     """
     shifts = range(-LARGEST_SHIFT_S, LARGEST_SHIFT_S + 1)
-    there = [_correlation(_moved(session.torque, -s), expected, _moved_mask(session.used, -s) & session.used) for s in shifts]
+    used = {s: _moved(session.used, -s, unknown=False) & session.used for s in shifts}
+    there = [_correlation(_moved(session.torque, -s), expected, used[s]) for s in shifts]
     best = int(np.argmax(there))
     shift, gain = shifts[best], there[best] - there[LARGEST_SHIFT_S]
     if abs(shift) < LEAST_SHIFT_S or gain < CLEARLY_BETTER or there[best] < SURE:
@@ -47,7 +47,7 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
     moved = replace(
         session,
         torque=_moved(session.torque, -shift),
-        used=_moved_mask(session.used, -shift) & session.used,
+        used=used[shift],
         torque_course=course,
     )
     return moved, f"{session.name}: the torque's clock differs from the speed's by {shift * session.step:+g} s; corrected"
@@ -56,22 +56,11 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
 def check_torque(
     sessions: Sequence[DriveSession], expected: Sequence[Array], resisting: Sequence[Array], known: GateSettings
 ) -> None:
-    """Refuse a torque with a plainly wrong sign or unit, or of a part.
+    """Refuse a torque with a plainly wrong sign or unit, or of a part, with the remedy.
 
-    Parameters
-    ----------
-    expected, resisting
-        Torque of each session from the vehicle file [Nm], and the same without inertia.
-
-    Raises
-    ------
-    InputError
-        With the remedy.
-
-    Notes
-    -----
-    The resistance may be several times the data sheet's. The inertia may not, because the mass is known. So the torque
-    is compared with the inertia torque where that shows.
+    `expected` is the torque of each session from the vehicle file [Nm], and `resisting` the same without inertia. The resistance
+    may be several times the data sheet's. The inertia may not, because the mass is known. So the torque is compared with the
+    inertia torque where that shows.
     """
     used = [s.used for s in sessions]
     m, e, r = (
@@ -87,12 +76,12 @@ def check_torque(
         raise InputError(where, given, "a torque that is positive when driving forward", Conversion(-1.0).line("torque"))
     low, high = HEALTHY[0] * known.torque_scale[0], HEALTHY[1] * known.torque_scale[1]
     least, most = _share_of_inertia(m, e - r, r)
+    allowed = "the torque of the whole vehicle at sprockets or wheels, in Nm"
     if not (least <= high and most >= low):
-        raise InputError(where, f"about {_between(least, most):.2g} times the expected torque, by the speed's changes",
-                         "the torque of the whole vehicle at sprockets or wheels, in Nm",
-                         _remedy(_between(least, most), sessions, known))  # fmt: skip
+        share = float(np.sqrt(least * most))
+        given = f"about {share:.2g} times the expected torque, by the speed's changes"
+        raise InputError(where, given, allowed, _remedy(share, sessions, known))
     if not FAR_OFF[0] * known.torque_scale[0] < slope < FAR_OFF[1] * known.torque_scale[1]:
-        allowed = "the torque of the whole vehicle at sprockets or wheels, in Nm"
         raise InputError(where, f"about {slope:.2g} times the expected torque", allowed, _remedy(slope, sessions, known))
 
 
@@ -113,8 +102,7 @@ def faulty_torques(
 def _share_of_inertia(measured: Array, inertia: Array, resisting: Array) -> tuple[float, float]:
     """Bounds of measured over expected inertia; errors of the speed hide a part of it.
 
-    The lower bound assumes an exact inertia, the upper bound an exact torque. Both regressions remove the
-    resistance and give outliers less weight.
+    The lower bound assumes an exact inertia, the upper bound an exact torque. The resistance is removed, robustly.
     """
     weight = np.ones(len(measured))
     for _ in range(ROBUST_TURNS):
@@ -124,30 +112,21 @@ def _share_of_inertia(measured: Array, inertia: Array, resisting: Array) -> tupl
         scale = MAD_TO_STD * float(np.median(np.abs(left))) or 1.0
         weight = np.minimum(1.0, OUTLIER * scale / np.maximum(np.abs(left), 1e-12))
 
-    def beside(x: Array) -> Array:
+    def without_resistance(x: Array) -> Array:
         return np.asarray(x - resisting * float((weight * x) @ resisting) / max(float((weight * resisting) @ resisting), 1e-12))
 
-    x, y = beside(inertia), beside(measured)
+    x, y = without_resistance(inertia), without_resistance(measured)
     both, alone = float((weight * x) @ y), float((weight * x) @ x)
     if alone <= 0.0 or both <= 0.0:
         return 0.0, np.inf
     return both / alone, float((weight * y) @ y) / both
 
 
-def _between(least: float, most: float) -> float:
-    return float(np.sqrt(least * most))
-
-
 def _remedy(share: float, sessions: Sequence[DriveSession], known: GateSettings) -> str:
     """Possible causes of this ratio to the expected torque, and the line for the topics file."""
-    sides = {f"one of {n}": float(n) for n in (2, 3, 4)}
-    whats = {
-        "in kNm": 1e3,
-        "in mNm": 1e-3,
-        "counted twice": 0.5,
-        **sides,
-        **({"of the motor": known.motor_ratio} if known.motor_ratio else {}),
-    }
+    whats = {"in kNm": 1e3, "in mNm": 1e-3, "counted twice": 0.5} | {f"one of {n}": float(n) for n in (2, 3, 4)}
+    if known.motor_ratio:
+        whats["of the motor"] = known.motor_ratio
     fitting = [what for what, factor in whats.items() if 1.0 / NEAR < share * factor < NEAR]
     nearest = min(fitting, key=lambda what: abs(np.log(share * whats[what])), default="")
     said = []
@@ -167,19 +146,9 @@ LOOK_AT = "check units, signs and that torque, speed and load belong to the whol
 def nothing_to_conclude(
     names: str, r2: Mapping[str, float], mae: Mapping[str, float], size: float, notes: Sequence[str] = ()
 ) -> InputError | None:
-    """The error if no stage of the model predicts the torque of hold-out laps better than its mean.
+    """The error if no stage of the model predicts the torque of hold-out laps better than its mean, by R2 and mean error [Nm].
 
-    Parameters
-    ----------
-    names
-        Names of the recordings.
-    r2, mae
-        On hold-out laps, by stage.
-    size
-        Mean size of the torque there [Nm]. A steady drive's torque hardly varies, so R2 means nothing at a small relative
-        error.
-    notes
-        Warnings about the recordings, see `inconsistent_scale_notes`.
+    A steady drive's torque hardly varies, so R2 means nothing if the error is small relative to `size`, the mean torque [Nm].
     """
     best = max(r2, key=lambda stage: r2[stage])
     if r2[best] >= 0.0 or min(mae.values()) < SMALL_ERROR * size:
@@ -205,23 +174,15 @@ def inconsistent_scale_notes(sessions: Sequence[DriveSession], expected: Sequenc
     ]
 
 
-def _correlation(a: Array, b: Array, used: NDArray[np.bool_]) -> float:
+def _correlation(a: Array, b: Array, used: Mask) -> float:
     if used.sum() < 30 or np.ptp(a[used]) == 0.0 or np.ptp(b[used]) == 0.0:
         return 0.0
     return float(np.corrcoef(a[used], b[used])[0, 1])
 
 
-def _moved(series: Array, steps: int) -> Array:
-    """The series shifted by steps, earlier if negative; unknown values repeat the edge."""
+def _moved(series: NDArray[Any], steps: int, unknown: Any = None) -> NDArray[Any]:
+    """The series shifted by steps, earlier if negative; where that is unknown, it repeats the edge, or has the given value."""
     if steps == 0:
         return series
-    edge = np.full(abs(steps), series[0 if steps > 0 else -1])
+    edge = np.full(abs(steps), series[0 if steps > 0 else -1] if unknown is None else unknown)
     return np.concatenate((edge, series[:-steps]) if steps > 0 else (series[-steps:], edge))
-
-
-def _moved_mask(used: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
-    """The same for a mask; unknown samples are not used."""
-    if steps == 0:
-        return used
-    edge = np.zeros(abs(steps), dtype=bool)
-    return np.concatenate((edge, used[:-steps]) if steps > 0 else (used[-steps:], edge))

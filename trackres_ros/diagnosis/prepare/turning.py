@@ -35,18 +35,8 @@ def turning(
 ) -> Turning | None:
     """Yaw rate [rad/s] from the heading, else the sides' wheel speeds, else positions; None if none suffices.
 
-    Parameters
-    ----------
-    series
-        By role.
-    start, edges
-        Time of the first sample [ns], and edges of the steps [s], shape (n + 1,).
-    speed
-        Mean over each step [m/s], shape (n,).
-    slowest
-        Least speed at which positions give a direction [m/s].
-    track_width
-        Distance of left from right wheels [m]; None if unknown.
+    `start` [ns] is that of the `edges` of the steps [s], shape (n + 1,). `speed` is the mean over each step [m/s], shape (n,).
+    Positions give a direction above the `slowest` speed [m/s]. `track_width` is the distance of left from right wheels [m].
     """
     if "heading" in series and np.isfinite(series["heading"].value).sum() > 1:
         return Turning(_of_angle(*ordered(series["heading"], start), edges), "heading")

@@ -9,15 +9,13 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import PLAUSIBLE
 from trackres_ros.recording.roles import ROLES, base_role
 from trackres_ros.recording.samples import Series
 from trackres_ros.units import GRAVITY, KMH_PER_MPS
-
-Array = NDArray[np.float64]
 
 CELSIUS_OF_KELVIN, CELSIUS_OF_FAHRENHEIT = (1.0, -273.15), (5.0 / 9.0, -160.0 / 9.0)
 HOTTEST_AIR_DEGC = 50.0  # as a median of hours; the record of a moment in the shade is 57
@@ -49,20 +47,7 @@ class Conversion(NamedTuple):
 
 
 def check_units(name: str, series: Mapping[str, Series], weight: float) -> list[str]:
-    """Refuse values in a wrong unit, and note unusual ones.
-
-    Parameters
-    ----------
-    name, series
-        Name and series of the recording.
-    weight
-        Weight in the vehicle file [N].
-
-    Raises
-    ------
-    InputError
-        With the line to put into the topics file.
-    """
+    """Refuse values in a wrong unit, with the line for the topics file; note unusual ones. `weight` is the file's [N]."""
     said = []
     for role, samples in series.items():
         value = samples.value[np.isfinite(samples.value)]
@@ -86,12 +71,8 @@ def check_units(name: str, series: Mapping[str, Series], weight: float) -> list[
 def check_speed_unit(name: str, speed: Array, accel: Array, recorded_accel: Array | None, distance: Array | None) -> list[str]:
     """Refuse a speed that recorded acceleration or distance show is not in m/s; a note on a small deviation from the distance.
 
-    Parameters
-    ----------
-    speed, accel
-        Mean speed of each step [m/s] and its change [m/s^2], shape (n,).
-    recorded_accel, distance
-        Recorded values, or None: accelerations [m/s^2], and the distance of each step [m].
+    `speed` is the mean of each step [m/s] and `accel` its change [m/s^2], shape (n,). Recorded are accelerations [m/s^2], and the
+    distance of each step [m], or None.
     """
     if recorded_accel is not None:
         ratio = _ratio(recorded_accel, accel)

@@ -50,7 +50,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
         "effects": [_effect(f, belongs_to[f.name]) for f in d.found],
         "described": [
             *(_described(t) for t in d.described),
-            *([_drift(d.wanders, d.tracked)] if d.wanders and d.tracked else []),
+            *([_drift(d.drift, d.tracked)] if d.drift and d.tracked else []),
             *([_spread(d.spread)] if d.spread else []),
         ],
         "route": _route(d.routes[0], d.final) if d.routes else None,
@@ -66,7 +66,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
         },
         "heldout": _held_out(d.held_out),
         "not_visible": [{"name": n.name, "why": n.why} for n in d.steps[-1].separability.of_names.not_visible],
-        "rejected": [{"reason": x.reason, "samples": x.seconds} for x in d.gated.left_out],
+        "rejected": [{"reason": reason, "samples": seconds} for reason, seconds in d.gated.excluded.items()],
         "advice": _advice(d),
         "candidates": _candidates(d),
         "residual_by_regime": {"base": [_bin(b) for b in d.at_base.bins], "end": [_bin(b) for b in d.at_end.bins]},

@@ -13,23 +13,18 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from trackres_ros.diagnosis.empirical.finders import SURE, Term
 from trackres_ros.diagnosis.empirical.routes import Route
 from trackres_ros.diagnosis.findings.wording import NONE_OF_THESE
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.search.cross_validation import CrossValidation, Score
 from trackres_ros.diagnosis.search.explanations import Explanation, Key, Search
-from trackres_ros.diagnosis.search.left_out import LeaveLapsOut, Score
 from trackres_ros.diagnosis.selection.as_used import AsUsed, inside_ranges
 from trackres_ros.diagnosis.selection.confirm import Graded, displaced, far_from_file, on_bounds
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
 from trackres_ros.diagnosis.selection.held_out import SMALL_SHARE, HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.naming import ALIKE_WITHIN, Step, spurious_gain
-
-Array = NDArray[np.float64]
 
 MOST_SCORED = 12  # explanations, those with the most evidence
 LEAST_OF_SIZE = 0.05  # of the mean square that a term adds: a smaller gain means that it cancels another term
@@ -52,28 +47,16 @@ class ScoredExplanation:
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """The chosen explanation and its rivals.
+    """The chosen explanation and its rivals."""
 
-    Attributes
-    ----------
-    explanation, final, graded
-        The best explanation confirmed by cross-validation, its predictive fit, and the grade of each term; empty if none.
-    alone, steps, last
-        The round from the base alone; for each term the round without it, with its class; and the round from all of it.
-    refuted
-        Best-fitting terms that cross-validation does not confirm.
-    shares
-        Probability of each name, and of no name: over the confirmed explanations, or over all if none is.
-    """
-
-    explanation: Explanation
-    final: Fit
+    explanation: Explanation  # the best one confirmed by cross-validation; empty if none
+    final: Fit  # its predictive fit
     graded: Mapping[str, Graded]
-    alone: Step
-    steps: Mapping[str, Step]
-    last: Step
-    refuted: tuple[Graded, ...]
-    shares: Mapping[str, float]
+    alone: Step  # the round from the base alone
+    steps: Mapping[str, Step]  # for each term the round without it, with its class
+    last: Step  # the round from all of it
+    refuted: tuple[Graded, ...]  # best-fitting terms that cross-validation does not confirm
+    shares: Mapping[str, float]  # probability of each name, and of no name: over the confirmed explanations, or all if none is
 
     def is_named(self, name: str) -> bool:
         """Whether a term has a name: it is in the catalogue, or certainly a slope by place."""
@@ -91,20 +74,16 @@ class Chosen:
 
 
 class Choice:
-    """Judges the explanations of a search.
+    """Judges the explanations of a search; `refitted` is the base alone with predictive values."""
 
-    Parameters
-    ----------
-    The base alone with predictive values.
-        The base alone with values that predict.
-    """
-
-    def __init__(self, search: Search, refitted: Fit, left_out: LeaveLapsOut, laps: HeldOutLaps, use: AsUsed) -> None:
-        self._search, self._refitted, self._left_out, self._laps, self._use = search, refitted, left_out, laps, use
-        self._beyond_base = left_out.beyond(refitted)
+    def __init__(self, search: Search, refitted: Fit, validation: CrossValidation, laps: HeldOutLaps, use: AsUsed) -> None:
+        self._search, self._refitted, self._validation, self._laps, self._use = search, refitted, validation, laps, use
+        self._beyond_base = validation.beyond(refitted)
         self._by_file = use.error(None)
         nothing = search.nothing
-        self._judged: dict[Key, ScoredExplanation] = {nothing.key: ScoredExplanation(nothing, refitted, left_out.score(refitted))}
+        self._judged: dict[Key, ScoredExplanation] = {
+            nothing.key: ScoredExplanation(nothing, refitted, validation.score(refitted))
+        }
         self._graded: dict[tuple[Key, str], Graded] = {}
 
     @property
@@ -116,33 +95,32 @@ class Choice:
         if explanation.key not in self._judged:
             final = inside_ranges(with_levels(replace(explanation.fit, problem=self._refitted.problem)), self._use)
             final = _off_bounds(final, self._refitted)
-            self._judged[explanation.key] = ScoredExplanation(explanation, final, self._left_out.score(final))
+            self._judged[explanation.key] = ScoredExplanation(explanation, final, self._validation.score(final))
         return self._judged[explanation.key]
 
     def graded(self, judged: ScoredExplanation, name: str) -> Graded:
         """Cross-validated grade of a term of an explanation."""
         at = judged.key, name
-        if at not in self._graded:
-            self._graded[at] = self._grade(judged, name)
-        return self._graded[at]
-
-    def _grade(self, judged: ScoredExplanation, name: str) -> Graded:
+        if at in self._graded:
+            return self._graded[at]
         without = self.judged(self._search.without(judged.explanation, name))
         change = name in judged.explanation.terms and judged.explanation.terms[name].change is not None
-        improvement = self._left_out.improvement(without.score, judged.score, for_good=change)
+        improvement = self._validation.improvement(without.score, judged.score, for_good=change)
         # The part orthogonal to the base should reduce the mean square error.
         adds = self._beyond_base(judged.final.contribution(name))
         gained = float((without.score.square - judged.score.square).sum())
         cancels = gained < LEAST_OF_SIZE * float((adds**2).sum())
         active = next(a for a in judged.final.effects if a.effect.name == name)
-        return Graded(name, improvement, on_bounds(active), displaced(improvement, judged.final, without.final), cancels=cancels)
+        instead = displaced(improvement, judged.final, without.final)
+        self._graded[at] = Graded(name, improvement, on_bounds(active), instead, cancels)
+        return self._graded[at]
 
     def _all_graded(self, judged: ScoredExplanation) -> dict[str, Graded]:
         return {name: self.graded(judged, name) for name in judged.explanation.candidates}
 
     def _is_confirmed(self, judged: ScoredExplanation) -> bool:
         once = any(term.change is not None for term in judged.explanation.terms.values())
-        whole = self._left_out.improvement(self._nothing.score, judged.score, for_good=once)
+        whole = self._validation.improvement(self._nothing.score, judged.score, for_good=once)
         kept = self._kept(judged)
         # A re-fit may be worse than the file. A term that only corrects that is not missing physics.
         if not whole.confirmed or kept.after > min(kept.before, self._by_file) or far_from_file(judged.final):
@@ -226,7 +204,7 @@ class Choice:
         error must fall by more than the square of a tenth of the names' torque.
         """
         more_forms = one.explanation.without_a_name > other.explanation.without_a_name
-        if self._left_out.least_gain(other.score, one.score) <= (SURE if more_forms else ALIKE_WITHIN):
+        if self._validation.least_gain(other.score, one.score) <= (SURE if more_forms else ALIKE_WITHIN):
             return False
         names = [name for name, c in other.explanation.candidates.items() if c.is_name and name not in one.key]
         by_form = sum(float((self._beyond_base(other.final.contribution(name)) ** 2).sum()) for name in names) * FORM_ERROR**2
@@ -252,14 +230,14 @@ class Choice:
         without = self._search.without(best.explanation, name)
         step = self._search.expand(without)
         chosen = best.explanation.candidates[name]
-        beside = {c.name: c for c in step.candidates if c.is_name == chosen.is_name and c.counts(step.by_noise)}
-        chosen = beside.setdefault(name, chosen)
+        alternatives = {c.name: c for c in step.candidates if c.is_name == chosen.is_name and c.counts(step.by_noise)}
+        chosen = alternatives.setdefault(name, chosen)
         alike = set(step.separability.alike(name)) if name in step.separability.names else {name}
-        near = [c for c in beside.values() if c is chosen or c.net_evidence > chosen.net_evidence - 2.0 * ALIKE_WITHIN]
+        near = [c for c in alternatives.values() if c is chosen or c.net_evidence > chosen.net_evidence - 2.0 * ALIKE_WITHIN]
         rivals = {c.name: self._search.known.get(without.key | {c.name}) for c in near if c is not chosen}
         judged = {name: best} | {other: self.judged(e) for other, e in rivals.items() if e is not None}
         judged = {other: j for other, j in judged.items() if j is best or self._is_confirmed(j)}
-        shares = dict(zip(judged, self._left_out.shares([j.score for j in judged.values()]).tolist(), strict=True))
+        shares = dict(zip(judged, self._validation.shares([j.score for j in judged.values()]).tolist(), strict=True))
         as_good = {
             c.name
             for c in near
@@ -275,7 +253,7 @@ class Choice:
 
     def _shares(self, judged: Sequence[ScoredExplanation]) -> dict[str, float]:
         """Probability of each name: its share over the given explanations."""
-        shares = self._left_out.shares([j.score for j in judged])
+        shares = self._validation.shares([j.score for j in judged])
         found: dict[str, float] = {NONE_OF_THESE: 0.0}
         for one, share in zip(judged, shares.tolist(), strict=True):
             names = [name for name, c in one.explanation.candidates.items() if c.is_name]
@@ -285,9 +263,7 @@ class Choice:
 
 
 def _off_bounds(final: Fit, refitted: Fit) -> Fit:
-    """Re-fit with typical values of shape parameters on a bound, if that costs less than a tenth of the gain of all terms:
-    a function is accurate to about 10 %.
-    """
+    """Re-fit with typical values of shape parameters on a bound, if that costs less than a tenth of the gain of all terms."""
     typical = {
         (a.effect.name, q.name): q.start for a in final.effects for q in a.effect.parameters
         if q.off is None and q.name in on_bounds(a)

@@ -32,22 +32,12 @@ LEAST_EXPANDED = 0.4  # of the best evidence: weaker explanations are not expand
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A set of terms, fitted together.
-
-    Attributes
-    ----------
-    candidates
-        Each term, as added.
-    terms
-        Properties outside the fit of terms by clock or place.
-    evidence
-        Log-evidence over the base alone, less the cost of the terms that their parameters do not include.
-    """
+    """A set of terms, fitted together."""
 
     fit: Fit
-    evidence: float = 0.0
-    candidates: Mapping[str, Candidate] = field(default_factory=dict)
-    terms: Mapping[str, Term] = field(default_factory=dict)
+    evidence: float = 0.0  # log-evidence over the base alone, less the cost of the terms beyond that of their parameters
+    candidates: Mapping[str, Candidate] = field(default_factory=dict)  # each term, as added
+    terms: Mapping[str, Term] = field(default_factory=dict)  # properties outside the fit of terms by clock or place
 
     @property
     def key(self) -> Key:
@@ -65,16 +55,8 @@ class Explanation:
 
 
 class Search:
-    """All explored explanations.
-
-    Parameters
-    ----------
-    base
-        The fitted base.
-    effects
-        The candidate names.
-    roads, kinds
-        Matched roads of the sessions, and the kinds of terms by place to learn.
+    """All explored explanations of the residual of a fitted base, by named `effects`, forms, and terms by place on matched
+    `roads`, of some `kinds`.
     """
 
     def __init__(
@@ -106,7 +88,8 @@ class Search:
                 self.expand(explanation)
             frontier = self._best_unexpanded()
             for explanation in frontier:
-                self._leave_out(explanation)
+                for name in explanation.key if len(explanation.key) > 1 else ():
+                    self.without(explanation, name)
             frontier = self._best_unexpanded()
 
     def expand(self, explanation: Explanation) -> Step:
@@ -128,30 +111,15 @@ class Search:
             *((t.candidate, t) for t in terms_beside(current, self._roads, self._kinds, routes, waves=not explanation.key)),
         ]
         for candidate, term in found:
-            self._add(explanation, candidate, term)
+            terms = explanation.terms if term is None else {**explanation.terms, candidate.name: term}
+            added = {**explanation.candidates, candidate.name: candidate}
+            self._keep(Explanation(candidate.fit, explanation.evidence + candidate.net_evidence, added, terms))
         return step
-
-    def _add(self, before: Explanation, candidate: Candidate, term: Term | None) -> None:
-        terms = before.terms if term is None else {**before.terms, candidate.name: term}
-        self._keep(
-            Explanation(
-                candidate.fit,
-                before.evidence + candidate.net_evidence,
-                {**before.candidates, candidate.name: candidate},
-                terms,
-            )
-        )
 
     def _keep(self, explanation: Explanation) -> None:
         same = self.known.get(explanation.key)
         if same is None or explanation.evidence > same.evidence:
             self.known[explanation.key] = explanation
-
-    def _leave_out(self, explanation: Explanation) -> None:
-        """Remove one term at a time."""
-        if len(explanation.key) > 1:
-            for name in explanation.key:
-                self.without(explanation, name)
 
     def without(self, explanation: Explanation, name: str) -> Explanation:
         """An explanation without one of its terms."""

@@ -12,13 +12,12 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Base, BaseParameter
 from trackres_ros.diagnosis.base.patterns import WATCHED, ByPlace
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import with_levels
-from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOutLaps
 from trackres_ros.diagnosis.selection.intervals import intervals
 from trackres_ros.effects.effect import Active
@@ -26,7 +25,6 @@ from trackres_ros.errors import InputError
 from trackres_ros.text.numbers import figures
 from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 Bounds = Mapping[tuple[str, str], Interval]
 
@@ -39,17 +37,7 @@ def of_kind(effects: Sequence[Active], *kinds: str) -> tuple[Active, ...]:
 
 
 class AsUsed:
-    """Hold-out errors of files, each file as it is used.
-
-    Parameters
-    ----------
-    base, sessions
-        The vehicle in the given surroundings, and the recordings there.
-    recorded
-        The recordings without values of the surroundings by place.
-    laps
-        The hold-out laps.
-    """
+    """Hold-out errors of files, each as it is used: in the given surroundings, and alone, as it was `recorded`."""
 
     def __init__(self, base: Base, sessions: Sequence[DriveSession], recorded: Sequence[DriveSession], laps: HeldOutLaps) -> None:
         self._around = base, tuple(sessions)
@@ -145,16 +133,9 @@ def choose_written(
 ) -> FileChanges:
     """Changes to write: the first of `_options` that is no worse in use than the vehicle file.
 
-    Parameters
-    ----------
-    believed
-        Names of the effects that may be written.
-    confirmed
-        Those confirmed on hold-out laps. Confirmed sensor effects correct the torque for judging vehicle.yaml.
-    final, refitted
-        Fits with all found effects, and with none.
-    bounds
-        Intervals of `final`.
+    `believed` are the names of the effects that may be written, `confirmed` those confirmed on hold-out laps. Confirmed sensor
+    effects correct the torque for judging vehicle.yaml. `final` has all found effects, with the intervals `bounds`, and
+    `refitted` none.
     """
     written = tuple(a for a in final.effects if a.effect.name in believed and a.effect.acts_on != WATCHED)
     first = ""
@@ -168,21 +149,18 @@ def choose_written(
 
 def _options(written: tuple[Active, ...], final: Fit, refitted: Fit) -> Iterator[_Option]:
     """Possible changes, best first: the found effects with fitted values; the same with the file's own values; the
-    vehicle's effects alone; a re-fit without effects.
-
-    Effects keep their parameters of `final`, as in the report. Without some effects of `final`, the
-    base is fitted again.
+    vehicle's effects alone; a re-fit without effects. Effects keep their parameters of `final`, as in the report.
     """
     if written:
-        yield _Option(_beside(written, final), written)
+        yield _Option(_with_refitted_base(written, final), written)
         yield _Option(None, written)
     of_vehicle = of_kind(written, VEHICLE)
     if of_vehicle and len(of_vehicle) < len(written):
-        yield _Option(_beside(of_vehicle, final), of_vehicle)
+        yield _Option(_with_refitted_base(of_vehicle, final), of_vehicle)
     yield _Option(refitted, ())
 
 
-def _beside(written: Sequence[Active], final: Fit) -> Fit:
+def _with_refitted_base(written: Sequence[Active], final: Fit) -> Fit:
     """Re-fit of the base with some effects at their final parameters."""
     names = {a.effect.name for a in written}
     without = [a.effect.name for a in final.effects if a.effect.name not in names and a.effect.acts_on != WATCHED]
@@ -219,9 +197,7 @@ def _refused(option: _Option, confirmed: Collection[str], refitted: Fit, use: As
 
 
 def _alone(option: _Option, confirmed: Collection[str], use: AsUsed) -> tuple[float, float]:
-    """Errors of vehicle.yaml alone and of its original, both against the torque with confirmed sensor corrections
-    [Nm].
-    """
+    """Errors of vehicle.yaml alone and of its original against the torque with confirmed sensor corrections [Nm]."""
     sensors = _correcting(option, confirmed)
     after = use.error(option.values, [*of_kind(option.effects, VEHICLE), *sensors], alone=True)
     return after, use.error(None, sensors, alone=True)

@@ -24,31 +24,19 @@ FAR = 5.0  # such standard deviations
 class Graded:
     """Hold-out grade of an effect.
 
-    Attributes
-    ----------
-    improvement
-        Improvement of the model with it over the one without, each fitted separately.
-    on_bounds
-        Parameters that lie on a bound other than the value without effect.
-    displaces
-        Base parameters on a bound far from the file's value with the effect, but not without it, although the hold-out error
-        hardly improves. The effect replaces a part of the base, as a sensor offset replaces rolling
-        resistance.
-    cancels
-        Whether its improvement is far too small for its size, as for a term that cancels another one.
-    grade
-        `confirmed`, `suspected` or `refuted`. On a bound or cancelling: at best suspected. Displacing: refuted.
+    Base parameters that it displaces are on a bound far from the file's value with the effect, but not without it, although the
+    hold-out error hardly improves. The effect replaces a part of the base, as a sensor offset replaces rolling resistance.
     """
 
     name: str
-    improvement: Improvement
-    on_bounds: tuple[str, ...]
+    improvement: Improvement  # of the model with it over the one without, each fitted separately
+    on_bounds: tuple[str, ...]  # parameters on a bound other than the value without effect
     displaces: tuple[str, ...] = ()
-    cancels: bool = False
+    cancels: bool = False  # far too small an improvement for its size, as of a term that cancels another one
 
     @property
     def grade(self) -> str:
-        """See above."""
+        """`confirmed`, `suspected` or `refuted`. On a bound or cancelling: at best suspected. Displacing: refuted."""
         if self.displaces:
             return REFUTED
         unsure = bool(self.on_bounds) or self.cancels
@@ -92,8 +80,6 @@ def moved_parameters(found: Fit, by: float = MOVED) -> list[tuple[BaseParameter,
 
 
 def far_from_file(found: Fit) -> list[tuple[BaseParameter, float]]:
-    """Base parameters that are `FAR` outside their range, if there are several. One value of a file may be wrong, but
-    several such values compensate another error in it.
-    """
+    """Several base parameters that are `FAR` outside their range: they compensate another error of the file."""
     far = moved_parameters(found, FAR)
     return far if len(far) > 1 else []

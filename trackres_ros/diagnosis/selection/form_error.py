@@ -6,12 +6,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.variables import BY_NAME
 from trackres_ros.diagnosis.inference.fitting import Fit
-
-Array = NDArray[np.float64]
+from trackres_ros.diagnosis.prepare.session import Array
 
 FORM_ERROR = 0.1  # of an effect's torque: standard deviation of its functional error
 FOLLOWED = ("speed", "acceleration", "load", "belt temperature", "time since start")
@@ -21,11 +19,7 @@ def other_forms(fit: Fit) -> Array:
     """Changes of the effects of a fit for functional errors of `FORM_ERROR`.
 
     Each effect is scaled up for large values of a variable and down for small ones: for the variables of `FOLLOWED`, for
-    the direction, and for its own size.
-
-    Returns
-    -------
-    Change of all predicted segments, concatenated, shape (n, columns).
+    the direction, and for its own size. The result has the shape (n, columns), for all segments concatenated.
     """
     masks, driven = fit.problem.masks, list(zip(fit.problem.sessions, fit.predicted, strict=True))
     found = []

@@ -9,14 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.prepare.session import DriveSession, Mask
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.split import lap_name
 from trackres_ros.errors import InputError
-
-Array = NDArray[np.float64]
 
 STAGES = ("nominal", "refitted", "with_effects")
 RESAMPLES = 10_000
@@ -30,25 +27,16 @@ CONFIRMED, SUSPECTED, REFUTED = "confirmed", "suspected", "refuted"
 class Improvement:
     """Reduction of the mean error on hold-out laps [Nm] by one model over another.
 
-    Attributes
-    ----------
-    before, after
-        Mean absolute errors of the other model and of this one.
-    low, high
-        A 95 % interval of the difference, over laps.
-    likelier
-        Lower bound of the level score, see `search.left_out`. It separates an effect from noise earlier than the mean error,
-        which is mostly noise. Negative infinity where not requested.
-    gained
-        The level score itself; nan where not requested.
+    The level score, see `search.cross_validation`, separates an effect from noise earlier than the mean error, which is mostly
+    noise.
     """
 
-    before: float
-    after: float
-    low: float
+    before: float  # mean absolute error of the other model
+    after: float  # and of this one
+    low: float  # 95 % interval of the difference, over laps
     high: float
-    likelier: float = -np.inf
-    gained: float = np.nan
+    likelier: float = -np.inf  # lower bound of the level score; negative infinity where not requested
+    gained: float = np.nan  # the level score; nan where not requested
 
     @property
     def grade(self) -> str:
@@ -70,18 +58,7 @@ class Improvement:
 
 
 class HeldOutLaps:
-    """Comparison of models on the hold-out samples.
-
-    Parameters
-    ----------
-    masks
-        The hold-out samples of each session.
-
-    Raises
-    ------
-    InputError
-        If there are none.
-    """
+    """Comparison of models on the hold-out samples of each session; an `InputError` if there are none."""
 
     def __init__(self, sessions: Sequence[DriveSession], masks: Sequence[Mask], rng: np.random.Generator) -> None:
         if not any(m.any() for m in masks):
@@ -108,7 +85,8 @@ class HeldOutLaps:
     def improvement(self, before: Sequence[Array], after: Sequence[Array]) -> Improvement:
         """Improvement by one predicted torque of each session over another [Nm]."""
         errors = [np.abs(self.measured - self.of(x)) for x in (before, after)]
-        means = self._over_laps(errors[0] - errors[1]) / (self._draws @ self._count)
+        gained = np.bincount(self._piece, weights=errors[0] - errors[1])
+        means = (self._draws @ gained) / (self._draws @ self._count)  # over resampled laps
         low, high = np.quantile(means, (0.025, 0.975))
         return Improvement(float(errors[0].mean()), float(errors[1].mean()), float(low), float(high))
 
@@ -116,30 +94,18 @@ class HeldOutLaps:
         """Improvement by one fit over another."""
         return self.improvement(*([p.torque for p in fit.predicted] for fit in (before, after)))
 
-    def _over_laps(self, gained: Array) -> Array:
-        """Sums of a gain per sample, over resampled laps."""
-        return np.asarray(self._draws @ np.bincount(self._piece, weights=gained))
-
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Errors on hold-out laps by stage: mean absolute error [Nm], R2, mean error [Nm].
-
-    Attributes
-    ----------
-    by_lap
-        Each of them by stage and lap, shape (laps,).
-    of_refit, of_effects
-        Improvement by re-fitting the base over the vehicle file, and by the effects over the re-fitted base.
-    """
+    """Errors on hold-out laps by stage: mean absolute error [Nm], R2, mean error [Nm]."""
 
     laps: tuple[str, ...]
     mae: dict[str, float]
     r2: dict[str, float]
     bias: dict[str, float]
-    by_lap: dict[str, dict[str, Array]]
-    of_refit: Improvement
-    of_effects: Improvement
+    by_lap: dict[str, dict[str, Array]]  # each of them by stage and lap, shape (laps,)
+    of_refit: Improvement  # improvement of the re-fitted base over the vehicle file
+    of_effects: Improvement  # and of the effects over the re-fitted base
 
 
 def held_out(laps: HeldOutLaps, expected: Mapping[str, Sequence[Array]]) -> HeldOut:

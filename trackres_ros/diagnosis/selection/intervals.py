@@ -7,8 +7,6 @@ the functional form.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
@@ -19,10 +17,7 @@ from trackres_ros.diagnosis.inference.threads import side_by_side
 from trackres_ros.diagnosis.selection.confirm import ON_BOUND
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
 from trackres_ros.diagnosis.selection.visibility import base_columns
-from trackres_ros.effects.effect import Effect
 from trackres_ros.vehicle.writing.changes import Interval
-
-Array = NDArray[np.float64]
 
 DROP = 0.5 * float(chi2.ppf(0.95, 1))
 NORMAL_95 = 1.96
@@ -37,7 +32,8 @@ def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
 
     The size of an effect also depends on its function, which is accurate to `FORM_ERROR`.
     """
-    laps, sessions = lap_std(found), session_std(found)
+    session_of_row = np.concatenate([np.full(len(g.measured), g.session) for g in found.problem.segments])
+    laps, sessions = lap_std(found), _jackknife_std(found, session_of_row)  # unmodelled conditions differ between sessions
     by_laps = {key: max(std, sessions.get(key, 0.0)) for key, std in laps.items()}
     offs = {(a.effect.name, q.name): q.off for a in found.effects for q in a.effect.parameters if q.off is not None}
 
@@ -62,22 +58,17 @@ def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
 
 def lap_std(found: Fit, together: int = 1) -> dict[tuple[str, str], float]:
     """Standard deviations from leaving out one lap at a time, or `together` consecutive ones, to first order."""
-    return _left_out_std(found, np.concatenate([g.block for g in found.problem.segments]) // together)
+    return _jackknife_std(found, np.concatenate([g.block for g in found.problem.segments]) // together)
 
 
-def session_std(found: Fit) -> dict[tuple[str, str], float]:
-    """The same from leaving out one session at a time: unmodelled conditions differ between them."""
-    return _left_out_std(found, np.concatenate([np.full(len(g.measured), g.session) for g in found.problem.segments]))
-
-
-def _left_out_std(found: Fit, blocks: NDArray[np.int64]) -> dict[tuple[str, str], float]:
+def _jackknife_std(found: Fit, blocks: NDArray[np.int64]) -> dict[tuple[str, str], float]:
+    """Standard deviations from leaving out one block of rows at a time."""
     scale = np.array([f.scale for f in found.free])
     prior = np.array([f.scale / f.std for f in found.free])
     columns = found.problem.white(found.problem.split(base_columns(found) * scale), found.noises)
     x, e = np.concatenate(columns), np.concatenate(found.white)
-    weight = np.concatenate([found.noises[g.kind].weights(w) for w, g in zip(found.white, found.problem.segments, strict=True)])
     valid = np.isfinite(e) & np.isfinite(x).all(axis=1)
-    x, e, blocks = x[valid], (e * weight)[valid], blocks[valid]
+    x, e, blocks = x[valid], (e * found.weights)[valid], blocks[valid]
     inverse = np.linalg.pinv(x.T @ x + np.diag(prior**2), rcond=1e-13)
     shifts = np.array([inverse @ (x[blocks == b].T @ e[blocks == b]) for b in np.unique(blocks)])
     count = len(shifts)
@@ -89,16 +80,17 @@ def _left_out_std(found: Fit, blocks: NDArray[np.int64]) -> dict[tuple[str, str]
 
 def _edge(found: Fit, key: tuple[str, str], side: float, bound: float) -> tuple[float, bool]:
     """Point where the profile has fallen by `DROP`, or the bound with True if it does not."""
-    at, wanted = found.at[key], DROP
-    effects = [a.effect for a in found.effects]
+    at, effects = found.at[key], [a.effect for a in found.effects]
     reach = abs(bound - at)
     if reach <= 1e-6 * max(abs(bound), abs(at), 1e-12):
         return bound, True
     step = min(max(NORMAL_95 * found.std_of(*key), 1e-4 * reach), reach)
     inside, outside = (0.0, 0.0), None
     for _ in range(MOST_TRIES):
-        fallen = found.log_likelihood - _held(found, effects, key, at + side * step)
-        if fallen >= wanted:
+        fixed = {key: at + side * step}
+        held = fit(found.problem, effects, found.at, found.noises, rounds=1, fixed=fixed, largest_root=LARGEST_ROOT)
+        fallen = found.log_likelihood - held.log_likelihood
+        if fallen >= DROP:
             outside = (step, fallen)
             break
         inside = (step, max(fallen, 0.0))
@@ -109,10 +101,5 @@ def _edge(found: Fit, key: tuple[str, str], side: float, bound: float) -> tuple[
         return bound, True
     # Between them the square root of the fall is nearly linear.
     a, b = np.sqrt(inside[1]), np.sqrt(outside[1])
-    share = (np.sqrt(wanted) - a) / (b - a) if b > a else 1.0
+    share = (np.sqrt(DROP) - a) / (b - a) if b > a else 1.0
     return at + side * float(inside[0] + share * (outside[0] - inside[0])), False
-
-
-def _held(found: Fit, effects: Sequence[Effect], key: tuple[str, str], value: float) -> float:
-    held = fit(found.problem, effects, found.at, found.noises, rounds=1, fixed={key: value}, largest_root=LARGEST_ROOT)
-    return held.log_likelihood

@@ -10,18 +10,16 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import shortened
 from trackres_ros.diagnosis.inference.threads import side_by_side
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.screening import Gain, Screened, screen
 from trackres_ros.diagnosis.selection.visibility import EffectColumns, EffectSensitivity, Separability, separability
 from trackres_ros.effects.effect import Effect
 from trackres_ros.effects.learned import EmpiricalEffect
-
-Array = NDArray[np.float64]
 
 MOST_REFITTED = {False: 6, True: 3}  # names, and forms
 FAR_BEHIND = 15.0  # in log-likelihood, to first order: no re-fit recovers that
@@ -35,35 +33,17 @@ MODEL_ERROR = 0.004  # of the torque, root mean square and slow: error of a re-f
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An effect fitted together with the base.
-
-    Attributes
-    ----------
-    name, fit
-        The effect, and the fit with it.
-    gain
-        Gain in log-likelihood over the fit without.
-    criterion
-        Gain in log-evidence: less the cost of its parameters.
-    bic_gain
-        Twice the gain less the logarithm of the effective sample for each effective parameter; for comparison.
-    kept, d_prime
-        See `visibility.EffectSensitivity`.
-    share
-        Its share of the torque, root mean square.
-    form_error_gain
-        Part of the gain that other forms of the present effects explain, see `form_error.other_forms`.
-    """
+    """An effect fitted together with the base."""
 
     name: str
-    fit: Fit
-    gain: float
-    criterion: float
-    bic_gain: float
-    kept: float
+    fit: Fit  # with the effect
+    gain: float  # in log-likelihood over the fit without
+    criterion: float  # gain in log-evidence: less the cost of its parameters
+    bic_gain: float  # twice the gain less log(effective sample) for each effective parameter; for comparison
+    kept: float  # see `visibility.EffectSensitivity`, as `d_prime`
     d_prime: float
-    share: float
-    form_error_gain: float
+    share: float  # of the torque, root mean square
+    form_error_gain: float  # part of the gain that other forms of the present effects explain
 
     @property
     def effect(self) -> Effect:
@@ -97,37 +77,18 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One round of the forward choice.
+    """One round of the forward choice."""
 
-    Attributes
-    ----------
-    before
-        The initial fit.
-    separability, screened
-        The visible effects, and the gains to first order.
-    by_noise, threshold
-        The gain that noise alone reaches with 5 % probability; and the required gain, which also exceeds the model's own
-        error.
-    candidates
-        The fitted ones, best first.
-    chosen
-        The best one, if its gain suffices; else None.
-    members, weights
-        Effects with an equivalent explanation, and the probability of each.
-    stability
-        Share of resampled laps won by the class.
-    """
-
-    before: Fit
+    before: Fit  # the initial fit
     separability: Separability
-    by_noise: float
-    threshold: float
-    screened: tuple[tuple[str, float], ...]
-    candidates: tuple[Candidate, ...]
-    chosen: Candidate | None = None
-    members: tuple[str, ...] = ()
-    weights: Mapping[str, float] = field(default_factory=dict)
-    stability: float = 0.0
+    by_noise: float  # gain that noise alone reaches with 5 % probability
+    threshold: float  # required gain, which also exceeds the model's own error
+    screened: tuple[tuple[str, float], ...]  # effects and their gains to first order
+    candidates: tuple[Candidate, ...]  # the fitted ones, best first
+    chosen: Candidate | None = None  # the best one, if its gain suffices
+    members: tuple[str, ...] = ()  # effects with an equivalent explanation
+    weights: Mapping[str, float] = field(default_factory=dict)  # probability of each
+    stability: float = 0.0  # share of resampled laps won by the class
 
     @property
     def hint(self) -> str:
@@ -140,9 +101,7 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """Candidates by name or form, their first-order columns about the base, and the best one's gain by noise
-    alone.
-    """
+    """Candidates by name or form, their first-order columns about the base, and the best one's gain by noise alone."""
 
     effects: Mapping[str, Effect]
     columns: EffectColumns

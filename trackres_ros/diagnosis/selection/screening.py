@@ -19,10 +19,9 @@ from scipy.signal import lfilter
 from trackres_ros.diagnosis.inference.fitting import LARGE, Fit
 from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, improved, shortened, whole_past
 from trackres_ros.diagnosis.inference.threads import side_by_side
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.form_error import other_forms
 from trackres_ros.diagnosis.selection.visibility import EffectSensitivity, base_columns
-
-Array = NDArray[np.float64]
 
 TURNS = 3  # of coefficients and noise
 FLIPPED_TOGETHER = 20  # samples whose sign the bootstrap flips together: keeps the correlation after whitening
@@ -45,24 +44,12 @@ class Gain(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """First-order gains in log-likelihood of effects over a fit, and those of noise alone.
+    """First-order gains in log-likelihood of effects over a fit, and those of noise alone."""
 
-    Attributes
-    ----------
-    gains
-        Best first; over a fit whose effects may have another form, see `form_error.other_forms`.
-    form_error_gain
-        Part of each effect's gain that other forms of the fitted effects explain.
-    threshold
-        Gain that the best candidate reaches by noise alone with 5 % probability.
-    reached
-        Largest gain of each replicate of the bootstrap.
-    """
-
-    gains: tuple[tuple[EffectSensitivity, Gain], ...]
-    form_error_gain: Mapping[str, float]
-    threshold: float
-    reached: Array
+    gains: tuple[tuple[EffectSensitivity, Gain], ...]  # best first; over a fit whose effects may have another form
+    form_error_gain: Mapping[str, float]  # part that other forms of the fitted effects explain
+    threshold: float  # gain of the best candidate by noise alone with 5 % probability
+    reached: Array  # largest gain of each replicate of the bootstrap
 
 
 def screen(
@@ -130,9 +117,7 @@ Lagged = Mapping[str, Array]
 
 @dataclass(frozen=True, eq=False)
 class _Mover:
-    """Free parameters for explaining a residual: columns, bounds, weight and pull of the priors; and the
-    columns whitened by the initial noises, on demand.
-    """
+    """Free parameters for explaining a residual; and their columns whitened by the initial noises, on demand."""
 
     columns: Lagged
     low: Array
@@ -206,9 +191,7 @@ class _Linear:
         return side_by_side(gain, movers, "screening of the candidates")
 
     def ranking(self, movers: Sequence[_Mover]) -> Callable[[Lagged], Array]:
-        """Function for the gain of each mover on a residual under the fit's own noise and without bounds: cheap, and precise
-        enough for ranking.
-        """
+        """Function for the gain of each mover on a residual, without bounds and new noise: cheap, for ranking."""
         count, noises = len(self.own.prior), self._fit.noises
         prior = np.concatenate([self.own.prior, *(m.prior[count:] for m in movers)])
         white = {

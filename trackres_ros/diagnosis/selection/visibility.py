@@ -7,20 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.inference.fitting import LARGE, Fit, jacobian, valid_rows
 from trackres_ros.diagnosis.inference.noise import shortened
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.effects.effect import Active, Effect
 from trackres_ros.effects.learned import EmpiricalEffect
 from trackres_ros.progress import counted
 
-Array = NDArray[np.float64]
-Projector = Callable[[Array], tuple[Array, Array]]
 ColumnsOf = Callable[[Effect, Mapping[str, float]], Array]
 
 LEAST_KEPT, LEAST_D_PRIME = 0.1, 3.0
@@ -32,43 +29,16 @@ REPLACED_BY = {"grade": ("grade", "grade_profile")}
 
 @dataclass(frozen=True, eq=False)
 class EffectSensitivity:
-    """First-order change of the residual by an effect.
-
-    Attributes
-    ----------
-    effect, start
-        The effect, and the values of its linearisation.
-    amplitudes
-        Names of the parameters of `columns`.
-    columns
-        Change of the prediction per amplitude, of all segments concatenated, shape (n, amplitudes).
-    kept
-        Share of it that no re-fit of the base absorbs.
-    d_prime
-        Visibility of a typical effect in standard deviations.
-    by_priors
-        Part of it due to base parameters pushed out of the ranges of the vehicle file.
-    direction
-        Whitened, orthogonal to the base, of unit length: for the cosine between two effects.
-    """
+    """First-order change of the residual by an effect."""
 
     effect: Effect
-    start: Mapping[str, float]
-    amplitudes: tuple[str, ...]
-    columns: Array
-    kept: float
-    d_prime: float
-    by_priors: float
-    direction: Array
-
-
-class Shown(NamedTuple):
-    """Visibility of a change of the predicted torque, see `EffectSensitivity`."""
-
-    kept: float
-    d_prime: float
-    by_priors: float
-    direction: Array
+    start: Mapping[str, float]  # values of the linearisation
+    amplitudes: tuple[str, ...]  # names of the parameters of `columns`
+    columns: Array  # change of the prediction per amplitude, of all segments concatenated, shape (n, amplitudes)
+    kept: float  # share of it that no re-fit of the base absorbs
+    d_prime: float  # visibility of a typical effect in standard deviations
+    by_priors: float  # part of it due to base parameters pushed out of the ranges of the vehicle file
+    direction: Array  # whitened, orthogonal to the base, of unit length: for the cosine between two effects
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,21 +56,11 @@ class NotVisible:
 
 @dataclass(frozen=True, eq=False)
 class Separability:
-    """Visible effects, and their similarity.
+    """Visible effects, and their similarity."""
 
-    Attributes
-    ----------
-    visible
-        Sensitivities of visible effects; one may appear several times, from several starts.
-    not_visible
-        The others with the reason; and visible ones that the base could absorb almost entirely.
-    names, cosines
-        Names of the visible ones, and the cosines between them, shape (names, names), signed.
-    """
-
-    visible: tuple[EffectSensitivity, ...]
-    not_visible: tuple[NotVisible, ...]
-    names: tuple[str, ...]
+    visible: tuple[EffectSensitivity, ...]  # one effect may appear several times, from several starts
+    not_visible: tuple[NotVisible, ...]  # and visible ones that the base absorbs almost entirely
+    names: tuple[str, ...]  # of the visible ones
     cosines: Array  # (names, names), signed
 
     @property
@@ -144,24 +104,19 @@ def feasible(effects: Mapping[str, Effect], fit: Fit) -> tuple[list[Effect], lis
 
 
 def separability(effects: Mapping[str, Effect], fit: Fit, columns_of: ColumnsOf | None = None) -> Separability:
-    """Linearise all effects about a fit, unless given, and compare them with the fit's own parameters and with
-    each other.
-    """
+    """Linearise all effects about a fit, and compare them with the fit's own parameters and with each other."""
     columns_of = columns_of or EffectColumns(fit)
     possible, not_visible = feasible(effects, fit)
     own = base_columns(fit)
-    own_white = _white(own, fit)
-    project = _projector(own_white, fit)
-    short = shortened(fit.noise)
-    beside_short = None if short is None else replace(fit, noises={**fit.noises, "torque": short})
-    project_short = None if beside_short is None else _projector(_white(own, beside_short), beside_short)
+    usual, short = _Visibility(fit, own), shortened(fit.noise)
+    with_short = None if short is None else _Visibility(replace(fit, noises={**fit.noises, "torque": short}), own)
     visible = []
     for effect in counted(possible, "visibility of each effect", len(possible)):
         columns = [(start, columns_of(effect, start)) for start in starts(effect)]
-        found, best = _strongest(effect, columns, fit, project)
-        if best and LARGE * best.d_prime < LEAST_D_PRIME and beside_short and project_short:
+        found, best = usual.strongest(effect, columns)
+        if best and LARGE * best.d_prime < LEAST_D_PRIME and with_short:
             # A random-walk noise hides a slow effect, which may even be its cause.
-            found, best = _strongest(effect, columns, beside_short, project_short)
+            found, best = with_short.strongest(effect, columns)
         if best is None:
             not_visible.append(NotVisible(effect, "it has no effect here"))
         elif LARGE * best.d_prime < LEAST_D_PRIME:
@@ -218,56 +173,41 @@ def _columns(effect: Effect, start: Mapping[str, float], fit: Fit) -> Array:
     return columns
 
 
-def _strongest(
-    effect: Effect, columns: Sequence[tuple[dict[str, float], Array]], fit: Fit, project: Projector
-) -> tuple[list[EffectSensitivity], EffectSensitivity | None]:
-    """Visibility of an effect from each start with any influence, under the noise of a fit; and the strongest one."""
-    found = [s for start, of in columns if (s := _sensitivity(effect, start, of, fit, project)) is not None]
-    return found, max(found, key=lambda s: s.d_prime, default=None)
+class _Visibility:
+    """Visibility of effects under the noise of a fit, beyond what the fit's own parameters explain."""
 
+    def __init__(self, fit: Fit, own: Array) -> None:
+        self._fit = fit
+        self._std, self._scale = (np.array([getattr(f, name) for f in fit.free]) for name in ("std", "scale"))
+        self._own = _white(own, fit) * self._scale
+        prior, ridge = np.diag((self._scale / self._std) ** 2), 1e-9 * np.eye(len(self._scale))
+        self._factor = np.linalg.inv(self._own.T @ self._own + prior + ridge)
 
-def _sensitivity(
-    effect: Effect, start: Mapping[str, float], columns: Array, fit: Fit, project: Projector
-) -> EffectSensitivity | None:
-    amplitudes = [q for q in effect.parameters if q.off is not None]
-    spanned = columns * np.array([q.start - q.off for q in amplitudes if q.off is not None])
-    shown = [one for series in (spanned.sum(axis=1), *spanned.T) if (one := _shown(series, fit, project)) is not None]
-    if not shown:
-        return None
-    best = max(shown, key=lambda one: one.d_prime)
-    names = tuple(q.name for q in amplitudes)
-    return EffectSensitivity(effect, start, names, columns, best.kept, best.d_prime, best.by_priors, best.direction)
+    def strongest(
+        self, effect: Effect, columns: Sequence[tuple[dict[str, float], Array]]
+    ) -> tuple[list[EffectSensitivity], EffectSensitivity | None]:
+        """Sensitivity to an effect from each start with any influence, and the largest one."""
+        found = [s for start, of in columns if (s := self._sensitivity(effect, start, of)) is not None]
+        return found, max(found, key=lambda s: s.d_prime, default=None)
 
-
-def _shown(change: Array, fit: Fit, project: Projector) -> Shown | None:
-    """Visibility of a change of the predicted torque; None for no change."""
-    white = _white(change[:, np.newaxis], fit)[:, 0]
-    whole = float(np.linalg.norm(white))
-    if not whole > 1e-9:
-        return None
-    left, pushed = project(white)
-    data, prior = float(np.linalg.norm(left)), float(np.linalg.norm(pushed))
-    rest = float(np.hypot(data, prior))
-    direction = np.concatenate((left, pushed)) / max(rest, 1e-300)
-    return Shown(rest / whole, rest, prior, direction)
-
-
-def _projector(own_white: Array, fit: Fit) -> Projector:
-    """Function that removes the part of a whitened series that the fit's own parameters explain.
-
-    It returns the remainder of the series, and the resulting change of the parameters in prior standard deviations.
-    """
-    std = np.array([f.std for f in fit.free])
-    scale = np.array([f.scale for f in fit.free])
-    columns = own_white * scale
-    information = columns.T @ columns + np.diag((scale / std) ** 2) + 1e-9 * np.eye(len(scale))
-    factor: Array = np.linalg.inv(information)
-
-    def project(series: Array) -> tuple[Array, Array]:
-        taken = factor @ (columns.T @ series)
-        return np.asarray(series - columns @ taken), np.asarray(taken * scale / std)
-
-    return project
+    def _sensitivity(self, effect: Effect, start: Mapping[str, float], columns: Array) -> EffectSensitivity | None:
+        """That to all amplitudes together, or to the most visible one; None without influence."""
+        amplitudes = [(q.name, q.start - q.off) for q in effect.parameters if q.off is not None]
+        names, best = tuple(name for name, _ in amplitudes), None
+        spanned = columns * np.array([span for _, span in amplitudes])
+        for change in (spanned.sum(axis=1), *spanned.T):
+            white = _white(change[:, np.newaxis], self._fit)[:, 0]
+            whole = float(np.linalg.norm(white))
+            if not whole > 1e-9:
+                continue
+            taken = self._factor @ (self._own.T @ white)
+            left, pushed = white - self._own @ taken, taken * self._scale / self._std
+            data, prior = float(np.linalg.norm(left)), float(np.linalg.norm(pushed))
+            rest = float(np.hypot(data, prior))
+            if best is None or rest > best.d_prime:
+                direction = np.concatenate((left, pushed)) / max(rest, 1e-300)
+                best = EffectSensitivity(effect, start, names, columns, rest / whole, rest, prior, direction)
+        return best
 
 
 def _expected(fit: Fit, predicted: Sequence[Predicted]) -> Array:

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import ByPlace
 from trackres_ros.diagnosis.empirical.finders import slow_term
@@ -33,6 +32,7 @@ from trackres_ros.diagnosis.findings.verdict import MOST_STRAY, Findings, NamedE
 from trackres_ros.diagnosis.findings.verdict import judge as verdict_of
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.prepare.torque_checks import inconsistent_scale_notes, nothing_to_conclude
 from trackres_ros.diagnosis.search.choice import Chosen
 from trackres_ros.diagnosis.selection.confirm import Graded
@@ -43,39 +43,22 @@ from trackres_ros.diagnosis.stages.prepare import PreparedSessions
 from trackres_ros.diagnosis.stages.refit import Refitted
 from trackres_ros.vehicle.writing.changes import Interval
 
-Array = NDArray[np.float64]
 Bounds = Mapping[tuple[str, str], Interval]
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """Final terms, errors, intervals and residuals.
+    """Final terms, errors, intervals and residuals."""
 
-    Attributes
-    ----------
-    found, terms
-        Effects and unnamed terms of the final fit, the largest first.
-    wanders, tracked
-        The slow residual, where it is larger than expected; and the hold-out result of following it live.
-    spread
-        Conditions with a larger scatter of the torque.
-    worth
-        Errors on held-out laps.
-    tested_end, at_end
-        The final fit with the noise that whitens its residuals, and its residual by regime.
-    bounds
-        Intervals of the values of the final fit.
-    """
-
-    found: tuple[NamedEffect, ...]
-    terms: tuple[Told, ...]
-    wanders: Described | None
-    tracked: Improvement | None
-    spread: Spread | None
-    worth: HeldOut
-    tested_end: Fit
-    at_end: RegimeMap
-    bounds: Bounds
+    found: tuple[NamedEffect, ...]  # confirmed named effects, the largest first
+    described: tuple[Told, ...]  # unnamed terms, the largest first
+    drift: Described | None  # the slow residual, where it is larger than expected
+    tracked: Improvement | None  # hold-out result of following the drift live
+    spread: Spread | None  # conditions with a larger scatter of the torque
+    held_out: HeldOut  # errors on hold-out laps
+    tested_end: Fit  # the final fit with the noise that best whitens its residual
+    at_end: RegimeMap  # its residual by regime
+    bounds: Bounds  # intervals of the values of the final fit
     verdict: Verdict
 
 
@@ -93,9 +76,9 @@ def judge(
     found, terms = _found(base, chosen, bounds), _terms(base, chosen, bounds)
     left_over = slow_residual(final)
     later = only_later(base.refitted, worth.mae["refitted"])
-    wanders = slow_term(final) if (left_over.share > MOST_STRAY or later) and not terms else None
-    tracked = drift_on_held_out(final, base.laps) if wanders is not None else None
-    wandering = None if wanders is None or tracked is None else Told(wanders, [], [], {}, 0.0, Graded(wanders.form, tracked, ()))
+    drift = slow_term(final) if (left_over.share > MOST_STRAY or later) and not terms else None
+    tracked = drift_on_held_out(final, base.laps) if drift is not None else None
+    as_term = None if drift is None or tracked is None else Told(drift, [], [], {}, 0.0, Graded(drift.form, tracked, ()))
     spread = find_spread(final)
     changed = () if final.effects else changed_values(base.refitted, bounds)
     verdict = verdict_of(
@@ -108,14 +91,14 @@ def judge(
             left_over=left_over,
             hint=chosen.last.hint,
             held_out=worth,
-            drift=wandering,
+            drift=as_term,
             changed=changed,
             shares=chosen.shares,
             spread=None if spread is None else spread.described,
             later=later,
         )
     )
-    return Judgement(tuple(found), tuple(terms), wanders, tracked, spread, worth, tested_end, at_end, bounds, verdict)
+    return Judgement(tuple(found), tuple(terms), drift, tracked, spread, worth, tested_end, at_end, bounds, verdict)
 
 
 def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen) -> HeldOut:

@@ -14,36 +14,16 @@ from trackres_ros.diagnosis.prepare.refuse import Refusal
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisOptions:
-    """Options of a diagnosis.
+    """Options of a diagnosis."""
 
-    Attributes
-    ----------
-    hide
-        Roles that are not read.
-    holdout
-        See `gate.split`.
-    seed
-        Seed of all random draws: equal seeds give equal results.
-    quick
-        Fewer draws.
-    effects_dir
-        Folder with user effects.
-    keep_suspected
-        Whether to keep suspected effects, which fit but are not confirmed on hold-out laps.
-    on_stage
-        Callback with the name of each stage.
-    unread
-        Recordings that could not be read.
-    """
-
-    hide: Sequence[str] = ()
-    holdout: int | Sequence[str] | None = None
-    seed: int = 1
-    quick: bool = False
-    effects_dir: Path | None = None
-    keep_suspected: bool = False
-    on_stage: Callable[[str], None] = lambda _: None
-    unread: Sequence[Refusal] = ()
+    hide: Sequence[str] = ()  # roles that are not read
+    holdout: int | Sequence[str] | None = None  # see `split.split`
+    seed: int = 1  # of all random draws: equal seeds give equal results
+    quick: bool = False  # fewer draws
+    effects_dir: Path | None = None  # folder with user effects
+    keep_suspected: bool = False  # keep effects that fit but are not confirmed on hold-out laps
+    on_stage: Callable[[str], None] = lambda _: None  # callback with the name of each stage
+    unread: Sequence[Refusal] = ()  # recordings that could not be read
 
 
 BY_DEFAULT = DiagnosisOptions()

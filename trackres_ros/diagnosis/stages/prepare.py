@@ -9,49 +9,38 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.instrument import usual_offset
 from trackres_ros.diagnosis.base.loading import LoadedBase
-from trackres_ros.diagnosis.prepare.at_rest import seconds_without_torque
-from trackres_ros.diagnosis.prepare.gate import Gated
-from trackres_ros.diagnosis.prepare.session import DriveSession, Split
+from trackres_ros.diagnosis.prepare.gate import Gated, gate
+from trackres_ros.diagnosis.prepare.on_route import on_route
+from trackres_ros.diagnosis.prepare.refuse import Refusal
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask, Split
 from trackres_ros.diagnosis.prepare.split import split
+from trackres_ros.diagnosis.prepare.torque_checks import aligned_clock, check_torque, faulty_torques, inconsistent_scale_notes
 from trackres_ros.diagnosis.stages.options import DiagnosisOptions
-from trackres_ros.diagnosis.stages.prepared import prepared
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Effect
 from trackres_ros.effects.sensor.torque_offset import TorqueOffset
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
 from trackres_ros.recording.recording import Recording
 from trackres_ros.text.numbers import figures
+from trackres_ros.units import STANDSTILL_MPS
 
-Array = NDArray[np.float64]
+LEAST_S = 60.0  # of stops with a reading of zero
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedSessions:
-    """Sessions to diagnose, with their base and candidate effects.
-
-    Attributes
-    ----------
-    gated, split
-        Sessions that passed the gate, and the hold-out laps.
-    nominal
-        Torque of each session with the values of the vehicle file [Nm].
-    recorded
-        The sessions without values from a route.
-    effects
-        Candidate effects.
-    """
+    """Sessions to diagnose, with their base and candidate effects."""
 
     vehicle: LoadedBase
-    gated: Gated
+    gated: Gated  # sessions that passed the gate
     split: Split
-    nominal: tuple[Array, ...]
-    recorded: tuple[DriveSession, ...]
-    effects: Mapping[str, Effect]
+    nominal: tuple[Array, ...]  # torque of each session with the values of the vehicle file [Nm]
+    recorded: tuple[DriveSession, ...]  # the sessions without values from a route
+    effects: Mapping[str, Effect]  # candidates
 
     @property
     def base(self) -> Base:
@@ -71,7 +60,7 @@ def prepare(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diagn
     gated, nominal, recorded = prepared(recordings, vehicle, options.hide, options.unread)
     known = catalogue(options.effects_dir, facts.weight * facts.radius, on_tyres=not base.has_belt)
     effects = {
-        name: effect.beside(base.rotating_mass_factor) if isinstance(effect, RotatingInertia) else effect
+        name: effect.beyond(base.rotating_mass_factor) if isinstance(effect, RotatingInertia) else effect
         for name, effect in known.items()
         if effect.only_of in ("", "rolls" if base.rolls else "slides")
     }
@@ -87,3 +76,59 @@ def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -
         return gated, dict(effects)
     note = f"the torque is 0 Nm at rest, within {figures(none)} Nm over {seconds:.0f} s: the sensor has no offset"
     return replace(gated, notes=(*gated.notes, note)), {n: e for n, e in effects.items() if n != TorqueOffset.name}
+
+
+def seconds_without_torque(sessions: Sequence[DriveSession], most: float) -> float:
+    """Total time at rest with a measured torque of at most `most` [Nm], thus zero [s]; 0 where too short to decide.
+
+    A stop is included if the median of its readings is zero: at others a slope may hold a torque, or a start is near.
+    """
+    seconds = 0.0
+    for session in sessions:
+        slow = np.abs(session.speed) < STANDSTILL_MPS
+        rests = slow & np.roll(slow, 1) & np.roll(slow, -1) & _measured(session)  # no part of a start within the step
+        rests[[0, -1]] = False
+        ends = np.flatnonzero(np.diff(rests.astype(np.int8)))
+        for begin, end in ends.reshape(-1, 2) + 1:
+            if abs(float(np.median(session.torque[begin:end]))) <= most:
+                seconds += session.step * float(end - begin)
+    return seconds if seconds >= LEAST_S else 0.0
+
+
+def _measured(session: DriveSession) -> Mask:
+    """Steps that contain a torque sample."""
+    if session.torque_course is None:
+        return np.zeros(len(session), dtype=bool)
+    edges = np.append(session.time, session.time[-1] + session.step)
+    return np.asarray(np.histogram(session.torque_course.at, edges)[0] > 0)
+
+
+def prepared(
+    recordings: Sequence[Recording], vehicle: LoadedBase, hide: Sequence[str] = (), refused: Sequence[Refusal] = ()
+) -> tuple[Gated, tuple[Array, ...], tuple[DriveSession, ...]]:
+    """Sessions that passed the gate and the torque checks, their torque from the vehicle file [Nm], and the same sessions
+    without values from a route.
+
+    If only some recordings have a plainly wrong torque, these are dropped, else that is an error. The gate then runs again
+    on the rest, because a recording also sets the belt temperature at the start of the next one.
+    """
+
+    def by_file(sessions: Sequence[DriveSession]) -> list[Array]:
+        values = {q.name: q.nominal for q in vehicle.base.parameters}
+        return [p.torque for p in vehicle.base.predict(sessions, values, ())]
+
+    refused = list(refused)
+    while True:
+        passed = gate(recordings, vehicle.known, hide, refused)
+        gated = on_route(passed, vehicle.route)
+        expected = by_file(gated.sessions)
+        moved = [aligned_clock(s, e) for s, e in zip(gated.sessions, expected, strict=True)]
+        sessions = tuple(s for s, _ in moved)
+        resisting = by_file([replace(s, accel=np.zeros(len(s))) for s in sessions])
+        faulty = faulty_torques(sessions, expected, resisting, vehicle.known)
+        if not faulty:
+            break
+        refused += faulty
+    check_torque(sessions, expected, resisting, vehicle.known)
+    notes = (*gated.notes, *(note for _, note in moved if note), *inconsistent_scale_notes(sessions, expected))
+    return replace(gated, sessions=sessions, notes=notes), tuple(expected), passed.sessions

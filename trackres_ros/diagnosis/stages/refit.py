@@ -9,36 +9,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trackres_ros.diagnosis.empirical.routes import roads_of
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, regime_map
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
 from trackres_ros.diagnosis.inference.levels import for_tests, with_levels
-from trackres_ros.diagnosis.search.left_out import LeaveLapsOut
+from trackres_ros.diagnosis.search.choice import Choice, Chosen
+from trackres_ros.diagnosis.search.cross_validation import CrossValidation
+from trackres_ros.diagnosis.search.explanations import Search
 from trackres_ros.diagnosis.selection.as_used import AsUsed, inside_ranges
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
+from trackres_ros.diagnosis.selection.screening import QUICK_REPLICATES, REPLICATES
 from trackres_ros.diagnosis.stages.options import DiagnosisOptions
 from trackres_ros.diagnosis.stages.prepare import PreparedSessions
+from trackres_ros.route.learned import SLOPE, TORQUE, of_kind
 
 
 @dataclass(frozen=True, eq=False)
 class Refitted:
-    """The base re-fitted.
+    """The base re-fitted."""
 
-    Attributes
-    ----------
-    tested, refitted
-        Fits with the noise that best whitens the residual, and with values by `levels.with_levels`.
-    laps, left_out, use
-        The hold-out laps, the cross-validation over laps, and the evaluation of a file in use.
-    at_base
-        Residual by regime.
-    """
-
-    tested: Fit
-    refitted: Fit
+    tested: Fit  # with the noise that best whitens the residual
+    refitted: Fit  # with values by `levels.with_levels`
     laps: HeldOutLaps
-    left_out: LeaveLapsOut
-    use: AsUsed
-    at_base: RegimeMap
+    validation: CrossValidation  # over laps
+    use: AsUsed  # evaluation of a file in use
+    at_base: RegimeMap  # residual by regime
 
 
 def refit(prepared: PreparedSessions, options: DiagnosisOptions, rng: np.random.Generator) -> Refitted:
@@ -51,4 +46,15 @@ def refit(prepared: PreparedSessions, options: DiagnosisOptions, rng: np.random.
     use = AsUsed(prepared.base, sessions, prepared.recorded, laps)
     refitted = inside_ranges(with_levels(tested), use)
     options.on_stage("residual by regime")
-    return Refitted(tested, refitted, laps, LeaveLapsOut(refitted, held_out, rng), use, regime_map(for_tests(refitted), rng))
+    return Refitted(tested, refitted, laps, CrossValidation(refitted, held_out, rng), use, regime_map(for_tests(refitted), rng))
+
+
+def search(prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions, rng: np.random.Generator) -> Chosen:
+    """Search explanations, and choose one."""
+    kinds = [kind for kind in (SLOPE, TORQUE) if of_kind(prepared.vehicle.route, kind) is None]
+    roads = roads_of(prepared.sessions) if kinds else None
+    replicates = QUICK_REPLICATES if options.quick else REPLICATES
+    found = Search(base.tested, prepared.effects, roads, kinds, replicates, rng, options.on_stage)
+    found.run()
+    options.on_stage("cross-validation over laps")
+    return Choice(found, base.refitted, base.validation, base.laps, base.use).best(options.keep_suspected)

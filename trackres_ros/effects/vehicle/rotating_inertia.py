@@ -25,7 +25,7 @@ class RotatingInertia(Effect):
     needs = ("speed", "accel")
     parameters: tuple[Parameter, ...] = (Parameter("factor", "1", -0.1, 0.8, 0.1, "added to the rotating-mass factor", off=0.0),)
 
-    def beside(self, factor: float) -> RotatingInertia:
+    def beyond(self, factor: float) -> RotatingInertia:
         """The same effect for a rotating-mass factor of the vehicle file: both together are no less than 1."""
         found = copy.copy(self)
         (q,) = self.parameters

@@ -23,11 +23,9 @@ from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
 from trackres_ros.diagnosis.inference.noise import estimate_noise, whitened
-from trackres_ros.diagnosis.prepare.session import DriveSession, Mask
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.selection.held_out import FEWEST_LAPS, PIECE_S, RESAMPLES, Improvement
 from trackres_ros.diagnosis.selection.visibility import base_columns
-
-Array = NDArray[np.float64]
 
 FOLDS = 4
 FEWEST_OCCASIONS = 5  # of an error: a slow rise over a drive makes four
@@ -36,35 +34,17 @@ SURELY = 0.025  # of resampled laps, allowed to show the opposite
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """Cross-validated score of a model by piece; shape (pieces,).
+    """Cross-validated score of a model by piece; shape (pieces,)."""
 
-    Attributes
-    ----------
-    density
-        Log-likelihood of the torque of each piece.
-    error, square
-        Sums of absolute and of squared errors [Nm], [Nm2].
-    occasion
-        Number of the occasion of each piece: pieces with nearly the same error share one.
-    expected
-        Predicted torque of each scored sample [Nm], shape (samples,).
-    """
-
-    density: Array
-    error: Array
-    square: Array
-    occasion: NDArray[np.int64]
-    expected: Array
+    density: Array  # log-likelihood of the torque of each piece
+    error: Array  # sums of absolute errors [Nm]
+    square: Array  # and of squared ones [Nm2]
+    occasion: NDArray[np.int64]  # number of the occasion of each piece: pieces with nearly the same error share one
+    expected: Array  # torque of each scored sample [Nm], shape (samples,)
 
 
-class LeaveLapsOut:
-    """Cross-validation over laps.
-
-    Parameters
-    ----------
-    problem_masks, held_out
-        Fitted samples of each session, and the final hold-out samples.
-    """
+class CrossValidation:
+    """Cross-validation over the fitted laps of a fit, and its final hold-out samples."""
 
     def __init__(self, fitted: Fit, held_out: Sequence[Mask], rng: np.random.Generator) -> None:
         sessions, masks = fitted.problem.sessions, fitted.problem.masks
@@ -78,7 +58,7 @@ class LeaveLapsOut:
         for fold, mask, number in zip(self._fold, masks, of, strict=True):
             at = np.searchsorted(laps, number[mask])
             fold[mask] = at % FOLDS
-        self._left_out = [m | h for m, h in zip(masks, held_out, strict=True)]
+        self._scored = [m | h for m, h in zip(masks, held_out, strict=True)]
         self.measured = self._of([s.torque for s in sessions])
         pieces = self._of([s.block for s in sessions])
         if len(np.unique(pieces)) < FEWEST_LAPS:
@@ -95,12 +75,8 @@ class LeaveLapsOut:
         problem = found.problem
         columns = base_columns(found)
         white = np.concatenate(problem.white(problem.split(columns), found.noises))
-        slopes = np.concatenate([
-            np.nan_to_num(found.noises[g.kind].weights(w) * w) for w, g in zip(found.white, problem.segments, strict=True)
-        ])  # fmt: skip
-        weights = np.concatenate([
-            np.nan_to_num(found.noises[g.kind].weights(w)) for w, g in zip(found.white, problem.segments, strict=True)
-        ])  # fmt: skip
+        weights = np.nan_to_num(found.weights)
+        slopes = weights * np.nan_to_num(np.concatenate(found.white))
         valid = np.isfinite(white).all(axis=1) & (weights > 0.0)
         scale = np.array([f.scale for f in found.free])
         x = np.where(valid[:, np.newaxis], np.nan_to_num(white) * scale, 0.0)
@@ -122,19 +98,18 @@ class LeaveLapsOut:
                 expected[i][at == fold] += by_session[i][at == fold] @ moved
         for active in found.effects:
             if isinstance(active.effect, ResidualPattern):
-                self._as_known(active.effect, found, expected)
+                self._replace_by_forecast(active.effect, found, expected)
         error = [s.torque - e for s, e in zip(problem.sessions, expected, strict=True)]
         # Noise of the forecast: that of the fit is too small for unpredictable events, such as the start of a
         # spell.
-        noise = estimate_noise(error, self._left_out, LARGEST_ROOT)
+        noise = estimate_noise(error, self._scored, LARGEST_ROOT)
         density = []
-        for left, mask in zip(error, self._left_out, strict=True):
+        for left, mask in zip(error, self._scored, strict=True):
             e = whitened(left, mask, noise.phi) / noise.std
             density.append(np.where(np.isfinite(e), noise.log_density(np.nan_to_num(e)), 0.0))
         errors = self._of(error)
-        alike_s = (
-            alike_for([np.where(m, e - errors.mean(), 0.0) for e, m in zip(error, self._left_out, strict=True)]) * self._step
-        )
+        deviations = [np.where(m, e - errors.mean(), 0.0) for e, m in zip(error, self._scored, strict=True)]
+        alike_s = correlation_length(deviations) * self._step
         own = alike_s > PIECE_S * problem.sessions[0].pace
         occasion = np.stack([self._session, self._begin // alike_s if own else np.arange(len(self._begin))])
         return Score(
@@ -142,7 +117,7 @@ class LeaveLapsOut:
             np.unique(occasion, axis=1, return_inverse=True)[1].ravel(), self.measured - errors,
         )  # fmt: skip
 
-    def _as_known(self, effect: ResidualPattern, found: Fit, expected: list[Array]) -> None:
+    def _replace_by_forecast(self, effect: ResidualPattern, found: Fit, expected: list[Array]) -> None:
         """Replace a series learned from all laps by its forecast."""
         adds = found.contribution(effect.name)
         size = sum(float((s * s).sum()) for s in effect.shape)
@@ -209,7 +184,7 @@ class LeaveLapsOut:
         return rest
 
     def _of(self, series: Sequence[Any]) -> Any:
-        return np.concatenate([x[m] for x, m in zip(series, self._left_out, strict=True)])
+        return np.concatenate([x[m] for x, m in zip(series, self._scored, strict=True)])
 
     def _sum(self, of_samples: Array) -> Array:
         return np.asarray(np.bincount(self._pieces, weights=of_samples, minlength=len(self._count)), dtype=np.float64)
@@ -226,7 +201,7 @@ def _piece(session: DriveSession) -> NDArray[np.int64]:
     return np.asarray(session.block * 10_000 + (session.time // (PIECE_S * session.pace)).astype(np.int64))
 
 
-def alike_for(series: Sequence[Array]) -> float:
+def correlation_length(series: Sequence[Array]) -> float:
     """Correlation length of series in samples: twice the integral of their autocorrelation, up to its end."""
     power = np.zeros(2 ** int(np.ceil(np.log2(2 * max(map(len, series))))))
     for x in series:
