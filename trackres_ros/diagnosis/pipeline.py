@@ -17,11 +17,12 @@ from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.empirical.routes import Route
 from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.findings.change_points import Change, changes
+from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.findings.locate import ThermalCheck, thermal_check
 from trackres_ros.diagnosis.findings.next_drives import Advice
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, cumulative_periodogram
 from trackres_ros.diagnosis.findings.spread import Spread
-from trackres_ros.diagnosis.findings.verdict import NamedEffect, Told, Verdict
+from trackres_ros.diagnosis.findings.verdict import Verdict
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.inference.noise import Noise
@@ -99,7 +100,7 @@ class Diagnosis:
     alone: Step
     steps: tuple[Step, ...]
     found: tuple[NamedEffect, ...]
-    described: tuple[Told, ...]
+    described: tuple[UnnamedTerm, ...]
     wanders: Described | None
     tracked: Improvement | None
     spread: Spread | None
