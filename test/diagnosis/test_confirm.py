@@ -141,10 +141,10 @@ def test_every_verdict_says_whether_it_is_confirmed(diagnoses):
 def test_a_tilted_plane_takes_more_one_way_and_less_the_other(diagnoses, loaded):
     found = diagnoses("grade_profile")
     (effect,) = found.found
-    assert effect.acts.variable == "heading"
+    assert effect.location.variable == "heading"
     most = 0.014 * loaded.base.facts.weight * loaded.base.facts.radius  # both slopes of a hundredth
-    assert 0.5 * most < effect.acts.largest < 1.5 * most
-    assert 0.5 * most < -effect.acts.smallest < 1.5 * most
+    assert 0.5 * most < effect.location.largest < 1.5 * most
+    assert 0.5 * most < -effect.location.smallest < 1.5 * most
     assert "less to" in found.verdict.sentence
     assert "depending on the heading" in found.verdict.sentence
 

@@ -23,11 +23,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.diagnosis.findings.residual_bins import Bin
-from trackres_ros.diagnosis.report.inputs import inputs
-from trackres_ros.diagnosis.report.noise_pictures import autocorrelation, cumulative_power
-from trackres_ros.diagnosis.report.page import write_page
-from trackres_ros.diagnosis.report.provenance import provenance, sha256
-from trackres_ros.diagnosis.report.series import bins_by_variable, half_interval, uncertainty, where_each_step_is
+from trackres_ros.diagnosis.report.content import inputs
+from trackres_ros.diagnosis.report.page import provenance, sha256, write_page
+from trackres_ros.diagnosis.report.pictures import autocorrelation, cumulative_power
+from trackres_ros.diagnosis.report.series import bins_by_variable, bins_of_steps, half_interval, uncertainty
 from trackres_ros.diagnosis.report.tiles import MOST_WORDS, by_file, headline, lights, stage_of, tiles
 
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftoppm"), reason="no chromium or pdftoppm on this machine")
@@ -193,7 +192,7 @@ def test_worse_is_said_to_be_worse():
 
 
 def test_each_step_lies_in_the_bin_it_is_said_to(diagnosed):
-    for session, letters in zip(diagnosed.sessions, where_each_step_is(diagnosed), strict=True):
+    for session, letters in zip(diagnosed.sessions, bins_of_steps(diagnosed), strict=True):
         for name in bins_by_variable(diagnosed.at_base.bins):
             assert len(letters[name]) == len(session)
             assert {n for n, letter in enumerate(letters[name]) if letter == "."} >= set(np.flatnonzero(~session.used))
@@ -202,12 +201,12 @@ def test_each_step_lies_in_the_bin_it_is_said_to(diagnosed):
                 of = {str(n), chr(ord("a") + n), *([chr(ord("a") + n - 1)] if n else [])}
                 inside = [letter in of for letter in letters[name]]
                 np.testing.assert_array_equal(inside, session.used & (series >= b.low) & (series <= b.high))
-    assert any("0" in of["effect:turning_scrub"] for of in where_each_step_is(diagnosed))
+    assert any("0" in of["effect:turning_scrub"] for of in bins_of_steps(diagnosed))
 
 
 def test_what_can_be_lit_is_there(diagnosed, scrubbed):
     _, found, _ = scrubbed
-    letters = where_each_step_is(diagnosed)
+    letters = bins_of_steps(diagnosed)
     for key, _ in lights(found):
         name, number = ("effect:turning_scrub", "0") if key.startswith("effect:") else key.rsplit(":", 1)
         assert any(number in of[name] for of in letters), key
@@ -258,7 +257,7 @@ def test_the_page_says_where_it_comes_from(scrubbed, recorded, tmp_path):
     for path in recorded("turning_scrub"):
         assert sha256(path) in page
     assert re.search(r"made</th><td>\d{4}-\d\d-\d\d \d\d:\d\d UTC", page)
-    assert {name for name, _ in provenance([], [], 1.0)} == {"made", "version", "command", "duration"}
+    assert {name for name, _ in provenance([], 1.0)} == {"made", "version", "command", "duration"}
     assert sha256(tmp_path / "nowhere") == ""
 
 

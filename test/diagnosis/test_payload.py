@@ -11,9 +11,9 @@ from scipy import sparse
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.empirical.finders import PAYLOAD, residuals_without, terms_beside
-from trackres_ros.diagnosis.empirical.payload import STOP_S, Beside, find_payload, stretch_numbers
-from trackres_ros.diagnosis.empirical.statements import said
+from trackres_ros.diagnosis.empirical.finders import PAYLOAD, find_terms, residuals_without
+from trackres_ros.diagnosis.empirical.payload import STOP_S, JointValues, find_payload, stretch_numbers
+from trackres_ros.diagnosis.empirical.statements import describe
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.effects import catalogue
 from trackres_ros.evaluation.synthetic import drives
@@ -65,14 +65,14 @@ def fitted(base, loaded_kg, seed=1, given=frozenset({"grade"}), mean_kg=0.0, gai
 
 
 def looked_for(found):
-    return next((t for t in terms_beside(found, None, (), {}, waves=False) if t.payload is not None), None)
+    return next((t for t in find_terms(found, None, (), {}, waves=False) if t.payload is not None), None)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_masses_are_found_as_sure_as_is_said(car, seed):
     found, masses = fitted(car, 250.0, seed)
     term = looked_for(found)
-    told = said(term, term.candidate.fit)
+    told = describe(term, term.candidate.fit)
     true = np.concatenate([m[: int(FITTED_S // STRETCH_S) + 1] for m in masses])
     mass, std = (np.array([getattr(s, name) for s in told.stretches]) for name in ("mass", "std"))
     off = (mass - mass.mean()) - (true - true.mean())  # the mean is the model's own mass
@@ -128,7 +128,7 @@ def test_mass_errors_match_their_std_beside_learned_slopes(car, seed):
         np.add.at(total, place[mask], residual[mask] / (session.weight[mask] * radius))
         np.add.at(count, place[mask], 1.0)
     adds = tuple(z @ (total / np.maximum(count, 1.0)) for z in columns)
-    beside = Beside(adds, columns, (sparse.identity(places) / SLOPE**2).tocsc())
+    beside = JointValues(adds, columns, (sparse.identity(places) / SLOPE**2).tocsc())
     payload = find_payload(found, [r - x for r, x in zip(left, adds, strict=True)], beside)
     true = np.concatenate([m[: int(FITTED_S // STRETCH_S) + 1] for m in masses])
     mass, std = (np.array([getattr(s, name) for s in payload.stretches]) for name in ("mass", "std"))
@@ -153,7 +153,7 @@ def test_loads_with_a_mean_offset_are_payload_not_torque_scale(track, chosen):
     found, masses = fitted(track, 900.0, mean_kg=1800.0)
     of = chosen(found)
     assert of.explanation.key == {PAYLOAD}
-    told = said(of.term(PAYLOAD), of.final)
+    told = describe(of.term(PAYLOAD), of.final)
     true = np.concatenate([m[: int(FITTED_S // STRETCH_S) + 1] for m in masses])
     mass = np.array([s.mass for s in told.stretches])
     assert mass.mean() == pytest.approx(true.mean(), rel=0.25)

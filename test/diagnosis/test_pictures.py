@@ -12,9 +12,8 @@ import pytest
 
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import Verdict
-from trackres_ros.diagnosis.report.believed import begins, held_out_times, marked_times, panels
-from trackres_ros.diagnosis.report.believed_pictures import draw_believed
 from trackres_ros.diagnosis.report.pictures import MOST_RECORDINGS, draw_all, draw_regimes, draw_times
+from trackres_ros.diagnosis.report.timeline import begins, draw_timeline, held_out_times, marked_times, panels
 from trackres_ros.text.numbers import figures
 
 pytest.importorskip("matplotlib")
@@ -72,7 +71,7 @@ def test_the_residual_over_time_is_drawn_with_or_without_names(drawn, diagnosed,
 @pytest.mark.parametrize("named", [True, False])
 def test_the_first_picture_has_the_residual_and_its_terms(drawn, diagnosed, nothing_named, tmp_path, named):
     d = diagnosed if named else nothing_named
-    picture = draw_believed(d, tmp_path / "b.png")
+    picture = draw_timeline(d, tmp_path / "b.png")
     assert not drawn.faults(drawn.figures[0])
     axes = drawn.figures[0].axes
     assert len(axes) == 1 + named
@@ -87,7 +86,7 @@ def test_the_first_picture_has_the_residual_and_its_terms(drawn, diagnosed, noth
     assert ends[-1] == pytest.approx(sum(len(s) * s.step for s in d.sessions) / 60.0, rel=1e-3)
     seconds = sum(int(s.used[np.isin(s.block, d.split.held_out)].sum()) * s.step for s in d.sessions)
     assert seconds <= 60.0 * sum(end - begin for begin, end in held_out_times(d)) < 60.0 * ends[-1]
-    assert marked_times(replace(d, verdict=NAMED))[0] == (d.found[0].acts.text if named else "")
+    assert marked_times(replace(d, verdict=NAMED))[0] == (d.found[0].location.text if named else "")
     assert "re-fitted model" in picture.alternative
 
 
@@ -101,7 +100,7 @@ def test_the_terms_and_what_is_left_add_up_to_the_residual(drawn, diagnosed, tmp
     )
     unsure = replace(other, graded=replace(one.graded, improvement=replace(one.graded.improvement, low=-9.0, likelier=-1.0)))
     for d in (diagnosed, replace(diagnosed, found=(one, unsure))):
-        draw_believed(d, tmp_path / "b.png")
+        draw_timeline(d, tmp_path / "b.png")
         assert not drawn.faults(drawn.figures[-1])
         above, below = panels(d)
         residual, *terms = above.lines

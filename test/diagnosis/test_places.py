@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import read_recordings
-from trackres_ros.diagnosis.empirical.on_laps import driven_along
+from trackres_ros.diagnosis.empirical.finders import driven_along
 from trackres_ros.diagnosis.empirical.places import SHORTEST_LAP_M, find_place
 from trackres_ros.diagnosis.prepare.gate import gate
 

@@ -19,7 +19,7 @@ def fitted(residual, speed=None, yaw_rate=0.0, heading=0.0, white=None, belt=Non
     """A fit whose torque residual is given, of sessions of equal length; belts are nowhere."""
     n = len(residual)
     speed = np.zeros(n) if speed is None else speed
-    sessions, segments, rows, whites, predicted = [], [], [], [], []
+    sessions, whites, predicted = [], [], []
     for i, part in enumerate(np.array_split(np.arange(n), split)):
         none = np.zeros(len(part))
         full = lambda x, part=part, none=none: none + (x[part] if np.ndim(x) else x)  # noqa: E731
@@ -29,15 +29,10 @@ def fitted(residual, speed=None, yaw_rate=0.0, heading=0.0, white=None, belt=Non
                 none, none, none == 0.0, none.astype(np.int64),
             )
         )  # fmt: skip
-        segments.append(SimpleNamespace(kind="torque"))
-        rows.append(residual[part])
         whites.append((residual if white is None else white)[part])
-        predicted.append(SimpleNamespace(belt=none + np.nan if belt is None else belt[part]))
-    segments.append(SimpleNamespace(kind="belt"))
-    rows.append(np.full(50, 1e9))
+        predicted.append(SimpleNamespace(torque=-residual[part], belt=none + np.nan if belt is None else belt[part]))
     whites.append(np.full(50, 1e9))
-    problem = SimpleNamespace(sessions=sessions, segments=segments)
-    return SimpleNamespace(problem=problem, predicted=predicted, residuals=rows, white=whites)
+    return SimpleNamespace(problem=SimpleNamespace(sessions=sessions), predicted=predicted, white=whites)
 
 
 def mapped(*args, seed=1, **given):

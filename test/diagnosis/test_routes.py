@@ -75,7 +75,7 @@ def test_a_two_way_street_slope_is_found_and_holds_on_new_laps(base, seed):
     session, _ = session_of(base, seed, (1, -1, 1, -1, 1), slope=1.0)
     current, route = found_in(base, session, 4)
     assert route is not None
-    assert route.told
+    assert route.is_slope
     assert isinstance(route.effect, SlopeByPlace)
     held = session.used & (session.block == 4)
     before, after = (np.abs(session.torque - f.predicted[0].torque)[held].mean() for f in (current, route.candidate.fit))
@@ -89,15 +89,15 @@ def test_different_loads_identify_a_slope_on_one_way_streets(base):
     session, _ = session_of(base, 3, (1, 1, 1, 1), slope=1.0, loads=LOADS)
     _, route = found_in(base, session, 4)
     assert route is not None
-    assert route.told
+    assert route.is_slope
 
 
 def test_soft_ground_on_streets_passed_both_ways_is_no_slope(base):
     session, one = session_of(base, 4, (1, -1, 1, -1), soft_nm=2500.0, loads=(1.0,))
     _, route = found_in(base, session, 4)
     assert route is not None
-    assert not route.told
-    assert route.apart < 0.0
+    assert not route.is_slope
+    assert route.slope_gain < 0.0
     assert isinstance(route.effect, TorqueByPlace)
     adds = route.candidate.fit.contribution("place")[0]
     soft = (one.way > 650.0) & (one.way < 950.0) & session.used
@@ -109,7 +109,7 @@ def test_one_way_and_one_load_do_not_tell_a_slope(base):
     session, _ = session_of(base, 5, (1, 1, 1, 1), slope=1.0)
     _, route = found_in(base, session, 4)
     assert route is not None
-    assert not route.told
+    assert not route.is_slope
     assert isinstance(route.effect, TorqueByPlace)  # which says nothing of the way that was not driven
     assert np.isnan(route.effect.route.value).any(axis=1).mean() > 0.9
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, read_recordings
-from trackres_ros.diagnosis.findings.residual_sources import residual_sources
+from trackres_ros.diagnosis.findings.locate import residual_sources
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare import resample as resample_module
 from trackres_ros.diagnosis.prepare.gate import gate

@@ -15,9 +15,9 @@ from trackres_ros.diagnosis.empirical.spells import (
     Chain,
     blocks,
     find_chain,
-    find_wander,
+    find_drifting_level,
     is_spells,
-    there_given,
+    spell_probability,
 )
 from trackres_ros.estimator.disturbance import BLOCK_S
 
@@ -56,7 +56,7 @@ def wandering(n, rng, size=40.0, seconds=60.0):
 def likelier(b):
     """Log-likelihood ratio of two levels and a drifting one; and the chain."""
     chain, _, likelihood = find_chain(b)
-    return likelihood - find_wander(b)[1], chain
+    return likelihood - find_drifting_level(b)[1], chain
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -75,7 +75,7 @@ def test_two_levels_are_found_with_their_size_length_and_share(seed):
     spells = np.sum(np.diff(truth.astype(int)) == 1)
     assert chain.share == pytest.approx(truth.mean(), abs=0.1)
     assert math.log(chain.mean_s / (BLOCK_S / GOES)) == pytest.approx(0.0, abs=4.0 / math.sqrt(spells))
-    there, _ = there_given(made(mean), chain)
+    there, _ = spell_probability(made(mean), chain)
     assert np.mean((there > 0.5) == truth) > 0.98
 
 
@@ -87,7 +87,7 @@ def test_what_wanders_and_what_is_noise_are_no_two_levels(draw, seed):
 
 
 def test_a_level_that_wanders_is_found_with_its_size_and_time():
-    wander, _ = find_wander(made(wandering(4000, np.random.default_rng(1))))
+    wander, _ = find_drifting_level(made(wandering(4000, np.random.default_rng(1))))
     assert wander.size == pytest.approx(40.0, rel=0.15)
     assert wander.seconds == pytest.approx(60.0, rel=0.3)
     assert wander.noise == pytest.approx(NOISE_NM, rel=0.1)
@@ -140,7 +140,7 @@ def test_a_spell_goes_on_over_a_stop_and_ends_with_its_recording():
     residual = 3.0 * LEVEL_NM * there + rng.normal(0.0, NOISE_NM, n)
     moves = (time < 18 * COUNT) | (time > 24 * COUNT)  # it stops within the first spell
     b = blocks([residual, residual], [moves, moves], BLOCK_S / COUNT)
-    on, _ = there_given(b, Chain(3.0 * LEVEL_NM, 0.0, COMES, GOES, NOISE_NM))
+    on, _ = spell_probability(b, Chain(3.0 * LEVEL_NM, 0.0, COMES, GOES, NOISE_NM))
     begins, ends = np.flatnonzero(beginnings(b, on)), np.flatnonzero(beginnings(b, on, backwards=True))
     assert b.session[begins].tolist() == b.session[ends].tolist() == [0, 0, 1, 1]
     assert b.end[ends[0]] - b.begin[begins[0]] == pytest.approx(20 * COUNT, abs=COUNT)

@@ -14,21 +14,11 @@ import pytest
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.empirical.terms import Described, of_learned
-from trackres_ros.diagnosis.findings.locate import Acts, SlowResidual, only_later
+from trackres_ros.diagnosis.findings.found import Changed, NamedEffect, UnnamedTerm, by_improvement
+from trackres_ros.diagnosis.findings.locate import Location, SlowResidual, only_later
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
-from trackres_ros.diagnosis.findings.verdict import (
-    LEFT_SHARE,
-    MOST_STRAY,
-    Changed,
-    Findings,
-    NamedEffect,
-    Told,
-    Verdict,
-    by_weight,
-    judge,
-    likelier,
-)
-from trackres_ros.diagnosis.findings.wording import MOST_WORDS
+from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, LEFT_SHARE, Findings, Verdict, judge
+from trackres_ros.diagnosis.findings.wording import MOST_WORDS, likelier
 from trackres_ros.diagnosis.selection.confirm import Graded, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, Improvement
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
@@ -40,10 +30,10 @@ from trackres_ros.effects.learned import ALWAYS, BY_BRAKING, DRIVING_TORQUE, LEF
 BETTER = Improvement(100.0, 80.0, 15.0, 25.0)
 UNSURE = Improvement(100.0, 95.0, -5.0, 15.0)
 WORSE = Improvement(100.0, 120.0, -30.0, -10.0)
-EVERYWHERE = Acts("speed", "m/s", 0.0, 10.0, 0.0, 10.0, 0.0, 100.0, 1.0)
+EVERYWHERE = Location("speed", "m/s", 0.0, 10.0, 0.0, 10.0, 0.0, 100.0, 1.0)
 SEEN = "the vehicle needs about 90 Nm more than the re-fitted model"
 SIZE = Parameter("size", "Nm", 0.0, 500.0, 100.0, "of it", off=0.0)
-QUIET, NOISY = SlowResidual(1.0, MOST_STRAY / 2, math.nan), SlowResidual(40.0, 0.08, 0.012)
+QUIET, NOISY = SlowResidual(1.0, LARGE_SLOW_SHARE / 2, math.nan), SlowResidual(40.0, 0.08, 0.012)
 
 
 def candidate(name, worth=20.0):
@@ -161,8 +151,9 @@ def test_hold_out_laps_that_differ_plainly_more_are_unexplained():
 
 @pytest.mark.parametrize(("unused", "differs"), [(19.0, False), (21.0, True)])
 def test_hold_out_laps_differ_from_twice_the_fitted_error(unused, differs):
-    segment = SimpleNamespace(kind="torque", mask=np.ones(4, dtype=bool), measured=np.full(4, 100.0))
-    base = SimpleNamespace(residuals=[np.array([10.0, -10.0, 10.0, -10.0])], problem=SimpleNamespace(segments=[segment]))
+    session, expected = SimpleNamespace(torque=np.full(4, 100.0)), SimpleNamespace(torque=np.array([90.0, 110.0, 90.0, 110.0]))
+    problem = SimpleNamespace(sessions=(session,), masks=(np.ones(4, dtype=bool),))
+    base = SimpleNamespace(predicted=(expected,), problem=problem)
     assert (only_later(base, unused) is not None) == differs
 
 
@@ -195,7 +186,7 @@ def test_what_strays_is_unexplained_where_nothing_was_named():
     assert "differs from the model by 40 Nm, 8 % of the torque" in verdict.sentence
     assert "An unrecorded slope of 1.2 % would do the same." in verdict.sentence
     assert "slope" not in said(stray=SlowResidual(40.0, 0.08, math.nan)).sentence
-    assert said(stray=SlowResidual(9.0, MOST_STRAY, 0.0)).status == "none"
+    assert said(stray=SlowResidual(9.0, LARGE_SLOW_SHARE, 0.0)).status == "none"
 
 
 @pytest.mark.parametrize("left", [{"at_end": regimes(30.0)}, {"stray": NOISY}], ids=["bins", "strays"])
@@ -231,12 +222,12 @@ def test_the_term_that_removes_most_error_comes_first():
     much = Improvement(400.0, 60.0, 300.0, 380.0)
     sentence = said([found("scrub"), found("grade", improvement=much)]).sentence
     assert sentence.index("The cause is grade") < sentence.index("The cause is scrub")
-    assert [f.name for f in by_weight([found("a", improvement=UNSURE), found("b", improvement=BETTER)])] == ["b", "a"]
+    assert [f.name for f in by_improvement([found("a", improvement=UNSURE), found("b", improvement=BETTER)])] == ["b", "a"]
 
 
 def test_the_sentence_gives_the_size_of_the_pictured_residual():
     here, bins = Bin("speed", 4.0, 10.0, 63.0, "m/s", 50, 0.001), regimes(-40.0, 5.0, 63.0)
-    one_way = Acts("speed", "m/s", 4.0, 10.0, 0.0, 10.0, 0.0, 384.0, 1.0)
+    one_way = Location("speed", "m/s", 4.0, 10.0, 0.0, 10.0, 0.0, 384.0, 1.0)
     assert "about 63 Nm more" in one_way.residual(here, bins, 20.0)
     both = replace(one_way, smallest=-384.0)
     assert "from 40 Nm less to 63 Nm more" in both.residual(here, bins, 20.0)
@@ -245,7 +236,7 @@ def test_the_sentence_gives_the_size_of_the_pictured_residual():
 
 
 def test_an_edge_that_is_nothing_on_its_scale_is_zero():
-    assert Acts("acceleration", "m/s^2", 1.91e-7, 1.2, -1.1, 1.2, 0.0, 1.0, 1.0).text == "above 0 m/s^2 of acceleration"
+    assert Location("acceleration", "m/s^2", 1.91e-7, 1.2, -1.1, 1.2, 0.0, 1.0, 1.0).text == "above 0 m/s^2 of acceleration"
 
 
 def test_names_that_cannot_be_told_apart_are_one_of_a_class():
@@ -338,10 +329,10 @@ def test_what_several_explain_counts_together_where_they_act():
 
 
 def test_what_strays_and_can_be_followed_is_described_as_a_drift():
-    of = Described("drift", "", "", "", None, 300.0, "The residual drifts by 40 Nm", ("a zero that drifts",), 40.0, False)
+    of = Described("drift", "", "The residual drifts by 40 Nm", ("a zero that drifts",), 40.0, memory=300.0)
 
     def drift(improvement):
-        return Told(of, [], [], {}, 0.0, Graded("drift", improvement, ()))
+        return UnnamedTerm(of, [], [], {}, 0.0, Graded("drift", improvement, ()))
 
     verdict = said(stray=NOISY, drift=drift(BETTER))
     assert (verdict.status, verdict.grade) == ("described", CONFIRMED)
@@ -413,10 +404,9 @@ def test_who_asks_for_it_keeps_what_is_suspected_too():
 
 
 def term(name="curve_of_speed", improvement=BETTER, adds=100.0, predictable=True):
-    described = Described(
-        "curve", name, "speed", "", None, None, f"The vehicle needs {abs(adds):.0f} Nm more", ("a fan",), abs(adds), predictable
-    )
-    return Told(described, [np.full(100, adds)], [], {}, adds, Graded(name, improvement, ()))
+    text = f"The vehicle needs {abs(adds):.0f} Nm more"
+    described = Described("curve", name, text, ("a fan",), abs(adds), "speed", predictable=predictable)
+    return UnnamedTerm(described, [np.full(100, adds)], [], {}, adds, Graded(name, improvement, ()))
 
 
 def test_what_has_no_name_is_described_with_what_to_look_for():

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.empirical.spells import Blocks, expected_level, find_wander
+from trackres_ros.diagnosis.empirical.spells import Blocks, expected_level, find_drifting_level
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, SUSPECTED
 from trackres_ros.diagnosis.stages.conclude import may_be_kept
 from trackres_ros.estimator.disturbance import BLOCK_S, MOST_DRIFT, DisturbanceWatch
@@ -104,7 +104,7 @@ def test_the_diagnosis_and_the_watch_follow_a_drift_alike(seed):
     n = len(mean)
     index = np.arange(n)
     b = Blocks(mean, np.full(n, 5.0), index == 0, np.zeros(n, dtype=np.int64), 5 * index, 5 * (index + 1))
-    wander, _ = find_wander(b)
+    wander, _ = find_drifting_level(b)
     noise = wander.noise / np.sqrt(5.0)
     most = MOST_DRIFT * wander.size
     expected = np.clip(expected_level(b, wander)[0], -most, most)

@@ -14,6 +14,7 @@ from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
     from trackres_ros.recording.bindings import Topics
+    from trackres_ros.recording.recording import Recording
     from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 
 
@@ -50,6 +51,21 @@ def as_paths(recording: object) -> list[Path]:
     if not isinstance(recording, Sequence) or not all(isinstance(path, str | PathLike) for path in recording):
         raise InputError("recording", recording, "a path, several paths, or what read gave")
     return [Path(path) for path in recording]
+
+
+def as_recordings(recordings: Any) -> list[Any]:
+    """One recording or several, each read or a path."""
+    from trackres_ros.recording.recording import Recording
+
+    listed = [recordings] if isinstance(recordings, str | PathLike | Recording) else list(recordings)
+    if not listed:
+        raise InputError("recordings", "none", "at least one")
+    return listed
+
+
+def paths_of(recordings: Sequence[Recording]) -> list[Path]:
+    """Paths of recordings, or their names where they were made in memory."""
+    return [path for one in recordings for path in (one.paths or (Path(one.name),))]
 
 
 def as_topics(topics: TopicsGiven | None) -> Topics | None:

@@ -6,13 +6,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from os import PathLike
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from trackres_ros.api.arguments import StrPath, TopicsGiven, as_topics
+from trackres_ros.api.arguments import StrPath, TopicsGiven, as_recordings, as_topics, paths_of
 from trackres_ros.api.recordings import read
-from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
     from trackres_ros.recording.recording import Recording
@@ -76,12 +73,9 @@ def coastdown(
     from trackres_ros.recording.recording import Recording
     from trackres_ros.results.coastdown import CoastdownResult
 
-    listed: Sequence[Any] = [recordings] if isinstance(recordings, str | PathLike | Recording) else recordings
-    if not listed:
-        raise InputError("recordings", "none", "at least one")
+    listed = as_recordings(recordings)
     checks.seed(seed)
     mapping = as_topics(topics)
     loaded = load_base(vehicle, method, thermal, mapping, surroundings)
     read_in = in_order([r if isinstance(r, Recording) else read(r, topics=mapping) for r in listed])
-    paths = [path for one in read_in for path in (one.paths or (Path(one.name),))]
-    return CoastdownResult(run(read_in, loaded, seed), paths)
+    return CoastdownResult(run(read_in, loaded, seed), paths_of(read_in))

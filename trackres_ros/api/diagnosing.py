@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics
+from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_recordings, as_topics, paths_of
 from trackres_ros.api.recordings import read
 from trackres_ros.errors import InputError
 
@@ -102,9 +102,7 @@ def diagnose(
     for channel in hide:
         checks.one_of(base_role(channel), "hide", ROLES)
     checks.seed(seed)
-    listed: Sequence[Any] = [recordings] if isinstance(recordings, str | PathLike | Recording) else recordings
-    if not listed:
-        raise InputError("recordings", "none", "at least one")
+    listed = as_recordings(recordings)
     mapping = as_topics(topics)
     if mapping is None:  # belt temperatures are those of the vehicle: one recording decides for all
         mapping = next((r.topics for r in listed if isinstance(r, Recording) and r.topics), None)
@@ -119,7 +117,7 @@ def diagnose(
     options = DiagnosisOptions(hide, holdout, seed, quick, folder, keep_suspected, on_stage, refused)
     found = diagnose(sessions, loaded, options)
     used = {session.name for session in found.sessions}
-    paths = [path for session in sessions if session.name in used for path in (session.paths or (Path(session.name),))]
+    paths = paths_of([session for session in sessions if session.name in used])
     return DiagnosisResult(found, loaded, paths, sessions[0].bindings, time.monotonic() - begun)
 
 

@@ -40,20 +40,18 @@ class CoastdownResult:
     @property
     def why_not(self) -> str:
         """Why the values are not better; empty if they are."""
-        improvement = self.coastdown.improvement
+        found = self.coastdown
         if self.better:
             return ""
-        hidden = not all("grade" in session.given for session in self.coastdown.rolled.sessions)
+        hidden = not all("grade" in session.given for session in found.rolled.sessions)
         remedy = "; an unrecorded slope may hide a gain: record the slope or the altitude" if hidden else ""
-        if not any(p.determined for p in self.coastdown.parameters):
+        if not any(p.determined for p in found.parameters):
             return f"the coast-downs add nothing to the vehicle file{remedy}"
-        if improvement is None:
+        if found.improvement is None:
             return "too few coast-downs for a hold-out set: record two or more, in both directions if the slope is unknown"
-        return (
-            f"on the hold-out coast-downs the mean error is {figures(improvement.after, 3)} Nm with them and "
-            f"{figures(improvement.before, 3)} Nm with the vehicle file as it is"
-            f"{remedy}"
-        )
+        before, after = figures(found.improvement.before, 3), figures(found.improvement.after, 3)
+        error = f"the mean error is {after} Nm with them and {before} Nm with the vehicle file as it is"
+        return f"on the hold-out coast-downs {error}{remedy}"
 
     def __repr__(self) -> str:
         rolled, found = self.coastdown.rolled, self.coastdown
@@ -176,11 +174,8 @@ class CoastdownResult:
                 for (label, colour, line), over in zip(looks[1:], (one.over_file, one.over_found), strict=True):
                     kmh = KMH_PER_MPS * one.measured
                     bottom.plot(kmh, over, line, color=colour, lw=1.0, label=label if number == 0 else None)
-            top.set(
-                xlabel="time since the coast-down began [s]",
-                ylabel="speed [km/h]",
-                title=shortened(self.coastdown.loaded.title, 90),
-            )
+            title = shortened(self.coastdown.loaded.title, 90)
+            top.set(xlabel="time since the coast-down began [s]", ylabel="speed [km/h]", title=title)
             bottom.axhline(0.0, color=BLACK, lw=0.8)
             bottom.set(xlabel="speed [km/h]", ylabel="residual torque [Nm]")
             top.legend()

@@ -21,9 +21,10 @@ from typing import TYPE_CHECKING, Any
 
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.own import OwnBase, OwnModel
-from trackres_ros.diagnosis.findings.found import NamedEffect, Told
+from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.content import report
+from trackres_ros.diagnosis.report.series import stages
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.files.output_files import output_folder
 from trackres_ros.recording.binding import TopicBinding
@@ -34,7 +35,6 @@ from trackres_ros.vehicle import AnyVehicle, load_any
 if TYPE_CHECKING:
     from trackres_ros.diagnosis.report.interactive import Interactive
 
-STAGES = {"nominal": "vehicle file as given", "refitted": "base re-fitted", "with_effects": "with the effects"}
 VEHICLE_FILE = "vehicle.yaml"
 
 
@@ -52,13 +52,9 @@ class DiagnosisResult:
     """
 
     def __init__(
-        self,
-        found: Diagnosis,
-        loaded: LoadedBase,
-        recordings: Sequence[Path],
-        bindings: Mapping[str, TopicBinding],
+        self, found: Diagnosis, loaded: LoadedBase, recordings: Sequence[Path], bindings: Mapping[str, TopicBinding],
         seconds: float | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.diagnosis = found
         self.recordings = tuple(recordings)
         self.written: tuple[Path, ...] = ()
@@ -87,7 +83,7 @@ class DiagnosisResult:
         return self.diagnosis.found
 
     @property
-    def described(self) -> tuple[Told, ...]:
+    def described(self) -> tuple[UnnamedTerm, ...]:
         """Found terms without a name, each with `described`, `intervals` and `graded`."""
         return self.diagnosis.described
 
@@ -147,12 +143,12 @@ class DiagnosisResult:
         return place
 
     def _write_page(self, place: Path) -> tuple[Path, ...]:
-        from trackres_ros.diagnosis.report.page import write_page
+        from trackres_ros.diagnosis.report.page import provenance, write_page
         from trackres_ros.diagnosis.report.pictures import draw_all
-        from trackres_ros.diagnosis.report.provenance import provenance
 
         pictures = draw_all(self.diagnosis, place)
-        made_of = provenance(self.recordings, [self._loaded.source] if self._loaded.source else [], self._seconds)
+        vehicle = [self._loaded.source] if self._loaded.source else []
+        made_of = provenance([*self.recordings, *vehicle], self._seconds)
         path, title = place / "report.html", f"Diagnosis of {self._loaded.title}"
         write_page(path, self._content, pictures, title, _plots(self.diagnosis), made_of)
         return path, *(picture.path for picture in pictures)
@@ -174,20 +170,16 @@ class DiagnosisResult:
     def _repr_html_(self) -> str:
         rows = []
         for found in self.effects:
-            units = {q.name: q.unit for q in found.parameters}
+            units = {q.name: "" if q.unit == "1" else q.unit for q in found.parameters}
+            of = found.name if len(found.step.members) <= 1 else " or ".join(found.step.members)
             for name, value in found.values.items():
                 interval = found.intervals[name]
-                low, high = interval.low, interval.high
-                shown, *ends = alike((value, low, high), high - low)
-                of = found.name if len(found.step.members) <= 1 else " or ".join(found.step.members)
-                unit = "" if units[name] == "1" else units[name]
+                shown, *ends = alike((value, interval.low, interval.high), interval.high - interval.low)
                 between = "only a bound" if interval.bound_only else " to ".join(ends)
-                rows.append((of, name, shown, between, unit, found.graded.grade))
+                rows.append((of, name, shown, between, units[name], found.graded.grade))
         held_out = self.diagnosis.held_out
         errors = [
-            (text, figures(held_out.mae[stage]), figures(held_out.bias[stage]))
-            for stage, text in STAGES.items()
-            if self.diagnosis.modelled or stage != "with_effects"
+            (stage.label, figures(held_out.mae[stage.key]), figures(held_out.bias[stage.key])) for stage in stages(self.diagnosis)
         ]
         return panel(
             f"Diagnosis of {self._loaded.title}",

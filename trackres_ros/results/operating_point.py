@@ -49,15 +49,11 @@ class OperatingPoint(Content):
         """Of each road wheel of the first assembly its number, and a text for each of `WHEEL_HEAD`."""
         return [
             (
-                str(i + 1),
-                f"{load:.0f}",
-                f"{c['half_length_m'] * 1e3:.2f}",
-                f"{c['max_strain']:.4f}",
-                f"{c['frequency_hz']:.1f}",
+                str(i), f"{load:.0f}", f"{c['half_length_m'] * 1e3:.2f}", f"{c['max_strain']:.4f}", f"{c['frequency_hz']:.1f}",
                 f"{c['modulus_mpa']:.2f}",
             )
-            for i, (load, c) in enumerate(zip(self["wheel_loads_n"][0], self["contact"], strict=True))
-        ]
+            for i, (load, c) in enumerate(zip(self["wheel_loads_n"][0], self["contact"], strict=True), 1)
+        ]  # fmt: skip
 
     def __repr__(self) -> str:
         if "belt_degc" not in self:

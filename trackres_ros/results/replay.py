@@ -50,15 +50,9 @@ class ReplayResult(SeriesResult):
     """
 
     def __init__(
-        self,
-        replayed: Replayed,
-        kept: Sequence[Steps] | None,
-        title: str,
-        name: str,
-        notes: Sequence[str],
-        findings: Sequence[Finding],
-        output: Path | None = None,
-    ) -> None:
+        self, replayed: Replayed, kept: Sequence[Steps] | None, title: str, name: str, notes: Sequence[str],
+        findings: Sequence[Finding], output: Path | None = None,
+    ) -> None:  # fmt: skip
         self.title, self.name, self.notes, self.findings, self.output = title, name, tuple(notes), tuple(findings), output
         self.session: Session = replayed.session
         self.messages, self.steps, self.duration_s = replayed.messages, replayed.steps, replayed.duration_s
@@ -113,12 +107,8 @@ class ReplayResult(SeriesResult):
 
     def _blocks(self) -> Sequence[Steps]:
         if self._kept is None:
-            raise InputError(
-                "replay",
-                f"output={str(self.output)!r}",
-                "a replay without output, which holds its rows in memory",
-                "or read that file",
-            )
+            allowed = "a replay without output, which holds its rows in memory"
+            raise InputError("replay", f"output={str(self.output)!r}", allowed, "or read that file")
         return self._kept
 
     def _drawn(self) -> Mapping[str, Array]:

@@ -42,25 +42,13 @@ FLOOR = 1e-9  # of the prior's precision, for places without a neighbour
 
 @dataclass(frozen=True, eq=False)
 class StreetGraph:
-    """Graph of places.
-
-    Attributes
-    ----------
-    first, second
-        Neighbours, shape (pairs,).
-    sign
-        1 where a rise along one is a rise along the other, else -1.
-    away
-        Distance between them [m].
-    count
-        Number of places.
-    """
+    """Neighbouring places, arrays of shape (pairs,)."""
 
     first: NDArray[np.int64]
     second: NDArray[np.int64]
-    sign: Array
-    away: Array
-    count: int
+    sign: Array  # 1 where a rise along one is a rise along the other, else -1
+    away: Array  # distance between them [m]
+    count: int  # of places
 
     @classmethod
     def of(cls, pairs: Mapping[tuple[int, int], float], table: Array) -> StreetGraph:
@@ -94,19 +82,10 @@ class StreetGraph:
 
 @dataclass(frozen=True, eq=False)
 class PlaceColumns:
-    """Torque of each session per value of each place: sparse, of shape (samples, values); the graph of the values; and the
-    columns of a base fitted along.
-    """
+    """Torque of each session per value of each place, shape (samples, values), and the graph of the values."""
 
     of: tuple[sparse.csr_matrix, ...]
     streets: StreetGraph
-    base: tuple[Array, ...] = ()
-
-    def beside(self, base: Sequence[Array]) -> PlaceColumns:
-        """The same with a base fitted along: its torque for a change of one standard deviation of each parameter,
-        shape (samples, parameters).
-        """
-        return replace(self, base=tuple(base))
 
     @classmethod
     def of_slope(cls, tracks: Sequence[Matched], forces: Sequence[Array], streets: StreetGraph) -> PlaceColumns:
@@ -123,20 +102,8 @@ class PlaceColumns:
         every = zip(tracks, place, against, strict=True)
         return cls(tuple(_column(t, p, np.ones_like(t.share), a, both.count) for t, p, a in every), both)
 
-    @property
-    def whole(self) -> list[sparse.csr_matrix]:
-        """Columns of each session: those of the places' values, then those of the base."""
-        if not self.base:
-            return list(self.of)
-        return [sparse.hstack([z, sparse.csr_matrix(b)]).tocsr() for z, b in zip(self.of, self.base, strict=True)]
-
-    @property
-    def bends(self) -> int:
-        """Number of base columns."""
-        return self.base[0].shape[1] if self.base else 0
-
     def expected(self, learned: PlaceValues) -> list[Array]:
-        """Torque of each session from the values of the places, without the base columns."""
+        """Torque of each session from the values of the places."""
         return [np.asarray(z @ learned.value) for z in self.of]
 
 
@@ -153,35 +120,18 @@ def _column(track: Matched, place: NDArray[np.int64], sign: Array, factor: Array
 
 @dataclass(frozen=True, eq=False)
 class PlaceValues:
-    """Values by place.
-
-    Attributes
-    ----------
-    value, bent
-        Value of each place; and the fitted change of the base columns.
-    length_m, size
-        Correlation length of the places, and standard deviation of the values.
-    evidence
-        Gain in log-likelihood over no values, less the cost of the values.
-    cost
-        Cost of the values, and of the tried lengths and sizes.
-    noise
-        Noise assumed for the fit.
-    shrinks
-        Factor by which fitting so many values makes the residual smaller than the noise.
-    """
+    """Values by place."""
 
     value: Array
-    bent: Array
-    length_m: float
-    size: float
-    evidence: float
-    cost: float
-    noise: Noise
-    shrinks: float
+    length_m: float  # correlation length
+    size: float  # standard deviation of the values
+    evidence: float  # gain in log-likelihood over no values, less `cost`
+    cost: float  # of the values, and of the tried lengths and sizes
+    noise: Noise  # assumed for the fit
+    shrinks: float  # residual over noise, because so many values are fitted
     _solve: SuperLU = field(repr=False)
 
-    def again(self, columns: PlaceColumns, residuals: Sequence[Array], masks: Sequence[Mask]) -> Array:
+    def relearned(self, columns: PlaceColumns, residuals: Sequence[Array], masks: Sequence[Mask]) -> Array:
         """Values from other samples, with this length, size and noise, and a fixed base."""
         rows = WhitenedRows.of(columns.of, residuals, masks, self.noise)
         return _learned(rows, columns.streets, 0, self.length_m, self.size).value
@@ -190,13 +140,16 @@ class PlaceValues:
         """Standard deviation of the values of some places."""
         found = np.empty(len(of))
         for some in np.array_split(np.arange(len(of)), max(1, len(of) // AT_ONCE)):
-            unit = np.zeros((len(self.value) + len(self.bent), len(some)))
+            unit = np.zeros((self._solve.shape[0], len(some)))
             unit[of[some], np.arange(len(some))] = 1.0
             found[some] = self._solve.solve(unit)[of[some], np.arange(len(some))]
         return np.sqrt(np.maximum(found, 0.0))
 
 
-def learn(columns: PlaceColumns, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise, typical: float) -> PlaceValues:
+def learn(
+    columns: PlaceColumns, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise, typical: float,
+    base: Sequence[Array] | None = None,
+) -> PlaceValues:  # fmt: skip
     """Most likely values, with the length and size of the most evidence.
 
     Parameters
@@ -207,13 +160,19 @@ def learn(columns: PlaceColumns, residuals: Sequence[Array], masks: Sequence[Mas
         Of the residuals without terms by place.
     typical
         A value with a torque as large as the residual.
+    base
+        Parameters to fit along: torque of each session for one standard deviation of each, shape (samples, parameters).
     """
-    rows = WhitenedRows.of(columns.whole, residuals, masks, noise)
+    base_count, of = 0, list(columns.of)
+    if base is not None:
+        base_count = base[0].shape[1]
+        of = [sparse.hstack([z, sparse.csr_matrix(b)]).tocsr() for z, b in zip(of, base, strict=True)]
+    rows = WhitenedRows.of(of, residuals, masks, noise)
     tried: dict[tuple[int, int], PlaceValues] = {}
 
     def at(i: int, j: int) -> PlaceValues:
         if (i, j) not in tried:
-            tried[i, j] = _learned(rows, columns.streets, columns.bends, LENGTHS_M[i], SIZES[j] * typical)
+            tried[i, j] = _learned(rows, columns.streets, base_count, LENGTHS_M[i], SIZES[j] * typical)
         return tried[i, j]
 
     i, j = len(LENGTHS_M) // 2, len(SIZES) // 2
@@ -225,7 +184,7 @@ def learn(columns: PlaceColumns, residuals: Sequence[Array], masks: Sequence[Mas
             break
         i, j = best
     choices = math.log(len(LENGTHS_M) * len(SIZES))
-    found, (gain, cost) = tried[i, j], _of_bends(rows, columns.bends)
+    found, (gain, cost) = tried[i, j], _of_base(rows, base_count)
     return replace(found, evidence=found.evidence - (gain - cost) - choices, cost=found.cost - cost + choices)
 
 
@@ -271,19 +230,19 @@ def _growth(phi: Array) -> float:
     return float(np.sqrt(np.sum(response**2)))
 
 
-def _of_bends(rows: WhitenedRows, bends: int) -> tuple[float, float]:
+def _of_base(rows: WhitenedRows, base_count: int) -> tuple[float, float]:
     """Gain in log-likelihood of the base columns without terms by place, and its cost."""
-    columns, noise, weight = rows.columns[:, rows.columns.shape[1] - bends :].toarray(), rows.noise, np.ones(len(rows.white))
+    columns, noise, weight = rows.columns[:, rows.columns.shape[1] - base_count :].toarray(), rows.noise, np.ones(len(rows.white))
     for _ in range(TURNS):
-        normal = (columns.T * weight) @ columns + np.eye(bends)
+        normal = (columns.T * weight) @ columns + np.eye(base_count)
         value = np.linalg.solve(normal, (columns.T * weight) @ rows.white)
         weight = noise.weights(rows.white - columns @ value)
     gain = float((noise.log_density(rows.white - columns @ value) - noise.log_density(rows.white)).sum())
     return gain, 0.5 * float(value @ value) + 0.5 * float(np.linalg.slogdet(normal)[1])
 
 
-def _learned(rows: WhitenedRows, streets: StreetGraph, bends: int, length_m: float, size: float) -> PlaceValues:
-    prior = sparse.block_diag([streets.precision(length_m, size), sparse.identity(bends)]).tocsc()
+def _learned(rows: WhitenedRows, streets: StreetGraph, base_count: int, length_m: float, size: float) -> PlaceValues:
+    prior = sparse.block_diag([streets.precision(length_m, size), sparse.identity(base_count)]).tocsc()
     noise, weight = rows.noise, np.ones(len(rows.white))  # without values, steep places would look like outliers
     for _ in range(TURNS):
         weighted = rows.columns.multiply(weight[:, np.newaxis]).tocsr()
@@ -295,7 +254,7 @@ def _learned(rows: WhitenedRows, streets: StreetGraph, bends: int, length_m: flo
     probes = np.random.default_rng(0).choice((-1.0, 1.0), (len(value), PROBES))
     settled = float(np.mean((probes * solve.solve(rows.columns.T @ (weighted @ probes))).sum(axis=0)))  # values set by the data
     shrinks = math.sqrt(max(1.0 - settled / len(rows.white), LEAST_LEFT))
-    return PlaceValues(value[: streets.count], value[streets.count :], length_m, size, gain - cost, cost, noise, shrinks, solve)
+    return PlaceValues(value[: streets.count], length_m, size, gain - cost, cost, noise, shrinks, solve)
 
 
 def _factored(precision: sparse.csc_matrix) -> SuperLU:

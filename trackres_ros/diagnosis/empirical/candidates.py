@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.empirical.thresholds import found_by_scan, most_on_side
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.prepare.session import DriveSession
-from trackres_ros.effects.effect import Conditions, VehicleConstants
+from trackres_ros.effects.effect import Conditions
 from trackres_ros.effects.learned import (
     ACCELERATING,
     ACCELERATION,
@@ -78,18 +77,16 @@ BUILD_UP_SCALE_S = 120.0
 
 def series(code: int, fit: Fit) -> list[Array]:
     """A variable of learned effects in each session of a fit, as in the live step."""
-    facts = fit.problem.base.facts
-    return [_of(code, facts, s, p.at_sprockets, p.belt) for s, p in zip(fit.problem.sessions, fit.predicted, strict=True)]
-
-
-def _of(code: int, facts: VehicleConstants, session: DriveSession, driving: Array, belt: Array) -> Array:
-    turning, follow = np.abs(session.yaw_rate), interpreted(variable)
-    curvature = turning / np.hypot(session.speed, facts.contact_length * turning + STANDSTILL_MPS)
-    known: Any = (
-        session.speed, session.accel, session.weight, session.ambient, session.yaw_rate, session.heading, session.distance,
-        driving, np.tanh(session.speed / facts.standstill), curvature, belt,
-    )  # fmt: skip
-    return np.asarray(np.broadcast_to(follow(Conditions(facts, *known), code), len(session)), dtype=float)
+    facts, follow, found = fit.problem.base.facts, interpreted(variable), []
+    for s, p in zip(fit.problem.sessions, fit.predicted, strict=True):
+        turning = np.abs(s.yaw_rate)
+        curvature = turning / np.hypot(s.speed, facts.contact_length * turning + STANDSTILL_MPS)
+        known: Any = (
+            s.speed, s.accel, s.weight, s.ambient, s.yaw_rate, s.heading, s.distance, p.at_sprockets,
+            np.tanh(s.speed / facts.standstill), curvature, p.belt,
+        )  # fmt: skip
+        found.append(np.asarray(np.broadcast_to(follow(Conditions(facts, *known), code), len(s)), dtype=float))
+    return found
 
 
 def driven(code: int, fit: Fit) -> Array:
@@ -136,15 +133,10 @@ def knots(code: int, x: Array, count: int) -> list[float]:
     even = np.quantile(x, np.linspace(*DRIVEN, count))
     if code == SPEED:  # for rarely driven speeds: half by frequency, half by distance
         even = 0.5 * (even + np.linspace(low, high, count))
-    return _rising(even, low, high)
-
-
-def _rising(at: Array, low: float, high: float) -> list[float]:
-    """Knots with a least spacing."""
-    found = [float(at[0])]
-    for x in at[1:]:
-        if x - found[-1] > LEAST_RANGE * (high - low):
-            found.append(float(x))
+    found = [float(even[0])]
+    for knot in even[1:].tolist():
+        if knot - found[-1] > LEAST_RANGE * (high - low):
+            found.append(knot)
     return found
 
 
@@ -155,7 +147,8 @@ def thresholds(gate: int, fit: Fit) -> list[float]:
         if not varies(x):
             return []
         levels = np.unique(x)
-        cuts = levels[:-1][np.diff(levels) > APART * np.ptp(x)] + 0.5 * np.diff(levels)[np.diff(levels) > APART * np.ptp(x)]
+        steps = np.diff(levels)
+        cuts = (levels[:-1] + 0.5 * steps)[steps > APART * np.ptp(x)]
         if not 0 < len(cuts) <= 4:
             cuts = np.quantile(x, (1.0 / 3.0, 2.0 / 3.0))
         return [float(c) for c in cuts if min((x < c).sum(), (x > c).sum()) >= FEWEST_OPEN]
@@ -168,12 +161,7 @@ def thresholds(gate: int, fit: Fit) -> list[float]:
 
 
 def candidates(fit: Fit, own: Array | None = None) -> dict[str, EmpiricalEffect]:
-    """All possible forms here, by a unique key; one name may have several.
-
-    Parameters
-    ----------
-    own
-        Columns of the fit's own parameters, if already known, see `visibility.base_columns`.
+    """All possible forms here, by a unique key; one name may have several. `own` are the `base_columns` of the fit, if known.
 
     Notes
     -----
@@ -195,11 +183,9 @@ def candidates(fit: Fit, own: Array | None = None) -> dict[str, EmpiricalEffect]
         for threshold in thresholds(gate, fit):
             by_level = gate in (HEAVY, LIGHT) and not shows(LOAD, fit)
             for code in codes:
-                if code == ALWAYS and by_level:
-                    continue
-                if code == ALWAYS:
+                if code == ALWAYS and not by_level:
                     found.append(Curve(ALWAYS, gate, [0.0], threshold))
-                elif varies(x[code]):
+                elif code != ALWAYS and varies(x[code]):
                     count = KNOTS[SPEED] if code == SPEED else GATED_KNOTS
                     # If loads differ only between recordings, a constant at high load may be any other difference between them.
                     found.append(Curve(code, gate, knots(code, x[code], count), threshold, constant=not by_level))

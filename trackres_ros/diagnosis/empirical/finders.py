@@ -17,25 +17,26 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.empirical.level_changes import LevelChange, find_change, piece_s, sharpened
-from trackres_ros.diagnosis.empirical.on_laps import place_in
 from trackres_ros.diagnosis.empirical.payload import Payload, find_payload
-from trackres_ros.diagnosis.empirical.places import Place
+from trackres_ros.diagnosis.empirical.places import Place, find_place
 from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads, Route, find_route
 from trackres_ros.diagnosis.empirical.spells import (
     Blocks,
     Chain,
-    beyond_wander,
     blocks,
     find_chain,
-    find_wander,
+    find_drifting_level,
+    gain_over_drift,
     is_spells,
     path_cost,
-    there_given,
+    spell_probability,
 )
 from trackres_ros.diagnosis.empirical.terms import Described, of_drift, of_recordings
+from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.empirical.waves import Wave, find_wave, followed
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.threads import side_by_side
+from trackres_ros.diagnosis.prepare.session import DriveSession, Mask
 from trackres_ros.diagnosis.selection.naming import Candidate, compared, rms, spurious_gain
 from trackres_ros.estimator.disturbance import BLOCK_S, later_there, seen_there
 from trackres_ros.vehicle.writing.changes import BY_PLACE
@@ -46,12 +47,13 @@ Search = Callable[[Fit, Sequence[Array]], "Term | None"]
 
 SURE = 10.0  # in log-likelihood: spells over a drift, a drift over none, a term over none
 FEWEST_SPELLS = 2  # with one, it is a level change
-SLOWEST_WANDER_S = 60.0  # a faster drift is noise that the autoregression includes
-LEAST_WANDER = 0.01  # of the torque
+LEAST_DRIFT_S = 60.0  # a faster drift is noise that the autoregression includes
+LEAST_DRIFT = 0.01  # of the torque
 BETWEEN = 0.7  # of the slow variance: share between recordings
 PHASE_COST = 1.0  # in log-likelihood: gain by noise of the phase and size fitted to each stretch
 SPELLS, WAVE, LEVEL_CHANGE, PLACE, PAYLOAD = "spells", "wave", "level_change", "place", "payload"
 LIKELY = 0.5  # probability of an active spell
+FEWEST_TURNS = 2.0  # of a session, least for a circuit
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +69,11 @@ class Term:
     route: Route | None = None
 
 
-def _watched(current: Fit, name: str, search: Search) -> Term | None:
+def _search_twice(current: Fit, name: str, search: Search) -> Term | None:
     """Find a term of the clock alone; a second search uses the base fitted together with the first result."""
     if name in current.effect_names:
         return None
-    residuals, found = _residuals(current), None
+    residuals, found = torque_residuals(current), None
     for _ in range(2):
         term = search(current, residuals)
         if term is None:
@@ -81,13 +83,7 @@ def _watched(current: Fit, name: str, search: Search) -> Term | None:
 
 
 def _fitted(
-    current: Fit,
-    name: str,
-    text: str,
-    shape: Sequence[Array],
-    level: float,
-    cost: float = 0.0,
-    ahead: Sequence[Array] | None = None,
+    current: Fit, name: str, text: str, shape: Sequence[Array], level: float, cost: float, ahead: Sequence[Array] | None = None
 ) -> Candidate:
     """Fit a term of the clock in addition to the current ones. It starts at its level and with its own noise, because
     otherwise the noise is a random walk, under which no level matters.
@@ -104,28 +100,24 @@ def _counts(candidate: Candidate, current: Fit) -> bool:
 
 
 def torque_blocks(
-    current: Fit, residuals: Sequence[Array], masks: Sequence[NDArray[np.bool_]] | None = None, seconds: float = BLOCK_S
+    current: Fit, residuals: Sequence[Array], masks: Sequence[Mask] | None = None, seconds: float = BLOCK_S
 ) -> Blocks:
     """Blocks of the torque residual against travel, of the given samples or of the fitted ones."""
     problem = current.problem
-    against = [r * np.sign(s.speed) for r, s in zip(residuals, problem.sessions, strict=True)]
+    against = against_travel(problem.sessions, residuals)
     return blocks(against, problem.masks if masks is None else masks, problem.sessions[0].step, seconds)
-
-
-def _residuals(current: Fit) -> list[Array]:
-    return [r for r, g in zip(current.residuals, current.problem.segments, strict=True) if g.kind == "torque"]
 
 
 def residuals_without(current: Fit, name: str) -> list[Array]:
     """Torque residual of each session without one effect, the others unchanged [Nm]."""
-    return [r + x for r, x in zip(_residuals(current), current.contribution(name), strict=True)]
+    return [r + x for r, x in zip(torque_residuals(current), current.contribution(name), strict=True)]
 
 
 def _spells(current: Fit, residuals: Sequence[Array]) -> Term | None:
     """Spells, if two levels are more likely than a drift."""
     b = torque_blocks(current, residuals)
     chain, there, _ = find_chain(b)
-    if not is_spells(chain) or beyond_wander(b, chain, there) < SURE:
+    if not is_spells(chain) or gain_over_drift(b, chain, there) < SURE:
         return None
     if chain.level < chain.rest:
         there = 1.0 - there
@@ -150,14 +142,10 @@ def _shape(current: Fit, chain: Chain, residuals: Sequence[Array]) -> tuple[list
     fill(ahead, every, expected_there(every, chain))
     step = sessions[0].step
     by_step, quick = torque_blocks(current, residuals, seconds=step), chain.for_blocks(step)
-    there = there_given(by_step, quick)[0]
+    there = spell_probability(by_step, quick)[0]
     fill(shape, by_step, there)
     shape = [np.where(m, x, a) for m, x, a in zip(masks, shape, ahead, strict=True)]
-
-    def against(series: Sequence[Array]) -> list[Array]:
-        return [np.asarray(x * np.sign(s.speed)) for x, s in zip(series, sessions, strict=True)]
-
-    return against(shape), against(ahead), path_cost(by_step, quick, there)
+    return against_travel(sessions, shape), against_travel(sessions, ahead), path_cost(by_step, quick, there)
 
 
 def expected_there(b: Blocks, chain: Chain) -> Array:
@@ -177,7 +165,7 @@ def fill(shape: Sequence[Array], b: Blocks, value: Array) -> None:
         shape[session][begin:end] = x
 
 
-def beginnings(b: Blocks, there: Array, backwards: bool = False) -> NDArray[np.bool_]:
+def beginnings(b: Blocks, there: Array, backwards: bool = False) -> Mask:
     """Blocks in which a spell begins, or ends if `backwards`."""
     on = there > LIKELY
     goes_on = on[:-1] & on[1:] & ~b.first[1:]
@@ -206,27 +194,40 @@ def _level_change(current: Fit, residuals: Sequence[Array]) -> Term | None:
         return None
     against = residuals[change.session] * np.sign(sessions[change.session].speed)
     change = sharpened(change, against, masks[change.session], round(seconds / step))
-    shape = [x * np.sign(s.speed) for x, s in zip(change.shape([len(s) for s in sessions]), sessions, strict=True)]
+    shape = against_travel(sessions, change.shape([len(s) for s in sessions]))
     candidate = _fitted(current, LEVEL_CHANGE, "a torque that is there from some time on", shape, change.size, change.cost)
     return Term(candidate, change=change) if _counts(candidate, current) else None
 
 
 def _place(current: Fit, residuals: Sequence[Array]) -> Term | None:
     """A torque at the same place on each pass; on hold-out laps known from the driven distance alone."""
-    place = place_in(current, residuals)
+    sessions, masks = current.problem.sessions, current.problem.masks
+    mean = float(np.mean(np.concatenate([s.weight[m] for s, m in zip(sessions, masks, strict=True)])))
+    loads = [s.weight / mean for s in sessions]  # slopes, bends and soft ground take more torque at a higher weight
+    place = find_place(driven_along(sessions), against_travel(sessions, residuals), masks, loads)
     if place is None:
         return None
-    shape = [x * np.sign(s.speed) for x, s in zip(place.shape, current.problem.sessions, strict=True)]
+    shape = against_travel(sessions, place.shape)
     candidate = _fitted(current, PLACE, "a torque at the same place on each pass", shape, place.size, place.cost)
     return Term(candidate, place=place) if _counts(candidate, current) else None
 
 
-def _payload(current: Fit, residuals: Sequence[Array], route: Route | None) -> Term | None:
-    """A mass for each stretch between stops, in addition to terms by place; on hold-out laps from
-    earlier measurements.
+def driven_along(sessions: Sequence[DriveSession]) -> list[Array]:
+    """Position of each session on its route, as the distance from its start [m]: it falls while the vehicle reverses, and is
+    negative for laps in the other direction.
+
+    A lap is one full turn. If each session turns at least twice in total, those that turn right in forward travel
+    pass the same places in the reverse order.
     """
-    beside = None if route is None else route.beside(current)
-    payload = find_payload(current, residuals, beside)
+    turns = [float(np.nansum(s.yaw_rate)) * s.step / (2.0 * math.pi) for s in sessions]
+    on_laps = all("yaw_rate" in s.given for s in sessions) and min(map(abs, turns)) >= FEWEST_TURNS
+    driven = [np.cumsum(np.diff(s.distance, prepend=s.distance[0]) * np.sign(np.nan_to_num(s.speed))) for s in sessions]
+    return [-d if on_laps and turn * d[-1] < 0.0 else d for d, turn in zip(driven, turns, strict=True)]
+
+
+def _payload(current: Fit, residuals: Sequence[Array], route: Route | None) -> Term | None:
+    """A mass for each stretch between stops, in addition to terms by place; on hold-out laps from earlier measurements."""
+    payload = find_payload(current, residuals, None if route is None else route.joint_values(current))
     if payload is None:
         return None
     text = "another mass on each stretch between stops"
@@ -234,31 +235,23 @@ def _payload(current: Fit, residuals: Sequence[Array], route: Route | None) -> T
     return Term(candidate, payload=payload) if _counts(candidate, current) else None
 
 
-BY_CLOCK: Mapping[str, Search] = {SPELLS: _spells, LEVEL_CHANGE: _level_change, PLACE: _place, WAVE: _wave}
-
-
-def terms_beside(
-    current: Fit, roads: Roads | None, kinds: Collection[str], routes: Mapping[str, Route], waves: bool
-) -> list[Term]:
+def find_terms(current: Fit, roads: Roads | None, kinds: Collection[str], routes: Mapping[str, Route], waves: bool) -> list[Term]:
     """All terms of clock or place in addition to a fit, one of each name. Quick machines have none, because spells, a payload
     and a road belong to vehicles.
 
-    Parameters
-    ----------
-    roads, kinds
-        Matched roads of the sessions, and the kinds of terms by place to learn.
-    routes
-        Learned values of the fit's own terms by place.
-    waves
-        Whether to search for waves, which takes long.
+    `kinds` are those of terms by place to learn, `routes` the fit's own terms by place. A search for `waves` takes long.
     """
     if any(s.pace < 1.0 for s in current.problem.sessions):
         return []
     route = next((routes[name] for name in current.effect_names if name in routes), None)
-    left_out = {name for name, wanted in ((PLACE, roads is None), (WAVE, waves)) if not wanted}
-    searches = {name: search for name, search in BY_CLOCK.items() if name not in left_out}
-    searches[PAYLOAD] = partial(_payload, route=route)
-    found = side_by_side(lambda item: _watched(current, *item), list(searches.items()), "terms that follow the clock")
+    searches: dict[str, Search] = {
+        SPELLS: _spells,
+        LEVEL_CHANGE: _level_change,
+        **({PLACE: _place} if roads is None else {}),
+        **({WAVE: _wave} if waves else {}),
+        PAYLOAD: partial(_payload, route=route),
+    }
+    found = side_by_side(lambda item: _search_twice(current, *item), list(searches.items()), "terms that follow the clock")
     return [*filter(None, found), *filter(None, [_by_place(current, roads, kinds)])]
 
 
@@ -273,14 +266,14 @@ def _by_place(current: Fit, roads: Roads | None, kinds: Collection[str]) -> Term
 
 def slow_term(final: Fit) -> Described | None:
     """Lasting residual: a level per recording, or a drifting level."""
-    return recordings(final) or drift(final)
+    return _recordings(final) or _drift(final)
 
 
-def recordings(final: Fit) -> Described | None:
+def _recordings(final: Fit) -> Described | None:
     """A different level in each recording, if the residual hardly varies within them; of all laps, fitted or not."""
     sessions = final.problem.sessions
-    levels, size, share = by_recording(torque_blocks(final, _residuals(final), [s.used for s in sessions]))
-    large = size > LEAST_WANDER * rms([s.torque for s in sessions], final)
+    levels, size, share = by_recording(torque_blocks(final, torque_residuals(final), [s.used for s in sessions]))
+    large = size > LEAST_DRIFT * rms([s.torque for s in sessions], final)
     return of_recordings(levels, sessions) if large and share > BETWEEN else None
 
 
@@ -298,14 +291,14 @@ def by_recording(b: Blocks) -> tuple[Array, float, float]:
     return levels, math.sqrt(between), between / max(slow, between, 1e-300)
 
 
-def drift(final: Fit) -> Described | None:
-    """Slow drift of the residual, if significant; only for vehicles, as `terms_beside`."""
+def _drift(final: Fit) -> Described | None:
+    """Slow drift of the residual, if significant; only for vehicles, as `find_terms`."""
     if any(s.pace < 1.0 for s in final.problem.sessions):
         return None
-    b = torque_blocks(final, _residuals(final))
-    wander, likelihood = find_wander(b)
+    b = torque_blocks(final, torque_residuals(final))
+    drifting, likelihood = find_drifting_level(b)
     mean, variance = float(np.average(b.mean, weights=b.count)), float(np.mean(b.count * b.mean**2))
     white = -0.5 * float(np.sum((b.mean - mean) ** 2 * b.count / variance + np.log(2.0 * math.pi * variance / b.count)))
-    slow = wander.seconds >= SLOWEST_WANDER_S and likelihood > white + SURE
-    large = wander.size > LEAST_WANDER * rms([s.torque for s in final.problem.sessions], final)
-    return of_drift(wander) if slow and large else None
+    slow = drifting.seconds >= LEAST_DRIFT_S and likelihood > white + SURE
+    large = drifting.size > LEAST_DRIFT * rms([s.torque for s in final.problem.sessions], final)
+    return of_drift(drifting) if slow and large else None

@@ -32,29 +32,19 @@ WITHIN_S = 120.0  # of its recording on either side of a change: a nearer one is
 AS_LARGE = 0.5  # of a change: a larger second one means that the first did not last
 AROUND = 6  # pieces on either side for the levels next to a change
 FURTHEST = 2.0  # times the change: limit of a sample's influence on its time
-WANDERS_S = (20.0, 60.0, 180.0, 600.0, 3600.0)
-WANDERS = (0.3, 1.0, 3.0, 10.0)  # drift, in standard deviations of a mean's white noise
+DRIFTS_S = (20.0, 60.0, 180.0, 600.0, 3600.0)
+DRIFTS = (0.3, 1.0, 3.0, 10.0)  # drift, in standard deviations of a mean's white noise
 APART = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # the same: difference between recordings
 
 
 @dataclass(frozen=True, slots=True)
 class LevelChange:
-    """A lasting level change.
+    """A lasting level change."""
 
-    Attributes
-    ----------
-    session, row
-        Index of the session, and of its first sample after the change; 0 for a change between two recordings.
-    size
-        Additional torque after it [Nm].
-    cost
-        Log of the number of possible positions.
-    """
-
-    session: int
-    row: int
-    size: float
-    cost: float
+    session: int  # index
+    row: int  # of the first sample after the change; 0 for a change between two recordings
+    size: float  # additional torque after it [Nm]
+    cost: float  # log of the number of possible positions
 
     def shape(self, lengths: Sequence[int]) -> list[Array]:
         """Series of 0 before the change and 1 after it, for sessions with these numbers of samples."""
@@ -70,12 +60,7 @@ def piece_s(seconds: float) -> float:
 def find_change(b: Blocks, step: float) -> LevelChange | None:
     """The one lasting level change; None without one, or with several.
 
-    Parameters
-    ----------
-    b
-        Means of the residual against travel, over pieces of `piece_s`.
-    step
-        Of the samples [s].
+    `b` has means of the residual against travel over pieces of `piece_s`, from samples of `step` [s].
     """
     time = np.asarray(b.begin * step, dtype=np.float64)
     allowed = _allowed(b, step)
@@ -98,12 +83,7 @@ def find_change(b: Blocks, step: float) -> LevelChange | None:
 def sharpened(change: LevelChange, residual: Array, mask: Mask, length: int) -> LevelChange:
     """Sample of the change that best splits the residual, within a piece to either side.
 
-    Parameters
-    ----------
-    residual, mask
-        Against travel, of the session with the change, and its compared samples.
-    length
-        Length of a piece, in samples.
+    `residual` and `mask` are those of the session with the change, against travel; `length` is that of a piece, in samples.
     """
     if change.row == 0:
         return change
@@ -138,7 +118,7 @@ def _gains(b: Blocks, time: Array) -> tuple[Array, Array]:
     y = b.mean - np.average(b.mean, weights=b.count)
     without, with_step, sizes = -np.inf, np.full(n, -np.inf), np.zeros(n)
     apart = APART if len(sessions) > 1 else (0.0,)
-    for size, seconds in [(0.0, WANDERS_S[0]), *((w, s) for w in WANDERS for s in WANDERS_S)]:
+    for size, seconds in [(0.0, DRIFTS_S[0]), *((w, s) for w in DRIFTS for s in DRIFTS_S)]:
         sums = [_sums(y[rows], time[rows], white[rows], size, seconds) for rows in sessions]
         for between in apart:
             parts = [_with_own_level(s, between**2) for s in sums]

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.empirical.finders import Term, beginnings, fill, residuals_without, torque_blocks
-from trackres_ros.diagnosis.empirical.spells import Blocks, blocks, expected_level, find_wander, levels_given, there_given
+from trackres_ros.diagnosis.empirical.spells import Blocks, expected_level, find_drifting_level, levels_given, spell_probability
+from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
 from trackres_ros.estimator.disturbance import BLOCK_S
@@ -33,7 +34,7 @@ def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array]) -> Learne
     assert term.chain is not None
     chain = term.chain
     with_spells = torque_blocks(final, residuals_without(final, term.candidate.name))
-    there, _ = there_given(with_spells, chain)
+    there, _ = spell_probability(with_spells, chain)
     b = _over(final, expected)
     level, rest, noise = levels_given(b, there)
     found = Spells(level, rest, BLOCK_S / chain.goes, BLOCK_S / chain.comes, _of_blocks(noise, final))
@@ -53,9 +54,9 @@ def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array]) -> Learne
 def drift_to_watch(final: Fit, expected: Sequence[Array]) -> LearnedDisturbance:
     """Drift relative to the written file's torque [Nm], for each session."""
     b = _over(final, expected)
-    wander, _ = find_wander(b)
-    found = Drift(wander.size, wander.seconds, _of_blocks(wander.noise, final))
-    apart = max(1.0, BLOCK_S * len(b.mean) / (2.0 * wander.seconds))  # number of independent stretches
+    drifting, _ = find_drifting_level(b)
+    found = Drift(drifting.size, drifting.seconds, _of_blocks(drifting.noise, final))
+    apart = max(1.0, BLOCK_S * len(b.mean) / (2.0 * drifting.seconds))  # number of independent stretches
     return _learned(
         found,
         {
@@ -67,16 +68,13 @@ def drift_to_watch(final: Fit, expected: Sequence[Array]) -> LearnedDisturbance:
 
 
 def drift_on_held_out(final: Fit, laps: HeldOutLaps) -> Improvement:
-    """Hold-out improvement by following a drift live: the error with the forecast from earlier blocks, against
-    the error without.
-    """
+    """Hold-out improvement by following a drift live, with the forecast from earlier blocks."""
     sessions, without = final.problem.sessions, [p.torque for p in final.predicted]
-    wander, _ = find_wander(_over(final, without))
-    against = [(s.torque - e) * np.sign(s.speed) for s, e in zip(sessions, without, strict=True)]
-    b = blocks(against, [s.used for s in sessions], sessions[0].step)
+    drifting, _ = find_drifting_level(_over(final, without))
+    b = torque_blocks(final, torque_residuals(final), [s.used for s in sessions])
     shape = [np.zeros(len(s)) for s in sessions]
-    fill(shape, b, expected_level(b, wander)[0])
-    return laps.improvement(without, [e + x * np.sign(s.speed) for e, x, s in zip(without, shape, sessions, strict=True)])
+    fill(shape, b, expected_level(b, drifting)[0])
+    return laps.improvement(without, [e + x for e, x in zip(without, against_travel(sessions, shape), strict=True)])
 
 
 def _over(final: Fit, expected: Sequence[Array]) -> Blocks:

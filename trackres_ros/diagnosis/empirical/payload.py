@@ -59,65 +59,41 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class Payload:
-    """A payload by stretch.
+    """A payload by stretch."""
 
-    Attributes
-    ----------
-    stretches
-        Those with fitted samples.
-    level
-        Root mean square of its torque on the fitted laps [Nm].
-    shape
-        Its torque over `level` at each sample of each session: on fitted laps from all samples, elsewhere from earlier
-        ones.
-    ahead
-        The same from earlier samples everywhere.
-    cost
-        Cost of the masses, in log-likelihood.
-    """
-
-    stretches: tuple[Stretch, ...]
-    level: float
-    shape: tuple[Array, ...]
-    ahead: tuple[Array, ...]
-    cost: float
+    stretches: tuple[Stretch, ...]  # with fitted samples
+    level: float  # root mean square of its torque on the fitted laps [Nm]
+    shape: tuple[Array, ...]  # torque over `level` at each sample of each session; off the fitted laps as `ahead`
+    ahead: tuple[Array, ...]  # the same from earlier samples alone
+    cost: float  # of the masses, in log-likelihood
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
-    """Other values estimated jointly with the masses, with their prior.
+class JointValues:
+    """Other values estimated jointly with the masses."""
 
-    Attributes
-    ----------
-    adds
-        Torque of each session [Nm].
-    columns, precision
-        Torque of each session per value, and the prior precision of the values.
-    """
-
-    adds: tuple[Array, ...]
-    columns: tuple[sparse.csr_matrix, ...]
-    precision: sparse.csc_matrix
+    adds: tuple[Array, ...]  # torque of each session [Nm]
+    columns: tuple[sparse.csr_matrix, ...]  # torque of each session per value
+    precision: sparse.csc_matrix  # of the values' prior
 
     @classmethod
-    def values_of(cls, current: Fit) -> Beside:
+    def values_of(cls, current: Fit) -> JointValues:
         """The values of a fit, with their priors and the information of other measurements than the torque."""
         problem, scale = current.problem, np.array([f.scale for f in current.free])
-        parts = problem.split(base_columns(current) * scale)
-        of_torque = [g.kind == "torque" for g in problem.segments]
-        others = [w for w, is_torque in zip(problem.white(parts, current.noises), of_torque, strict=True) if not is_torque]
+        parts, torques = problem.split(base_columns(current) * scale), len(problem.sessions)
+        others = problem.white(parts, current.noises)[torques:]
         known = np.diag([LEAST_KNOWN + (f.scale / f.std) ** 2 for f in current.free])
         known = known + sum(w.T @ w for w in map(np.nan_to_num, others))
-        columns = tuple(sparse.csr_matrix(np.nan_to_num(x)) for x, is_torque in zip(parts, of_torque, strict=True) if is_torque)
+        columns = tuple(sparse.csr_matrix(np.nan_to_num(x)) for x in parts[:torques])
         return cls(tuple(np.zeros(x.shape[0]) for x in columns), columns, sparse.csc_matrix(known))
 
-    def and_by_place(self, other: Beside | None) -> Beside:
+    def together_with(self, other: JointValues | None) -> JointValues:
         """Both sets of values."""
         if other is None:
             return self
         columns = tuple(sparse.hstack(both).tocsr() for both in zip(self.columns, other.columns, strict=True))
         adds = tuple(x + y for x, y in zip(self.adds, other.adds, strict=True))
-        return Beside(adds, columns, sparse.block_diag((self.precision, other.precision)).tocsc())
+        return JointValues(adds, columns, sparse.block_diag((self.precision, other.precision)).tocsc())
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,13 +149,10 @@ def may_differ(current: Fit) -> bool:
     return sum(int(stretch_numbers(s).max()) + 1 for s in sessions) >= FEWEST_STRETCHES
 
 
-def find_payload(current: Fit, residuals: Sequence[Array], beside: Beside | None = None) -> Payload | None:
+def find_payload(current: Fit, residuals: Sequence[Array], joint: JointValues | None = None) -> Payload | None:
     """The mass of each stretch; None with recorded loads or passengers, or too few stretches.
 
-    Parameters
-    ----------
-    residuals
-        Torque residual of each session [Nm], without the terms in `beside`.
+    `residuals` are those of the torque of each session [Nm], without the terms in `joint`.
     """
     if not may_differ(current):
         return None
@@ -188,8 +161,8 @@ def find_payload(current: Fit, residuals: Sequence[Array], beside: Beside | None
     mass = mass_of(current)
     per_kg = torque_of_a_kilogram(current, mass)
     typical = float(np.sqrt(np.mean(np.concatenate([m[use] for m, use in zip(per_kg, masks, strict=True)]) ** 2)))
-    against, known_beside = [typical * np.sign(s.speed) for s in sessions], Beside.values_of(current).and_by_place(beside)
-    (best, noise), (of_level, _) = (_most_likely(by, numbers, residuals, known_beside, current, mass) for by in (per_kg, against))
+    against, joint_values = [typical * np.sign(s.speed) for s in sessions], JointValues.values_of(current).together_with(joint)
+    (best, noise), (of_level, _) = (_most_likely(by, numbers, residuals, joint_values, current, mass) for by in (per_kg, against))
     if best.evidence < of_level.evidence + SURE:
         return None  # the difference does not have the signature of a mass
     torques, known, stretches = [], [], list[Stretch]()
@@ -197,18 +170,14 @@ def find_payload(current: Fit, residuals: Sequence[Array], beside: Beside | None
         zip(sessions, numbers, per_kg, residuals, best.masses, best.stds, strict=True)
     ):
         smoothed = by_mass * masses[number]
-        live = np.where(session.used, by_mass * followed(by_mass, residual, number, session.used, noise, best), 0.0)
+        live = np.where(session.used, by_mass * _followed(by_mass, residual, number, session.used, noise, best), 0.0)
         torques.append(np.where(masks[i], smoothed, live))
         known.append(live)
-        stretches += [
-            Stretch(
-                session.name,
-                *_span(session, number == k),
-                float(masses[k]),
-                math.hypot(stds[k], FORM_ERROR * masses[k], MODEL_ERROR * mass),
-            )
-            for k in np.unique(number[masks[i]]).tolist()
-        ]
+        for k in np.unique(number[masks[i]]).tolist():
+            rows = np.flatnonzero(number == k)
+            begin, end = float(session.time[rows[0]]), float(session.time[rows[-1]] + session.step)
+            std = math.hypot(stds[k], FORM_ERROR * masses[k], MODEL_ERROR * mass)
+            stretches.append(Stretch(session.name, begin, end, float(masses[k]), std))
     acting = np.concatenate([t[m] for t, m in zip(torques, masks, strict=True)])
     level = float(np.sqrt(np.mean(acting**2)))
     if not level > 0.0:
@@ -219,18 +188,18 @@ def find_payload(current: Fit, residuals: Sequence[Array], beside: Beside | None
 
 
 def _most_likely(
-    by: Sequence[Array], numbers: Sequence[Indices], residuals: Sequence[Array], beside: Beside, current: Fit, mass: float
+    by: Sequence[Array], numbers: Sequence[Indices], residuals: Sequence[Array], joint: JointValues, current: Fit, mass: float
 ) -> tuple[_Solution, Noise]:
     """Most likely sizes of a series by stretch, and the remaining noise."""
     masks, columns = current.problem.masks, by_stretch(by, numbers)
     session = np.repeat(np.arange(len(numbers)), [int(n.max()) + 1 for n in numbers])
-    both = [sparse.hstack([x, z]).tocsr() for x, z in zip(columns, beside.columns, strict=True)]
-    whole = [r + x for r, x in zip(residuals, beside.adds, strict=True)]
+    both = [sparse.hstack([x, z]).tocsr() for x, z in zip(columns, joint.columns, strict=True)]
+    whole = [r + x for r, x in zip(residuals, joint.adds, strict=True)]
     left, noise = list(residuals), current.noise
     for _ in range(TURNS):  # with the payload in it, the noise would be as large and hide the payload
         rows = WhitenedRows.of(both, whole, masks, noise)
         weights = noise.weights(WhitenedRows.of(both, left, masks, noise).white)
-        normal, others, settled = _normal(rows, weights, session, beside.precision)
+        normal, others, settled = _normal(rows, weights, session, joint.precision)
         tried = (normal.solved(size * mass, alike, MEAN * mass) for size in SIZES for alike in ALIKE)
         best = max(tried, key=lambda one: one.evidence)
         values = np.concatenate(best.masses)
@@ -270,9 +239,7 @@ def by_stretch(by: Sequence[Array], numbers: Sequence[Indices]) -> list[sparse.c
 
 
 def loads(current: Fit) -> list[Array]:
-    """Torque of each session for a mass change of one standard deviation on each stretch, shape
-    (samples, stretches): for learning other terms under variable masses.
-    """
+    """Torque of each session for a mass change of one standard deviation on each stretch, shape (samples, stretches)."""
     mass = mass_of(current)
     columns = by_stretch(torque_of_a_kilogram(current, mass), [stretch_numbers(s) for s in current.problem.sessions])
     return [LOADED * mass * x.toarray() for x in columns]
@@ -308,17 +275,10 @@ def torque_of_a_kilogram(current: Fit, mass: float) -> list[Array]:
     ]
 
 
-def followed(by_mass: Array, residual: Array, number: Indices, used: Mask, noise: Noise, like: _Solution) -> Array:
-    """Live estimate of the mass at each sample from earlier ones: a Kalman filter [kg].
+def _followed(by_mass: Array, residual: Array, number: Indices, used: Mask, noise: Noise, like: _Solution) -> Array:
+    """Live estimate of the mass at each sample of a session from earlier ones: a Kalman filter [kg].
 
-    Parameters
-    ----------
-    by_mass, residual, number, used
-        Torque of a kilogram, torque residual [Nm], stretch of each sample of a session, and its compared samples.
-    noise
-        Of the residual without the payload.
-    like
-        Standard deviation and correlation of the payload.
+    `number` is the stretch of each sample, and `noise` that of the residual without the payload.
     """
     white = whitened(np.column_stack([by_mass, residual]), used, noise.phi) / noise.std
     begins = np.diff(number, prepend=-1) > 0
@@ -336,8 +296,3 @@ def followed(by_mass: Array, residual: Array, number: Indices, used: Mask, noise
         gain = variance * slope / (by_payload + 1.0 / weight)
         mean, variance = mean + gain * off, variance * (1.0 - gain * slope)
     return known
-
-
-def _span(session: DriveSession, there: NDArray[np.bool_]) -> tuple[float, float]:
-    rows = np.flatnonzero(there)
-    return float(session.time[rows[0]]), float(session.time[rows[-1]] + session.step)

@@ -46,59 +46,31 @@ FINER, MOST_OFF = 0.0005, 8  # search steps for the length, and their number
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A torque by the place in a lap.
+    """A torque by the place in a lap. Each recording is one pass of the same route where it is not `folded`."""
 
-    Attributes
-    ----------
-    lap_m
-        Length of the lap [m] from the odometer; of the longest recording where `folded` is false.
-    size
-        Mean additional torque in its range [Nm], relative to the rest of the lap.
-    begin_m, end_m
-        Its range, from the start of a lap; beyond the end of the lap if it crosses that.
-    passes
-        Number of passes on the fitted laps.
-    folded
-        Whether a recording has consecutive laps; else each recording is one pass from the same start.
-    cost
-        Cost of length and places, in log-likelihood.
-    course, shape
-        Place in the lap [m], and the torque there, with mean 1 in its range, at each sample of each session.
-    """
-
-    lap_m: float
-    size: float
-    begin_m: float
-    end_m: float
-    passes: int
-    folded: bool
-    cost: float
-    course: tuple[Array, ...]
-    shape: tuple[Array, ...]
+    lap_m: float  # by the odometer; of the longest recording where not `folded`
+    size: float  # mean additional torque in its range, relative to the rest of the lap [Nm]
+    begin_m: float  # of its range, from the start of a lap
+    end_m: float  # beyond the end of the lap if it crosses that
+    passes: int  # on the fitted laps
+    folded: bool  # whether a recording has consecutive laps
+    cost: float  # of length and places, in log-likelihood
+    course: tuple[Array, ...]  # place in the lap at each sample of each session [m]
+    shape: tuple[Array, ...]  # torque there, with mean 1 in its range
 
 
 @dataclass(frozen=True, eq=False)
 class _Bins:
-    """Stretches of `BIN_M` of all sessions, with compared samples; arrays of shape (n,).
+    """Stretches of `BIN_M` of all sessions, with compared samples; arrays of shape (n,)."""
 
-    Attributes
-    ----------
-    at, session
-        Middle of each from the start of its session [m], negative as in `on_laps.driven_along`, and the session.
-    white
-        Mean residual, whitened over distance, limited to `FURTHEST`.
-    """
-
-    at: Array
+    at: Array  # middle of each from the start of its session [m], negative as in `finders.driven_along`
     session: Indices
-    white: Array
+    white: Array  # mean residual, whitened over distance, limited to `FURTHEST`
 
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Samples of all sessions: distances and loads as in `find_place`, and the whitened measurements; the noise is that
-    of the residual without the place.
-    """
+    """Samples of all sessions: distances and loads as in `find_place`, and the whitened measurements."""
 
     distances: Sequence[Array]
     loads: Sequence[Array]
@@ -125,9 +97,7 @@ class _Rows:
     def columns(self, shapes: Sequence[Array]) -> Array:
         """Shapes of each session, scaled with the load, whitened; shape (n, shapes)."""
         grown = (x * load[:, np.newaxis] for x, load in zip(shapes, self.loads, strict=True))
-        return np.concatenate(
-            [whitened(x, m, self.noise.phi) / self.noise.std for x, m in zip(grown, self.masks, strict=True)]
-        )  # fmt: skip
+        return np.concatenate([whitened(x, m, self.noise.phi) / self.noise.std for x, m in zip(grown, self.masks, strict=True)])
 
     def gains(self, shapes: Sequence[Array]) -> tuple[Array, Array]:
         """Gain in log-likelihood of each shape in addition to a mean, and its torque [Nm]."""
@@ -162,7 +132,7 @@ def find_place(
     Parameters
     ----------
     distances
-        From the start of each session along its route [m], see `on_laps.driven_along`.
+        From the start of each session along its route [m], see `finders.driven_along`.
     residuals, masks
         Against travel [Nm], and its compared samples.
     loads
@@ -199,7 +169,7 @@ def find_place(
 def _length(place: Place, rows: _Rows) -> float:
     """Lap length near a place's with the largest gain for a torque between two edges."""
     laps = place.lap_m * (1.0 + FINER * np.arange(-MOST_OFF, MOST_OFF + 1))
-    return float(max(laps, key=lambda lap: _box(place.begin_m, place.end_m, EDGES_M[0], lap, rows)[3]))
+    return float(max(laps, key=lambda lap: _best_edges(place.begin_m, place.end_m, EDGES_M[0], lap, rows)[3]))
 
 
 def _bins_of(distance: Array) -> Indices:
@@ -317,14 +287,14 @@ def _place(lap_m: float, folded: bool, tried: float, rows: _Rows) -> Place:
     profiles = []
     for width in WIDTHS:
         count = max(FEWEST_PLACES, round(lap_m / (BIN_M * width)))
-        design = [_hats(c / lap_m * count, count) for c in course]
+        design = [_place_weights(c / lap_m * count, count) for c in course]
         profiles.append((*_learned(rows.columns(design), rows), design))
     evidence, cost, profile, design = max(profiles, key=lambda one: one[0])
     profile, count = profile - np.median(profile), len(profile)
-    first, last = _acts(profile)
+    first, last = _peak_range(profile)
     begin, end = first / count * lap_m, (last + 1) / count * lap_m
     for edge_m in EDGES_M:
-        begin, end, size, gain = _box(begin, end, edge_m, lap_m, rows)
+        begin, end, size, gain = _best_edges(begin, end, edge_m, lap_m, rows)
     middle = 0.5 * (begin + end)
     there = [np.abs((d - middle + 0.5 * lap_m) % lap_m - 0.5 * lap_m) < 0.5 * (end - begin) for d in distances]
     passes = sum(
@@ -339,10 +309,8 @@ def _place(lap_m: float, folded: bool, tried: float, rows: _Rows) -> Place:
     return Place(lap_m, size, begin, end, passes, folded, cost + tried, course, shape)
 
 
-def _box(begin: float, end: float, edge_m: float, lap_m: float, rows: _Rows) -> tuple[float, float, float, float]:
-    """Nearby edges with the largest gain for a constant torque between them; that torque [Nm], and its gain
-    in log-likelihood.
-    """
+def _best_edges(begin: float, end: float, edge_m: float, lap_m: float, rows: _Rows) -> tuple[float, float, float, float]:
+    """Nearby edges with the largest gain for a constant torque between them; that torque [Nm], and its gain."""
     best = (-math.inf, begin, end, 0.0)
     moves = np.arange(-MOST_MOVED, MOST_MOVED + 1) * edge_m
     for moved_begin in begin + moves:
@@ -374,7 +342,7 @@ def _learned(columns: Array, rows: _Rows) -> tuple[float, float, Array]:
     return max(found, key=lambda one: one[0])
 
 
-def _hats(at: Array, count: int) -> Array:
+def _place_weights(at: Array, count: int) -> Array:
     """Weights of places with their middles at 0.5, 1.5, ..., cyclic after `count`; shape (n, count)."""
     low = np.floor(at - 0.5)
     share = at - 0.5 - low
@@ -384,7 +352,7 @@ def _hats(at: Array, count: int) -> Array:
     return design
 
 
-def _acts(profile: Array) -> tuple[int, int]:
+def _peak_range(profile: Array) -> tuple[int, int]:
     """First and last place around the largest torque with at least half of it; the last may lie beyond the end."""
     count, top = len(profile), int(np.argmax(np.abs(profile)))
     large = profile / profile[top] >= HALF

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import STEEPEST, ByPlace, SlopeByPlace, TorqueByPlace
 from trackres_ros.diagnosis.empirical.by_place import PlaceColumns, PlaceValues, StreetGraph, gains, learn
-from trackres_ros.diagnosis.empirical.payload import Beside, loads, may_differ
+from trackres_ros.diagnosis.empirical.payload import JointValues, loads, may_differ
+from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, SHORT_ROOT, Noise, estimate_noise
 from trackres_ros.diagnosis.prepare.on_route import way_of
@@ -35,7 +36,7 @@ Mask = NDArray[np.bool_]
 
 SLOPES = ("grade", "grade_profile")  # effects of the catalogue that a slope by place includes
 SURE = 10.0  # in log-likelihood: of a term by place, and beyond shifted places on passes not used for learning
-TOLD = 5.0  # in log-likelihood: of a slope over a torque
+SURE_OF_KIND = 5.0  # in log-likelihood: of a slope over a torque
 LEAST_AGAIN_M = 500.0  # on repeated streets of the fitted laps
 TURNS = 5  # of fitting the base and the term by place
 SETTLED = 0.05  # of its size: a smaller change means convergence
@@ -46,32 +47,14 @@ UNLEARNED = 0.9  # of its size: a place with such a standard deviation is not le
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """Learned values of a route.
+    """A slope or a torque by place. A torque has no value for the other direction of travel."""
 
-    Attributes
-    ----------
-    candidate
-        The fits with and without it.
-    apart
-        Log-likelihood ratio of a slope over a torque by place. If it is not significant, the term is a
-        torque, which has no value for the other direction of travel.
-    metres, again_m
-        Length of the fitted streets, and of those passed at least twice [m].
-    passes
-        Number of passes of a place, median of those passed at least twice.
-    course
-        Matched distance at each sample of each session [m], along the places in the order of the first drive; nan
-        off all places.
-    places, values
-        Columns of the places, and their learned values.
-    """
-
-    candidate: Candidate
-    apart: float
-    metres: float
-    again_m: float
-    passes: int
-    course: tuple[Array, ...]
+    candidate: Candidate  # the fits with and without it
+    slope_gain: float  # in log-likelihood, of a slope over a torque
+    metres: float  # of fitted streets
+    again_m: float  # of those passed at least twice
+    passes: int  # of a place, median of those passed at least twice
+    course: tuple[Array, ...]  # matched distance at each sample [m], in the order of the first drive; nan off all places
     places: PlaceColumns
     values: PlaceValues
 
@@ -88,29 +71,27 @@ class Route:
         return self.effect.learned(active.numbers[0])
 
     @property
-    def told(self) -> bool:
+    def is_slope(self) -> bool:
         """Whether it is significantly a slope."""
         return self.effect.route.kind == SLOPE
 
-    def beside(self, current: Fit) -> Beside:
+    def joint_values(self, current: Fit) -> JointValues:
         """Its torque in a fit, and its prior."""
         prior = self.places.streets.precision(self.values.length_m, self.values.size)
-        return Beside(tuple(current.contribution(self.candidate.name)), self.places.of, prior)
+        return JointValues(tuple(current.contribution(self.candidate.name)), self.places.of, prior)
 
 
 @dataclass(frozen=True, eq=False)
-class _Better:
-    """A slope, if significant, else a torque: the columns of the places and their learned values, the sine of the slope or
-    the torque against travel of each session, and `Route.apart`.
-    """
+class _ByPlace:
+    """A slope, if significant, else a torque."""
 
     kind: str
     places: PlaceColumns
     learned: PlaceValues
-    expected: list[Array]
-    apart: float
+    expected: list[Array]  # sine of the slope, or torque against travel, of each session
+    slope_gain: float
 
-    def moved(self, before: _Better, masks: Sequence[Mask]) -> float:
+    def moved(self, before: _ByPlace, masks: Sequence[Mask]) -> float:
         """Relative root-mean-square change from a previous one; infinite for another kind."""
         if self.kind != before.kind:
             return math.inf
@@ -120,19 +101,13 @@ class _Better:
 
 @dataclass(frozen=True, eq=False)
 class Roads:
-    """Sessions matched to themselves.
-
-    Attributes
-    ----------
-    at, within
-        Place of each step of each session, at its middle and at each of its positions.
-    """
+    """Sessions matched to themselves."""
 
     frame: Frame
     places: Places
     streets: StreetGraph
-    at: tuple[Matched, ...]
-    within: tuple[Matched, ...]
+    at: tuple[Matched, ...]  # place at the middle of each step of each session
+    within: tuple[Matched, ...]  # place at each of the positions within the steps
 
     def passes(self, masks: Sequence[Mask]) -> NDArray[np.int64]:
         """Number of passes of each place on used samples, shape (places,)."""
@@ -174,38 +149,38 @@ def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQ
     again_m = SPACING_M * int((passes > 1).sum())
     if again_m < LEAST_AGAIN_M:
         return None
-    residuals, fitted = _torque_residuals(current), current
+    residuals, fitted = torque_residuals(current), current
     noise = estimate_noise(residuals, masks, SHORT_ROOT)
-    best: _Better | None = None
+    best: _ByPlace | None = None
     for _ in range(TURNS):
         before = best
-        best = _better(current, fitted, roads, residuals, noise, kinds)
+        best = _slope_or_torque(current, fitted, roads, residuals, noise, kinds)
         if best is None:
             return None
         effect = _effect(current, roads, best, passes)
-        fitted = _beside(current, effect, fitted, SHORT_ROOT)
-        left = _torque_residuals(fitted)
+        fitted = _fitted_with(current, effect, fitted, SHORT_ROOT)
+        left = torque_residuals(fitted)
         noise = estimate_noise(left, masks, SHORT_ROOT)
         noise = replace(noise, scale=noise.scale / best.learned.shrinks)
         residuals = [r + x for r, x in zip(left, fitted.contribution(effect.name), strict=True)]
         if before is not None and best.moved(before, masks) < SETTLED:
             break
     assert best is not None
-    found = compared(current, _beside(current, effect, fitted), effect.name, 1.0, math.nan, best.learned.cost + math.log(2.0))
+    found = compared(
+        current, _fitted_with(current, effect, fitted), effect.name, 1.0, math.nan, best.learned.cost + math.log(2.0)
+    )
     if not found.matters:
         return None
     metres = SPACING_M * int((passes > 0).sum())
     course = tuple(np.where(m.known, SPACING_M * (m.place * m.share).sum(axis=1), np.nan) for m in roads.at)
     again = int(np.median(passes[passes > 1]))
-    return Route(found, best.apart, metres, again_m, again, course, best.places, best.learned)
+    return Route(found, best.slope_gain, metres, again_m, again, course, best.places, best.learned)
 
 
-def _better(
+def _slope_or_torque(
     current: Fit, fitted: Fit, roads: Roads, residuals: Sequence[Array], noise: Noise, kinds: Collection[str]
-) -> _Better | None:
-    """A slope, if significant, or a torque, with the base fitted too; None if it fails on passes
-    not used for learning, or is not significantly of the one requested kind.
-    """
+) -> _ByPlace | None:
+    """A slope or a torque, with the base fitted too; None if other passes do not show it, or it is of no requested kind."""
     problem, masks = current.problem, current.problem.masks
     scale = fitted.base_values.get("torque_scale", problem.base.torque_scale)
     radius = scale * problem.base.facts.radius
@@ -217,11 +192,11 @@ def _better(
         TORQUE: PlaceColumns.of_torque(roads.within, [scale * way for way in ways], roads.streets),
     }
     typical = {SLOPE: spread / (problem.base.facts.weight * radius), TORQUE: spread / scale}
-    bends = _bends(current)
-    learned = {kind: learn(c.beside(bends), residuals, masks, noise, typical[kind]) for kind, c in columns.items()}
-    apart = learned[SLOPE].evidence - learned[TORQUE].evidence
-    kind = SLOPE if apart > TOLD else TORQUE
-    if kind not in kinds or (len(kinds) == 1 and abs(apart) <= TOLD):
+    base = _base_and_loads(current)
+    learned = {kind: learn(c, residuals, masks, noise, typical[kind], base) for kind, c in columns.items()}
+    slope_gain = learned[SLOPE].evidence - learned[TORQUE].evidence
+    kind = SLOPE if slope_gain > SURE_OF_KIND else TORQUE
+    if kind not in kinds or (len(kinds) == 1 and abs(slope_gain) <= SURE_OF_KIND):
         return None
     if learned[kind].evidence < SURE or not _shows_on_others(columns[kind], learned[kind], roads, residuals, masks):
         return None
@@ -229,17 +204,16 @@ def _better(
         shape = PlaceColumns.of_slope(roads.within, ways, roads.streets)
     else:
         shape = PlaceColumns.of_torque(roads.within, [np.ones(len(way)) for way in ways], roads.streets)
-    return _Better(kind, columns[kind], learned[kind], shape.expected(learned[kind]), apart)
+    return _ByPlace(kind, columns[kind], learned[kind], shape.expected(learned[kind]), slope_gain)
 
 
-def _bends(current: Fit) -> list[Array]:
+def _base_and_loads(current: Fit) -> list[Array]:
     """Torque changes of each session for one standard deviation of each base parameter, and of the mass of each
     stretch if masses may differ. Otherwise a load would be learned as a slope where a vehicle accelerates.
     """
     own = [i for i, f in enumerate(current.free) if f.key[0] not in current.effect_names]
     columns = base_columns(current) * np.array([f.std if np.isfinite(f.std) else f.scale for f in current.free])
-    parts = np.split(columns[:, own], np.cumsum([len(g.measured) for g in current.problem.segments])[:-1])
-    of_base = [part for part, g in zip(parts, current.problem.segments, strict=True) if g.kind == "torque"]
+    of_base = current.problem.split(columns[:, own])[: len(current.problem.sessions)]
     if not may_differ(current):
         return of_base
     return [np.column_stack(both) for both in zip(of_base, loads(current), strict=True)]
@@ -256,14 +230,14 @@ def _shows_on_others(
         others, used = (
             [m & (n >= 0) & ((n % 2 == half) == own) for m, n in zip(masks, numbers, strict=True)] for own in (True, False)
         )
-        value = found.again(columns, residuals, used)
+        value = found.relearned(columns, residuals, used)
         moved = [ways * round(by * len(roads.places)) for by in (0.0, *np.linspace(NEAREST_MOVED, 1.0 - NEAREST_MOVED, MOVED))]
         total += gains(columns, np.stack([np.roll(value, by) for by in moved], axis=1), residuals, others, found.noise)
     elsewhere = max(0.0, float(total[1:].max()))
     return bool(total[0] > elsewhere + SURE and total[0] > OWN * elsewhere)
 
 
-def _effect(current: Fit, roads: Roads, best: _Better, passes: NDArray[np.int64]) -> ByPlace:
+def _effect(current: Fit, roads: Roads, best: _ByPlace, passes: NDArray[np.int64]) -> ByPlace:
     """The learned values as an effect."""
     facts, masks = current.problem.base.facts, current.problem.masks
     route, shape = _map(roads, best.kind, best.learned, passes), best.expected
@@ -276,7 +250,7 @@ def _effect(current: Fit, roads: Roads, best: _Better, passes: NDArray[np.int64]
     return make(BY_PLACE[best.kind], _text(route), [x / typical for x in shape], facts.weight * facts.radius, route, typical)
 
 
-def _beside(current: Fit, effect: ByPlace, begin: Fit, largest_root: float = LARGEST_ROOT) -> Fit:
+def _fitted_with(current: Fit, effect: ByPlace, begin: Fit, largest_root: float = LARGEST_ROOT) -> Fit:
     """Fit with the effect added, under a noise with bounded roots: for predictive values, or for tests."""
     effects = [*(a.effect for a in current.effects), effect]
     start = {**begin.at, (effect.name, effect.parameters[0].name): effect.typical}
@@ -298,10 +272,6 @@ def _map(roads: Roads, kind: str, learned: PlaceValues, passes: NDArray[np.int64
     value, std = np.where(known, value, np.nan), np.where(known, std, np.nan)
     latitude, longitude = roads.frame.position(x, y)
     return RouteMap(kind, latitude, longitude, np.arctan2(north, east), value, std, passes[seen])
-
-
-def _torque_residuals(found: Fit) -> list[Array]:
-    return [r for r, g in zip(found.residuals, found.problem.segments, strict=True) if g.kind == "torque"]
 
 
 def _text(route: RouteMap) -> str:

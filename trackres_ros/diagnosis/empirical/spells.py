@@ -35,23 +35,13 @@ LEAST_SHARE, MOST_SHARE = 0.03, 0.97  # of the time
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Means of a residual over blocks, all sessions concatenated; shape (n,).
-
-    Attributes
-    ----------
-    mean, count
-        Mean of each block's samples, and their number.
-    first
-        Whether a block has no predecessor: a chain starts there.
-    session, begin, end
-        Its origin: index of the session and of its samples.
-    """
+    """Means of a residual over blocks, all sessions concatenated; shape (n,)."""
 
     mean: Array
-    count: Array
-    first: Mask
-    session: NDArray[np.int64]
-    begin: NDArray[np.int64]
+    count: Array  # of samples in each block
+    first: Mask  # whether a block has no predecessor: a chain starts there
+    session: NDArray[np.int64]  # index
+    begin: NDArray[np.int64]  # index of its first sample
     end: NDArray[np.int64]
 
 
@@ -108,11 +98,11 @@ def find_chain(b: Blocks) -> tuple[Chain, Array, float]:
         chain = Chain(start * scale, 0.0, 0.05, 0.1, 0.7 * spread)
         before = -math.inf
         for _ in range(TURNS):
-            there, pairs, likelihood = _look(b, chain)
+            there, pairs, likelihood = _forward_backward(b, chain)
             if likelihood - before < ENOUGH:
                 break
             before = likelihood
-            chain = _improved(b, there, pairs)
+            chain = _reestimated(b, there, pairs)
         if best is None or likelihood > best[2]:
             best = (chain, there, likelihood)
     assert best
@@ -124,39 +114,34 @@ def is_spells(chain: Chain) -> bool:
     return SHORTEST_S <= chain.mean_s <= LONGEST_S and LEAST_SHARE <= chain.share <= MOST_SHARE
 
 
-def beyond_wander(b: Blocks, chain: Chain, there: Array) -> float:
+def gain_over_drift(b: Blocks, chain: Chain, there: Array) -> float:
     """Log-likelihood gain of spells plus drift over drift alone.
 
     Each transition costs its negative log-probability under the chain; the residual without the spells may drift too.
     """
     without = replace(b, mean=b.mean - np.where(there > 0.5, chain.level, chain.rest))
-    return find_wander(without)[1] - find_wander(b)[1] - path_cost(b, chain, there)
+    return find_drifting_level(without)[1] - find_drifting_level(b)[1] - path_cost(b, chain, there)
 
 
 def path_cost(b: Blocks, chain: Chain, there: Array) -> float:
     """Cost of the spells' transitions: their negative log-probability under the Markov chain."""
     on = there > 0.5
-    stays = {
-        (False, False): 1.0 - chain.comes,
-        (False, True): chain.comes,
-        (True, False): chain.goes,
-        (True, True): 1.0 - chain.goes,
-    }
-    start = {True: chain.share, False: 1.0 - chain.share}
+    step = ((1.0 - chain.comes, chain.comes), (chain.goes, 1.0 - chain.goes))
+    start = (1.0 - chain.share, chain.share)
     steps = [
-        start[now] if first else stays[before, now]
+        start[now] if first else step[before][now]
         for before, now, first in zip([False, *on[:-1].tolist()], on.tolist(), b.first.tolist(), strict=True)
     ]
     return -float(np.log(steps).sum())
 
 
-def there_given(b: Blocks, chain: Chain) -> tuple[Array, float]:
+def spell_probability(b: Blocks, chain: Chain) -> tuple[Array, float]:
     """Probability of a spell in each block for a given chain, and the log-likelihood."""
-    there, _, likelihood = _look(b, chain)
+    there, _, likelihood = _forward_backward(b, chain)
     return there, likelihood
 
 
-def _look(b: Blocks, chain: Chain) -> tuple[Array, Array, float]:
+def _forward_backward(b: Blocks, chain: Chain) -> tuple[Array, Array, float]:
     """Forward-backward pass: probability of a spell, expected transition counts, log-likelihood."""
     variance = chain.noise**2 / b.count
     logs = [-0.5 * ((b.mean - level) ** 2 / variance + np.log(2.0 * math.pi * variance)) for level in (chain.rest, chain.level)]
@@ -176,16 +161,9 @@ def _look(b: Blocks, chain: Chain) -> tuple[Array, Array, float]:
 
 @compiled
 def _pass(
-    absent: Array,
-    present: Array,
-    starts: Mask,
-    come: float,
-    go: float,
-    share: float,
-    forward: Array,
-    backward: Array,
-    scales: Array,
-) -> None:
+    absent: Array, present: Array, starts: Mask, come: float, go: float, share: float,
+    forward: Array, backward: Array, scales: Array,
+) -> None:  # fmt: skip
     """Forward pass, with the scale of each block, and backward pass, over the likelihoods without and with a spell."""
     stay0, stay1, n = 1.0 - come, 1.0 - go, len(absent)
     f0 = f1 = 0.0
@@ -215,14 +193,14 @@ def levels_given(b: Blocks, there: Array) -> tuple[float, float, float]:
     return level, rest, float(np.sqrt(np.mean(b.count * left)))
 
 
-def _improved(b: Blocks, there: Array, pairs: Array) -> Chain:
+def _reestimated(b: Blocks, there: Array, pairs: Array) -> Chain:
     level, rest, noise = levels_given(b, there)
     comes, goes = ((pairs[i, 1 - i] + 0.5) / (pairs[i].sum() + 1.0) for i in (0, 1))
     return Chain(level, rest, float(comes), float(goes), noise)
 
 
 @dataclass(frozen=True, slots=True)
-class Wander:
+class DriftingLevel:
     """A drifting level: its standard deviation [Nm] and time constant [s], and the noise of one sample [Nm]."""
 
     size: float
@@ -230,31 +208,27 @@ class Wander:
     noise: float
 
 
-def find_wander(b: Blocks) -> tuple[Wander, float]:
+def find_drifting_level(b: Blocks) -> tuple[DriftingLevel, float]:
     """The most likely drifting level, and its log-likelihood."""
     scale = float(np.std(b.mean))
     typical = float(np.sqrt(np.median(b.count)))
 
-    def of(logs: Array) -> Wander:
+    def of(logs: Array) -> DriftingLevel:
         size, seconds, noise = np.exp(np.clip(logs, -12.0, 15.0))
-        return Wander(float(size), float(seconds), float(noise))
+        return DriftingLevel(float(size), float(seconds), float(noise))
 
-    found = [
-        minimize(lambda x: -_wandering(b, of(x)), np.log([0.7 * scale, seconds, 0.7 * scale * typical]), method="Nelder-Mead",
-                 options={"maxiter": 150, "xatol": 0.02, "fatol": 0.05})
-        for seconds in (10.0, 120.0)
-    ]  # fmt: skip
+    def cost(logs: Array) -> float:
+        level, spread = expected_level(b, of(logs))
+        return 0.5 * float(np.sum((b.mean - level) ** 2 / spread + np.log(2.0 * math.pi * spread)))
+
+    options = {"maxiter": 150, "xatol": 0.02, "fatol": 0.05}
+    starts = [np.log([0.7 * scale, seconds, 0.7 * scale * typical]) for seconds in (10.0, 120.0)]
+    found = [minimize(cost, start, method="Nelder-Mead", options=options) for start in starts]
     best = min(found, key=lambda one: float(one.fun))
     return of(best.x), -float(best.fun)
 
 
-def _wandering(b: Blocks, w: Wander) -> float:
-    """Log-likelihood of a drifting level."""
-    level, spread = expected_level(b, w)
-    return -0.5 * float(np.sum((b.mean - level) ** 2 / spread + np.log(2.0 * math.pi * spread)))
-
-
-def expected_level(b: Blocks, w: Wander) -> tuple[Array, Array]:
+def expected_level(b: Blocks, w: DriftingLevel) -> tuple[Array, Array]:
     """Forecast of each block's mean from the blocks before it [Nm], and its variance."""
     expected, spread = np.empty(len(b.mean)), np.empty(len(b.mean))
     _follow(b.mean, w.noise**2 / b.count, b.first, math.exp(-BLOCK_S / w.seconds), w.size, expected, spread)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.empirical.candidates import series
 from trackres_ros.diagnosis.empirical.finders import Term, beginnings, residuals_without, torque_blocks
-from trackres_ros.diagnosis.empirical.spells import Chain, there_given
+from trackres_ros.diagnosis.empirical.spells import Chain, spell_probability
 from trackres_ros.diagnosis.empirical.terms import (
     Described,
     of_learned,
@@ -23,6 +23,7 @@ from trackres_ros.diagnosis.empirical.terms import (
     of_spells,
     of_wave,
 )
+from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.empirical.waves import part_of
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.effects.learned import ALWAYS, MOVING_MPS, EmpiricalEffect
@@ -35,7 +36,7 @@ MOST_BEGIN = 0.7  # of the spells
 MOST_OF_IT = (0.025, 0.975)  # quantiles
 
 
-def said(term: Term, final: Fit) -> Described:
+def describe(term: Term, final: Fit) -> Described:
     """Description of a term, with the values of the final fit."""
     name = term.candidate.name
     active = next(a for a in final.effects if a.effect.name == name)
@@ -51,7 +52,7 @@ def said(term: Term, final: Fit) -> Described:
     if term.payload is not None:
         return of_payload(name, level, term.payload)
     if term.route is not None:
-        adds = [x * np.sign(s.speed) for x, s in zip(final.contribution(name), final.problem.sessions, strict=True)]
+        adds = against_travel(final.problem.sessions, final.contribution(name))
         used = np.concatenate([x[m] for x, m in zip(adds, final.problem.masks, strict=True)])
         least, most = (float(q) for q in np.quantile(used, MOST_OF_IT))
         return of_route(name, float(np.sqrt(np.mean(used**2))), least, most, term.route)
@@ -64,13 +65,13 @@ def said(term: Term, final: Fit) -> Described:
 def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]]:
     """Spells on all laps: session, first sample and end. A spell continues over a stop, where no torque shows it."""
     b = torque_blocks(final, residuals_without(final, name), [s.used for s in final.problem.sessions])
-    there, _ = there_given(b, chain)
+    there, _ = spell_probability(b, chain)
     begins = np.flatnonzero(beginnings(b, there))
     ends = np.flatnonzero(beginnings(b, there, backwards=True))
     return [(int(b.session[i]), int(b.begin[i]), int(b.end[j])) for i, j in zip(begins, ends, strict=True)]
 
 
-def course(term: Term, final: Fit) -> list[Array]:
+def variable_of(term: Term, final: Fit) -> list[Array]:
     """Variable or build-up state of a term in each session; empty for the clock alone."""
     effect = term.candidate.effect
     if isinstance(effect, EmpiricalEffect) and effect.variable != ALWAYS:
@@ -81,9 +82,9 @@ def course(term: Term, final: Fit) -> list[Array]:
         return list(term.route.course)
     if not isinstance(effect, EmpiricalEffect):
         return []
-    adds, sessions = final.contribution(effect.name), final.problem.sessions
+    adds = final.contribution(effect.name)
     level = max(float(np.abs(x).max(initial=0.0)) for x in adds)
-    return [x * np.sign(s.speed) / max(level, 1e-9) for x, s in zip(adds, sessions, strict=True)]
+    return [x / max(level, 1e-9) for x in against_travel(final.problem.sessions, adds)]
 
 
 def _begins_with(spells: Sequence[tuple[int, int, int]], final: Fit) -> str:

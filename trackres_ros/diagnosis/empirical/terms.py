@@ -17,88 +17,54 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.empirical.level_changes import LevelChange
 from trackres_ros.diagnosis.empirical.payload import Payload, Stretch
 from trackres_ros.diagnosis.empirical.places import Place
-from trackres_ros.diagnosis.empirical.routes import TOLD, Route
-from trackres_ros.diagnosis.empirical.spells import Chain, Wander
+from trackres_ros.diagnosis.empirical.routes import SURE_OF_KIND, Route
+from trackres_ros.diagnosis.empirical.spells import Chain, DriftingLevel
 from trackres_ros.diagnosis.empirical.waves import Wave
 from trackres_ros.diagnosis.prepare.session import DriveSession
-from trackres_ros.effects.learned import (
-    ACCELERATING,
-    ACCELERATION,
-    ALWAYS,
-    AMBIENT,
-    BELOW,
-    BELT,
-    BRAKES,
-    BRAKING,
-    BY_BRAKING,
-    BY_DISTANCE,
-    BY_TIME,
-    CURVATURE,
-    DRIVES,
-    DRIVING_TORQUE,
-    GATES,
-    HEAVY,
-    LEFT,
-    LIGHT,
-    LOAD,
-    OPEN,
-    RIGHT,
-    SIDES,
-    SPEED,
-    STEP,
-    TURN,
-    TURNING,
-    VARIABLES,
-    BuildUp,
-    Corner,
-    Curve,
-    EmpiricalEffect,
-    Latch,
-    SidedGain,
-)
-from trackres_ros.estimator.disturbance import BLOCK_S
+from trackres_ros.effects import learned
+from trackres_ros.effects.learned import BuildUp, Corner, Curve, EmpiricalEffect, Latch, SidedGain
 from trackres_ros.text.numbers import figures, on_scale
 
 Array = NDArray[np.float64]
 
 MECHANISMS: Mapping[int, tuple[str, ...]] = {
-    SPEED: ("a resonance of belt, wheels or drive train", "a fan or pump driven by the vehicle's motion"),
-    ACCELERATION: ("play in the drive train", "an inertia that is not in the vehicle file"),
-    LOAD: ("a part that touches when the springs are compressed", "soft ground"),
-    AMBIENT: ("grease or oil that thickens in the cold",),
-    TURN: ("a part that touches on one side in turns", "a steering brake"),
-    TURNING: ("a part that touches in turns", "sheared ground"),
-    CURVATURE: ("a part that touches in turns", "sheared ground"),
-    DRIVING_TORQUE: (
+    learned.SPEED: ("a resonance of belt, wheels or drive train", "a fan or pump driven by the vehicle's motion"),
+    learned.ACCELERATION: ("play in the drive train", "an inertia that is not in the vehicle file"),
+    learned.LOAD: ("a part that touches when the springs are compressed", "soft ground"),
+    learned.AMBIENT: ("grease or oil that thickens in the cold",),
+    learned.TURN: ("a part that touches on one side in turns", "a steering brake"),
+    learned.TURNING: ("a part that touches in turns", "sheared ground"),
+    learned.CURVATURE: ("a part that touches in turns", "sheared ground"),
+    learned.DRIVING_TORQUE: (
         "play in the drive train, taken up as the torque changes its sign",
         "a gear or coupling that binds under load",
     ),
-    BELT: (
+    learned.BELT: (
         "a fan or pump that is switched by temperature",
         "rubber or grease with a stronger temperature dependence than in the file",
     ),
 }
 OF_LATCHES: Mapping[int, tuple[str, ...]] = {
-    SPEED: ("a gearbox that shifts up and down at different speeds", "a pump or fan that is switched by speed"),
-    LOAD: ("a part that touches and sticks when the springs are compressed",),
-    BELT: ("a fan, pump or valve with a thermostat",),
+    learned.SPEED: ("a gearbox that shifts up and down at different speeds", "a pump or fan that is switched by speed"),
+    learned.LOAD: ("a part that touches and sticks when the springs are compressed",),
+    learned.BELT: ("a fan, pump or valve with a thermostat",),
 }
 OF_GAINS: Mapping[int, tuple[str, ...]] = {
-    DRIVES: ("a torque sensor with another gain for one sign", "gears with a larger loss when driving"),
-    BRAKES: ("a torque sensor with another gain for one sign", "a friction brake that acts while the motor brakes"),
+    learned.DRIVES: ("a torque sensor with another gain for one sign", "gears with a larger loss when driving"),
+    learned.BRAKES: ("a torque sensor with another gain for one sign", "a friction brake that acts while the motor brakes"),
 }
 OF_GATES: Mapping[int, tuple[str, ...]] = {
-    LEFT: ("a part that touches in left turns only: a guide, a mudguard, a hose", "the guides of the right belt"),
-    RIGHT: ("a part that touches in right turns only: a guide, a mudguard, a hose", "the guides of the left belt"),
-    HEAVY: ("a part that touches when the springs are compressed", "a bearing that binds under load"),
-    LIGHT: ("a part that swings when the load does not hold it down", "belt tension without load"),
-    BRAKING: ("a brake that also acts", "a machine driven by the wheels"),
-    ACCELERATING: ("a coupling that slips", "a machine on the same drive"),
+    learned.LEFT: ("a part that touches in left turns only: a guide, a mudguard, a hose", "the guides of the right belt"),
+    learned.RIGHT: ("a part that touches in right turns only: a guide, a mudguard, a hose", "the guides of the left belt"),
+    learned.HEAVY: ("a part that touches when the springs are compressed", "a bearing that binds under load"),
+    learned.LIGHT: ("a part that swings when the load does not hold it down", "belt tension without load"),
+    learned.BRAKING: ("a brake that also acts", "a machine driven by the wheels"),
+    learned.ACCELERATING: ("a coupling that slips", "a machine on the same drive"),
 }
 OF_BUILD_UPS: Mapping[int, tuple[str, ...]] = {
-    BY_DISTANCE: ("mud or snow that builds up and drops off", "a belt that runs out of line until it is released"),
-    BY_TIME: ("a pressure or temperature that rises while driving", "a brake that releases incompletely and heats up"),
-    BY_BRAKING: ("a brake that drags after use",),
+    learned.BY_DISTANCE: ("mud or snow that builds up and drops off", "a belt that runs out of line until it is released"),
+    learned.BY_TIME: ("a pressure or temperature that rises while driving", "a brake that releases incompletely and heats up"),
+    learned.BY_BRAKING: ("a brake that drags after use",),
 }
 OF_SPELLS = (
     "a pump, fan or compressor that switches on and off",
@@ -125,43 +91,22 @@ LEAST_DIFFERENCE = 0.02  # of its size: recordings with a smaller difference are
 class Described:
     """An unnamed term.
 
-    Attributes
-    ----------
-    form
-        `curve`, `gated_curve`, `step`, `hinge`, `latch`, `sided_gain`, `build_up`, `spells`, `wave`,
-        `place`, `payload`, `level_change`, `recordings`, `drift` or `spread`.
-    name
-        Name of the effect in the fit; empty for a live disturbance.
-    variable, gate
-        Its variable and its gate, in words; empty without.
-    period_m
-        Length of a wave, or of the lap of a place [m]; None for other forms.
-    memory
-        Scale of a build-up in its own unit, or the mean duration of a spell [s]; None without.
-    sentence, mechanisms
-        Description, and parts to check.
-    size_nm
-        Torque where it acts [Nm].
-    predictable
-        Whether it can be fed forward, because its inputs are known at the time.
-    unit
-        Of the variable.
-    stretches
-        Of a payload: the mass of each stretch between stops.
+    Its form is `curve`, `gated_curve`, `step`, `hinge`, `latch`, `sided_gain`, `build_up`, `spells`, `wave`, `place`,
+    `payload`, `level_change`, `recordings`, `drift` or `spread`.
     """
 
     form: str
-    name: str
-    variable: str
-    gate: str
-    period_m: float | None
-    memory: float | None
+    name: str  # of the effect in the fit; empty for a live disturbance
     sentence: str
-    mechanisms: tuple[str, ...]
-    size_nm: float
-    predictable: bool
-    unit: str = ""
-    stretches: tuple[Stretch, ...] = ()
+    mechanisms: tuple[str, ...]  # parts to check
+    size_nm: float  # torque where it acts
+    variable: str = ""  # in words; empty without
+    unit: str = ""  # of the variable
+    gate: str = ""  # in words; empty without
+    predictable: bool = False  # whether it can be fed forward, because its inputs are known at the time
+    period_m: float | None = None  # length of a wave, or of the lap of a place
+    memory: float | None = None  # scale of a build-up in its own unit, or the mean duration of a spell [s]
+    stretches: tuple[Stretch, ...] = ()  # of a payload: the mass of each stretch between stops
 
 
 def of_learned(effect: EmpiricalEffect, values: Mapping[str, float]) -> Described:
@@ -174,43 +119,42 @@ def of_learned(effect: EmpiricalEffect, values: Mapping[str, float]) -> Describe
         return _of_threshold(effect, values)
     assert isinstance(effect, Curve)
     x, y = ([values[q.name] for q in effect.parameters if q.name.startswith(of)] for of in ("x", "y"))
-    follows, opens = VARIABLES[effect.variable], GATES[effect.gate]
-    largest = max(y, key=abs)
-    where = "" if effect.gate == OPEN else f"{opens.text[0].upper()}{opens.text[1:]}, "
+    follows, opens = learned.VARIABLES[effect.variable], learned.GATES[effect.gate]
+    unit = "" if follows.unit == "1" else follows.unit
     if len(y) == 1:
-        at_any = "" if effect.variable == ALWAYS else f", at any {follows.text}"
-        text = f"{where}{'t' if where else 'T'}he vehicle needs {_more(largest)} than the model{at_any}"
+        at_any = "" if effect.variable == learned.ALWAYS else f", at any {follows.text}"
+        text = f"the vehicle needs {_more(y[0])} than the model{at_any}"
     else:
         one, other = sorted((min(range(len(y)), key=y.__getitem__), max(range(len(y)), key=y.__getitem__)), key=x.__getitem__)
-        unit = "" if follows.unit == "1" else f" {follows.unit}"
-        at = [f"{on_scale(knot, max(x) - min(x))}{unit}" for knot in x]
+        at = [f"{on_scale(knot, max(x) - min(x))} {unit}".rstrip() for knot in x]
         text = (
-            f"{where}{'t' if where else 'T'}he extra torque {'rises' if y[other] > y[one] else 'falls'} from "
-            f"{_signed(y[one])} at {at[one]} of {follows.text} to {_signed(y[other])} at {at[other]}"
+            f"the extra torque {'rises' if y[other] > y[one] else 'falls'} from {_signed(y[one])} at {at[one]} of "
+            f"{follows.text} to {_signed(y[other])} at {at[other]}"
         )
-    looked = OF_GATES.get(effect.gate, ()) + (() if effect.variable == ALWAYS else MECHANISMS[effect.variable][:1])
+    text = f"{opens.text}, {text}" if opens.text else text
+    looked = OF_GATES.get(effect.gate, ()) + (() if effect.variable == learned.ALWAYS else MECHANISMS[effect.variable][:1])
     return Described(
-        "curve" if effect.gate == OPEN else "gated_curve", effect.name, follows.text, opens.text, None, None, text,
-        looked or MECHANISMS[effect.variable], max(map(abs, y)), True, "" if follows.unit == "1" else follows.unit,
+        "gated_curve" if opens.text else "curve", effect.name, f"{text[0].upper()}{text[1:]}",
+        looked or MECHANISMS[effect.variable], max(map(abs, y)), follows.text, unit, opens.text, True,
     )  # fmt: skip
 
 
 def _of_build_up(effect: BuildUp, values: Mapping[str, float]) -> Described:
     level, scale = values["y1"], values["scale"]
-    if effect.by == BY_BRAKING:
+    if effect.by == learned.BY_BRAKING:
+        variable = "braking"
         text = f"After braking, the vehicle needs {_more(level)} than the model. That fades within about {figures(scale)} s"
     else:
-        unit, since = ("m", "distance") if effect.by == BY_DISTANCE else ("s", "time")
+        unit, since = ("m", "distance") if effect.by == learned.BY_DISTANCE else ("s", "time")
+        variable = f"{since} since a stop"
         text = f"An extra torque of {_signed(level)} builds up over about {figures(scale)} {unit}. It is gone after a stop"
-        return Described(
-            "build_up", effect.name, f"{since} since a stop", "", None, scale, text, OF_BUILD_UPS[effect.by], abs(level), True
-        )
-    return Described("build_up", effect.name, "braking", "", None, scale, text, OF_BUILD_UPS[effect.by], abs(level), True)
+    mechanisms = OF_BUILD_UPS[effect.by]
+    return Described("build_up", effect.name, text, mechanisms, abs(level), variable, predictable=True, memory=scale)
 
 
 def _of_threshold(effect: Corner | Latch, values: Mapping[str, float]) -> Described:
     """Describe a step, a hinge or a latch."""
-    follows, level, scale = VARIABLES[effect.variable], values["y1"], values["x2"] - values["x1"]
+    follows, level, scale = learned.VARIABLES[effect.variable], values["y1"], values["x2"] - values["x1"]
 
     def at(name: str) -> str:
         return f"{on_scale(values[name], scale)} {follows.unit}"
@@ -221,45 +165,42 @@ def _of_threshold(effect: Corner | Latch, values: Mapping[str, float]) -> Descri
             f"The vehicle needs {_more(level)} from when the {follows.text} rises above {at('on')} until it falls below "
             f"{at('off')}"
         )
-    elif effect.kind == STEP:
+    elif effect.kind == learned.STEP:
         form, mechanisms = "step", MECHANISMS[effect.variable]
         text = f"The vehicle needs {_more(level)} with the {follows.text} above {at('threshold')} than below"
     else:
         form, mechanisms = "hinge", MECHANISMS[effect.variable]
-        side, end = ("below", "x1") if effect.kind == BELOW else ("above", "x2")
+        side, end = ("below", "x1") if effect.kind == learned.BELOW else ("above", "x2")
         text = (
             f"With the {follows.text} {side} {at('threshold')} the vehicle needs increasingly {_more_or_less(level)}, "
             f"{_more(level)} at {at(end)}"
         )
-    return Described(form, effect.name, follows.text, "", None, None, text, mechanisms, abs(level), True, follows.unit)
+    return Described(form, effect.name, text, mechanisms, abs(level), follows.text, follows.unit, predictable=True)
 
 
 def _of_gain(effect: SidedGain, values: Mapping[str, float]) -> Described:
     """Describe another gain for one sign of the torque."""
-    gain, side, follows = values["gain"], SIDES[effect.side], VARIABLES[effect.variable]
+    gain, side, follows = values["gain"], learned.SIDES[effect.side], learned.VARIABLES[effect.variable]
     text = f"The torque {side.text} is {abs(gain):.1%} {'larger' if gain > 0.0 else 'smaller'} than in the model"
-    size = abs(gain) * values["x1"]
-    return Described(
-        "sided_gain", effect.name, follows.text, side.text, None, None, text, OF_GAINS[effect.side], size, True, follows.unit
-    )  # fmt: skip
+    size, mechanisms = abs(gain) * values["x1"], OF_GAINS[effect.side]
+    return Described("sided_gain", effect.name, text, mechanisms, size, follows.text, follows.unit, side.text, True)
 
 
 def of_spells(name: str, chain: Chain, level: float, count: int, lengths_s: Array, begins: str) -> Described:
     """Describe spells of this size [Nm]: their number, the duration of each [s], and the common event at their start."""
-    low, high = (figures(float(q), 2) for q in np.quantile(lengths_s if len(lengths_s) else [BLOCK_S / chain.goes], (0.1, 0.9)))
-    text = f"For {low} to {high} s at a time, the vehicle needs {_more(level)} than the model"
-    text += f". That happens {count} times in these recordings{begins}"
-    return Described(
-        "spells", name, "", "", None, BLOCK_S / chain.goes, f"{text}. It follows no recorded channel", OF_SPELLS,
-        abs(level), False,
-    )  # fmt: skip
+    low, high = (figures(float(q), 2) for q in np.quantile(lengths_s if len(lengths_s) else [chain.mean_s], (0.1, 0.9)))
+    text = (
+        f"For {low} to {high} s at a time, the vehicle needs {_more(level)} than the model. That happens {count} times in these "
+        f"recordings{begins}. It follows no recorded channel"
+    )
+    return Described("spells", name, text, OF_SPELLS, abs(level), memory=chain.mean_s)
 
 
 def of_wave(name: str, wave: Wave, level: float, part: str) -> Described:
     """Describe a wave of this size [Nm], named after the part with its length per turn, if there is one."""
     of = f", which is {part}" if part else ""
     text = f"A torque of ±{figures(abs(level))} Nm repeats every {figures(wave.length_m, 4)} m{of}"
-    return Described("wave", name, "driven distance", "", wave.length_m, None, text, OF_WAVES, abs(level), False)
+    return Described("wave", name, text, OF_WAVES, abs(level), "driven distance", period_m=wave.length_m)
 
 
 def of_place(name: str, level: float, place: Place) -> Described:
@@ -270,9 +211,7 @@ def of_place(name: str, level: float, place: Place) -> Described:
         f"{_more(level)} than the model. The recordings show it on {place.passes} passes"
     )
     lap_m = place.lap_m if place.folded else None
-    return Described(
-        "place", name, "place on the route", "", lap_m, None, text, OF_PLACES, abs(level), False, unit="m"
-    )  # fmt: skip
+    return Described("place", name, text, OF_PLACES, abs(level), "place on the route", "m", period_m=lap_m)
 
 
 def of_payload(name: str, level: float, payload: Payload) -> Described:
@@ -286,12 +225,12 @@ def of_payload(name: str, level: float, payload: Payload) -> Described:
         f"The vehicle weighs between {_more(float(low), 'kg')} and {_more(float(high), 'kg')} than in the model. The mass "
         f"changes at stops ({len(stretches)} stretches, each with a standard deviation of about {figures(sure)} kg)"
     )
-    return Described("payload", name, "mass", "", None, None, text, OF_PAYLOAD, abs(level), False, "kg", stretches)
+    return Described("payload", name, text, OF_PAYLOAD, abs(level), "mass", "kg", stretches=stretches)
 
 
 def of_route(name: str, size: float, least: float, most: float, route: Route) -> Described:
     """Describe a torque by place with its minimum, maximum and size [Nm], if it is not a slope."""
-    tied = abs(route.apart) <= TOLD
+    tied = abs(route.slope_gain) <= SURE_OF_KIND
     text = (
         f"On {figures(0.001 * route.metres)} km of streets, the vehicle needs between {_more(least)} and {_more(most)} than the "
         f"model, by the place. The repeated streets have {route.passes} passes (median)"
@@ -299,7 +238,7 @@ def of_route(name: str, size: float, least: float, most: float, route: Route) ->
     if tied:
         text += ". To identify a slope, drive them in the other direction too, or with another load"
     mechanisms = OF_PLACES if tied else OF_PLACES[1:]
-    return Described("place", name, "place on the route", "", None, None, text, mechanisms, size, True, unit="m")
+    return Described("place", name, text, mechanisms, size, "place on the route", "m", predictable=True)
 
 
 def of_level_change(name: str, level: float, sessions: Sequence[DriveSession], change: LevelChange) -> Described:
@@ -308,9 +247,7 @@ def of_level_change(name: str, level: float, sessions: Sequence[DriveSession], c
         f"Since {_when(sessions, change)} the vehicle needs {_more(level)} than before, until the end of the recordings. "
         "Diagnose the recordings since then alone to write that into a vehicle file"
     )
-    return Described(
-        "level_change", name, "", "", None, None, text, OF_LEVEL_CHANGES, abs(level), False
-    )  # fmt: skip
+    return Described("level_change", name, text, OF_LEVEL_CHANGES, abs(level))
 
 
 def _when(sessions: Sequence[DriveSession], change: LevelChange) -> str:
@@ -331,24 +268,20 @@ def of_recordings(levels: Array, sessions: Sequence[DriveSession]) -> Described:
     low, high = float(np.nanmin(levels)), float(np.nanmax(levels))
     text = (
         f"From recording to recording the vehicle needs between {_more(low)} and {_more(high)} than the model. Within each "
-        "recording "
-        "it hardly changes"
+        "recording it hardly changes"
     )
-    differing = [name for name, at in DIFFERING.items() if _differs([float(np.mean(getattr(s, at))) for s in sessions])]
+    means = {name: [float(np.mean(getattr(s, at))) for s in sessions] for name, at in DIFFERING.items()}
+    differing = [name for name, x in means.items() if max(x) - min(x) > LEAST_DIFFERENCE * max(map(abs, x))]
     if differing:
         text += f". The recordings also differ in {' and '.join(differing)}; with so few, that may be the cause"
-    return Described("recordings", "", "recording", "", None, None, text, OF_RECORDINGS, max(-low, high), False)
+    return Described("recordings", "", text, OF_RECORDINGS, max(-low, high), "recording")
 
 
-def _differs(means: Sequence[float]) -> bool:
-    return max(means) - min(means) > LEAST_DIFFERENCE * max(map(abs, means))
-
-
-def of_drift(wander: Wander) -> Described:
+def of_drift(drifting: DriftingLevel) -> Described:
     """Describe a drifting torque."""
-    over = f"The residual drifts by {figures(wander.size)} Nm over about {figures(wander.seconds, 2)} s"
-    text = f"{over}. It follows no recorded channel"
-    return Described("drift", "", "", "", None, wander.seconds, text, OF_DRIFT, wander.size, False)
+    over = f"{figures(drifting.size)} Nm over about {figures(drifting.seconds, 2)} s"
+    text = f"The residual drifts by {over}. It follows no recorded channel"
+    return Described("drift", "", text, OF_DRIFT, drifting.size, memory=drifting.seconds)
 
 
 def _more(by: float, unit: str = "Nm") -> str:

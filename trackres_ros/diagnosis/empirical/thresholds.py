@@ -79,12 +79,7 @@ class _Scores:
 def found_by_scan(fit: Fit, series: dict[int, list[Array]], own: Array | None = None) -> list[EmpiricalEffect]:
     """The best step, hinge and latch of each variable, if it gains enough.
 
-    Parameters
-    ----------
-    series
-        Values of each variable in each session, by its code.
-    own
-        Change of the prediction with each free parameter of the fit, if already known: see `base_columns`.
+    `series` has the values of each variable in each session, by its code; `own` are the `base_columns` of the fit, if known.
     """
     own = base_columns(fit) if own is None else own
     short = shortened(fit.noise)

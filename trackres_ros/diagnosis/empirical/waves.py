@@ -90,10 +90,7 @@ def part_of(length_m: float, parts: Mapping[str, float]) -> str:
 
 def _pieces(found: Fit) -> list[_Piece]:
     pieces = []
-    for segment, white in zip(found.problem.segments, found.white, strict=True):
-        if segment.kind != "torque":
-            continue
-        session = found.problem.sessions[segment.session]
+    for i, (session, white) in enumerate(zip(found.problem.sessions, found.white, strict=False)):
         edges = np.concatenate(([0.0], np.cumsum(np.abs(np.nan_to_num(session.speed))) * session.step))
         number = (edges[:-1] // PIECE_M).astype(int)
         for n in np.unique(number):
@@ -101,7 +98,7 @@ def _pieces(found: Fit) -> list[_Piece]:
             rows = slice(int(at[0]), int(at[-1]) + 1)
             valid = np.isfinite(white[rows])
             if valid.sum() >= FEWEST_SAMPLES:
-                pieces.append(_Piece(segment.session, rows, edges[rows.start : rows.stop + 1], white[rows], valid))
+                pieces.append(_Piece(i, rows, edges[rows.start : rows.stop + 1], white[rows], valid))
     return pieces
 
 
@@ -112,21 +109,12 @@ def _mean_wave(edges: Array, per_metre: float) -> NDArray[np.complex128]:
     return np.asarray(near * np.sinc(far / (2.0 * math.pi)))
 
 
-def _column(found: Fit, piece: _Piece, per_metre: float) -> NDArray[np.complex128]:
-    """The wave in the whitened residual."""
-    noise = found.noise
-    wave = _mean_wave(piece.edges, per_metre)
-    everywhere = np.ones(len(wave), dtype=bool)
-    real, imaginary = (whitened(part, everywhere, noise.phi) / noise.std for part in (wave.real, wave.imag))
-    return np.nan_to_num(real) + 1j * np.nan_to_num(imaginary)
-
-
 def _fitted(found: Fit, piece: _Piece, per_metre: float) -> tuple[complex, float]:
     """Complex size of the wave in a piece [Nm], and the gain in log-likelihood."""
-    column = _column(found, piece, per_metre)[piece.valid]
-    e = piece.white[piece.valid]
-    weight = found.noise.weights(e)
-    design = np.stack([column.real, -column.imag], axis=1)
+    noise, wave, e = found.noise, _mean_wave(piece.edges, per_metre), piece.white[piece.valid]
+    everywhere = np.ones(len(wave), dtype=bool)
+    parts = [np.nan_to_num(whitened(part, everywhere, noise.phi) / noise.std) for part in (wave.real, -wave.imag)]
+    design, weight = np.stack(parts, axis=1)[piece.valid], noise.weights(e)
     normal = (design * weight[:, np.newaxis]).T @ design + 1e-9 * np.eye(2)
     right = design.T @ (weight * e)
     solved = np.linalg.solve(normal, right)

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Fit
 
 Array = NDArray[np.float64]
@@ -43,10 +44,9 @@ def changes(found: Fit) -> list[Change] | None:
     except ImportError:
         return None
     listed = []
-    for white, residual, segment in zip(found.white, found.residuals, found.problem.segments, strict=True):
-        if segment.kind != "torque":
-            continue
-        session = found.problem.sessions[segment.session]
+    sessions, masks = found.problem.sessions, found.problem.masks
+    of_torque = found.white[: len(sessions)], torque_residuals(found)
+    for session, mask, white, residual in zip(sessions, masks, *of_torque, strict=True):
         valid = np.isfinite(white)
         shortest = PIECE_S * session.pace
         length = shortest * max(1, -(-int(session.time[-1] // shortest + 1) // MOST_PIECES))
@@ -55,12 +55,12 @@ def changes(found: Fit) -> list[Change] | None:
         there = count > 0
         if there.sum() < 2 * SHORTEST_PIECES:
             continue
-        influence = white[valid] * found.noises["torque"].weights(white[valid])
+        influence = white[valid] * found.noise.weights(white[valid])
         level = np.bincount(piece[valid], weights=influence, minlength=len(count))[there] / np.sqrt(count[there])
         penalty = COST_OF_A_CHANGE * math.log(len(level))
         ends = Pelt(model="l2", min_size=SHORTEST_PIECES, jump=1).fit(level).predict(pen=penalty)
         starts = np.flatnonzero(there)
         edges = [0.0, *(length * starts[end] for end in ends[:-1]), np.inf]
-        means = [float(residual[segment.mask & (session.time >= a) & (session.time < b)].mean()) for a, b in pairwise(edges)]
+        means = [float(residual[mask & (session.time >= a) & (session.time < b)].mean()) for a, b in pairwise(edges)]
         listed += [Change(session.name, float(t), *levels) for t, levels in zip(edges[1:-1], pairwise(means), strict=True)]
     return listed

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.empirical.terms import Described
-from trackres_ros.diagnosis.findings.locate import Acts, Span
+from trackres_ros.diagnosis.findings.locate import Location, Span
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.confirm import Graded
@@ -27,95 +27,56 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NamedEffect:
-    """A named effect, alone or as one of a class.
+    """A named effect, alone or as one of a class."""
 
-    Attributes
-    ----------
-    name, text, acts_on, parameters
-        As in the catalogue.
-    step
-        The search round that chose it: its rivals, and the effects not distinguishable from it (`step.members`).
-    values, intervals
-        Values of its parameters, and the 95 % interval of each.
-    adds, resists
-        Its predicted torque of each session [Nm]; the same, positive against travel in both directions, or as shown
-        for a sensor effect.
-    where, acts, regime
-        Spans of time, its main variable, and the residual of the base where it acts.
-    seen
-        The residual of the re-fitted base where it acts, in words, see `locate.Acts.residual`.
-    graded
-        Its hold-out grade (`graded.grade`).
-    """
-
-    name: str
+    name: str  # this and the next three as in the catalogue
     text: str
     acts_on: str
     parameters: Sequence[Parameter]
-    step: Step
-    values: Mapping[str, float]
-    intervals: Mapping[str, Interval]
-    adds: list[Array]
-    resists: list[Array]
-    where: Sequence[Span]
-    acts: Acts
-    regime: Sequence[Bin]
-    seen: str
-    graded: Graded
+    step: Step  # the search round that chose it: its rivals, and the effects not distinguishable from it (`step.members`)
+    values: Mapping[str, float]  # of its parameters
+    intervals: Mapping[str, Interval]  # 95 %, of its parameters
+    adds: list[Array]  # predicted torque of each session [Nm]
+    resists: list[Array]  # the same, positive against travel in both directions; of a sensor effect as shown
+    where: Sequence[Span]  # times at which it acts most
+    location: Location  # its main variable, and the range of that
+    regime: Sequence[Bin]  # residual of the base where it acts
+    seen: str  # residual of the re-fitted base where it acts, in words, see `locate.Location.residual`
+    graded: Graded  # hold-out grade (`graded.grade`)
+
+    @property
+    def values_text(self) -> str:
+        """Its values with their intervals and units."""
+        units = {q.name: "" if q.unit == "1" else f" {q.unit}" for q in self.parameters}
+        return ", ".join(f"{name} {with_interval(v, self.intervals.get(name))}{units[name]}" for name, v in self.values.items())
 
     def __repr__(self) -> str:
-        units = {q.name: "" if q.unit == "1" else f" {q.unit}" for q in self.parameters}
-        values = [f"{name} {with_interval(v, self.intervals.get(name))}{units[name]}" for name, v in self.values.items()]
-        return f"<{self.name}: {', '.join(values)}; {self.graded.grade}>"
+        return f"<{self.name}: {self.values_text}; {self.graded.grade}>"
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
-    """A confirmed or suspected unnamed term.
-
-    Attributes
-    ----------
-    described
-        Its description.
-    adds
-        Its predicted torque of each session [Nm].
-    course
-        Its variable in each session; empty for the clock alone.
-    intervals
-        Intervals of its parameters.
-    seen_nm
-        Mean residual of the re-fitted base, in the direction of the term, where the term acts [Nm].
-    graded
-        Its hold-out grade.
-    """
+class UnnamedTerm:
+    """A confirmed or suspected unnamed term."""
 
     described: Described
-    adds: list[Array]
-    course: list[Array]
-    intervals: Mapping[str, Interval]
-    seen_nm: float
+    adds: list[Array]  # predicted torque of each session [Nm]
+    course: list[Array]  # its variable in each session; empty for the clock alone
+    intervals: Mapping[str, Interval]  # 95 %, of its parameters
+    seen_nm: float  # mean residual of the re-fitted base where the term acts, in the direction of the term
     graded: Graded
 
 
 @dataclass(frozen=True, slots=True)
 class Changed:
-    """A value of the vehicle file that a re-fit changes.
-
-    Attributes
-    ----------
-    nominal, value, low, high
-        In the file, re-fitted, and the 95 % interval of the re-fitted one.
-    torque_nm
-        Root mean square of the torque change [Nm].
-    """
+    """A value of the vehicle file that a re-fit changes."""
 
     name: str
     unit: str
-    nominal: float
-    value: float
-    low: float
+    nominal: float  # in the file
+    value: float  # re-fitted
+    low: float  # of its 95 % interval
     high: float
-    torque_nm: float
+    torque_nm: float  # root mean square of the torque change
 
     @property
     def text(self) -> str:
@@ -144,7 +105,7 @@ def changed_values(refitted: Fit, bounds: Mapping[tuple[str, str], Interval]) ->
     return tuple(sorted(found, key=lambda c: -c.torque_nm))
 
 
-def by_weight(terms: Sequence[NamedEffect | Told]) -> list[NamedEffect | Told]:
+def by_improvement(terms: Sequence[NamedEffect | UnnamedTerm]) -> list[NamedEffect | UnnamedTerm]:
     """Sort terms: confirmed ones first, then by their reduction of the hold-out error."""
     return sorted(terms, key=lambda t: (t.graded.grade != CONFIRMED, t.graded.improvement.after - t.graded.improvement.before))
 

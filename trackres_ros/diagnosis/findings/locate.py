@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 3: locates a mismatch: when an effect acts, and whether torque or temperature causes it."""
+"""Step 3: locates a mismatch: when an effect acts, and the shares of sensors, belt temperature and model."""
 
 from __future__ import annotations
 
@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.variables import BY_NAME, varying
+from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.text.numbers import figures, on_scale
+from trackres_ros.units import GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -23,7 +25,7 @@ ACTING_SHARE = 0.5  # of its 95th percentile
 BOTH_WAYS_SHARE = 0.25  # of the larger side: an effect with more than this on the other side changes its sign
 FOLLOWS_LEAST = 0.3  # of the mean square: a smaller share means that the effect follows no variable
 JOINED_S, SHORTEST_S = 10.0, 5.0
-STRAY_S = 30.0
+SLOW_S = 30.0
 SMOOTHED_S = 20.0  # for the residual over time in plots
 BROKEN_S = 2.0  # a longer time without a compared sample breaks the line
 MOST_SPANS = 60
@@ -51,7 +53,7 @@ class ThermalCheck:
     text: str
 
 
-def seen_where_it_acts(sessions: Sequence[DriveSession], adds: Sequence[Array], residuals: Sequence[Array]) -> float:
+def residual_where_it_acts(sessions: Sequence[DriveSession], adds: Sequence[Array], residuals: Sequence[Array]) -> float:
     """Mean residual in the direction of a term [Nm], where the term exceeds `ACTING_SHARE` of its 95th percentile."""
     used = np.concatenate([s.used for s in sessions])
     term, residual = np.concatenate(adds)[used], np.concatenate(residuals)[used]
@@ -88,32 +90,18 @@ def evenly_filled(x: Array, bins: int) -> tuple[Array, NDArray[np.int64]]:
 
 
 @dataclass(frozen=True, slots=True)
-class Acts:
-    """Location and size of an effect.
+class Location:
+    """Location and size of an effect."""
 
-    Attributes
-    ----------
-    variable, unit
-        The variable that explains the effect best.
-    low, high
-        Its range where the effect is large.
-    least, most
-        Its range anywhere.
-    smallest, largest
-        Least and greatest mean of the effect's torque, over bins of the variable [Nm].
-    follows
-        Share of the effect's mean square that the variable explains.
-    """
-
-    variable: str
+    variable: str  # the one that explains the effect best
     unit: str
-    low: float
+    low: float  # of its range where the effect is large
     high: float
-    least: float
+    least: float  # of its range anywhere
     most: float
-    smallest: float
+    smallest: float  # mean of the effect's torque over bins of the variable [Nm]
     largest: float
-    follows: float
+    follows: float  # share of the effect's mean square that the variable explains
 
     @property
     def text(self) -> str:
@@ -134,20 +122,13 @@ class Acts:
         """Whether the effect increases the torque in one part of the range and reduces it in another."""
         return min(self.largest, -self.smallest) >= BOTH_WAYS_SHARE * max(self.largest, -self.smallest)
 
-    def residual(self, here: Bin, at_base: RegimeMap, swings: float) -> str:
+    def residual(self, here: Bin, at_base: RegimeMap, rms_nm: float) -> str:
         """Residual of the re-fitted base where the effect acts, in words and with the numbers of the plots.
 
-        Parameters
-        ----------
-        here
-            The mean residual over the range of the variable in which the effect acts.
-        at_base
-            The residual by bins of each variable.
-        swings
-            Root mean square of the residual over time, see `swings_of` [Nm].
+        `here` is the mean residual where the effect acts, `rms_nm` the root mean square of the residual over time.
         """
         if self.follows < FOLLOWS_LEAST:
-            size = f"with a root mean square of {in_nm(swings)} Nm"
+            size = f"with a root mean square of {in_nm(rms_nm)} Nm"
             return f"the vehicle needs sometimes more and sometimes less torque than the re-fitted model, {size}"
         means = [b.mean_residual for b in at_base.bins if b.variable == self.variable]
         if self.both_ways and means and min(means) < 0.0 < max(means):
@@ -163,18 +144,13 @@ def in_nm(torque: float) -> str:
     return f"{torque:.0f}" if torque >= 0.5 else figures(torque, 2)
 
 
-def against_travel(sessions: Sequence[DriveSession], adds: Sequence[Array]) -> list[Array]:
-    """A torque as a resistance: positive against travel in both directions."""
-    return [x * np.sign(s.speed) for s, x in zip(sessions, adds, strict=True)]
-
-
-def acts(found: Fit, adds: Sequence[Array]) -> Acts:
+def locate(found: Fit, adds: Sequence[Array]) -> Location:
     """The variable whose bins explain most of a series, and their range where the series is large."""
     sessions = found.problem.sessions
     used = np.concatenate([s.used for s in sessions])
     series = np.concatenate(adds)[used]
     square = float(np.mean(series**2))
-    best, result = -1.0, Acts("speed", "m/s", -np.inf, np.inf, -np.inf, np.inf, 0.0, 0.0, 0.0)
+    best, result = -1.0, Location("speed", "m/s", -np.inf, np.inf, -np.inf, np.inf, 0.0, 0.0, 0.0)
     # Time-like variables follow every single change in a drive, so they must explain clearly more.
     for name, everywhere in sorted(varying(sessions, found.predicted).items(), key=lambda item: BY_NAME[item[0]].as_clock):
         x = everywhere[used]
@@ -189,7 +165,7 @@ def acts(found: Fit, adds: Sequence[Array]) -> Acts:
             size = np.bincount(place, weights=np.abs(series)) / count
             large = np.flatnonzero(size >= ACTING_SHARE * size.max())
             high = edges[min(large[-1] + 1, len(edges) - 1)]
-            result = Acts(
+            result = Location(
                 name, BY_NAME[name].unit, float(edges[large[0]]), float(high), float(edges[0]), float(edges[-1]),
                 min(0.0, float(means.min())), max(0.0, float(means.max())),
                 float(np.mean(means[place] ** 2)) / max(square, 1e-300),
@@ -209,7 +185,7 @@ def smoothed(session: DriveSession, residual: Array, seconds: float = SMOOTHED_S
     return np.where(summed(session.used.astype(float), BROKEN_S) > 0.5, mean, np.nan)
 
 
-def swings_of(means: Sequence[Array]) -> tuple[list[float], float]:
+def rms_over_time(means: Sequence[Array]) -> tuple[list[float], float]:
     """Root mean square of a `smoothed` residual, of each session and of all [Nm]."""
     sizes = [float(np.sqrt(np.nanmean(r**2))) if np.isfinite(r).any() else 0.0 for r in means]
     return sizes, float(np.sqrt(np.mean(np.square(sizes))))
@@ -217,63 +193,51 @@ def swings_of(means: Sequence[Array]) -> tuple[list[float], float]:
 
 @dataclass(frozen=True, slots=True)
 class SlowResidual:
-    """Root mean square of the torque residual in means over `STRAY_S` of a drive [Nm]; its share of the torque, the
+    """Root mean square of the torque residual in means over `SLOW_S` of a drive [Nm]; its share of the torque, the
     equivalent slope, nan where it was measured or nothing rolls, and the averaging time here [s].
     """
 
     size: float
     share: float
     slope: float
-    seconds: float = STRAY_S
+    seconds: float = SLOW_S
 
 
 def slow_residual(found: Fit) -> SlowResidual:
     """Residual torque that lasts longer than noise."""
-    means, torques = [], []
-    for segment, residual in zip(found.problem.segments, found.residuals, strict=True):
-        if segment.kind != "torque":
-            continue
-        session = found.problem.sessions[segment.session]
-        stray_s = STRAY_S * session.pace
-        number = (session.time // stray_s).astype(int)
-        count = np.bincount(number[segment.mask])
-        sums = np.bincount(number[segment.mask], weights=residual[segment.mask])
-        full = count * session.step > 0.5 * stray_s
+    means, torques, problem = [], [], found.problem
+    for session, mask, residual in zip(problem.sessions, problem.masks, torque_residuals(found), strict=True):
+        slow_s = SLOW_S * session.pace
+        number = (session.time // slow_s).astype(int)
+        count = np.bincount(number[mask])
+        sums = np.bincount(number[mask], weights=residual[mask])
+        full = count * session.step > 0.5 * slow_s
         means.append(sums[full] / count[full])
-        torques.append(session.torque[segment.mask])
+        torques.append(session.torque[mask])
     size = float(np.sqrt(np.mean(np.concatenate(means) ** 2))) if sum(map(len, means)) else 0.0
     torque = float(np.sqrt(np.mean(np.concatenate(torques) ** 2)))
-    base = found.problem.base
-    measured = all("grade" in s.given for s in found.problem.sessions) or not base.rolls
+    base = problem.base
+    measured = all("grade" in s.given for s in problem.sessions) or not base.rolls
     slope = float("nan") if measured else size / (base.facts.weight * base.facts.radius)
-    return SlowResidual(size, size / max(torque, 1e-12), slope, STRAY_S * found.problem.sessions[0].pace)
+    return SlowResidual(size, size / max(torque, 1e-12), slope, SLOW_S * problem.sessions[0].pace)
 
 
 def only_later(refitted: Fit, unused: float) -> tuple[float, float] | None:
-    """Mean absolute errors on the fitted and the hold-out laps [Nm], if the latter is much larger; else None.
-
-    Parameters
-    ----------
-    unused
-        Mean absolute error on the hold-out laps [Nm].
-    """
-    of_torque = [(r, g) for r, g in zip(refitted.residuals, refitted.problem.segments, strict=True) if g.kind == "torque"]
-    error = float(np.nanmean(np.abs(np.concatenate([r[g.mask] for r, g in of_torque]))))
-    torque = float(np.nanmean(np.abs(np.concatenate([g.measured[g.mask] for _, g in of_torque]))))
+    """Mean absolute errors on the fitted and the `unused` hold-out laps [Nm], if the latter is much larger; else None."""
+    torques = [s.torque for s in refitted.problem.sessions]
+    error, torque = (
+        float(np.nanmean(np.abs(np.concatenate([x[m] for x, m in zip(of, refitted.problem.masks, strict=True)]))))
+        for of in (torque_residuals(refitted), torques)
+    )
     return (error, unused) if unused > max(LATER * error, error + LATER_SHARE * torque) else None
 
 
-def regime_of(refitted: Fit, at_base: RegimeMap, where: Acts, resists: bool = False) -> tuple[Bin, ...]:
+def regime_of(refitted: Fit, at_base: RegimeMap, where: Location, resists: bool = False) -> tuple[Bin, ...]:
     """Residual of the base where an effect acts, against travel if it `resists`, and its other significant bins."""
-    of = BY_NAME[where.variable].of
-    inside, residuals = [], []
-    for segment, residual in zip(refitted.problem.segments, refitted.residuals, strict=True):
-        if segment.kind == "torque":
-            session = refitted.problem.sessions[segment.session]
-            x = of(session, refitted.predicted[segment.session])
-            inside.append((x >= where.low) & (x <= where.high) & segment.mask)
-            residuals.append(residual * np.sign(session.speed) if resists else residual)
-    within = np.concatenate(residuals)[np.concatenate(inside)]
+    sessions, residuals = refitted.problem.sessions, torque_residuals(refitted)
+    x = np.concatenate([BY_NAME[where.variable].of(s, p) for s, p in zip(sessions, refitted.predicted, strict=True)])
+    inside = (x >= where.low) & (x <= where.high) & np.concatenate(refitted.problem.masks)
+    within = np.concatenate(against_travel(sessions, residuals) if resists else residuals)[inside]
     p = at_base.likeliest(where.variable, where.low, where.high)
     mean = float(within.mean()) if len(within) else 0.0
     here = Bin(where.variable, where.low, where.high, mean, where.unit, len(within), p)
@@ -282,17 +246,53 @@ def regime_of(refitted: Fit, at_base: RegimeMap, where: Acts, resists: bool = Fa
 
 def thermal_check(found: Fit) -> ThermalCheck | None:
     """Compare measured and simulated belt temperature; None without a measured one."""
-    differences = [
-        r[g.mask] for r, g in zip(found.residuals, found.problem.segments, strict=True) if g.kind == "belt" and g.mask.any()
-    ]
-    if not differences:
+    of_belts = [r[g.mask] for r, g in zip(found.residuals, found.problem.segments, strict=True) if g.kind == "belt"]
+    differences = np.concatenate([np.empty(0), *of_belts])
+    if not len(differences):
         return None
-    d = np.concatenate(differences)
-    mean, size = float(d.mean()), float(np.abs(d).mean())
+    mean, size = float(differences.mean()), float(np.abs(differences).mean())
     side = "above" if mean > 0 else "below"
-    return ThermalCheck(
-        mean,
-        size,
-        f"the measured belt temperature is {abs(mean):.1f} K {side} the simulated one on average, with a mean error of "
-        f"{size:.1f} K",
-    )
+    offset = f"the measured belt temperature is {abs(mean):.1f} K {side} the simulated one on average"
+    text = f"{offset}, with a mean error of {size:.1f} K"
+    return ThermalCheck(mean, size, text)
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualSources:
+    """Root mean squares over steps of a session's length [Nm]."""
+
+    total: float
+    torque_sensor: float | None  # sample-to-sample noise of the torque; None where unknown
+    speed_sensor: float | None  # inertia times the error of the smoothed acceleration; None where unknown
+    model: float  # upper bound: the rest, which includes slow errors of sensors
+    step: float = 1.0  # s
+
+    @property
+    def text(self) -> str:
+        """Summary in words."""
+
+        def size(value: float | None) -> str:
+            return "an unknown part" if value is None else f"{figures(value)} Nm"
+
+        return (
+            f"The residual is {figures(self.total)} Nm in steps of {self.step:g} s. The torque sensor's noise contributes "
+            f"{size(self.torque_sensor)}, the speed sensor {size(self.speed_sensor)} (inertia times the error of the smoothed "
+            f"acceleration). The model contributes at most {size(self.model)}: the rest, including slow errors of the sensors"
+        )
+
+
+def residual_sources(fit: Fit) -> ResidualSources:
+    """Split the torque residual by source; squares add up."""
+    base, squares, torque, speed = fit.problem.base, 0.0, 0.0, 0.0
+    sessions, masks = fit.problem.sessions, fit.problem.masks
+    count = sum(int(mask.sum()) for mask in masks)
+    for session, mask, residual in zip(sessions, masks, torque_residuals(fit), strict=True):
+        squares += float((residual[mask] ** 2).sum()) / count
+        inertia = base.torque_scale * base.facts.radius * base.rotating_mass_factor * session.weight[mask] / GRAVITY
+        torque += session.torque_noise**2 * int(mask.sum()) / count
+        speed += float(((inertia * session.accel_noise) ** 2).sum()) / count
+    used = [s for s, mask in zip(sessions, masks, strict=True) if mask.any()]
+    of_torque = float(np.sqrt(torque)) if all(s.torque_noise > 0.0 for s in used) else None
+    of_speed = float(np.sqrt(speed)) if all(s.accel_noise > 0.0 for s in used) else None
+    model = float(np.sqrt(max(squares - torque - speed, 0.0)))
+    return ResidualSources(float(np.sqrt(squares)), of_torque, of_speed, model, sessions[0].step)

@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from trackres_ros.diagnosis.selection.naming import MODEL_ERROR, Step
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Points = Sequence[tuple[float, float]]
 
 STEP_S = 1.0
 SEEN_D_PRIME = 4.0  # at this distance, the evidence exceeds that within a class, `naming.ALIKE_WITHIN`, with 90 % probability
@@ -29,56 +31,35 @@ NEARLY = 0.9  # of the most information: the shortest such manoeuvre comes first
 MOST_ADVICE = 3
 KNOWN_SLOPE = 0.05
 LOADS = 0.75, 1.0, 1.3  # of the weight in the vehicle file
-NOTHING = "nothing"
 
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """A manoeuvre and the explanations that it separates.
+    """A manoeuvre and the explanations that it separates."""
 
-    Attributes
-    ----------
-    separates
-        The tied effects.
-    groups
-        The same in groups; effects of one group stay tied.
-    manoeuvre, minutes
-        The drive, and its duration.
-    expected_d_prime
-        Standard deviations between the closest two of different groups.
-    information
-        Expected lower bound for the group, or for none but the model's own error [bit].
-    """
-
-    separates: tuple[str, ...]
-    groups: tuple[tuple[str, ...], ...]
+    separates: tuple[str, ...]  # the tied effects
+    groups: tuple[tuple[str, ...], ...]  # the same in groups; effects of one group stay tied
     manoeuvre: str
-    expected_d_prime: float
+    expected_d_prime: float  # standard deviations between the closest two of different groups
     minutes: float
-    information: float
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """A possible explanation: a fit and its probability; named `NOTHING` for the fit without the tied effects."""
-
-    name: str
-    fit: Fit
-    weight: float
+    information: float  # expected lower bound for the group, or for none but the model's own error [bit]
 
 
 def advise(step: Step, max_speed: float) -> list[Advice]:
     """Manoeuvres from a menu, the best first; empty without ties, or if no manoeuvre separates any two."""
     if step.chosen is None or len(step.members) < 2:
         return []
-    tied = hypotheses(step)
-    names, weights = [h.name for h in tied[:-1]], np.array([h.weight for h in tied])
+    tied = [c for c in step.candidates if c.name in step.members]
+    names, fits = [c.name for c in tied], [*(c.fit for c in tied), step.before]
+    likely = [step.weights[name] for name in names]
+    likely.append(max(likely))  # for none of them: that of the most likely one
+    weights = np.array([x / sum(likely) for x in likely])
     here = known(step, names)
     before = information(weights, here)
     problem, found = step.before.problem, []
     for manoeuvre, drive in menu(problem.base.facts.weight, max_speed).items():
         session = drive(problem.sessions[0])
-        more = apart([h.fit for h in tied], session)
+        more = apart(fits, session)
         closest = np.sqrt(np.maximum(np.minimum(more, more.T), 0.0))
         between = {frozenset((names[i], names[j])): float(closest[i, j]) for i, j in combinations(range(len(names)), 2)}
         groups = _groups(names, {pair for pair, d in between.items() if d < SEEN_D_PRIME})
@@ -97,14 +78,6 @@ def _best_first(found: Sequence[Advice]) -> list[Advice]:
     rest = sorted(found, key=lambda a: -a.information)
     first = min((a for a in rest if a.information >= NEARLY * most), key=lambda a: a.minutes, default=None)
     return ([] if first is None else [first, *(a for a in rest if a is not first)])[:MOST_ADVICE]
-
-
-def hypotheses(step: Step) -> list[Hypothesis]:
-    """The tied effects of a round, and last none of them, with the prior probability of the most likely one."""
-    tied = [(c, step.weights[c.name]) for c in step.candidates if c.name in step.members]
-    none = max(weight for _, weight in tied)
-    total = sum(weight for _, weight in tied) + none
-    return [*(Hypothesis(c.name, c.fit, weight / total) for c, weight in tied), Hypothesis(NOTHING, step.before, none / total)]
 
 
 def known(step: Step, names: Sequence[str]) -> Array:
@@ -144,54 +117,39 @@ def _groups(names: Sequence[str], tied: set[frozenset[str]]) -> tuple[tuple[str,
     return tuple(sorted((tuple(n for n in names if n in group) for group in groups), key=lambda g: names.index(g[0])))
 
 
-@dataclass(frozen=True)
-class Manoeuvre:
-    """Builds a session like a recorded one.
+def _driven(
+    like: DriveSession, weight: float, points: Points, load: Sequence[float] = (1.0,), curvature: float = 0.0, slope: float = 0.0
+) -> DriveSession:
+    """A session like a recorded one, with shares of the weight [N] in sequence.
 
-    Attributes
-    ----------
-    weight
-        In the vehicle file [N].
-    points
-        Times [s] with speeds [m/s], straight lines between them.
-    load
-        Shares of the weight, in sequence.
-    curvature, slope
-        Curvature in every second minute [1/m]; slope with a sign that alternates each minute.
+    Speeds [m/s] are linear between `points` in time [s]. Each minute the curvature [1/m] is off or on, and the slope changes
+    its sign.
     """
-
-    weight: float
-    points: Sequence[tuple[float, float]]
-    load: Sequence[float] = (1.0,)
-    curvature: float = 0.0
-    slope: float = 0.0
-
-    def __call__(self, like: DriveSession) -> DriveSession:
-        """The session."""
-        end = self.points[-1][0]
-        time = np.arange(0.0, end, STEP_S)
-        at, speed_at = np.array([p[0] for p in self.points]), np.array([p[1] for p in self.points])
-        edges = np.interp(np.append(time, end), at, speed_at)
-        speed = 0.5 * (edges[1:] + edges[:-1])
-        n = len(time)
-        odd_minute = (time // 60.0) % 2 == 1
-        turning = np.where(odd_minute, self.curvature, 0.0) * speed
-        return replace(
-            like, name="manoeuvre", time=time, speed=speed, accel=np.diff(edges) / STEP_S,
-            weight=self.weight * np.repeat(self.load, -(-n // len(self.load)))[:n], ambient=np.full(n, like.ambient[0]),
-            grade=np.where(odd_minute, self.slope, -self.slope), yaw_rate=turning, heading=np.cumsum(turning) * STEP_S,
-            distance=np.cumsum(np.abs(speed)) * STEP_S, torque=np.zeros(n), belt=np.full(n, np.nan),
-            used=np.ones(n, dtype=bool), block=np.zeros(n, dtype=np.int64), gap=np.inf,
-            given=like.given | {"grade"} if self.slope else like.given,
-        )  # fmt: skip
+    at, speed_at = np.array(points).T
+    time = np.arange(0.0, at[-1], STEP_S)
+    edges = np.interp(np.append(time, at[-1]), at, speed_at)
+    speed = 0.5 * (edges[1:] + edges[:-1])
+    n = len(time)
+    odd_minute = (time // 60.0) % 2 == 1
+    turning = np.where(odd_minute, curvature, 0.0) * speed
+    return replace(
+        like, name="manoeuvre", time=time, speed=speed, accel=np.diff(edges) / STEP_S,
+        weight=weight * np.repeat(load, -(-n // len(load)))[:n], ambient=np.full(n, like.ambient[0]),
+        grade=np.where(odd_minute, slope, -slope), yaw_rate=turning, heading=np.cumsum(turning) * STEP_S,
+        distance=np.cumsum(np.abs(speed)) * STEP_S, torque=np.zeros(n), belt=np.full(n, np.nan),
+        used=np.ones(n, dtype=bool), block=np.zeros(n, dtype=np.int64), gap=np.inf,
+        given=like.given | {"grade"} if slope else like.given,
+    )  # fmt: skip
 
 
-def menu(weight: float, max_speed: float) -> dict[str, Manoeuvre]:
-    """Manoeuvres by name; each builds a session like a recorded one."""
+def menu(weight: float, max_speed: float) -> dict[str, Callable[[DriveSession], DriveSession]]:
+    """Manoeuvres by name; each makes a session like a recorded one."""
     fast, slow = 0.7 * max_speed, 0.25 * max_speed
-    drive = partial(Manoeuvre, weight)
 
-    def times(count: int, points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    def drive(points: Points, **more: Any) -> Callable[[DriveSession], DriveSession]:
+        return partial(_driven, weight=weight, points=points, **more)
+
+    def times(count: int, points: Points) -> list[tuple[float, float]]:
         """The same repeatedly, from standstill to standstill."""
         return [(i * (points[-1][0] + 1.0) + t, v) for i in range(count) for t, v in points]
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.variables import BY_NAME, varying
+from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Fit
 
 Array = NDArray[np.float64]
@@ -62,10 +63,9 @@ def regime_map(fit: Fit, rng: np.random.Generator, replicates: int = REPLICATES)
     The mean is of the plain residual [Nm]. Its significance is tested on the whitened one, against the
     largest over all bins with random sign flips of whole pieces (max-T).
     """
-    rows = [w for w, g in zip(fit.white, fit.problem.segments, strict=True) if g.kind == "torque"]
-    residuals = [r for r, g in zip(fit.residuals, fit.problem.segments, strict=True) if g.kind == "torque"]
+    rows = fit.white[: len(fit.problem.sessions)]
     valid = np.isfinite(np.concatenate(rows))
-    e, plain = np.concatenate(rows)[valid], np.concatenate(residuals)[valid]
+    e, plain = np.concatenate(rows)[valid], np.concatenate(torque_residuals(fit))[valid]
     pieces = _pieces(rows)[valid]
     members, bins = [], []
     for name, series in varying(fit.problem.sessions, fit.predicted).items():
@@ -74,7 +74,7 @@ def regime_map(fit: Fit, rng: np.random.Generator, replicates: int = REPLICATES)
             inside = (of >= low) & (of <= high)
             if inside.sum() >= FEWEST_IN_BIN:
                 members.append(inside)
-                bins.append((name, low, high, float(plain[inside].mean()), int(inside.sum())))
+                bins.append((name, low, high, float(plain[inside].mean()), BY_NAME[name].unit, int(inside.sum())))
     if not bins:
         return RegimeMap((), 1.0, len(e))
     number = np.unique(pieces, return_inverse=True)[1]
@@ -85,23 +85,15 @@ def regime_map(fit: Fit, rng: np.random.Generator, replicates: int = REPLICATES)
     signs = rng.choice((-1.0, 1.0), (replicates, sums.shape[1]))
     reached = np.abs(signs @ middle.T / spread).max(axis=1)
     p = (1.0 + (reached[:, np.newaxis] >= found).sum(axis=0)) / (replicates + 1.0)
-    found_bins = (
-        Bin(name, low, high, mean, BY_NAME[name].unit, count, float(q))
-        for (name, low, high, mean, count), q in zip(bins, p, strict=True)
-    )
-    return RegimeMap(tuple(found_bins), float(p.min()), len(e))
+    return RegimeMap(tuple(Bin(*of, p=float(q)) for of, q in zip(bins, p, strict=True)), float(p.min()), len(e))
 
 
 def cumulative_periodogram(fit: Fit) -> float:
     """Probability that white noise deviates as far from a flat spectrum as the whitened residual (Bartlett's test)."""
     from scipy.stats import kstest
 
-    power = []
-    for white, segment in zip(fit.white, fit.problem.segments, strict=True):
-        if segment.kind != "torque":
-            continue
-        e = np.nan_to_num(white)
-        power.append(np.abs(np.fft.rfft(e)[1:-1]) ** 2)
+    rows = fit.white[: len(fit.problem.sessions)]
+    power = [np.abs(np.fft.rfft(np.nan_to_num(white))[1:-1]) ** 2 for white in rows]
     cumulative = np.cumsum(np.concatenate([p / p.sum() for p in power if p.sum() > 0])) / max(1, len(power))
     return float(kstest(cumulative[:-1], "uniform").pvalue)
 

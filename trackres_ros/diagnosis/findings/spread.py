@@ -46,37 +46,22 @@ BINS = 12  # of the torque, for the noise as a function of it
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """A regime with larger torque oscillations than elsewhere.
+    """A regime with larger torque oscillations than elsewhere."""
 
-    Attributes
-    ----------
-    regime
-        In words, such as "while it pulls away".
-    size_nm
-        Standard deviation of oscillations faster than a step there [Nm].
-    ratio
-        Ratio to that elsewhere at the same torque, as a geometric mean over laps.
-    p
-        Probability of exceeding `SURELY_RATIO` by chance, times the number of tested regimes.
-    laps
-        Number of laps in the test.
-    """
-
-    regime: str
-    size_nm: float
-    ratio: float
-    p: float
-    laps: int
+    regime: str  # in words, such as "while it pulls away"
+    size_nm: float  # standard deviation of oscillations faster than a step there
+    ratio: float  # to that elsewhere at the same torque, as a geometric mean over laps
+    p: float  # probability of exceeding `SURELY_RATIO` by chance, times the number of tested regimes
+    laps: int  # in the test
 
     @property
     def described(self) -> Described:
         """As an unnamed term without a prediction."""
         text = (
             f"The torque oscillates by {figures(self.size_nm)} Nm {self.regime}, {figures(self.ratio, 2)} times as much as "
-            "elsewhere "
-            f"at the same torque. These are standard deviations over {self.laps} laps, of oscillations faster than 1 s"
+            f"elsewhere at the same torque. These are standard deviations over {self.laps} laps, of oscillations faster than 1 s"
         )
-        return Described(FORM, "", "", self.regime, None, None, text, MECHANISMS, self.size_nm, False)
+        return Described(FORM, "", text, MECHANISMS, self.size_nm, gate=self.regime)
 
 
 def find_spread(fit: Fit) -> Spread | None:
@@ -85,11 +70,11 @@ def find_spread(fit: Fit) -> Spread | None:
     """
     if any(s.pace < 1.0 for s in fit.problem.sessions):
         return None
-    shaking = [shaking_of(s, p.torque) for s, p in zip(fit.problem.sessions, fit.predicted, strict=True)]
-    if any(x is None for x in shaking):
-        return None
     sessions = fit.problem.sessions
-    size = np.concatenate([x for x in shaking if x is not None])
+    shaking = [x for s, p in zip(sessions, fit.predicted, strict=True) if (x := oscillation_of(s, p.torque)) is not None]
+    if len(shaking) < len(sessions):
+        return None
+    size = np.concatenate(shaking)
     used = np.concatenate([s.used for s in sessions]) & np.isfinite(size)
     block = np.concatenate([s.block for s in sessions])[used]
     torque = float(np.sqrt(np.mean(np.concatenate([s.torque[s.used] for s in sessions]) ** 2)))
@@ -101,23 +86,14 @@ def find_spread(fit: Fit) -> Spread | None:
     return max(sure, key=lambda x: x.ratio, default=None)
 
 
-def shaking_of(session: DriveSession, expected: Array) -> Array | None:
-    """Standard deviation of oscillations faster than a step, at each step [Nm], shape (n,); None for too sparse samples.
-
-    Parameters
-    ----------
-    expected
-        Torque of the fit, means over steps [Nm].
-    """
+def oscillation_of(session: DriveSession, expected: Array) -> Array | None:
+    """Standard deviation of oscillations faster than a step, at each step [Nm], shape (n,); None for too sparse samples."""
     course, step = session.torque_course, session.step
-    if (
-        course is None
-        or len(course.at) < 2
-        or float(np.median(np.diff(course.at))) > step / WITHIN + 1e-9
-        or len(expected) < OVER
-    ):
-        return None
     part = step / WITHIN
+    if course is None or len(course.at) < 2 or len(expected) < OVER:
+        return None
+    if float(np.median(np.diff(course.at))) > part + 1e-9:
+        return None
     begins = (session.time[:, np.newaxis] + part * np.arange(WITHIN)).ravel()
     edges = np.append(session.time, session.time[-1] + step)
     driven = CubicSpline(edges, np.concatenate(([0.0], np.cumsum(np.nan_to_num(expected) * step))))

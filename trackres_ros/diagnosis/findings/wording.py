@@ -9,11 +9,11 @@ import math
 from collections.abc import Mapping, Sequence
 
 from trackres_ros.diagnosis.base.base import BaseParameter
-from trackres_ros.diagnosis.findings.found import NamedEffect, Told, with_interval
+from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.findings.locate import SlowResidual, in_nm
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.selection.confirm import Graded
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_SHARE, HeldOut, Improvement
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_SHARE, HeldOut
 from trackres_ros.diagnosis.selection.naming import Candidate
 from trackres_ros.text.numbers import figures, on_scale
 
@@ -48,47 +48,46 @@ def upper(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}"
 
 
-def is_small(t: NamedEffect | Told) -> bool:
+def is_small(t: NamedEffect | UnnamedTerm) -> bool:
     """Whether a term reduces the mean hold-out error by less than `SMALL_SHARE`."""
     i = t.graded.improvement
     return i.before - i.after < SMALL_SHARE * i.before
 
 
-def confirmed_terms(terms: Sequence[NamedEffect | Told], held_out: HeldOut) -> list[str]:
+def confirmed_terms(terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOut) -> list[str]:
     """Sentences of the confirmed terms: the large ones, their common improvement, then the small ones."""
     large = [t for t in terms if not is_small(t)]
     small = [t for t in terms if is_small(t)]
+    worth = mean_error(held_out.mae["refitted"], held_out.mae["with_effects"])
     if not large:
-        return ["The missing physics is small", _worth(held_out), *(line for t in small for line in _of(t))]
-    return [*(line for t in large for line in _of(t)), _worth(held_out), *map(_small, small)]
+        return ["The missing physics is small", worth, *(line for t in small for line in _of(t))]
+    gains = [(t, t.graded.improvement.before - t.graded.improvement.after) for t in small]
+    return [
+        *(line for t in large for line in _of(t)),
+        worth,
+        *(f"{short(t)} is confirmed but small: it reduces that error by {figures(max(g, 0.0), 2)} Nm" for t, g in gains),
+    ]
 
 
-def _of(t: NamedEffect | Told) -> list[str]:
+def _of(t: NamedEffect | UnnamedTerm) -> list[str]:
     """Sentences of one term: place and size, cause, values."""
-    if isinstance(t, Told):
+    if isinstance(t, UnnamedTerm):
         return [t.described.sentence, "No effect of the catalogue explains this", look_for(t.described.mechanisms)]
     members = t.step.members
     if len(members) > 1:
         listed = either([f"{name} ({_percent(t.step.weights[name])})" for name in members])
         return [seen(t), f"The cause is {listed}", "These recordings cannot tell them apart"]
-    units = {q.name: "" if q.unit == "1" else f" {q.unit}" for q in t.parameters}
-    values = ", ".join(f"{name} {with_interval(v, t.intervals.get(name))}{units[name]}" for name, v in t.values.items())
-    return [
-        seen(t),
-        f"The cause is {t.name}",
-        upper(t.text),
-        f"Its values with 95 % intervals: {values}" if values else "",
-        _rival(t),
-    ]
+    values = f"Its values with 95 % intervals: {t.values_text}" if t.values else ""
+    return [seen(t), f"The cause is {t.name}", upper(t.text), values, _rival(t)]
 
 
 def seen(f: NamedEffect) -> str:
     """Location and size of the difference in the measured torque."""
-    where = f.acts.text
+    where = f.location.text
     return upper(f"{where}, {f.seen}" if where else f.seen)
 
 
-def differs(t: NamedEffect | Told) -> str:
+def differs(t: NamedEffect | UnnamedTerm) -> str:
     """The difference that a term explains, without naming it."""
     if isinstance(t, NamedEffect):
         return seen(t)
@@ -111,7 +110,7 @@ def either(options: Sequence[str]) -> str:
     return f"{', '.join(options[:-1])} or {options[-1]}" if len(options) > 1 else options[0]
 
 
-def short(t: NamedEffect | Told) -> str:
+def short(t: NamedEffect | UnnamedTerm) -> str:
     """A term in a few words."""
     if isinstance(t, NamedEffect):
         return either(list(t.step.members)) if len(t.step.members) > 1 else t.name
@@ -125,15 +124,6 @@ def form_words(form: str) -> str:
     return FORMS.get(form, f"a {form.replace('_', ' ')}")
 
 
-def _small(t: NamedEffect | Told) -> str:
-    i = t.graded.improvement
-    return f"{short(t)} is confirmed but small: it reduces that error by {figures(max(i.before - i.after, 0.0), 2)} Nm"
-
-
-def _worth(h: HeldOut) -> str:
-    return mean_error(h.mae["refitted"], h.mae["with_effects"])
-
-
 def mean_error(before: float, after: float) -> str:
     """The change of the mean error on hold-out laps."""
     was, now = figures(before), figures(after)
@@ -142,7 +132,7 @@ def mean_error(before: float, after: float) -> str:
 
 
 def possible(
-    unsure: Sequence[NamedEffect | Told], confirmed: Sequence[NamedEffect | Told], shares: Mapping[str, float]
+    unsure: Sequence[NamedEffect | UnnamedTerm], confirmed: Sequence[NamedEffect | UnnamedTerm], shares: Mapping[str, float]
 ) -> Possible:
     """Possible unconfirmed causes, with probabilities, the most likely first and `NONE_OF_THESE` last.
 
@@ -172,32 +162,29 @@ def may_be(listed: Possible, also: bool = False) -> str:
 
 def doubts(unsure: Sequence[Graded]) -> list[str]:
     """Reasons why terms are only suspected."""
-    return list(dict.fromkeys(map(_doubt, unsure)))
-
-
-def _doubt(graded: Graded) -> str:
-    i = graded.improvement
-    if i.grade == CONFIRMED and graded.on_bounds:
-        return f"{graded.name} is at the limit of its plausible range ({', '.join(graded.on_bounds)})"
-    if i.grade == CONFIRMED and graded.cancels:
-        return f"{graded.name} improves the hold-out laps far less than its size suggests: {_from_to(i)}"
-    return f"The hold-out laps do not confirm {graded.name}: {_from_to(i)}"
-
-
-def _from_to(i: Improvement) -> str:
-    gain = f"gain {figures(i.low, 2)} to {figures(i.high, 2)} Nm, 95 %"
-    return f"their mean error goes from {figures(i.before)} to {figures(i.after)} Nm ({gain})"
+    found = []
+    for graded in unsure:
+        i = graded.improvement
+        gain = f"gain {figures(i.low, 2)} to {figures(i.high, 2)} Nm, 95 %"
+        error = f"their mean error goes from {figures(i.before)} to {figures(i.after)} Nm ({gain})"
+        if i.grade == CONFIRMED and graded.on_bounds:
+            found.append(f"{graded.name} is at the limit of its plausible range ({', '.join(graded.on_bounds)})")
+        elif i.grade == CONFIRMED and graded.cancels:
+            found.append(f"{graded.name} improves the hold-out laps far less than its size suggests: {error}")
+        else:
+            found.append(f"The hold-out laps do not confirm {graded.name}: {error}")
+    return list(dict.fromkeys(found))
 
 
 def rejected(refuted: Sequence[Graded]) -> list[str]:
     """Terms rejected or not confirmed on hold-out laps, and terms that displace a value of the file."""
-    worse = [g for g in refuted if g.grade == REFUTED and not g.displaces]
     unsure = ", ".join(g.name for g in refuted if g.grade != REFUTED)
     return [
         *(
             f"The hold-out laps reject {g.name}: it raises their mean error from {figures(g.improvement.before)} to "
             f"{figures(g.improvement.after)} Nm"
-            for g in worse
+            for g in refuted
+            if g.grade == REFUTED and not g.displaces
         ),
         *(
             f"The diagnosis drops {g.name}: it pushes {', '.join(g.displaces)} of the vehicle file to the end of its range"
@@ -216,14 +203,13 @@ def moved(q: BaseParameter, value: float) -> str:
 
 def file_is_off(far: Sequence[tuple[BaseParameter, float]]) -> list[str]:
     """Sentences for a vehicle file of another vehicle: the values that a re-fit moves far out of their ranges."""
-
-    def value(q: BaseParameter, at: float) -> str:
-        return f"{q.name} would be {figures(at)}, but the file allows {q.by_file[0]:g} to {q.by_file[1]:g}"
-
     return [
         "The vehicle file does not fit this vehicle",
         "Only values far outside its ranges reproduce the recordings",
-        *(f"The {value(q, at)}" for q, at in far[:MOST_LISTED]),
+        *(
+            f"The {q.name} would be {figures(at)}, but the file allows {q.by_file[0]:g} to {q.by_file[1]:g}"
+            for q, at in far[:MOST_LISTED]
+        ),
         "Check the values that are not re-fitted: the rubber file, the dimensions of belt and wheels, and the unit of the load",
     ]
 

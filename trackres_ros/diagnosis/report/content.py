@@ -14,17 +14,18 @@ from typing import Any
 
 import numpy as np
 
+from trackres_ros.diagnosis.base.variables import BY_NAME, varying
+from trackres_ros.diagnosis.empirical.payload import Stretch
 from trackres_ros.diagnosis.empirical.routes import Route
 from trackres_ros.diagnosis.empirical.terms import Described
-from trackres_ros.diagnosis.findings.found import NamedEffect, Told
+from trackres_ros.diagnosis.findings.found import NamedEffect
+from trackres_ros.diagnosis.findings.locate import residual_sources
 from trackres_ros.diagnosis.findings.residual_bins import Bin
-from trackres_ros.diagnosis.findings.residual_sources import ResidualSources, residual_sources
-from trackres_ros.diagnosis.findings.spread import Spread
 from trackres_ros.diagnosis.findings.wording import likelier
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.report.inputs import inputs
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOut, Improvement
+from trackres_ros.diagnosis.report.series import runs
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, Improvement
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.recording.binding import TopicBinding
@@ -34,6 +35,7 @@ from trackres_ros.vehicle.writing.sensor_lines import sensor_lines
 from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
 
 SCHEMA = 1
+BINS, CELLS = 24, (24, 12)  # of a histogram; of speed and acceleration
 NO_BINDINGS: Mapping[str, TopicBinding] = MappingProxyType({})
 
 
@@ -42,59 +44,50 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
     belongs_to = {active.effect.name: active.effect.belongs_to for active in d.final.effects}
     scale = (d.kept.values or {}).get("torque_scale", d.base.torque_scale)
     lines = sensor_lines(d.kept.of("sensor"), bindings, scale)
-    return {
+    kept = {kind: d.kept.names_of(kind) for kind in BELONGS_TO}
+    routes = [_route(route, d.final) for route in d.routes]
+    content = {
         "schema": SCHEMA,
         "recordings": [str(path) for path in paths],
         "base": _base(d),
         "verdict": _verdict(d),
         "effects": [_effect(f, belongs_to[f.name]) for f in d.found],
-        "described": [
-            *(_described(t) for t in d.described),
-            *([_drift(d.drift, d.tracked)] if d.drift and d.tracked else []),
-            *([_spread(d.spread)] if d.spread else []),
-        ],
-        "route": _route(d.routes[0], d.final) if d.routes else None,
-        "routes": [_route(route, d.final) for route in d.routes],
+        "described": _described(d),
+        "route": routes[0] if routes else None,
+        "routes": routes,
         "refuted": [{"name": g.name, "heldout": _improvement(g.improvement)} for g in d.refuted],
-        "possible": [{"name": name, "share": _number(share)} for name, share in d.shares.items()],
+        "possible": [{"name": name, "share": share} for name, share in d.shares.items()],
         "written": {
             "base": d.kept.values is not None,
-            "values": None if d.kept.values is None else _numbers(dict(d.kept.values)),
-            "effects": [name for kind in BELONGS_TO for name in d.kept.names_of(kind)],
+            "values": d.kept.values,
+            "effects": [name for names in kept.values() for name in names],
             "disturbance": None if d.kept.disturbance is None else d.kept.disturbance.disturbance.form,
             "why": d.kept.text,
         },
-        "heldout": _held_out(d.held_out),
+        "heldout": _held_out(d),
         "not_visible": [{"name": n.name, "why": n.why} for n in d.steps[-1].separability.of_names.not_visible],
         "rejected": [{"reason": reason, "samples": seconds} for reason, seconds in d.gated.excluded.items()],
         "advice": _advice(d),
-        "candidates": _candidates(d),
-        "residual_by_regime": {"base": [_bin(b) for b in d.at_base.bins], "end": [_bin(b) for b in d.at_end.bins]},
-        "changes": None
-        if d.changes is None
-        else [
-            {
-                "recording": c.recording,
-                "t_s": _number(c.time),
-                "before": _number(c.before),
-                "after": _number(c.after),
-                "unit": "Nm",
-            }
-            for c in d.changes
+        "candidates": [_candidate(i, c, step) for i, step in enumerate(d.steps, 1) for c in step.candidates],
+        "residual_by_regime": {
+            stage: [{**_bin(b), "samples": b.samples, "p": b.p} for b in of.bins]
+            for stage, of in (("base", d.at_base), ("end", d.at_end))
+        },
+        "changes": None if d.changes is None else [
+            {"recording": c.recording, "t_s": c.time, "before": c.before, "after": c.after, "unit": "Nm"} for c in d.changes
         ],
-        "whiteness_p": _number(d.periodogram_p),
+        "whiteness_p": d.periodogram_p,
         "noise": d.noise.text,
-        "residual_sources": _sources(residual_sources(d.final)),
+        "residual_sources": _sources(d.final),
         "split": d.split.text,
-        "notes": list(d.gated.notes),
+        "notes": d.gated.notes,
         "inputs": inputs(d),
-        "kept": {kind: d.kept.names_of(kind) for kind in BELONGS_TO},
+        "kept": kept,
         "topics_lines": lines,
         "to_do": _to_do(d, lines),
-        "thermal": None
-        if d.thermal is None
-        else {"mean_k": _number(d.thermal.mean_k), "mean_abs_k": _number(d.thermal.mean_abs_k), "text": d.thermal.text},
-    }
+        "thermal": None if d.thermal is None else asdict(d.thermal),
+    }  # fmt: skip
+    return {key: value if key == "inputs" else _plain(value) for key, value in content.items()}
 
 
 def _base(d: Diagnosis) -> dict[str, Any]:
@@ -104,15 +97,15 @@ def _base(d: Diagnosis) -> dict[str, Any]:
         "model": d.base.name,
         "refitted": {
             name: {
-                "nominal": _number(nominal[name].nominal),
-                "value": _number(value),
+                "nominal": nominal[name].nominal,
+                "value": value,
                 "unit": nominal[name].unit,
-                **_of_base(d.base_intervals.get(name)),
+                **_interval(d.base_intervals.get(name)),
             }
             for name, value in d.final.base_values.items()
         },
         "instrument": {
-            active.effect.name: {q.name: {"value": _number(active.values[q.name]), "unit": q.unit}}
+            active.effect.name: {q.name: {"value": active.values[q.name], "unit": q.unit}}
             for active in d.final.instrument
             for q in active.effect.parameters
         },
@@ -127,35 +120,28 @@ def _verdict(d: Diagnosis) -> dict[str, Any]:
         "sentence": d.verdict.sentence,
         "hint": d.steps[-1].hint or None,
         "seen": d.verdict.seen or None,
-        "may_be": [{"name": name, "share": None if share is None else _number(share)} for name, share in d.verdict.may_be],
+        "may_be": [{"name": name, "share": share} for name, share in d.verdict.may_be],
         "changed": [
             {
-                "name": c.name,
-                "unit": c.unit,
-                "nominal": _number(c.nominal),
-                "value": _number(c.value),
-                "ci95": [_number(c.low), _number(c.high)],
-                "torque_nm": _number(c.torque_nm),
-                "text": c.text,
+                "name": c.name, "unit": c.unit, "nominal": c.nominal, "value": c.value, "ci95": [c.low, c.high],
+                "torque_nm": c.torque_nm, "text": c.text,
             }
             for c in d.verdict.changed
         ],
-    }
+    }  # fmt: skip
 
 
-def _held_out(held_out: HeldOut) -> dict[str, Any]:
+def _held_out(d: Diagnosis) -> dict[str, Any]:
     """Errors on the hold-out laps."""
+    of = d.held_out
     return {
-        "laps": list(held_out.laps),
-        "mae": _numbers(held_out.mae),
-        "r2": _numbers(held_out.r2),
-        "bias": _numbers(held_out.bias),
-        "improvement_ci95": [_number(held_out.of_effects.low), _number(held_out.of_effects.high)],
-        "of_refit": _improvement(held_out.of_refit),
-        "by_lap": {
-            measure: {stage: [_number(float(x)) for x in values] for stage, values in stages.items()}
-            for measure, stages in held_out.by_lap.items()
-        },
+        "laps": of.laps,
+        "mae": of.mae,
+        "r2": of.r2,
+        "bias": of.bias,
+        "improvement_ci95": [of.of_effects.low, of.of_effects.high],
+        "of_refit": _improvement(of.of_refit),
+        "by_lap": {measure: {stage: x.tolist() for stage, x in stages.items()} for measure, stages in of.by_lap.items()},
     }
 
 
@@ -163,36 +149,28 @@ def _advice(d: Diagnosis) -> list[dict[str, Any]]:
     """Drives that would separate effects not distinguishable in these recordings."""
     return [
         {
-            "separates": list(a.separates),
-            "groups": [list(group) for group in a.groups],
-            "manoeuvre": a.manoeuvre,
-            "expected_d_prime": _number(a.expected_d_prime),
-            "minutes": _number(a.minutes),
-            "information_bit": _number(a.information),
+            "separates": a.separates, "groups": a.groups, "manoeuvre": a.manoeuvre, "expected_d_prime": a.expected_d_prime,
+            "minutes": a.minutes, "information_bit": a.information,
         }
         for a in d.advice
-    ]
+    ]  # fmt: skip
 
 
-def _candidates(d: Diagnosis) -> list[dict[str, Any]]:
-    """All tried candidates, round by round."""
-    return [
-        {
-            "round": i + 1,
-            "name": c.name,
-            "delta_loglik": _number(c.gain),
-            "log_evidence": _number(c.criterion),
-            "bic_gain": _number(c.bic_gain),
-            "taken_by_other_forms": _number(c.form_error_gain),
-            "kept": _number(c.kept),
-            "d_prime": _number(c.d_prime),
-            "threshold": _number(s.threshold),
-            "chosen": s.chosen is c,
-            "why": _why(c, s),
-        }
-        for i, s in enumerate(d.steps)
-        for c in s.candidates
-    ]
+def _candidate(round_: int, c: Candidate, step: Step) -> dict[str, Any]:
+    """A candidate of a round, and why it was chosen or not."""
+    return {
+        "round": round_,
+        "name": c.name,
+        "delta_loglik": c.gain,
+        "log_evidence": c.criterion,
+        "bic_gain": c.bic_gain,
+        "taken_by_other_forms": c.form_error_gain,
+        "kept": c.kept,
+        "d_prime": c.d_prime,
+        "threshold": step.threshold,
+        "chosen": step.chosen is c,
+        "why": _why(c, step),
+    }
 
 
 def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
@@ -234,67 +212,70 @@ def _effect(f: NamedEffect, belongs_to: str) -> dict[str, Any]:
     units = {q.name: q.unit for q in f.parameters}
     return {
         "name": f.name,
-        "class": list(f.step.members),
-        "weights": _numbers(dict(f.step.weights)),
+        "class": f.step.members,
+        "weights": f.step.weights,
         "acts_on": f.acts_on,
-        "acts": {"text": f.acts.text, "size": f.seen},
+        "acts": {"text": f.location.text, "size": f.seen},
         "grade": f.graded.grade,
         "heldout": _improvement(f.graded.improvement),
-        "on_bounds": list(f.graded.on_bounds),
+        "on_bounds": f.graded.on_bounds,
         "belongs_to": belongs_to,
         "parameters": {
-            name: {
-                "value": _number(value),
-                "unit": units[name],
-                "ci95": None if f.intervals[name].bound_only else _pair(f.intervals[name]),
-                "bound_only": f.intervals[name].bound_only,
-            }
-            for name, value in f.values.items()
+            name: {"value": value, "unit": units[name], **_interval(f.intervals[name])} for name, value in f.values.items()
         },
         "where": {
-            "time": [[s.recording, _number(s.begin), _number(s.end)] for s in f.where],
-            "regime": [
-                {
-                    "variable": b.variable,
-                    "lo": _number(b.low),
-                    "hi": _number(b.high),
-                    "mean_residual": _number(b.mean_residual),
-                    "unit": b.unit,
-                    "p": _number(b.p),
-                }
-                for b in f.regime
-            ],
+            "time": [[s.recording, s.begin, s.end] for s in f.where],
+            "regime": [{**_bin(b), "p": b.p} for b in f.regime],
         },
         "evidence": {
-            "delta_loglik": _number(chosen.gain),
-            "log_evidence": _number(chosen.criterion),
-            "bic_gain": _number(chosen.bic_gain),
-            "stability": _number(f.step.stability),
-            "kept": _number(chosen.kept),
-            "d_prime": _number(chosen.d_prime),
+            "delta_loglik": chosen.gain,
+            "log_evidence": chosen.criterion,
+            "bic_gain": chosen.bic_gain,
+            "stability": f.step.stability,
+            "kept": chosen.kept,
+            "d_prime": chosen.d_prime,
         },
         "text": f.text,
     }
 
 
-def _sources(s: ResidualSources) -> dict[str, Any]:
-    return {
-        "total": _number(s.total),
-        "torque_sensor": None if s.torque_sensor is None else _number(s.torque_sensor),
-        "speed_sensor": None if s.speed_sensor is None else _number(s.speed_sensor),
-        "model_at_most": _number(s.model),
-        "unit": "Nm",
-        "text": s.text,
-    }
+def _sources(final: Fit) -> dict[str, Any]:
+    s = residual_sources(final)
+    sensors = {"torque_sensor": s.torque_sensor, "speed_sensor": s.speed_sensor}
+    return {"total": s.total, **sensors, "model_at_most": s.model, "unit": "Nm", "text": s.text}
 
 
-def _described(t: Told) -> dict[str, Any]:
-    of = t.described
+def _described(d: Diagnosis) -> list[dict[str, Any]]:
+    """The unnamed terms, a drift, and the conditions with larger oscillations."""
+    found = []
+    for t in d.described:
+        intervals = {name: _pair(interval) for name, interval in t.intervals.items()}
+        found.append({**_term(t.described, t.graded.improvement, t.graded.grade), "seen_nm": t.seen_nm, "parameters": intervals})
+    if d.drift and d.tracked:
+        found.append({**_term(d.drift, d.tracked, d.tracked.grade), "parameters": {}})
+    if d.spread:
+        tested = {"ratio": d.spread.ratio, "p": d.spread.p, "laps": d.spread.laps}
+        found.append({**_term(d.spread.described, None, CONFIRMED), "parameters": {}, **tested})
+    return found
+
+
+def _term(of: Described, improvement: Improvement | None, grade: str) -> dict[str, Any]:
+    """An unnamed term, with its improvement of the hold-out laps."""
     return {
-        **_term(of),
-        **_worth(t.graded.improvement, t.graded.grade),
-        "seen_nm": _number(t.seen_nm),
-        "parameters": {name: _pair(interval) for name, interval in t.intervals.items()},
+        "form": of.form,
+        "name": of.name or None,
+        "variable": of.variable or None,
+        "gate": of.gate or None,
+        "period_m": of.period_m,
+        "memory": of.memory,
+        "size_nm": of.size_nm,
+        "sentence": of.sentence,
+        "mechanisms": of.mechanisms,
+        "predictable": of.predictable,
+        **({"stretches": of.stretches} if of.stretches else {}),
+        "gain_nm": None if improvement is None else improvement.before - improvement.after,
+        "grade": grade,
+        "heldout": None if improvement is None else _improvement(improvement),
     }
 
 
@@ -304,71 +285,80 @@ def _route(route: Route, final: Fit) -> dict[str, Any]:
     return {
         "name": route.candidate.name,
         "kind": learned.kind,
-        "slope_likelier_by": _number(route.apart),
-        "streets_m": _number(route.metres),
-        "passed_again_m": _number(route.again_m),
+        "slope_likelier_by": route.slope_gain,
+        "streets_m": route.metres,
+        "passed_again_m": route.again_m,
         "passes": route.passes,
-        "rms": _number(float(np.sqrt(np.nanmean(learned.value**2)))),
-        "std_median": _number(float(np.nanmedian(learned.std))),
+        "rms": float(np.sqrt(np.nanmean(learned.value**2))),
+        "std_median": float(np.nanmedian(learned.std)),
         "unit": "1" if learned.kind == SLOPE else "Nm",
     }
 
 
-def _drift(of: Described, tracked: Improvement) -> dict[str, Any]:
-    return {**_term(of), **_worth(tracked, tracked.grade), "parameters": {}}
-
-
-def _spread(of: Spread) -> dict[str, Any]:
-    tested = {"ratio": _number(of.ratio), "p": _number(of.p), "laps": of.laps}
-    return {**_term(of.described), "gain_nm": None, "grade": CONFIRMED, "heldout": None, "parameters": {}, **tested}
-
-
-def _worth(found: Improvement, grade: str) -> dict[str, Any]:
-    return {"gain_nm": _number(found.before - found.after), "grade": grade, "heldout": _improvement(found)}
-
-
-def _term(of: Described) -> dict[str, Any]:
-    return {
-        "form": of.form,
-        "name": of.name or None,
-        "variable": of.variable or None,
-        "gate": of.gate or None,
-        "period_m": None if of.period_m is None else _number(of.period_m),
-        "memory": None if of.memory is None else _number(of.memory),
-        "size_nm": _number(of.size_nm),
-        "sentence": of.sentence,
-        "mechanisms": list(of.mechanisms),
-        "predictable": of.predictable,
-        **({"stretches": [asdict(stretch) for stretch in of.stretches]} if of.stretches else {}),
-    }
-
-
 def _improvement(i: Improvement) -> dict[str, Any]:
-    return {"mae": [_number(i.before), _number(i.after)], "ci95": [_number(i.low), _number(i.high)], "grade": i.grade}
+    return {"mae": [i.before, i.after], "ci95": [i.low, i.high], "grade": i.grade}
 
 
 def _bin(b: Bin) -> dict[str, Any]:
-    return {
-        "variable": b.variable, "lo": _number(b.low), "hi": _number(b.high), "mean_residual": _number(b.mean_residual),
-        "unit": b.unit, "samples": b.samples, "p": _number(b.p),
-    }  # fmt: skip
+    return {"variable": b.variable, "lo": b.low, "hi": b.high, "mean_residual": b.mean_residual, "unit": b.unit}
 
 
-def _number(value: float) -> float | None:
-    """A number with 6 significant digits for JSON; None if not finite."""
-    value = float(value)
-    return float(np.format_float_positional(value, 6, fractional=False)) if math.isfinite(value) else None
-
-
-def _numbers(values: dict[str, float]) -> dict[str, float | None]:
-    return {name: _number(value) for name, value in values.items()}
-
-
-def _of_base(interval: Interval | None) -> dict[str, Any]:
-    """Interval of a base value; at the end of its range it is only a bound."""
+def _interval(interval: Interval | None) -> dict[str, Any]:
+    """An interval; at the end of its range it is only a bound."""
     bound_only = interval is not None and interval.bound_only
     return {"ci95": None if bound_only else _pair(interval), "bound_only": bound_only}
 
 
-def _pair(interval: Interval | None) -> list[float | None] | None:
-    return None if interval is None else [_number(interval.low), _number(interval.high)]
+def _pair(interval: Interval | None) -> list[float] | None:
+    return None if interval is None else [interval.low, interval.high]
+
+
+def _plain(value: Any) -> Any:
+    """Plain data for JSON: numbers with 6 significant digits, None if not finite. Those of a `Stretch` are complete."""
+    if isinstance(value, float):
+        return float(np.format_float_positional(value, 6, fractional=False)) if math.isfinite(value) else None
+    if isinstance(value, Stretch):
+        return asdict(value)
+    if isinstance(value, Mapping):
+        return {key: _plain(of) for key, of in value.items()}
+    return [_plain(of) for of in value] if isinstance(value, list | tuple) else value
+
+
+def inputs(d: Diagnosis) -> dict[str, Any]:
+    """Summary of the recordings as plain data: the length and gaps of each [s], the range and histogram of each variable."""
+    used = np.concatenate([s.used for s in d.sessions])
+    recordings = []
+    for s in d.sessions:
+        gaps = [end - begin for begin, end in runs(s, ~s.used)]
+        recordings.append(
+            {
+                "name": s.name, "seconds": float(len(s) * s.step), "compared_s": float(s.used.sum() * s.step),
+                "held_out_s": float(d.split.held_out_mask(s).sum() * s.step), "gaps": len(gaps),
+                "longest_gap_s": float(max(gaps, default=0.0)), "laps": len(np.unique(s.block)),
+                "measured": sorted(s.given),
+            }
+        )  # fmt: skip
+    series = {"torque": np.concatenate([s.torque for s in d.sessions])[used]}
+    series |= {name: of[used] for name, of in varying(d.sessions, d.refitted.predicted).items()}
+    ranges = []
+    for name, of in series.items():
+        low, middle, high = (_short(q) for q in np.quantile(of, (0.0, 0.5, 1.0)))
+        unit = "Nm" if name == "torque" else BY_NAME[name].unit
+        seconds = (np.histogram(of, BINS)[0] * d.sessions[0].step).tolist()
+        ranges.append({"variable": name, "unit": unit, "low": low, "median": middle, "high": high, "histogram_s": seconds})
+    return {"step_s": d.sessions[0].step, "recordings": recordings, "ranges": ranges, "coverage": _coverage(d)}
+
+
+def _coverage(d: Diagnosis) -> dict[str, Any]:
+    """Compared seconds by speed and acceleration: one row for each range of the acceleration, the least first."""
+    used = np.concatenate([s.used for s in d.sessions])
+    speed = np.concatenate([s.speed for s in d.sessions])[used]
+    accel = np.concatenate([s.accel_around for s in d.sessions])[used]
+    counts, speeds, accels = np.histogram2d(speed, accel, CELLS)
+    seconds = (counts.T * d.sessions[0].step).tolist()
+    ends = {"speed": [_short(speeds[0]), _short(speeds[-1])], "acceleration": [_short(accels[0]), _short(accels[-1])]}
+    return {**ends, "seconds": seconds}
+
+
+def _short(value: float) -> float:
+    return float(np.format_float_positional(value, 4, fractional=False))

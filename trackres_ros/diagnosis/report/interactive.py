@@ -23,7 +23,16 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, smoothed
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.report.believed import (
+from trackres_ros.diagnosis.report.series import (
+    bars,
+    bins_of_steps,
+    clock,
+    lasting,
+    runs,
+    shown_lap,
+    stages,
+)
+from trackres_ros.diagnosis.report.timeline import (
     AVERAGED_S,
     MARK,
     Panel,
@@ -34,23 +43,12 @@ from trackres_ros.diagnosis.report.believed import (
     names,
     panels,
 )
-from trackres_ros.diagnosis.report.series import (
-    bins_by_variable,
-    clock,
-    lasting,
-    runs,
-    shown_lap,
-    stages,
-    uncertainty,
-    where_each_step_is,
-)
 from trackres_ros.errors import MissingExtraError
-from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, shortened
+from trackres_ros.output.style import GREY, ORANGE, shortened
 from trackres_ros.text.numbers import alike
 
 Array = NDArray[np.float64]
 
-COLOURS = {"nominal": GREY, "refitted": BLUE, "with_effects": VERMILION}
 MOST_RECORDINGS = 24
 DOCUMENT = "diagnosis"
 SHOWN_EACH_S = 4.0  # of means over `SMOOTHED_S`
@@ -71,23 +69,13 @@ class ZoomPlot:
 
 @dataclass(frozen=True, slots=True)
 class Interactive:
-    """Plots of a page: their places, and the browser's data, packed (gzip, base64).
-
-    Attributes
-    ----------
-    library, version
-        Source and version of Bokeh.
-    data
-        Its documents, and the bin of each step.
-    over_all
-        Colours and texts of the lines over all drives, and whether each is solid.
-    """
+    """Plots of a page: their places, and the browser's data, packed (gzip, base64)."""
 
     plots: tuple[ZoomPlot, ...]
-    library: str
-    version: str
-    data: str
-    over_all: tuple[tuple[str, str, bool], ...] = ()
+    library: str  # source of Bokeh
+    version: str  # of Bokeh
+    data: str  # Bokeh's documents, and the bin of each step
+    over_all: tuple[tuple[str, str, bool], ...] = ()  # colours and texts of the lines over all drives, and whether solid
 
     def of(self, part: str) -> list[ZoomPlot]:
         """The plots of a part of the page."""
@@ -119,7 +107,7 @@ def interactive(d: Diagnosis) -> Interactive:
     (content,) = standalone_docs_json_and_render_items([figure for _, figure in drawn])[0].values()
     text, name = _named_in_order(json.dumps(content))
     roots = [name[str(figure.id)] for _, figure in drawn]
-    steps = [{"begin": float(s.time[0]), "step": s.step, **of} for s, of in zip(d.sessions, where_each_step_is(d), strict=True)]
+    steps = [{"begin": float(s.time[0]), "step": s.step, **of} for s, of in zip(d.sessions, bins_of_steps(d), strict=True)]
     data = {
         "documents": {DOCUMENT: json.loads(text)},
         "items": [{"docid": DOCUMENT, "roots": {root: f"plot-{root}" for root in roots}, "root_ids": roots}],
@@ -247,7 +235,7 @@ def _over_time(d: Diagnosis, shown: Sequence[int]) -> list[tuple[str, Any]]:
     from bokeh.models import ColumnDataSource, HoverTool, Range1d
     from bokeh.models.annotations import BoxAnnotation, Span
 
-    every = {key: [smoothed(s, s.torque - expected[i]) for i, s in enumerate(d.sessions)] for key, _, expected in stages(d)}
+    every = {of.key: [smoothed(s, s.torque - of.torques[i]) for i, s in enumerate(d.sessions)] for of in stages(d)}
     values = np.concatenate([np.concatenate(of) for of in every.values()])
     values = values[np.isfinite(values)]
     low, high = (float(q) for q in np.quantile(values, (0.001, 0.999))) if len(values) else (-1.0, 1.0)
@@ -268,13 +256,13 @@ def _over_time(d: Diagnosis, shown: Sequence[int]) -> list[tuple[str, Any]]:
         _strips(figure, i, 60.0)
         figure.add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_width=1))
         lines = [
-            figure.line("t", key, source=source, color=COLOURS[key], line_width=1.0 if key == "nominal" else 1.6)
-            for key in columns
+            figure.line("t", of.key, source=source, color=of.colour, line_width=1.0 if of.key == "nominal" else 1.6)
+            for of in stages(d)
         ]
         for change in d.changes or ():
             if change.recording == session.name:
                 figure.add_layout(Span(location=change.time / 60.0, dimension="height", line_color=GREY, line_dash="dashed"))
-        texts = [("time", "@t{0.0} min"), *((text, f"@{key}{{0}} Nm") for key, text, _ in stages(d))]
+        texts = [("time", "@t{0.0} min"), *((of.label, f"@{of.key}{{0}} Nm") for of in stages(d))]
         figure.add_tools(HoverTool(renderers=lines[1:2], tooltips=texts, mode="vline"))
         figure.yaxis.ticker.desired_num_ticks = 4
         figure.yaxis.axis_label = "residual [Nm]"
@@ -292,7 +280,7 @@ def _lap(d: Diagnosis) -> list[tuple[str, Any]]:
     session = d.sessions[index]
     rows = rows[: int(LONGEST_LAP_S * session.pace / session.step)]
     columns = {"measured": np.where(session.used, session.torque, np.nan)[rows], "speed": session.speed[rows]}
-    columns |= {key: expected[index][rows] for key, _, expected in stages(d)}
+    columns |= {of.key: of.torques[index][rows] for of in stages(d)}
     places = {"speed": 2}
     source = ColumnDataSource(
         {"t": _numbers(session.time[rows]), **{k: _numbers(v, places.get(k, 1)) for k, v in columns.items()}}
@@ -302,10 +290,10 @@ def _lap(d: Diagnosis) -> list[tuple[str, Any]]:
     for figure in (torque, speed):
         _strips(figure, index, 1.0)
     measured = torque.line("t", "measured", source=source, color="#555555", line_width=3, line_alpha=0.6)
-    for key, _, _ in stages(d)[1:]:
-        torque.line("t", key, source=source, color=COLOURS[key], line_width=1.4)
+    for of in stages(d)[1:]:
+        torque.line("t", of.key, source=source, color=of.colour, line_width=1.4)
     line = speed.line("t", "speed", source=source, color="#555555")
-    texts = [("time", "@t{0} s"), ("measured", "@measured{0} Nm"), *((t, f"@{k}{{0}} Nm") for k, t, _ in stages(d))]
+    texts = [("time", "@t{0} s"), ("measured", "@measured{0} Nm"), *((of.label, f"@{of.key}{{0}} Nm") for of in stages(d))]
     torque.add_tools(HoverTool(renderers=[measured], tooltips=texts, mode="vline"))
     speed.add_tools(HoverTool(renderers=[line], tooltips=[("time", "@t{0} s"), ("speed", "@speed{0.00} m/s")], mode="vline"))
     torque.yaxis.axis_label, speed.yaxis.axis_label, speed.xaxis.axis_label = "torque [Nm]", "speed [m/s]", "time [s]"
@@ -318,33 +306,25 @@ def _bars(d: Diagnosis) -> list[tuple[str, Any]]:
     from bokeh.models.annotations import Whisker
 
     up, found, ends = Range1d(), [], [0.0]
-    at_end = bins_by_variable(d.at_end.bins)
-    for name, of_base in bins_by_variable(d.at_base.bins).items():
-        edges = sorted({edge for b in of_base for edge in (b.low, b.high)})
-        figure = _figure(f"{name} [{of_base[0].unit}]", BARS_HEIGHT, False, y_range=up)
-        kinds = [("refitted", "base re-fitted", of_base)]
-        if d.modelled:
-            kinds.append(("with_effects", "with the effects", at_end.get(name, [])))
-        bars = []
-        for place, (key, label, bins) in enumerate(kinds):
-            expected = next(of for stage, _, of in stages(d) if stage == key)
-            shift = 0.4 * (place - 0.5) if d.modelled else 0.0
-            half = np.array([uncertainty(d, b, expected) for b in bins])
+    for name, edges, of_stages in bars(d):
+        unit, ticks = of_stages[0].bins[0].unit, (np.arange(len(edges)) - 0.5).tolist()
+        figure = _figure(f"{name} [{unit}]", BARS_HEIGHT, False, y_range=up)
+        drawn = []
+        for stage, bins, x, half in of_stages:
             mean = np.array([b.mean_residual for b in bins])
-            middle = np.interp([0.5 * (b.low + b.high) for b in bins], edges, np.arange(len(edges)) - 0.5)
             ends += [*(mean + np.nan_to_num(half)), *(mean - np.nan_to_num(half))]
             ranges = [" to ".join(alike((b.low, b.high), b.high - b.low)) for b in bins]
             source = ColumnDataSource(
                 {
-                    "x": (middle + shift).tolist(), "mean": _numbers(mean),
+                    "x": x.tolist(), "mean": _numbers(mean),
                     "low": _numbers(mean - half), "high": _numbers(mean + half),
                     "range": ranges, "seconds": [b.samples for b in bins], "p": [b.p for b in bins],
-                    "key": [f"{name}:{n}" for n in range(len(bins))], "of": [label] * len(bins),
+                    "key": [f"{name}:{n}" for n in range(len(bins))], "of": [stage.label] * len(bins),
                 }
             )  # fmt: skip
-            bars.append(
+            drawn.append(
                 figure.vbar(
-                    "x", 0.38 if d.modelled else 0.7, "mean", source=source, color=COLOURS[key],
+                    "x", 0.38 if d.modelled else 0.7, "mean", source=source, color=stage.colour,
                     nonselection_fill_alpha=1.0, nonselection_line_alpha=1.0,
                     selection_line_color="#000000", selection_line_width=2,
                 )
@@ -354,18 +334,11 @@ def _bars(d: Diagnosis) -> list[tuple[str, Any]]:
             figure.add_layout(whisker)
             code = "const i = source.selected.indices[0]; window.trackresLight(i === undefined ? null : source.data.key[i])"
             source.selected.js_on_change("indices", CustomJS(args={"source": source}, code=code))
-        texts = [
-            ("", "@of"),
-            (name, f"@range {of_base[0].unit}"),
-            ("mean", "@mean Nm (@low to @high)"),
-            ("of", "@seconds s"),
-            ("p", "@p{0.000}"),
-        ]
-        figure.add_tools(HoverTool(renderers=bars, tooltips=texts), TapTool(renderers=bars))
-        figure.xaxis.ticker = FixedTicker(ticks=(np.arange(len(edges)) - 0.5).tolist())
-        figure.xaxis.major_label_overrides = dict(
-            zip((np.arange(len(edges)) - 0.5).tolist(), alike(edges, 0.1 * (edges[-1] - edges[0])), strict=True)
-        )
+        mean_text = ("mean", "@mean Nm (@low to @high)")
+        texts = [("", "@of"), (name, f"@range {unit}"), mean_text, ("of", "@seconds s"), ("p", "@p{0.000}")]
+        figure.add_tools(HoverTool(renderers=drawn, tooltips=texts), TapTool(renderers=drawn))
+        figure.xaxis.ticker = FixedTicker(ticks=ticks)
+        figure.xaxis.major_label_overrides = dict(zip(ticks, alike(edges, 0.1 * (edges[-1] - edges[0])), strict=True))
         figure.yaxis.ticker.desired_num_ticks = 4
         found.append(("bars", figure))
     rim = 0.05 * (max(ends) - min(ends)) + 1e-9

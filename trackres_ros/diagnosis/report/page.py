@@ -6,15 +6,24 @@
 from __future__ import annotations
 
 import base64
+import hashlib
+import platform
+import shlex
+import sys
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import scipy
 
 from trackres_ros.diagnosis.report.interactive import Interactive
 from trackres_ros.diagnosis.report.picture import Picture
 from trackres_ros.diagnosis.report.tiles import by_file, headline, lights, stage_of, tiles
 from trackres_ros.text.numbers import alike, decimals, figures
 from trackres_ros.text.templates import templates
+from trackres_ros.version import __version__
 
 KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
 VERDICTS = {
@@ -53,9 +62,8 @@ def write_page(
     MissingExtraError
         Without jinja2.
     """
-    environment = templates(
-        "trackres_ros.diagnosis.report", "report.html", "diagnosis", figures=figures, interval=interval, r2=r2
-    )
+    package = "trackres_ros.diagnosis.report"
+    environment = templates(package, "report.html", "diagnosis", figures=figures, interval=interval, r2=r2)
     page = environment.get_template("page.html").render(
         r=report,
         title=title,
@@ -68,16 +76,11 @@ def write_page(
         stage=stage_of(report),
         plots=plots if isinstance(plots, Interactive) else None,
         no_plots=plots if isinstance(plots, str) else "",
-        script=script(),
+        script=Path(__file__).with_name("page.js").read_text(encoding="utf-8"),
         provenance=provenance,
         pictures=[(p, KINDS[p.path.suffix], base64.b64encode(p.path.read_bytes()).decode()) for p in pictures],
     )
     path.write_text(page, encoding="utf-8")
-
-
-def script() -> str:
-    """The script of the page."""
-    return Path(__file__).with_name("page.js").read_text(encoding="utf-8")
 
 
 def r2(value: float | None) -> str:
@@ -95,3 +98,26 @@ def interval(parameter: dict[str, Any]) -> tuple[str, str, str]:
     low, high = parameter["ci95"]
     value, nominal, *ends = alike((*values, low, high), high - low)
     return value, " … ".join(ends), nominal
+
+
+def provenance(read: Sequence[Path], seconds: float | None) -> list[tuple[str, str]]:
+    """Name and text of each item of the provenance, from the read files and folders and the duration of the diagnosis."""
+    versions = f"trackres {__version__}, Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}"
+    return [
+        ("made", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"),
+        ("version", versions),
+        ("command", shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])),
+        *([] if seconds is None else [("duration", f"{seconds:.1f} s, without this page")]),
+        *((path.name, f"SHA-256 {digest}") for path in read if (digest := sha256(path))),
+    ]
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file, or of all files of a folder in sequence; empty if neither exists."""
+    files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else []
+    digest = hashlib.sha256()
+    for file in files:
+        with file.open("rb") as content:
+            while block := content.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest() if files else ""

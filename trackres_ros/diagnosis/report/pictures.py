@@ -5,29 +5,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, smoothed, swings_of
-from trackres_ros.diagnosis.findings.residual_bins import Bin
+from trackres_ros.diagnosis.empirical.torque import torque_residuals
+from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, rms_over_time, smoothed
+from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.report.believed_pictures import draw_believed
-from trackres_ros.diagnosis.report.noise_pictures import draw_noise
 from trackres_ros.diagnosis.report.picture import MOST_POINTS, TITLE_LETTERS, WIDTH, Picture
-from trackres_ros.diagnosis.report.route_pictures import draw_route
 from trackres_ros.diagnosis.report.series import (
-    bins_by_variable,
+    INTERVAL,
+    bars,
     clock,
     half_interval,
     lasting,
     runs,
     shown_lap,
     stages,
-    uncertainty,
 )
-from trackres_ros.diagnosis.report.term_pictures import draw_effect, draw_term
+from trackres_ros.diagnosis.report.term_pictures import draw_effect, draw_route, draw_term
+from trackres_ros.diagnosis.report.timeline import draw_timeline
 from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, picture, picture_with_legend, shortened, thinned
 from trackres_ros.text.numbers import alike, decimals, figures
 
@@ -38,12 +38,15 @@ PIECE_S = 30.0  # mean errors of longer pieces are hardly correlated
 ROUTE_PICTURES = "route.svg", "route_beside.svg"
 DARK = "#333333"
 IN_ONE_COLUMN, MOST_RECORDINGS = 8, 24
+LAGS = 30
+SHOWN_FREQUENCIES = 400
+BARTLETT = 1.358  # over the root of the number of frequencies: 95 % of white noise stays within (Kolmogorov and Smirnov)
 
 
 def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
     """Draw all pictures of a diagnosis into a folder."""
     found = [
-        draw_believed(d, folder / "believed.svg"),
+        draw_timeline(d, folder / "believed.svg"),
         draw_before_after(d, folder / "before_after.svg"),
         draw_times(d, folder / "where_time.svg"),
         draw_regimes(d, folder / "where_regime.svg"),
@@ -53,7 +56,7 @@ def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
     found += [draw_term(d, t, folder / f"term_{t.described.name}.svg") for t in d.described if t.described.name not in by_place]
     found += [draw_route(route, d.final, folder / name) for name, route in zip(ROUTE_PICTURES, d.routes, strict=False)]
     found.append(_laps(d, folder / "held_out.svg"))
-    found.append(draw_noise(d, folder / "noise.svg"))
+    found.append(_noise(d, folder / "noise.svg"))
     if len(d.steps[-1].separability.of_names.names) > 1:
         found.append(_matrix(d, folder / "separability.svg"))
     return found
@@ -80,22 +83,17 @@ def draw_before_after(d: Diagnosis, path: Path) -> Picture:
         lower.plot(time, session.speed[rows], color=GREY)
         lower.set_ylabel("speed [m/s]")
         lower.set_xlabel("time [s]")
-    error = [float(np.nanmean(np.abs(measured - simulated))) for simulated in (before, after)]
-    return Picture(
-        path,
-        "Measured against simulated",
-        f"Torque over time on a held-out lap: the mean error is {decimals(error[0])} Nm"
-        f"{f' before and {decimals(error[1])} Nm with {_listed(d)}' if d.modelled else ''}.",
-    )
+    error = [decimals(float(np.nanmean(np.abs(measured - simulated)))) for simulated in (before, after)]
+    with_terms = f" before and {error[1]} Nm with {', '.join(d.modelled)}" if d.modelled else ""
+    text = f"Torque over time on a held-out lap: the mean error is {error[0]} Nm{with_terms}."
+    return Picture(path, "Measured against simulated", text)
 
 
 def draw_times(d: Diagnosis, path: Path) -> Picture:
     """The residual over the time of each recording, with or without a named effect; of very many, the worst."""
     unit, word = clock(d)
-    shown_as = {"nominal": (GREY, 0.7), "refitted": (BLUE, 1.1), "with_effects": (VERMILION, 1.1)}
-    kinds = [(label, *shown_as[key]) for key, label, _ in stages(d)]
-    residuals = [[smoothed(s, s.torque - of[i]) for i, s in enumerate(d.sessions)] for _, _, of in stages(d)]
-    sizes, swings = swings_of(residuals[1])
+    residuals = [[smoothed(s, s.torque - stage.torques[i]) for i, s in enumerate(d.sessions)] for stage in stages(d)]
+    sizes, rms_nm = rms_over_time(residuals[1])
     shown = sorted(np.argsort(sizes)[::-1][:MOST_RECORDINGS].tolist())
     columns = 1 if len(shown) <= IN_ONE_COLUMN else 2
     rows = -(-len(shown) // columns)
@@ -106,8 +104,9 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
             session = d.sessions[i]
             for begin, end in runs(session, np.isin(session.block, d.split.held_out)):
                 axis.axvspan(begin / unit, end / unit, color=GREY, alpha=0.18, linewidth=0, label="held out")
-            for (label, color, linewidth), of in zip(kinds, residuals, strict=True):
-                axis.plot(*thinned(session.time / unit, of[i], MOST_POINTS), color=color, label=label, linewidth=linewidth)
+            for stage, of in zip(stages(d), residuals, strict=True):
+                line = thinned(session.time / unit, of[i], MOST_POINTS)
+                axis.plot(*line, color=stage.colour, label=stage.label, linewidth=0.7 if stage.key == "nominal" else 1.1)
             for found in d.found[:1]:
                 for span in found.where:
                     if span.recording == session.name:
@@ -124,83 +123,66 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
         for column in grid.T:
             [axis for axis in column if axis.get_visible()][-1].set_xlabel(f"time [{word}]")
         body.supylabel("measured minus simulated [Nm]", fontsize=9)
-    left_out = len(d.sessions) - len(shown)
-    worst = (
-        f" Of {len(d.sessions)} recordings, the {len(shown)} with the largest error;{left_out} are not drawn." if left_out else ""
-    )
+    count, left_out = len(d.sessions), len(d.sessions) - len(shown)
+    worst = f" Of {count} recordings, the {len(shown)} with the largest error;{left_out} are not drawn." if left_out else ""
     return Picture(
         path,
         "Where: over time",
         f"Measured minus simulated torque over the time of each recording, means over {lasting(d, SMOOTHED_S)}; with gaps where "
-        f"nothing could be compared. With the base re-fitted the root mean square is {decimals(swings)} Nm.{worst}",
+        f"nothing could be compared. With the base re-fitted the root mean square is {decimals(rms_nm)} Nm.{worst}",
     )
 
 
 def draw_regimes(d: Diagnosis, path: Path) -> Picture:
     """The mean residual by bins of each variable that varies, between the edges of the bins."""
-    by_variable, at_end = bins_by_variable(d.at_base.bins), bins_by_variable(d.at_end.bins)
-    expected = {key: of for key, _, of in stages(d)}
-    columns = 2
-    rows = max(1, -(-len(by_variable) // columns))
+    variables, columns = list(bars(d)), 2
+    rows = max(1, -(-len(variables) // columns))
     with picture_with_legend(path, WIDTH, 1.55 * rows + 0.4) as body:
         axes = body.subplots(rows, columns, squeeze=False, sharey=True).ravel()
-        for axis, (name, of_base) in zip(axes, by_variable.items(), strict=False):
-            edges = sorted({edge for b in of_base for edge in (b.low, b.high)})
-            places = np.arange(len(edges)) - 0.5
-            kinds = [(-0.2, BLUE, "base re-fitted", "refitted", of_base)]
-            if d.modelled:
-                kinds.append((0.2, VERMILION, "with the effects", "with_effects", at_end.get(name, [])))
-            for shift, color, label, stage, bins in kinds:
-                at = np.interp([0.5 * (b.low + b.high) for b in bins], edges, places) + (shift if d.modelled else 0.0)
-                mean, half = [b.mean_residual for b in bins], [uncertainty(d, b, expected[stage]) for b in bins]
-                axis.bar(at, mean, 0.38 if d.modelled else 0.7, color=color, label=label)
+        for axis, (name, edges, of_stages) in zip(axes, variables, strict=False):
+            for stage, bins, at, half in of_stages:
+                mean = [b.mean_residual for b in bins]
+                axis.bar(at, mean, 0.38 if d.modelled else 0.7, color=stage.colour, label=stage.label)
                 axis.errorbar(at, mean, half, fmt="none", ecolor=DARK, elinewidth=0.8, capsize=1.5)
                 for x, b in zip(at, bins, strict=True):
                     if b.p < 0.05:
                         above = b.mean_residual > 0
                         axis.annotate(
                             "*", (x, 0.0), (0, -1 if above else 1), textcoords="offset points", ha="center",
-                            va="top" if above else "bottom", color=color,
+                            va="top" if above else "bottom", color=stage.colour,
                         )  # fmt: skip
-            axis.set_xticks(places, alike(edges, 0.1 * (edges[-1] - edges[0])), fontsize=7)
+            axis.set_xticks(np.arange(len(edges)) - 0.5, alike(edges, 0.1 * (edges[-1] - edges[0])), fontsize=7)
             axis.margins(y=0.15)
             axis.axhline(0.0, color=GREY, linewidth=0.8)
-            axis.set_title(f"{name} [{of_base[0].unit}]", fontsize=8.5)
-        for axis in axes[len(by_variable) :]:
+            axis.set_title(f"{name} [{of_stages[0].bins[0].unit}]", fontsize=8.5)
+        for axis in axes[len(variables) :]:
             axis.set_visible(False)
-        if not by_variable:
+        if not variables:
             axes[0].set_visible(True)
             axes[0].text(0.5, 0.5, "nothing varies enough to locate the residual", ha="center", transform=axes[0].transAxes)
         body.supylabel("mean residual [Nm]", fontsize=9)
+    texts = []
+    for b in d.at_base.significant[:5]:
+        low, high = alike((b.low, b.high), b.high - b.low)
+        texts.append(f"{decimals(b.mean_residual, signed=True)} Nm at {b.variable} {low} to {high} {b.unit}")
     text = (
-        "; ".join(f"{decimals(b.mean_residual, signed=True)} Nm {_at(b)}" for b in d.at_base.significant[:5])
-        or "no bin exceeds the noise"
-    )
-    return Picture(
-        path,
-        "Where: by regime",
         "Mean residual by bins of each variable, each with as many samples; the numbers are the edges of the bins, lines "
-        f"are 95 % intervals over laps, and a star marks bins beyond noise. With the base re-fitted: {text}.",
+        "are 95 % intervals over laps, and a star marks bins beyond noise. With the base re-fitted: "
+        f"{'; '.join(texts) or 'no bin exceeds the noise'}."
     )
-
-
-def _at(b: Bin) -> str:
-    low, high = alike((b.low, b.high), b.high - b.low)
-    return f"at {b.variable} {low} to {high} {b.unit}"
+    return Picture(path, "Where: by regime", text)
 
 
 def _laps(d: Diagnosis, path: Path) -> Picture:
     h = d.held_out
     with picture_with_legend(path, WIDTH, 2.2) as body:
         axis = body.subplots()
-        colours = {"nominal": GREY, "refitted": BLUE, "with_effects": VERMILION}
-        kinds = [(key, colours[key], label) for key, label, _ in stages(d)]
-        wide = 0.8 / len(kinds)
-        for i, (stage, color, label) in enumerate(kinds):
-            place = np.arange(len(h.laps)) + (i - 0.5 * (len(kinds) - 1)) * wide
-            axis.bar(place, h.by_lap["mae"][stage], wide, color=color, label=label)
-            half = _uncertainty_of_laps(d, stage)
-            axis.errorbar(place, h.by_lap["mae"][stage], half, fmt="none", ecolor=DARK, elinewidth=0.8, capsize=1.5)
+        wide = 0.8 / len(stages(d))
+        for i, stage in enumerate(stages(d)):
+            place = np.arange(len(h.laps)) + (i - 0.5 * (len(stages(d)) - 1)) * wide
+            axis.bar(place, h.by_lap["mae"][stage.key], wide, color=stage.colour, label=stage.label)
+            half = _uncertainty_of_laps(d, stage.torques)
+            axis.errorbar(place, h.by_lap["mae"][stage.key], half, fmt="none", ecolor=DARK, elinewidth=0.8, capsize=1.5)
         every = -(-len(h.laps) // 30)
         axis.set_xticks(np.arange(0, len(h.laps), every), [str(i + 1) for i in range(0, len(h.laps), every)])
         axis.set_xlabel("held-out lap")
@@ -210,14 +192,13 @@ def _laps(d: Diagnosis, path: Path) -> Picture:
         path,
         "How much it improves the model",
         f"Mean absolute error by held-out lap, with 95 % intervals over pieces of {lasting(d, PIECE_S)}; over all: "
-        + ", ".join(f"{label} {figures(h.mae[stage])} Nm" for stage, _, label in kinds)
+        + ", ".join(f"{stage.label} {figures(h.mae[stage.key])} Nm" for stage in stages(d))
         + ".",
     )
 
 
-def _uncertainty_of_laps(d: Diagnosis, stage: str) -> list[float]:
+def _uncertainty_of_laps(d: Diagnosis, expected: Sequence[Array]) -> list[float]:
     """Half of the 95 % interval of the mean error of each hold-out lap [Nm], over its pieces; nan for a lap of one piece."""
-    expected = next(of for key, _, of in stages(d) if key == stage)
     found = []
     masks = [d.split.held_out_mask(s) for s in d.sessions]
     for lap in sorted({int(b) for s, m in zip(d.sessions, masks, strict=True) for b in np.unique(s.block[m])}):
@@ -247,5 +228,56 @@ def _matrix(d: Diagnosis, path: Path) -> Picture:
     return Picture(path, "Which effects look alike", f"Cosine similarity of the visible effects; pairs above 0.95: {alike}.")
 
 
-def _listed(d: Diagnosis) -> str:
-    return ", ".join(d.modelled)
+def autocorrelation(rows: Sequence[Array], lags: int = LAGS) -> tuple[Array, Array]:
+    """Autocorrelation at lags 1 and up of series with gaps (nan), and the number of pairs of each."""
+    rows = [row - np.nanmean(np.concatenate(list(rows))) for row in rows]
+    square = np.nanmean(np.concatenate(rows) ** 2)
+    found, pairs = np.zeros(lags), np.zeros(lags)
+    for lag in range(1, lags + 1):
+        products = np.concatenate([row[lag:] * row[:-lag] for row in rows if len(row) > lag] or [np.full(1, np.nan)])
+        pairs[lag - 1] = np.isfinite(products).sum()
+        found[lag - 1] = np.nanmean(products) / square if pairs[lag - 1] else np.nan
+    return found, pairs
+
+
+def cumulative_power(rows: Sequence[Array]) -> Array:
+    """Cumulative share of the power over the frequency of concatenated series without gaps; shape (frequencies,)."""
+    joined = np.concatenate([row[np.isfinite(row)] for row in rows])
+    power = np.abs(np.fft.rfft(joined - joined.mean())[1:-1]) ** 2
+    return np.asarray(np.cumsum(power) / power.sum())
+
+
+def _noise(d: Diagnosis, path: Path) -> Picture:
+    """Autocorrelation and cumulative periodogram of the plain and whitened residual, with bounds of white noise."""
+    fit, step = for_tests(d.final), d.sessions[0].step
+    plain = [np.where(mask, r, np.nan) for r, mask in zip(torque_residuals(fit), fit.problem.masks, strict=True)]
+    white = fit.white[: len(plain)]
+    with picture_with_legend(path, WIDTH, 2.3) as body:
+        left, right = body.subplots(1, 2)
+        for rows, colour, label, shift in ((plain, GREY, "residual", -0.2), (white, BLUE, "whitened", 0.2)):
+            found, pairs = autocorrelation(rows)
+            lags = np.arange(1, LAGS + 1)
+            left.bar((lags + shift) * step, found, 0.4 * step, color=colour, label=label)
+            power = cumulative_power(rows)
+            every = max(1, len(power) // SHOWN_FREQUENCIES)
+            frequency = np.linspace(0.0, 0.5 / step, len(power))
+            right.plot(frequency[::every], power[::every], color=colour, label=label)
+        bound = INTERVAL / np.sqrt(np.maximum(pairs, 1.0))
+        beyond = int((np.abs(found) > bound).sum())
+        left.plot(lags * step, bound, color=VERMILION, linestyle="--", linewidth=1.0, label="95 % bounds of white noise")
+        left.plot(lags * step, -bound, color=VERMILION, linestyle="--", linewidth=1.0)
+        rim = BARTLETT / np.sqrt(max(len(power), 1))
+        for side in (-rim, rim):
+            right.plot([0.0, 0.5 / step], [side, 1.0 + side], color=VERMILION, linestyle="--", linewidth=1.0)
+        right.set_ylim(0.0, 1.0)
+        left.set_xlabel("lag [s]")
+        left.set_ylabel("autocorrelation")
+        right.set_xlabel("frequency [Hz]")
+        right.set_ylabel("cumulative share of power")
+    return Picture(
+        path,
+        "Is the residual white noise?",
+        f"Autocorrelation and cumulative periodogram of the residual after the last fit, raw and whitened. Of "
+        f"{LAGS} lags of the whitened residual, {beyond} exceed the bounds of white noise, "
+        f"where {figures(0.05 * LAGS, 2)} would by chance.",
+    )

@@ -6,14 +6,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.base.variables import BY_NAME
+from trackres_ros.diagnosis.findings.found import NamedEffect
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import DriveSession, Mask
+from trackres_ros.output.style import BLUE, GREY, VERMILION
 
 Array = NDArray[np.float64]
 
@@ -21,12 +25,30 @@ NOWHERE, IN_TWO = ".", "a"
 INTERVAL = 1.96  # standard deviations, of 95 %
 
 
-def stages(d: Diagnosis) -> list[tuple[str, str, Sequence[Array]]]:
-    """Key, words and predicted torque of each session [Nm] of each completed stage."""
-    found: list[tuple[str, str, Sequence[Array]]] = [
-        ("nominal", "vehicle file as given", d.nominal),
-        ("refitted", "base re-fitted", [p.torque for p in d.refitted.predicted]),
-        ("with_effects", "with the effects", [p.torque for p in d.final.predicted]),
+class Stage(NamedTuple):
+    """A completed stage."""
+
+    key: str  # in report.json
+    label: str
+    colour: str
+    torques: Sequence[Array]  # predicted for each session [Nm]
+
+
+class Bars(NamedTuple):
+    """Mean residuals of a stage by bins of a variable."""
+
+    stage: Stage
+    bins: Sequence[Bin]
+    x: Array  # middle of each bin, with the edges at -0.5, 0.5, ...
+    half: Array  # half of the 95 % interval [Nm]
+
+
+def stages(d: Diagnosis) -> list[Stage]:
+    """The completed stages."""
+    found = [
+        Stage("nominal", "vehicle file as given", GREY, d.nominal),
+        Stage("refitted", "base re-fitted", BLUE, [p.torque for p in d.refitted.predicted]),
+        Stage("with_effects", "with the effects", VERMILION, [p.torque for p in d.final.predicted]),
     ]
     return found if d.modelled else found[:2]
 
@@ -67,7 +89,7 @@ def bins_by_variable(bins: Sequence[Bin]) -> dict[str, list[Bin]]:
     return {name: of for name, of in found.items() if len(of) > 1}
 
 
-def where_each_step_is(d: Diagnosis) -> list[dict[str, str]]:
+def bins_of_steps(d: Diagnosis) -> list[dict[str, str]]:
     """Bin numbers of each session by variable, one letter per step; `NOWHERE` without a bin or comparison.
     A step on the edge of two bins has a letter from `IN_TWO` on, the first for bins 0 and 1.
 
@@ -75,18 +97,28 @@ def where_each_step_is(d: Diagnosis) -> list[dict[str, str]]:
     """
     found = []
     for i, session in enumerate(d.sessions):
-        letters = {}
-        for name, bins in bins_by_variable(d.at_base.bins).items():
-            series = BY_NAME[name].of(session, d.refitted.predicted[i])
-            letters[name] = _letters(len(session), [session.used & (series >= b.low) & (series <= b.high) for b in bins])
-        for effect in d.found:
-            inside = np.zeros(len(session), bool)
-            for span in effect.where:
-                if span.recording == session.name:
-                    inside |= (session.time >= span.begin) & (session.time < span.end)
-            letters[f"effect:{effect.name}"] = _letters(len(session), [inside])
+        letters = {
+            name: _letters(len(session), [within(b.variable, b.low, b.high, session, d.refitted.predicted[i]) for b in bins])
+            for name, bins in bins_by_variable(d.at_base.bins).items()
+        }
+        letters |= {f"effect:{effect.name}": _letters(len(session), [acts_most(effect, session)]) for effect in d.found}
         found.append(letters)
     return found
+
+
+def within(variable: str, low: float, high: float, session: DriveSession, predicted: Predicted) -> Mask:
+    """The compared steps of a session within a range of a variable."""
+    series = BY_NAME[variable].of(session, predicted)
+    return np.asarray(session.used & (series >= low) & (series <= high))
+
+
+def acts_most(effect: NamedEffect, session: DriveSession) -> Mask:
+    """The steps of a session where an effect acts most."""
+    inside = np.zeros(len(session), bool)
+    for span in effect.where:
+        if span.recording == session.name:
+            inside |= (session.time >= span.begin) & (session.time < span.end)
+    return inside
 
 
 def _letters(length: int, inside: Sequence[Mask]) -> str:
@@ -102,11 +134,23 @@ def uncertainty(d: Diagnosis, b: Bin, expected: Sequence[Array]) -> float:
     """Half of the 95 % interval of the mean residual of a bin [Nm], over laps; nan if it is in one lap only."""
     off, laps = [], []
     for i, session in enumerate(d.sessions):
-        series = BY_NAME[b.variable].of(session, d.refitted.predicted[i])
-        inside = session.used & (series >= b.low) & (series <= b.high)
+        inside = within(b.variable, b.low, b.high, session, d.refitted.predicted[i])
         off.append((session.torque - expected[i])[inside])
         laps.append(session.block[inside])
     return half_interval(np.concatenate(off), np.concatenate(laps))
+
+
+def bars(d: Diagnosis) -> Iterator[tuple[str, list[float], list[Bars]]]:
+    """Mean residuals by bins of each variable: its label, the edges of the bins, and the bars of each stage after the first."""
+    at_end = bins_by_variable(d.at_end.bins)
+    for name, of_base in bins_by_variable(d.at_base.bins).items():
+        edges = sorted({edge for b in of_base for edge in (b.low, b.high)})
+        found = []
+        for stage, bins, shift in zip(stages(d)[1:], (of_base, at_end.get(name, [])), (-0.2, 0.2), strict=False):
+            x = np.interp([0.5 * (b.low + b.high) for b in bins], edges, np.arange(len(edges)) - 0.5)
+            half = np.array([uncertainty(d, b, stage.torques) for b in bins])
+            found.append(Bars(stage, bins, x + shift if d.modelled else x, half))
+        yield name, edges, found
 
 
 def half_interval(values: Array, pieces: NDArray[np.int64]) -> float:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Pictures of named effects and unnamed terms: the residual without the term, and its torque, over its variable."""
+"""Pictures of named effects and unnamed terms: the residual without the term, and its torque, over its variable or place."""
 
 from __future__ import annotations
 
@@ -13,37 +13,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.variables import BY_NAME
+from trackres_ros.diagnosis.empirical.routes import Route
 from trackres_ros.diagnosis.empirical.terms import Described
-from trackres_ros.diagnosis.findings.found import NamedEffect, Told
-from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, against_travel, evenly_filled, smoothed
+from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
+from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
+from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, evenly_filled, smoothed
+from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.picture import MOST_POINTS, TITLE_LETTERS, WIDTH, Picture
-from trackres_ros.diagnosis.report.series import clock, lasting
+from trackres_ros.diagnosis.report.series import INTERVAL, clock, lasting
 from trackres_ros.output.style import BLUE, GREY, VERMILION, picture_with_legend, shortened, thinned
-from trackres_ros.text.numbers import decimals
+from trackres_ros.route.learned import SLOPE
+from trackres_ros.route.lookup import SPACING_M
+from trackres_ros.text.numbers import decimals, figures
 
 Array = NDArray[np.float64]
 
 SHOWN_BINS = 24
+AGAINST = "torque against travel [Nm]"
+PERCENT = 100.0
 
 
 def draw_effect(d: Diagnosis, found: NamedEffect, path: Path) -> Picture:
     """The residual without the effect, and the effect's torque, over its main variable."""
-    fit = d.final
-    left_over = [s.torque - p.torque for s, p in zip(d.sessions, fit.predicted, strict=True)]
+    left_over = torque_residuals(d.final)
     if found.acts_on != "sensor":
         left_over = against_travel(d.sessions, left_over)
-    variable = BY_NAME[found.acts.variable]
-    course = [variable.of(s, p) for s, p in zip(d.sessions, fit.predicted, strict=True)]
-    return _over(
-        d, course, found.resists, left_over, f"{variable.name} [{variable.unit}]", found.name, f"{found.name}: {found.text}", path
-    )
+    variable = BY_NAME[found.location.variable]
+    course = [variable.of(s, p) for s, p in zip(d.sessions, d.final.predicted, strict=True)]
+    label, title = f"{variable.name} [{variable.unit}]", f"{found.name}: {found.text}"
+    return _over(d, course, found.resists, left_over, label, found.name, title, path)
 
 
-def draw_term(d: Diagnosis, told: Told, path: Path) -> Picture:
+def draw_term(d: Diagnosis, told: UnnamedTerm, path: Path) -> Picture:
     """The same for an unnamed term: over its variable, or over time without one."""
     of = told.described
-    left_over = against_travel(d.sessions, [s.torque - p.torque for s, p in zip(d.sessions, d.final.predicted, strict=True)])
+    left_over = against_travel(d.sessions, torque_residuals(d.final))
     adds = against_travel(d.sessions, told.adds)
     if told.course:
         label = f"{of.variable} [{of.unit}]" if of.unit else of.variable or of.gate
@@ -51,96 +56,78 @@ def draw_term(d: Diagnosis, told: Told, path: Path) -> Picture:
     if of.stretches:
         return _by_stretch(d, of, path)
     if of.form == "level_change":
-        return _over_recordings(d, adds, left_over, of.name, of.sentence, path)
-    return _over_time(d, adds, left_over, of.name, of.sentence, path)
+        return _over_recordings(d, adds, left_over, of, path)
+    return _over_time(d, adds, left_over, of, path)
 
 
-def _label(axis: Any, along: str, title: str) -> None:
-    """Labels of a term's picture: its axis, and its sentence."""
+def _label(axis: Any, along: str, across: str, title: str) -> None:
+    """Labels of a term's picture: its axes, and its sentence."""
     axis.set_xlabel(along)
-    axis.set_ylabel("torque against travel [Nm]")
+    axis.set_ylabel(across)
     axis.set_title(textwrap.fill(title, TITLE_LETTERS))
 
 
-def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], name: str, title: str, path: Path) -> Picture:
+def _begins(d: Diagnosis) -> list[float]:
+    """Start of each recording, all in sequence [s]."""
+    return [float(x) for x in np.cumsum([0.0, *(s.time[-1] + s.step for s in d.sessions[:-1])])]
+
+
+def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], of: Described, path: Path) -> Picture:
     """All recordings in sequence."""
     unit, word = clock(d)
-    begins = np.cumsum([0.0, *(s.time[-1] + s.step for s in d.sessions)]) / unit
+    without = f"residual without the term, means over {lasting(d, SMOOTHED_S)}"
     with picture_with_legend(path, WIDTH, 3.0) as body:
         axis = body.subplots()
-        for session, begin, left, term in zip(d.sessions, begins[:-1], left_over, adds, strict=True):
-            time = begin + session.time / unit
-            without = smoothed(session, left + term)
-            axis.plot(
-                *thinned(time, without, MOST_POINTS),
-                color=BLUE,
-                label=f"residual without the term, means over {lasting(d, SMOOTHED_S)}",
-            )
-            axis.plot(time, np.where(session.used, term, np.nan), color=VERMILION, label=f"{name} as found")
-            axis.axvline(begin, color=GREY, linestyle="--", linewidth=0.8, label="a recording begins")
+        for session, begin, left, term in zip(d.sessions, _begins(d), left_over, adds, strict=True):
+            time = begin / unit + session.time / unit
+            axis.plot(*thinned(time, smoothed(session, left + term), MOST_POINTS), color=BLUE, label=without)
+            axis.plot(time, np.where(session.used, term, np.nan), color=VERMILION, label=f"{of.name} as found")
+            axis.axvline(begin / unit, color=GREY, linestyle="--", linewidth=0.8, label="a recording begins")
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        _label(axis, f"time over consecutive recordings [{word}]", title)
-    return Picture(
-        path,
-        f"The term: {name}",
+        _label(axis, f"time over consecutive recordings [{word}]", AGAINST, of.sentence)
+    text = (
         "Residual without the term, and the term, over all recordings in sequence. On hold-out laps the term follows from time "
-        "alone.",
+        "alone."
     )
+    return Picture(path, f"The term: {of.name}", text)
 
 
 def _by_stretch(d: Diagnosis, of: Described, path: Path) -> Picture:
     """The mass of each stretch with its interval, all recordings in sequence."""
-    begins = dict(
-        zip((s.name for s in d.sessions), np.cumsum([0.0, *(s.time[-1] + s.step for s in d.sessions[:-1])]), strict=True)
-    )
-    edges = np.array([[s.begin_s, s.end_s] for s in of.stretches]) + np.array([[begins[s.recording]] for s in of.stretches])
+    begins = dict(zip((s.name for s in d.sessions), _begins(d), strict=True))
+    edges = np.array([[begins[s.recording] + s.begin_s, begins[s.recording] + s.end_s] for s in of.stretches])
     mass, std = np.array([s.mass for s in of.stretches]), np.array([s.std for s in of.stretches])
     with picture_with_legend(path, WIDTH, 3.0) as body:
         axis = body.subplots()
-        axis.errorbar(
-            edges.mean(axis=1) / 60.0, mass, 1.96 * std, 0.5 * np.diff(edges, axis=1)[:, 0] / 60.0, fmt="none", color=VERMILION,
-            linewidth=1.2, label="mass between two stops, with its 95 % interval",
-        )  # fmt: skip
+        middle, half = edges.mean(axis=1) / 60.0, 0.5 * np.diff(edges, axis=1)[:, 0] / 60.0
+        label = "mass between two stops, with its 95 % interval"
+        axis.errorbar(middle, mass, INTERVAL * std, half, fmt="none", color=VERMILION, linewidth=1.2, label=label)
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        axis.set_xlabel("time over consecutive recordings [min]")
-        axis.set_ylabel("mass minus the model's [kg]")
-        axis.set_title(textwrap.fill(of.sentence, TITLE_LETTERS))
-    return Picture(
-        path,
-        f"The term: {of.name}",
-        "Mass of each fitted stretch between stops, minus the model's. Acceleration, rolling and climbing determine it.",
-    )
+        _label(axis, "time over consecutive recordings [min]", "mass minus the model's [kg]", of.sentence)
+    text = "Mass of each fitted stretch between stops, minus the model's. Acceleration, rolling and climbing determine it."
+    return Picture(path, f"The term: {of.name}", text)
 
 
-def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], name: str, title: str, path: Path) -> Picture:
+def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], of: Described, path: Path) -> Picture:
     """The recording with the largest torque of the term."""
-    acts = [float(np.abs(x[s.used]).sum()) for x, s in zip(adds, d.sessions, strict=True)]
-    i = int(np.argmax(acts))
+    i = int(np.argmax([float(np.abs(x[s.used]).sum()) for x, s in zip(adds, d.sessions, strict=True)]))
     session = d.sessions[i]
     left = smoothed(session, left_over[i] + adds[i])
     with picture_with_legend(path, WIDTH, 3.0) as body:
         axis = body.subplots()
         axis.plot(session.time, left, color=BLUE, label=f"residual without the term, means over {lasting(d, SMOOTHED_S)}")
-        axis.plot(session.time, np.where(session.used, adds[i], np.nan), color=VERMILION, label=f"{name} as found")
+        axis.plot(session.time, np.where(session.used, adds[i], np.nan), color=VERMILION, label=f"{of.name} as found")
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        _label(axis, f"time in {shortened(Path(session.name).name, TITLE_LETTERS - 40)} [s]", title)
-    return Picture(
-        path,
-        f"The term: {name}",
+        _label(axis, f"time in {shortened(Path(session.name).name, TITLE_LETTERS - 40)} [s]", AGAINST, of.sentence)
+    text = (
         "Residual without the term, and the term, over the recording in which it acts most; on hold-out laps the "
-        "term is predicted from the torque up to a few seconds before.",
+        "term is predicted from the torque up to a few seconds before."
     )
+    return Picture(path, f"The term: {of.name}", text)
 
 
 def _over(
-    d: Diagnosis,
-    course: list[Array],
-    adds_: list[Array],
-    left_over: list[Array],
-    label: str,
-    name: str,
-    title: str,
-    path: Path,
+    d: Diagnosis, course: list[Array], adds_: list[Array], left_over: list[Array], label: str, name: str, title: str, path: Path
 ) -> Picture:
     """The residual without a term, and the term's torque, over its variable."""
     used = np.concatenate([s.used for s in d.sessions])
@@ -153,21 +140,48 @@ def _over(
         axis = body.subplots()
         shown = count > 0
         axis.errorbar(
-            middle[shown],
-            left[shown],
-            spread[shown],
-            fmt="o",
-            color=BLUE,
-            ecolor=GREY,
-            markersize=4,
-            linewidth=1.0,
+            middle[shown], left[shown], spread[shown], fmt="o", color=BLUE, ecolor=GREY, markersize=4, linewidth=1.0,
             label="residual without it, mean and spread",
-        )
+        )  # fmt: skip
         axis.plot(middle[shown], term[shown], color=VERMILION, label=f"{name} as fitted")
-        _label(axis, label, title)
+        _label(axis, label, AGAINST, title)
+    least, most = decimals(term[shown].min()), decimals(term[shown].max())
+    text = f"Residual without {name}, and the fitted term, over {label}; from {least} to {most} Nm."
+    return Picture(path, f"The term: {name}", text)
+
+
+def draw_route(route: Route, final: Fit, path: Path) -> Picture:
+    """Draw a slope or a torque by place, as learned on the fitted laps."""
+    learned = route.learned(final)
+    slope = learned.kind == SLOPE
+    factor, unit = (PERCENT, "slope [%]") if slope else (1.0, "torque [Nm]")
+    way = 0.001 * SPACING_M * np.arange(len(learned.passes))
+    x, y = (0.001 * part for part in learned.frame.metres(learned.latitude, learned.longitude))
+    with picture_with_legend(path, WIDTH, 5.4) as body:
+        along, seen = body.subplots(2, 1, height_ratios=(2.0, 3.0))
+        ways = ((0, BLUE, "uphill positive"),) if slope else ((0, BLUE, "one way"), (1, VERMILION, "opposite direction"))
+        for column, color, label in ways:
+            value, std = factor * learned.value[:, column], factor * learned.std[:, column]
+            along.fill_between(way, value - INTERVAL * std, value + INTERVAL * std, color=color, alpha=0.25, linewidth=0.0)
+            along.plot(way, value, color=color, linewidth=1.0, label=f"{label}, with its 95 % interval")
+        along.axhline(0.0, color=GREY, linewidth=0.8)
+        along.set_xlabel("matched distance along the streets, in the order of the first drive [km]")
+        along.set_ylabel(unit)
+        ways_known = np.isfinite(learned.value).sum(axis=1)
+        mean = np.nansum(learned.value, axis=1) / np.where(ways_known > 0, ways_known, np.nan)
+        shown = factor * (learned.value[:, 0] if slope else mean)
+        most = float(np.nanmax(np.abs(shown)))
+        dots = seen.scatter(x, y, c=shown, cmap="coolwarm", vmin=-most, vmax=most, s=8.0, rasterized=True)
+        body.colorbar(dots, ax=seen, label=f"{unit}, in the direction of the first drive" if slope else unit)
+        seen.set_aspect("equal")
+        seen.set_xlabel("east [km]")
+        seen.set_ylabel("north [km]")
+    unit, what = ("%", "The slope") if slope else ("Nm", "The torque")
+    low, high = (figures(float(q), 2) for q in np.nanquantile(factor * learned.value, (0.025, 0.975)))
+    sure = figures(factor * float(np.nanmedian(learned.std)), 2)
     return Picture(
         path,
-        f"The term: {name}",
-        f"Residual without {name}, and the fitted term, over {label}; "
-        f"from {decimals(term[shown].min())} to {decimals(term[shown].max())} Nm.",
+        "By place",
+        f"{what} of each place over the matched distance, and a map of the places; most values are between {low} and {high} "
+        f"{unit}, with a median standard deviation of {sure} {unit}.",
     )

@@ -6,18 +6,19 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from trackres_ros.diagnosis.findings.wording import form_words
+from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
+from trackres_ros.diagnosis.findings.wording import form_words, upper
 from trackres_ros.diagnosis.selection.held_out import SMALL_SHARE
 from trackres_ros.text.numbers import alike, decimals, figures
 
 MOST_WORDS = 40  # upper limit for the sentence
 STANDS_OUT_P = 0.05
 FEW = 3  # most names in a sentence
-LACK_OF_FIT_P = 0.01
 FOLLOWED = ("recordings", "drift")  # forms that no torque model has
 AVERAGED = "Averaged"  # first word of a slow residual's description
 LEAST_SHARE = 0.01  # of the mean error: least gain for a new file
@@ -60,7 +61,7 @@ def headline(report: dict[str, Any]) -> str:
         others = f"Also confirmed: {_names(report)}" if _names(report) else "No effect of the catalogue explains this"
         parts = [first, errors, others]
     else:
-        placed = where.detail if where.answer == "Everywhere" else f"{where.answer}, {_lower(where.detail)}"
+        placed = where.detail if where.answer == "Everywhere" else f"{where.answer}, {where.detail[:1].lower()}{where.detail[1:]}"
         parts = [placed, f"The cause{'s are' if len(_sure(report)) > 1 else ' is'} {_names(report)} ({_grade(report)})", errors]
     text = ""
     for part in parts:
@@ -81,12 +82,6 @@ def stage_of(report: dict[str, Any]) -> str:
     return "with_effects" if modelled else "refitted"
 
 
-def standing_out(report: dict[str, Any], stage: str = "base") -> list[dict[str, Any]]:
-    """Significant bins, the clearest first."""
-    bins = [b for b in report["residual_by_regime"][stage] if b["p"] is not None and b["p"] < STANDS_OUT_P]
-    return sorted(bins, key=lambda b: (b["p"], -abs(b["mean_residual"] or 0.0)))
-
-
 def range_of(b: dict[str, Any]) -> str:
     """The range of a bin in words."""
     low, high = alike((b["lo"], b["hi"]), (b["hi"] or 0.0) - (b["lo"] or 0.0))
@@ -98,13 +93,14 @@ def lights(report: dict[str, Any], most: int = 6) -> Iterator[tuple[str, str]]:
     for e in report["effects"]:
         if e["where"]["time"]:
             yield f"effect:{e['name']}", f"{_plain(e['name'])} acts most"
-    numbers: dict[str, int] = {}
-    keys = {}
+    numbers = Counter[str]()
+    bins = []
     for b in report["residual_by_regime"]["base"]:
-        numbers[b["variable"]] = numbers.get(b["variable"], -1) + 1
-        keys[id(b)] = f"{b['variable']}:{numbers[b['variable']]}"
-    for b in standing_out(report)[:most]:
-        yield keys[id(b)], f"{range_of(b)}: {decimals(b['mean_residual'], signed=True)} Nm"
+        if b["p"] is not None and b["p"] < STANDS_OUT_P:
+            bins.append((b, f"{b['variable']}:{numbers[b['variable']]}"))
+        numbers[b["variable"]] += 1
+    for b, key in sorted(bins, key=lambda of: (of[0]["p"], -abs(of[0]["mean_residual"] or 0.0)))[:most]:
+        yield key, f"{range_of(b)}: {decimals(b['mean_residual'], signed=True)} Nm"
 
 
 def leading(r: dict[str, Any]) -> dict[str, Any] | None:
@@ -116,7 +112,8 @@ def leading(r: dict[str, Any]) -> dict[str, Any] | None:
 def _where(r: dict[str, Any]) -> Tile:
     name, lead, verdict = "Where", leading(r), r["verdict"]
     if verdict["status"] == "none":
-        ranges = f"{_count(r['residual_by_regime']['end'], 'range')} of speed, load, temperature and more were compared"
+        count = len(r["residual_by_regime"]["end"])
+        ranges = f"{count} range{'' if count == 1 else 's'} of speed, load, temperature and more were compared"
         return Tile(name, "Nowhere after the re-fit" if verdict.get("changed") else "No difference beyond noise", ranges)
     seen = verdict.get("seen") or ""
     if verdict["status"] == "unexplained":
@@ -125,9 +122,8 @@ def _where(r: dict[str, Any]) -> Tile:
             b = max(left, key=lambda b: abs(b["mean_residual"] or 0.0))
             return Tile(name, f"At {range_of(b)}", f"{decimals(b['mean_residual'], signed=True)} Nm on average")
         if lead is None or seen.startswith(AVERAGED):
-            return Tile(
-                name, "At times unrelated to any recorded channel", seen or "The residual changes slowly, over about 30 s"
-            )
+            slow = "The residual changes slowly, over about 30 s"
+            return Tile(name, "At times unrelated to any recorded channel", seen or slow)
     if lead is not None and "form" in lead:
         answers = {
             "spells": "At times, on and off",
@@ -135,7 +131,7 @@ def _where(r: dict[str, Any]) -> Tile:
             "recordings": "From recording to recording",
             "drift": "Over time, slowly",
             "level_change": "Since a point in time",
-            "spread": _upper(lead["gate"] or ""),
+            "spread": upper(lead["gate"] or ""),
         }
         answer = answers.get(lead["form"]) or f"By {lead['variable'] or lead['gate'] or 'time'}"
         size = lead.get("seen_nm") or lead["size_nm"]
@@ -145,9 +141,9 @@ def _where(r: dict[str, Any]) -> Tile:
     if lead is not None:
         acts = lead.get("acts")
         if acts:
-            return Tile(name, _upper(_of_curves(acts["text"])) or "Everywhere", _upper(acts["size"]))
+            return Tile(name, upper(_of_curves(acts["text"])) or "Everywhere", upper(acts["size"]))
         for b in lead["where"]["regime"]:
-            return Tile(name, _upper(range_of(b)), f"{decimals(b['mean_residual'], signed=True)} Nm on average")
+            return Tile(name, upper(range_of(b)), f"{decimals(b['mean_residual'], signed=True)} Nm on average")
     return Tile(name, "Over time", "the picture below shows where")
 
 
@@ -192,13 +188,7 @@ def _better(r: dict[str, Any]) -> Tile:
         return Tile(name, "Unknown", "the hold-out laps have no error to compare")
     share = 100.0 * _share(r)
     same = "Nothing to gain" if r["verdict"]["status"] == "none" else "No better"
-    answer = (
-        f"{share:.0f} % less error"
-        if share >= 100.0 * LEAST_SHARE
-        else f"{-share:.0f} % more error"
-        if share <= -100.0 * LEAST_SHARE
-        else same
-    )
+    answer = same if abs(share) < 100.0 * LEAST_SHARE else f"{abs(share):.0f} % {'less' if share > 0.0 else 'more'} error"
     written = r.get("written")
     kept = "" if written is None or written["base"] or written["effects"] else "; the file keeps its values"
     return Tile(name, answer, f"mean error of the hold-out laps: {_errors(r)}{kept}")
@@ -208,7 +198,7 @@ def _next(r: dict[str, Any]) -> Tile:
     name, lead = "Next", leading(r)
     for a in r["advice"]:
         if lead is None or lead.get("name") in a["separates"]:
-            return Tile(name, "Drive once more", f"{_upper(a['manoeuvre'])} ({figures(a['minutes'], 2)} min)")
+            return Tile(name, "Drive once more", f"{upper(a['manoeuvre'])} ({figures(a['minutes'], 2)} min)")
     if r.get("topics_lines"):
         return Tile(name, "Correct the sensor", f"add to the topics file: {', '.join(r['topics_lines'])}")
     written = r.get("written") or {"base": False, "effects": []}
@@ -289,15 +279,3 @@ def _grade(r: dict[str, Any]) -> str:
 
 def _plain(name: str) -> str:
     return name.replace("_", " ")
-
-
-def _count(of: list[Any], what: str) -> str:
-    return f"{len(of)} {what}{'' if len(of) == 1 else 's'}"
-
-
-def _upper(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
-def _lower(text: str) -> str:
-    return text[:1].lower() + text[1:]

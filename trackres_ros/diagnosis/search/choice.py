@@ -61,7 +61,7 @@ class Chosen:
     def is_named(self, name: str) -> bool:
         """Whether a term has a name: it is in the catalogue, or certainly a slope by place."""
         route = self.term(name).route
-        return self.explanation.candidates[name].is_name or (route is not None and route.told)
+        return self.explanation.candidates[name].is_name or (route is not None and route.is_slope)
 
     def term(self, name: str) -> Term:
         """A term with its properties outside the fit."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from trackres_ros.diagnosis.empirical.candidates import candidates
-from trackres_ros.diagnosis.empirical.finders import Term, terms_beside
+from trackres_ros.diagnosis.empirical.finders import Term, find_terms
 from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.selection.naming import Candidate, Pool, Step, one_round
@@ -108,7 +108,7 @@ class Search:
         routes = {name: term.route for name, term in explanation.terms.items() if term.route is not None}
         found: Iterable[tuple[Candidate, Term | None]] = [
             *((c, None) for c in step.candidates if c.counts(step.by_noise)),
-            *((t.candidate, t) for t in terms_beside(current, self._roads, self._kinds, routes, waves=not explanation.key)),
+            *((t.candidate, t) for t in find_terms(current, self._roads, self._kinds, routes, waves=not explanation.key)),
         ]
         for candidate, term in found:
             terms = explanation.terms if term is None else {**explanation.terms, candidate.name: term}

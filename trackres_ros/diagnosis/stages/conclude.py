@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from trackres_ros.diagnosis.empirical.live_disturbance import drift_to_watch, spells_to_watch
+from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.findings.next_drives import Advice, advise
-from trackres_ros.diagnosis.findings.verdict import NamedEffect, Told, Verdict
+from trackres_ros.diagnosis.findings.verdict import Verdict
 from trackres_ros.diagnosis.search.choice import Chosen
 from trackres_ros.diagnosis.selection.as_used import choose_written
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
@@ -46,7 +47,7 @@ def conclude(
 
 
 def believed_in(
-    found: Sequence[NamedEffect], terms: Sequence[Told], verdict: Verdict, kinds: Mapping[str, str], keep_suspected: bool
+    found: Sequence[NamedEffect], terms: Sequence[UnnamedTerm], verdict: Verdict, kinds: Mapping[str, str], keep_suspected: bool
 ) -> list[str]:
     """Names of the effects that may be written: accepted by the verdict, confirmed on hold-out laps, and with
     all alternatives of the same kind, by the `kinds` of the catalogue. An unnamed term must depend on inputs known at the time.
@@ -63,6 +64,6 @@ def believed_in(
     ]
 
 
-def may_be_kept(f: NamedEffect | Told, verdict: Verdict, keep_suspected: bool) -> bool:
+def may_be_kept(f: NamedEffect | UnnamedTerm, verdict: Verdict, keep_suspected: bool) -> bool:
     """Whether the verdict accepts the term and hold-out laps confirm it, or suspected ones are kept."""
     return keep_suspected or (verdict.names and f.graded.grade == CONFIRMED)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,26 +13,26 @@ import numpy as np
 from trackres_ros.diagnosis.base.patterns import ByPlace
 from trackres_ros.diagnosis.empirical.finders import slow_term
 from trackres_ros.diagnosis.empirical.live_disturbance import drift_on_held_out
-from trackres_ros.diagnosis.empirical.statements import course, said
+from trackres_ros.diagnosis.empirical.statements import describe, variable_of
 from trackres_ros.diagnosis.empirical.terms import Described
+from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
+from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm, by_improvement, changed_values
 from trackres_ros.diagnosis.findings.locate import (
-    acts,
-    against_travel,
+    locate,
     only_later,
     regime_of,
-    seen_where_it_acts,
+    residual_where_it_acts,
+    rms_over_time,
     slow_residual,
     smoothed,
     spans,
-    swings_of,
 )
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, regime_map
 from trackres_ros.diagnosis.findings.spread import Spread, find_spread
-from trackres_ros.diagnosis.findings.verdict import MOST_STRAY, Findings, NamedEffect, Told, Verdict, by_weight, changed_values
+from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, Findings, Verdict
 from trackres_ros.diagnosis.findings.verdict import judge as verdict_of
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
-from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.prepare.torque_checks import inconsistent_scale_notes, nothing_to_conclude
 from trackres_ros.diagnosis.search.choice import Chosen
 from trackres_ros.diagnosis.selection.confirm import Graded
@@ -51,7 +51,7 @@ class Judgement:
     """Final terms, errors, intervals and residuals."""
 
     found: tuple[NamedEffect, ...]  # confirmed named effects, the largest first
-    described: tuple[Told, ...]  # unnamed terms, the largest first
+    described: tuple[UnnamedTerm, ...]  # unnamed terms, the largest first
     drift: Described | None  # the slow residual, where it is larger than expected
     tracked: Improvement | None  # hold-out result of following the drift live
     spread: Spread | None  # conditions with a larger scatter of the torque
@@ -76,9 +76,9 @@ def judge(
     found, terms = _found(base, chosen, bounds), _terms(base, chosen, bounds)
     left_over = slow_residual(final)
     later = only_later(base.refitted, worth.mae["refitted"])
-    drift = slow_term(final) if (left_over.share > MOST_STRAY or later) and not terms else None
+    drift = slow_term(final) if (left_over.share > LARGE_SLOW_SHARE or later) and not terms else None
     tracked = drift_on_held_out(final, base.laps) if drift is not None else None
-    as_term = None if drift is None or tracked is None else Told(drift, [], [], {}, 0.0, Graded(drift.form, tracked, ()))
+    as_term = None if drift is None or tracked is None else UnnamedTerm(drift, [], [], {}, 0.0, Graded(drift.form, tracked, ()))
     spread = find_spread(final)
     changed = () if final.effects else changed_values(base.refitted, bounds)
     verdict = verdict_of(
@@ -121,8 +121,8 @@ def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen) -> HeldOu
 def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
     """The named effects of the final fit."""
     final, sessions = chosen.final, chosen.final.problem.sessions
-    of_base = _residual(base)
-    swings = swings_of([smoothed(s, r) for s, r in zip(sessions, of_base, strict=True)])[1]
+    of_base = torque_residuals(base.refitted)
+    rms_nm = rms_over_time([smoothed(s, r) for s, r in zip(sessions, of_base, strict=True)])[1]
     found = []
     for active in final.effects:
         effect = active.effect
@@ -130,7 +130,7 @@ def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
             continue
         adds = final.contribution(effect.name)
         resists = against_travel(sessions, adds) if effect.acts_on != "sensor" else adds
-        where = acts(final, resists)
+        where = locate(final, resists)
         if isinstance(effect, ByPlace):
             where = replace(where, low=where.least, high=where.most)  # limits by place only
         regime = regime_of(base.refitted, base.at_base, where, effect.acts_on != "sensor")
@@ -138,28 +138,25 @@ def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
             NamedEffect(
                 effect.name, effect.text, effect.acts_on, effect.parameters, chosen.steps[effect.name], active.values,
                 bounds_of(effect.name, bounds), adds, resists, spans(sessions, adds), where, regime,
-                where.residual(regime[0], base.at_base, swings), chosen.graded[effect.name],
+                where.residual(regime[0], base.at_base, rms_nm), chosen.graded[effect.name],
             )
         )  # fmt: skip
-    return [f for f in by_weight(found) if isinstance(f, NamedEffect)]
+    return [f for f in by_improvement(found) if isinstance(f, NamedEffect)]
 
 
-def _terms(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[Told]:
+def _terms(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[UnnamedTerm]:
     """The unnamed terms of the final fit."""
-    final, of_base, terms = chosen.final, _residual(base), []
+    final, of_base, terms = chosen.final, torque_residuals(base.refitted), []
     for name in final.effect_names:
         if not chosen.is_named(name):
             adds, term = final.contribution(name), chosen.term(name)
-            seen_nm = seen_where_it_acts(final.problem.sessions, adds, of_base)
+            seen_nm = residual_where_it_acts(final.problem.sessions, adds, of_base)
             terms.append(
-                Told(said(term, final), adds, course(term, final), bounds_of(name, bounds), seen_nm, chosen.graded[name])
+                UnnamedTerm(
+                    describe(term, final), adds, variable_of(term, final), bounds_of(name, bounds), seen_nm, chosen.graded[name]
+                )
             )
-    return [t for t in by_weight(terms) if isinstance(t, Told)]
-
-
-def _residual(base: Refitted) -> Sequence[Array]:
-    refitted = base.refitted
-    return [s.torque - p.torque for s, p in zip(refitted.problem.sessions, refitted.predicted, strict=True)]
+    return [t for t in by_improvement(terms) if isinstance(t, UnnamedTerm)]
 
 
 def bounds_of(name: str, bounds: Bounds) -> dict[str, Interval]:

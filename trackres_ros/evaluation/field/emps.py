@@ -19,7 +19,7 @@ from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordin
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.prepare.session import Mask
-from trackres_ros.diagnosis.report.believed_pictures import draw_believed
+from trackres_ros.diagnosis.report.timeline import draw_timeline
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals
 from trackres_ros.effects.vehicle.coulomb_friction import CoulombFriction
 from trackres_ros.effects.vehicle.friction_by_direction import FrictionByDirection
@@ -73,7 +73,7 @@ def only(d: Diagnosis, names: Sequence[str]) -> Fit:
 def write_page(tried: SlideTrial, folder: Path, of_pictures: str = "") -> str:
     """Draw the picture into a folder and return the page's tables, whose links begin with `of_pictures`."""
     first, second = tried.lacking, tried.with_friction
-    draw_believed(first, folder / "believed.svg")
+    draw_timeline(first, folder / "believed.svg")
     dry, both = only(first, (COULOMB,)), only(first, (COULOMB, DIRECTION))
     rows = [
         ("mass, viscous friction, offset: the file re-fitted", "viscous", first, first.refitted),

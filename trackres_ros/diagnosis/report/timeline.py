@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The residual over consecutive sessions, and the share of each found term."""
+"""The first picture of a page: the residual over consecutive sessions, and the share of each found term."""
 
 from __future__ import annotations
 
@@ -13,47 +13,38 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.variables import BY_NAME
-from trackres_ros.diagnosis.findings.found import NamedEffect, by_weight
+from trackres_ros.diagnosis.findings.found import NamedEffect, by_improvement
 from trackres_ros.diagnosis.findings.locate import smoothed
 from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
 from trackres_ros.diagnosis.findings.wording import differs, largest_of, range_of, short
 from trackres_ros.diagnosis.inference.fitting import Fit, jacobian, valid_rows
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Mask
-from trackres_ros.diagnosis.report.series import clock, runs
+from trackres_ros.diagnosis.report.picture import WIDTH, Picture
+from trackres_ros.diagnosis.report.series import acts_most, clock, lasting, runs, within
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
-from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
+from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, picture_with_legend, thinned
 from trackres_ros.text.numbers import figures
 
 Array = NDArray[np.float64]
 
 AVERAGED_S = 10.0
 MARK = "#777777"
+MOST_POINTS = 3000  # of a line over all sessions
+LEGEND_LETTERS = 115
+LETTERS = 105  # of a small font over the whole width
 COLOURS = (ORANGE, BLACK, GREEN, PURPLE, SKY)  # of terms, with different lightness; blue and vermilion are residuals
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A line over time.
-
-    Attributes
-    ----------
-    text, colour
-        Entry in the legend.
-    solid
-        Whether it is measured or confirmed; a suspected term is dashed.
-    wide
-        Whether it is a term.
-    values
-        Of each session, averaged over `AVERAGED_S` [Nm]; nan in gaps.
-    """
+    """A line over time."""
 
     text: str
     colour: str
-    solid: bool
-    wide: bool
-    values: Sequence[Array]
+    solid: bool  # whether it is measured or confirmed; a suspected term is dashed
+    wide: bool  # whether it is a term
+    values: Sequence[Array]  # of each session, averaged over `AVERAGED_S` [Nm]; nan in gaps
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,25 +76,21 @@ def _line(d: Diagnosis, text: str, colour: str, expected: Sequence[Array]) -> Li
 
 def terms(d: Diagnosis) -> list[Line]:
     """Part of the re-fitted base's residual due to each term of the last fit. Their sum is the difference of the fits."""
-    of = [t for t in by_weight([*d.found, *d.described]) if t.adds]
+    of = [t for t in by_improvement([*d.found, *d.described]) if t.adds]
     if not of:
         return []
     total = [after.torque - before.torque for after, before in zip(d.final.predicted, d.refitted.predicted, strict=True)]
     shown = _beyond_a_refit(d.refitted, [t.adds for t in of]) if len(of) > 1 else [list(of[0].adds)]
     sizes = np.array([np.mean(np.concatenate(list(t.adds)) ** 2) for t in of])
+    rest = [whole - sum(each) for whole, each in zip(total, zip(*shown, strict=True), strict=True)]
     lines = []
     for i, t in enumerate(of):
         share = float(sizes[i] / max(sizes.sum(), 1e-300))
-        rest = [whole - sum(each) for whole, each in zip(total, zip(*shown, strict=True), strict=True)]
-        values = [own + share * r for own, r in zip(shown[i], rest, strict=True)]
         sure = t.graded.grade == CONFIRMED
-        averaged = [smoothed(s, v, AVERAGED_S) for s, v in zip(d.sessions, values, strict=True)]
-        lines.append(Line(_named(short(t), sure), COLOURS[i % len(COLOURS)], sure, True, averaged))
+        name = f"{short(t).replace('_', ' ')}{'' if sure else ' (suspected)'}"
+        averaged = [smoothed(s, x + share * r, AVERAGED_S) for s, x, r in zip(d.sessions, shown[i], rest, strict=True)]
+        lines.append(Line(name, COLOURS[i % len(COLOURS)], sure, True, averaged))
     return lines
-
-
-def _named(name: str, sure: bool) -> str:
-    return f"{name.replace('_', ' ')}{'' if sure else ' (suspected)'}"
 
 
 def _beyond_a_refit(refitted: Fit, adds: Sequence[Sequence[Array]]) -> list[list[Array]]:
@@ -117,13 +104,7 @@ def _beyond_a_refit(refitted: Fit, adds: Sequence[Sequence[Array]]) -> list[list
     for term in adds:
         rows = [term[g.session] if g.kind == "torque" else np.zeros(len(g.measured)) for g in problem.segments]
         moved = np.linalg.lstsq(curvature, white.T @ valid_rows(problem.white(rows, refitted.noises)), rcond=1e-12)[0]
-        found.append(
-            [
-                term[g.session] - columns @ moved
-                for g, columns in zip(problem.segments, by_segment, strict=True)
-                if g.kind == "torque"
-            ]
-        )
+        found.append([x - columns @ moved for x, columns in zip(term, by_segment, strict=False)])  # torques come first
     return found
 
 
@@ -139,25 +120,18 @@ def held_out_times(d: Diagnosis) -> Iterator[tuple[float, float]]:
 
 def marked_times(d: Diagnosis) -> tuple[str, list[tuple[float, float]]]:
     """Times of the difference in the verdict's sentence: words, and begin and end of each [unit of `clock`]; or none."""
-    lead = next(iter(by_weight([*d.found, *d.described])), None)
+    lead = next(iter(by_improvement([*d.found, *d.described])), None)
     left = [b for b in d.at_end.bins if b.p < LACK_OF_FIT_P]
     if d.verdict.status == "unexplained" and left:
         b = largest_of(left)
-        series = [BY_NAME[b.variable].of(s, p) for s, p in zip(d.sessions, d.refitted.predicted, strict=True)]
-        inside = [s.used & (x >= b.low) & (x <= b.high) for s, x in zip(d.sessions, series, strict=True)]
+        inside = [within(b.variable, b.low, b.high, s, p) for s, p in zip(d.sessions, d.refitted.predicted, strict=True)]
         return range_of(b), list(_times(d, inside))
     if isinstance(lead, NamedEffect) and (d.verdict.names or d.verdict.seen == differs(lead)):
-        acts = lead.acts
-        if acts.text:
-            series = [BY_NAME[acts.variable].of(s, p) for s, p in zip(d.sessions, d.final.predicted, strict=True)]
-            inside = [s.used & (x >= acts.low) & (x <= acts.high) for s, x in zip(d.sessions, series, strict=True)]
-            return acts.text, list(_times(d, inside))
-        of = [[w for w in lead.where if w.recording == s.name] for s in d.sessions]
-        inside = [
-            np.any([(s.time >= w.begin) & (s.time < w.end) for w in spans], axis=0) if spans else np.zeros(len(s), bool)
-            for s, spans in zip(d.sessions, of, strict=True)
-        ]
-        return f"{lead.name.replace('_', ' ')} acts most", list(_times(d, inside))
+        of, final = lead.location, d.final.predicted
+        if of.text:
+            inside = [within(of.variable, of.low, of.high, s, p) for s, p in zip(d.sessions, final, strict=True)]
+            return of.text, list(_times(d, inside))
+        return f"{lead.name.replace('_', ' ')} acts most", list(_times(d, [acts_most(lead, s) for s in d.sessions]))
     return "", []
 
 
@@ -181,3 +155,48 @@ def names(d: Diagnosis, letters: int) -> list[str]:
     if all(len(name) < most for name, most in zip(full, room, strict=True)):
         return full
     return [str(i + 1) if most > len(str(i + 1)) else "" for i, most in enumerate(room)]
+
+
+def draw_timeline(d: Diagnosis, path: Path) -> Picture:
+    """Draw the residual of the re-fitted base over all sessions with each term over it, and the remaining residual below."""
+    drawn, ends = panels(d), begins(d)
+    text, marked = marked_times(d)
+    most = max(60, MOST_POINTS // len(d.sessions))
+    entries = ["hold-out laps", *(line.text for line in drawn[0].lines), text]
+    columns = max(1, LEGEND_LETTERS // (6 + max(map(len, entries))))
+    with picture_with_legend(path, WIDTH, 1.9 * len(drawn) + 0.5, -(-len(entries) // columns)) as body:
+        axes = body.subplots(len(drawn), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
+        for axis, panel in zip(axes, drawn, strict=True):
+            for begin, end in held_out_times(d):
+                axis.axvspan(begin, end, color=GREY, alpha=0.18, linewidth=0, label="hold-out laps")
+            axis.axhline(0.0, color=GREY, linewidth=0.8)
+            for begin in ends[1:-1]:
+                axis.axvline(begin, color=GREY, linestyle=":", linewidth=1.0)
+            for line in panel.lines:
+                label = line.text if panel is drawn[0] else ""  # the title of the panel below names its line
+                for i, values in enumerate(line.values):
+                    axis.plot(
+                        *thinned(minutes(d, i), values, most), color=line.colour, label=label,
+                        linewidth=(2.4 if line.solid else 1.4) if line.wide else 0.8, zorder=2.0 if line.wide else 2.5,
+                        linestyle="-" if line.solid else (0, (3, 1.5)),
+                    )  # fmt: skip
+            axis.set_title(panel.title, fontsize=8.5)
+            axis.set_xlim(0.0, ends[-1])
+            axis.set_ylabel("torque [Nm]")
+        for begin, end in marked:
+            axes[0].axvspan(begin, end, ymax=0.04, color=MARK, linewidth=0, label=text)
+        for begin, name in zip(ends, names(d, LETTERS), strict=False):
+            axes[0].annotate(
+                name, (begin, 1.0), (2, -2), xycoords=("data", "axes fraction"), textcoords="offset points", va="top",
+                fontsize=7, color="#555555",
+            )  # fmt: skip
+        axes[-1].set_xlabel(f"time over consecutive recordings [{clock(d)[1]}]")
+    terms = [line.text for line in drawn[0].lines if line.wide]
+    over = f" with {', '.join(terms)} over it; below it the residual" if terms else ""
+    errors = ". ".join(panel.title for panel in drawn)
+    return Picture(
+        path,
+        "What the model lacks, over time",
+        f"Measured torque minus the re-fitted model{over}. {errors}. Means over {lasting(d, AVERAGED_S)}, all recordings "
+        "in sequence.",
+    )
