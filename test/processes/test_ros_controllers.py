@@ -171,8 +171,9 @@ def test_the_export_of_another_vehicle_is_refused(built, manager, tmp_path, wire
     described.publish(data=(example / "carrier.urdf").read_text())
     parameters = tmp_path / "other.yaml"
     parameters.write_text((example / "in_process.yaml").read_text().replace("xgd24d", "agri3t"))
+    command = [manager / "ros2_control_node", "--ros-args", "--params-file", parameters]
     try:
-        with running([manager / "ros2_control_node", "--ros-args", "--params-file", parameters], built, tmp_path) as (process, log):
+        with running(command, built, tmp_path) as (process, log):
             with running([manager / "spawner", "in_process"], built, tmp_path) as (spawner, _):
                 assert wait_for(lambda: spawner.poll() is not None, working=process.pid), log.read_text()
             assert spawner.returncode != 0
