@@ -12,10 +12,12 @@ from click.testing import CliRunner
 from scipy.optimize import least_squares
 from worlds import Model, World
 
+import trackres_ros as tr
 import trackres_ros.diagnosis.report
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.search import explanations
 from trackres_ros.diagnosis.search.choice import Choice
 from trackres_ros.diagnosis.search.cross_validation import CrossValidation
 from trackres_ros.diagnosis.search.explanations import Search
@@ -80,24 +82,31 @@ def check_report(report):
 
 
 @pytest.fixture(scope="session")
-def diagnoses(recorded, loaded):
-    """Diagnoses of recordings with effects, as objects of the Python interface; the same ones are made once."""
-    made = {}
-
-    def make(*names, seed=1):
-        if (*names, seed) not in made:
-            made[(*names, seed)] = diagnose(
-                read_recordings(recorded(*names), None), loaded, DiagnosisOptions(quick=True, seed=seed)
-            )
-        return made[(*names, seed)]
-
-    return make
+def scrub_result(recorded):
+    """The result of `tr.diagnose` for recordings with turning scrub, one that is read and one path, and the stages it names."""
+    stages = []
+    one, other = recorded("turning_scrub")
+    return tr.diagnose([tr.read(one), str(other)], "xgd24d", quick=True, on_stage=stages.append), stages
 
 
 @pytest.fixture(scope="session")
-def diagnosed(diagnoses):
-    """That of recordings with turning scrub."""
-    return diagnoses("turning_scrub")
+def diagnosed(scrub_result):
+    """The diagnosis of recordings with turning scrub."""
+    return scrub_result[0].diagnosis
+
+
+@pytest.fixture(scope="session")
+def diagnoses(recorded, loaded, diagnosed):
+    """Diagnoses of recordings with effects, as objects of the Python interface; the same ones are made once."""
+    made = {("turning_scrub", 1): diagnosed}
+
+    def make(*names, seed=1):
+        if (*names, seed) not in made:
+            recordings = read_recordings(recorded(*names), None)
+            made[(*names, seed)] = diagnose(recordings, loaded, DiagnosisOptions(quick=True, seed=seed))
+        return made[(*names, seed)]
+
+    return make
 
 
 @pytest.fixture(scope="session")
@@ -121,7 +130,9 @@ def explained():
         refitted = inside_ranges(with_levels(found), use)
         validation = CrossValidation(refitted, masks, rng)
         search = Search(found, effects, None, (), 19, rng, lambda _: None)
-        search.run()
+        with pytest.MonkeyPatch.context() as changed:
+            changed.setattr(explanations, "MOST_TERMS", 2)  # enough for what tests hide
+            search.run()
         choice = Choice(search, refitted, validation, laps, use)
         return SimpleNamespace(
             search=search,

@@ -186,7 +186,7 @@ def test_what_is_driven_or_braked_is_not_taken(tmp_path, reference_vehicle, roll
         tr.coastdown(written(tmp_path / "braked.csv", braked, "time_s,speed_mps"), "xgd24d")
 
 
-@pytest.mark.parametrize("every", [4, 20, 40])
+@pytest.mark.parametrize("every", [4, 40])
 def test_a_speed_that_comes_slowly_will_do(tmp_path, reference_vehicle, rolled, every):
     found = tr.coastdown(written(tmp_path / "slow.csv", rolled[::every], "time_s,speed_mps"), "xgd24d")
     expected = tr.explain(heavier_bearings(reference_vehicle), speed_kmh=25, belt_degc=20)["torque_nm"]["resistance"]

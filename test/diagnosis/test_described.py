@@ -12,7 +12,7 @@ import pytest
 import trackres_ros as tr
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, read_recordings
 from trackres_ros.diagnosis.report.content import report
-from trackres_ros.diagnosis.report.pictures import draw_all
+from trackres_ros.diagnosis.report.term_pictures import draw_term
 from trackres_ros.estimator.disturbance import BLOCK_S
 from trackres_ros.vehicle import load
 
@@ -36,26 +36,36 @@ def at(r, role, times):
     return np.interp(times, r.time_s(role), r.series[role].value)
 
 
+def described(recordings, loaded):
+    """The diagnosis of recordings in which one term without a name is confirmed, and that term."""
+    found = diagnose(recordings, loaded, DiagnosisOptions(quick=True))
+    assert (found.verdict.status, found.verdict.grade) == ("described", "confirmed")
+    (told,) = found.described
+    return found, told
+
+
+def written(found, folder, **changes):
+    """The vehicle file that a diagnosis leaves."""
+    path = folder / "vehicle.yaml"
+    found.base.write(path, replace(found.kept, **changes), "Written by trackres diagnose from x.")
+    return path
+
+
 @pytest.mark.long
 def test_a_torque_in_left_turns_alone_is_described_and_written(recorded, loaded, tmp_path):
     def adds(r, times):
         return TURN_NM * ((at(r, "yaw_rate", times) > 0.01) & (at(r, "speed", times) > 0.1))
 
-    recordings = with_added(read_recordings(recorded(), None), adds)
-    found = diagnose(recordings, loaded, DiagnosisOptions(quick=True))
-    assert found.verdict.status == "described"
-    assert found.verdict.grade == "confirmed"
+    found, told = described(with_added(read_recordings(recorded(), None), adds), loaded)
     assert found.found == ()
-    (told,) = found.described
     assert told.described.form == "gated_curve"
     assert told.described.gate == "in left turns"
     assert told.described.size_nm == pytest.approx(TURN_NM, rel=0.15)
-    found.base.write(tmp_path / "vehicle.yaml", found.kept, "Written by trackres diagnose from x.")
-    (written,) = load(tmp_path / "vehicle.yaml").effects
-    assert written.effect.name == told.described.name
-    assert written.effect.name.endswith("when_left")
+    (effect,) = load(written(found, tmp_path)).effects
+    assert effect.effect.name == told.described.name
+    assert effect.effect.name.endswith("when_left")
     sessions, values = found.sessions, found.final.base_values
-    for s, bare, p in zip(sessions, *(found.base.predict(sessions, values, e) for e in ((), (written,))), strict=True):
+    for s, bare, p in zip(sessions, *(found.base.predict(sessions, values, e) for e in ((), (effect,))), strict=True):
         adds = p.torque - bare.torque
         left = (s.yaw_rate > 0.05) & (s.speed > 1.0)
         assert np.median(adds[left]) == pytest.approx(TURN_NM, rel=0.1)
@@ -90,10 +100,9 @@ def test_spells_are_described_and_written_only_as_a_disturbance(pumped, tmp_path
     assert told.described.size_nm == pytest.approx(PUMP_NM, rel=0.2)
     assert 0.5 * ON_S < told.described.memory < 2.0 * ON_S
     assert told.described.name not in {a.effect.name for a in found.kept.effects}
-    found.base.write(tmp_path / "vehicle.yaml", found.kept, "Written by trackres diagnose from x.")
-    written = load(tmp_path / "vehicle.yaml")
-    assert told.described.name not in {a.effect.name for a in written.effects}
-    spells = written.disturbance
+    vehicle = load(written(found, tmp_path))
+    assert told.described.name not in {a.effect.name for a in vehicle.effects}
+    spells = vehicle.disturbance
     assert spells.level - spells.rest == pytest.approx(PUMP_NM, rel=0.2)
     assert 0.5 * ON_S < spells.mean_there < 2.0 * ON_S
     assert 0.5 * OFF_S < spells.mean_away < 2.0 * OFF_S
@@ -103,9 +112,7 @@ def test_spells_are_described_and_written_only_as_a_disturbance(pumped, tmp_path
 @pytest.mark.long
 def test_a_replay_follows_the_spells_and_changes_no_other_column(pumped, tmp_path):
     recordings, found, changes = pumped
-    for name, kept in (("watching", found.kept), ("bare", replace(found.kept, disturbance=None))):
-        found.base.write(tmp_path / f"{name}.yaml", kept, "Written by trackres diagnose from x.")
-    watching, bare = (tr.replay(recordings[2], tmp_path / f"{name}.yaml") for name in ("watching", "bare"))
+    watching, bare = (tr.replay(recordings[2], written(found, tmp_path, **changes)) for changes in ({}, {"disturbance": None}))
     assert set(watching.columns) - set(bare.columns) == {"disturbance_probability", "disturbance_torque_nm"}
     for name in bare.columns:
         assert watching[name].tobytes() == bare[name].tobytes()
@@ -147,10 +154,9 @@ def test_a_drift_is_judged_by_following_it_and_written_as_such(recorded, loaded,
     assert drift["grade"] == "confirmed"
     assert drift["heldout"]["mae"][1] < 0.5 * drift["heldout"]["mae"][0]
     assert said["written"]["disturbance"] == "drift"
-    found.base.write(tmp_path / "vehicle.yaml", found.kept, "Written by trackres diagnose from x.")
-    written = load(tmp_path / "vehicle.yaml").disturbance
-    assert 0.5 * DRIFT_NM < written.size < 2.0 * DRIFT_NM
-    assert written.noise < 0.5 * written.size
+    learned = load(written(found, tmp_path)).disturbance
+    assert 0.5 * DRIFT_NM < learned.size < 2.0 * DRIFT_NM
+    assert learned.noise < 0.5 * learned.size
 
 
 @pytest.mark.long
@@ -159,10 +165,7 @@ def test_a_lasting_level_change_is_described_and_never_written(recorded, loaded,
         since = SINCE_S if "drive_1" in r.name else 0.0
         return FOR_GOOD_NM * (times > since) * (at(r, "speed", times) > 0.1)
 
-    found = diagnose(with_added(read_recordings(recorded(), None), adds), loaded, DiagnosisOptions(quick=True))
-    assert found.verdict.status == "described"
-    assert found.verdict.grade == "confirmed"
-    (told,) = found.described
+    found, told = described(with_added(read_recordings(recorded(), None), adds), loaded)
     assert told.described.form == "level_change"
     assert not told.described.predictable
     assert told.described.size_nm == pytest.approx(FOR_GOOD_NM, rel=0.15)
@@ -171,8 +174,7 @@ def test_a_lasting_level_change_is_described_and_never_written(recorded, loaded,
     assert found.kept.effects == ()
     check_form(report(found, []) | {"recordings": ["drive_1.csv"]})
     pytest.importorskip("matplotlib")
-    (drawn,) = [p for p in draw_all(found, tmp_path) if "level_change" in p.path.name]
-    assert "in sequence" in drawn.alternative
+    assert "in sequence" in draw_term(found, told, tmp_path / "level_change.svg").alternative
 
 
 @pytest.mark.long
@@ -182,10 +184,7 @@ def test_a_torque_repeated_at_a_place_is_described_never_written(recorded, loade
         place = np.cumsum(speed * np.gradient(times)) % LAP_M
         return SLOPE_NM * ((place > BEGIN_M) & (place < END_M)) * (speed > 0.1)
 
-    found = diagnose(with_added(read_recordings(recorded(), None), adds), loaded, DiagnosisOptions(quick=True))
-    assert found.verdict.status == "described"
-    assert found.verdict.grade == "confirmed"
-    (told,) = found.described
+    found, told = described(with_added(read_recordings(recorded(), None), adds), loaded)
     assert told.described.form == "place"
     assert told.described.period_m == pytest.approx(LAP_M, rel=0.01)
     assert told.described.size_nm == pytest.approx(SLOPE_NM, rel=0.2)
@@ -193,12 +192,10 @@ def test_a_torque_repeated_at_a_place_is_described_never_written(recorded, loade
     assert found.kept.effects == ()
     check_form(report(found, []) | {"recordings": ["drive_1.csv"]})
     pytest.importorskip("matplotlib")
-    (drawn,) = [p for p in draw_all(found, tmp_path) if "term_place" in p.path.name]
-    assert "place on the route" in drawn.alternative
+    assert "place on the route" in draw_term(found, told, tmp_path / "place.svg").alternative
 
 
-@pytest.mark.long
-def test_where_nothing_is_hidden_nothing_is_described(recorded, loaded):
-    found = diagnose(read_recordings(recorded(), None), loaded, DiagnosisOptions(quick=True))
+def test_where_nothing_is_hidden_nothing_is_described(diagnoses):
+    found = diagnoses()
     assert found.described == ()
     assert found.verdict.status == "none"

@@ -87,16 +87,10 @@ def test_a_confirmed_term_without_a_name_is_listed_with_names():
 
 
 def test_an_unpredictable_term_is_worth_the_error_it_removes():
-    of = {
-        "form": "recordings",
-        "variable": "recording",
-        "gate": "",
-        "size_nm": 500.0,
-        "mechanisms": ["a load"],
-        "grade": "confirmed",
-    }
+    of = {"form": "recordings", "variable": "recording", "gate": "", "size_nm": 500.0, "mechanisms": ["a load"]}
     mae = {"nominal": 300.0, "refitted": 400.0, "with_effects": 400.0}
-    r = report_of("described", "confirmed", [], described=[{**of, "heldout": {"mae": [400.0, 75.0]}}], heldout={"mae": mae})
+    levels = {**of, "grade": "confirmed", "heldout": {"mae": [400.0, 75.0]}}
+    r = report_of("described", "confirmed", [], described=[levels], heldout={"mae": mae})
     where, what, better, _ = tiles(r)
     assert where.answer == "From recording to recording"
     assert what.answer == "a different level in each recording (no name)"
@@ -157,18 +151,10 @@ def test_a_suspected_effect_is_listed_and_never_the_headline():
 
 
 def test_what_is_only_suspected_asks_for_more_laps():
-    curve = {
-        "form": "curve",
-        "name": "c",
-        "variable": "speed",
-        "gate": "",
-        "size_nm": 384.0,
-        "seen_nm": 60.0,
-        "mechanisms": ["m"],
-    }
-    r = report_of(
-        "described", "suspected", described=[graded(curve, "suspected", 149.0, 145.0)], written={"base": True, "effects": []}
-    )
+    curve = {"form": "curve", "name": "c", "variable": "speed", "gate": "", "size_nm": 384.0, "mechanisms": ["m"]}
+    curve["seen_nm"] = 60.0
+    unsure, nothing = graded(curve, "suspected", 149.0, 145.0), {"base": True, "effects": []}
+    r = report_of("described", "suspected", described=[unsure], written=nothing)
     where, _, _, following = tiles(r)
     assert "60 Nm" in where.detail
     assert "384" not in where.detail

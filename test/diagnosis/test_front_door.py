@@ -24,15 +24,8 @@ def vehicle():
 
 
 @pytest.fixture(scope="module")
-def stages():
-    return []
-
-
-@pytest.fixture(scope="module")
-def found(recorded, vehicle, stages):
-    """Of a recording that is read and of a path."""
-    one, other = recorded("turning_scrub")
-    return tr.diagnose([tr.read(one), str(other)], vehicle, quick=True, on_stage=stages.append)
+def found(scrub_result):
+    return scrub_result[0]
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +41,8 @@ def effects_of(vehicle):
     return [(a.effect.name, dict(a.values), dict(a.ranges)) for a in vehicle.effects]
 
 
-def test_it_finds_what_the_command_finds(found, scrubbed, stages):
-    _, of_command, done = scrubbed
+def test_it_finds_what_the_command_finds(scrub_result, scrubbed):
+    (found, stages), (_, of_command, done) = scrub_result, scrubbed
     assert found.as_dict() == of_command
     assert found.sentence == of_command["verdict"]["sentence"]
     assert (found.status, found.grade) == ("named", "confirmed")
@@ -125,6 +118,7 @@ def test_given_surroundings_stay_and_found_ones_are_not_added(found, vehicle, ef
 
 def test_without_the_libraries_of_the_page_the_rest_is_written(found, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "jinja2", None)
+    monkeypatch.setattr("trackres_ros.diagnosis.report.pictures.draw_all", lambda *_: [])  # they take long
     with pytest.warns(UserWarning, match=r"no page: .*pip install jinja2"):
         folder = found.report(tmp_path / "bare")
     assert (folder / "vehicle.yaml").is_file()

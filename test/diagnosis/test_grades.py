@@ -5,7 +5,6 @@
 
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from trackres_ros.diagnosis.base.base import BaseParameter
@@ -23,26 +22,6 @@ def fitted(rolling=1.0):
     rolls = BaseParameter("rolling", "1", 1.0, 0.5, 0.0, 2.0)
     problem = SimpleNamespace(base=SimpleNamespace(parameters=(rolls,)))
     return SimpleNamespace(base_values={"rolling": rolling}, problem=problem)
-
-
-@pytest.mark.parametrize(
-    ("after", "low", "high", "likelier", "grade"),
-    [
-        (90.0, 1.0, 19.0, -np.inf, CONFIRMED),
-        (90.0, -1.0, 21.0, 0.1, CONFIRMED),
-        (90.0, 1.0, 19.0, -0.1, CONFIRMED),  # the mean error surely falls
-        (98.1, 0.9, 2.9, -0.1, SUSPECTED),  # but by too little
-        (90.0, -1.0, 21.0, -0.1, SUSPECTED),
-        (90.0, 0.0, 20.0, 0.0, SUSPECTED),
-        (100.0, 1.0, 2.0, 1.0, CONFIRMED),
-        (100.5, 1.0, 2.0, 1.0, SUSPECTED),  # likelier, but the mean error does not fall
-        (101.0, -2.0, 0.0, 1.0, SUSPECTED),
-        (101.1, -2.0, 1.0, 1.0, REFUTED),
-        (100.5, -2.0, -0.1, 1.0, REFUTED),
-    ],
-)
-def test_a_grade_is_what_the_mean_error_and_its_interval_say(after, low, high, likelier, grade):
-    assert Improvement(100.0, after, low, high, likelier).grade == grade
 
 
 def test_on_a_bound_confirmed_becomes_suspected_refuted_stays():

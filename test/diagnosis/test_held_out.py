@@ -11,22 +11,25 @@ from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPEC
 
 
 @pytest.mark.parametrize(
-    ("improvement", "grade"),
+    ("after", "low", "high", "likelier", "grade"),
     [
-        (Improvement(100.0, 90.0, 1.0, 19.0), CONFIRMED),
-        (Improvement(100.0, 90.0, -1.0, 21.0), SUSPECTED),
-        (Improvement(100.0, 90.0, -1.0, 21.0, 0.5), CONFIRMED),  # by the likelihood
-        (Improvement(100.0, 90.0, -1.0, 21.0, -0.5), SUSPECTED),
-        (Improvement(100.0, 100.0, -1.0, 1.0, 0.5), CONFIRMED),
-        (Improvement(100.0, 100.5, -2.0, 1.0, 0.5), SUSPECTED),  # likelier, and yet no smaller error
-        (Improvement(100.0, 101.0, -2.0, 1.0), SUSPECTED),
-        (Improvement(100.0, 101.1, -2.0, 1.0), REFUTED),
-        (Improvement(100.0, 100.5, -0.9, -0.1, 9.0), REFUTED),  # surely worse, however little
-        (Improvement(100.0, 100.5, -1.0, 0.0), SUSPECTED),
+        (90.0, 1.0, 19.0, -np.inf, CONFIRMED),
+        (90.0, 1.0, 19.0, -0.1, CONFIRMED),  # the mean error surely falls
+        (98.1, 0.9, 2.9, -0.1, SUSPECTED),  # but by too little
+        (90.0, -1.0, 21.0, -np.inf, SUSPECTED),
+        (90.0, -1.0, 21.0, 0.1, CONFIRMED),  # by the likelihood
+        (90.0, -1.0, 21.0, -0.1, SUSPECTED),
+        (90.0, 0.0, 20.0, 0.0, SUSPECTED),
+        (100.0, -1.0, 1.0, 0.5, CONFIRMED),
+        (100.5, -2.0, 1.0, 0.5, SUSPECTED),  # likelier, and yet no smaller error
+        (101.0, -2.0, 1.0, -np.inf, SUSPECTED),
+        (101.1, -2.0, 1.0, 1.0, REFUTED),
+        (100.5, -0.9, -0.1, 9.0, REFUTED),  # surely worse, however little
+        (100.5, -1.0, 0.0, -np.inf, SUSPECTED),
     ],
 )
-def test_what_laps_say_of_an_improvement(improvement, grade):
-    assert improvement.grade == grade
+def test_what_laps_say_of_an_improvement(after, low, high, likelier, grade):
+    assert Improvement(100.0, after, low, high, likelier).grade == grade
 
 
 def session(laps, lap_s=60, torque=None, name="drive", first=0):

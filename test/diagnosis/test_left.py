@@ -13,6 +13,7 @@ from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base
+from trackres_ros.diagnosis.report.page import write_page
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import snapshot
@@ -127,13 +128,16 @@ def test_whatever_is_fitted_loads_again(loaded, tmp_path):
 
 
 def test_an_effect_at_its_bounds_loads_again(loaded, tmp_path):
-    for size in (0.37, 1.0):
-        for effect in catalogue(size=size * loaded.base.facts.weight * loaded.base.facts.radius).values():
-            if effect.belongs_to == "vehicle" and size == 1.0:
-                for end in ("low", "high"):
-                    active = Active(effect, {q.name: getattr(q, end) for q in effect.parameters})
-                    loaded.base.write(tmp_path / "v.yaml", FileChanges(None, (active,), {}), "at a bound")
-                    assert load(tmp_path / "v.yaml").effects[0].values == pytest.approx(active.values, rel=1e-5)
+    known = catalogue(size=loaded.base.facts.weight * loaded.base.facts.radius)
+    for end in ("low", "high"):
+        active = tuple(
+            Active(e, {q.name: getattr(q, end) for q in e.parameters}) for e in known.values() if e.belongs_to == "vehicle"
+        )
+        loaded.base.write(tmp_path / "v.yaml", FileChanges(None, active, {}), "at a bound")
+        again = {a.effect.name: a.values for a in load(tmp_path / "v.yaml").effects}
+        assert again.keys() == {a.effect.name for a in active}
+        for one in active:
+            assert again[one.effect.name] == pytest.approx(one.values, rel=1e-5)
 
 
 def test_nothing_kept_leaves_the_file_as_it_was(loaded, tmp_path):
@@ -295,11 +299,12 @@ def test_a_hidden_slope_is_never_pushed_against_at_a_standstill(loaded, effects,
     tilted = Active(effects["grade_profile"], {"rise_ahead": 0.02, "rise_left": 0.0})
     paths = write_recordings(loaded.base, tmp_path, sessions, [tilted], rng)
     out = tmp_path / "report"
-    done = run("diagnose", *paths, "--vehicle", "xgd24d", "-o", out, "--quick")
+    done = run("diagnose", *paths, "--vehicle", "xgd24d", "-o", out, "--quick", "--no-page")
     found = json.loads((out / "report.json").read_text())
     assert found["effects"][0]["belongs_to"] == "surroundings"
     assert found["kept"] == {"vehicle": [], "surroundings": ["grade_profile"], "sensor": []}
     assert "surroundings.yaml" in done.output
+    write_page(out / "report.html", found, [], "Diagnosis")
     assert "surroundings.yaml" in (out / "report.html").read_text()
     assert not load(out / "vehicle.yaml").effects
     drive = tmp_path / "drive.csv"

@@ -55,12 +55,11 @@ NOWHERE = {
 
 @pytest.mark.parametrize("kind", NOWHERE)
 def test_what_does_not_change_for_good_has_no_change(kind):
-    seeds = range(60 if kind == "noise" else 12)
-    wrong = [seed for seed in seeds if found_in(NOWHERE[kind](np.random.default_rng(seed))) is not None]
-    assert len(wrong) <= 2 * len(seeds) / 60.0, wrong
+    seeds = range(20 if kind == "noise" else 4)
+    assert [seed for seed in seeds if found_in(NOWHERE[kind](np.random.default_rng(seed))) is not None] == []
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_change_is_found_with_its_time_and_size(seed):
     rng = np.random.default_rng(seed)
     residuals, at, size = noise(LONG, rng), int(rng.integers(200, 1100)), float(rng.choice([-1.0, 1.0]) * 120.0)

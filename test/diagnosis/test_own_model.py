@@ -3,10 +3,12 @@
 
 """A model of the user's own: a function is diagnosed as a vehicle is."""
 
+import io
 import re
-import subprocess
-import sys
+import runpy
+from contextlib import redirect_stdout
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -35,39 +37,36 @@ def model(**changed):
 
 @pytest.fixture(scope="module")
 def page(repository, tmp_path_factory):
-    """The folder in which the blocks of the page were run."""
-    folder = tmp_path_factory.mktemp("page")
-    for title, text in BLOCK.findall((repository / "docs" / "own-model.md").read_text(encoding="utf-8")):
-        (folder / title).write_text(text, encoding="utf-8")
-        done = subprocess.run(
-            [sys.executable, title], cwd=folder, capture_output=True, text=True, env={"PYTHONPATH": str(repository)}
-        )
-        assert done.returncode == 0, done.stderr
-        (folder / f"{title}.txt").write_text(done.stdout, encoding="utf-8")
-    return folder
+    """The folder in which the blocks of the page were run, what they print, and the diagnosis they make."""
+    folder, printed = tmp_path_factory.mktemp("page"), io.StringIO()
+    with pytest.MonkeyPatch.context() as changed, redirect_stdout(printed):
+        changed.chdir(folder)
+        for title, text in BLOCK.findall((repository / "docs" / "own-model.md").read_text(encoding="utf-8")):
+            (folder / title).write_text(text, encoding="utf-8")
+            names = runpy.run_path(title)
+    return SimpleNamespace(folder=folder, printed=printed.getvalue(), found=names["found"])
 
 
 @pytest.fixture(scope="module")
 def session(page):
     """The recording of the page on its grid."""
-    return gate([tr.read(page / "motor.csv")], model().known).sessions[0]
+    return gate([tr.read(page.folder / "motor.csv")], model().known).sessions[0]
 
 
 def test_the_blocks_of_the_page_name_the_friction(page):
-    assert "The cause is coulomb_friction" in (page / "diagnose.py.txt").read_text()
-    written = yaml.safe_load((page / "report" / "vehicle.yaml").read_text())
+    assert "The cause is coulomb_friction" in page.printed
+    assert (page.folder / "report" / "report.html").is_file()
+    written = yaml.safe_load((page.folder / "report" / "vehicle.yaml").read_text())
     assert written["effects"]["coulomb_friction"]["friction"]["value"] == pytest.approx(0.08, rel=0.05)
     low, high = written["parameters"]["inertia"]["range"]
     assert low < 4e-4 < high
 
 
 def test_the_found_model_lacks_nothing(page):
-    found = tr.diagnose(page / "motor.csv", model(), quick=True)
-    assert [f.graded.grade for f in found.effects] == ["confirmed"]
-    assert isinstance(found.vehicle, tr.OwnModel)
-    assert "coulomb_friction" in {a.effect.name for a in found.vehicle.effects}
-    again = tr.diagnose(page / "motor.csv", found.vehicle, quick=True)
-    assert again.status == "none"
+    assert [f.graded.grade for f in page.found.effects] == ["confirmed"]
+    assert isinstance(page.found.vehicle, tr.OwnModel)
+    assert "coulomb_friction" in {a.effect.name for a in page.found.vehicle.effects}
+    assert tr.diagnose(page.folder / "motor.csv", page.found.vehicle, quick=True).status == "none"
 
 
 def test_a_fit_finds_the_values_that_made_the_torque(session):

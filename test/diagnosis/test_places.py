@@ -56,9 +56,8 @@ NOWHERE = {
 
 @pytest.mark.parametrize("kind", NOWHERE)
 def test_what_comes_again_nowhere_has_no_place(kind):
-    seeds = range(60 if kind == "noise" else 8)
-    wrong = [seed for seed in seeds if find_place(*driven(seed, **NOWHERE[kind])) is not None]
-    assert len(wrong) <= 2 * len(seeds) / 60.0, wrong
+    seeds = range(20 if kind == "noise" else 4)
+    assert [seed for seed in seeds if find_place(*driven(seed, **NOWHERE[kind])) is not None] == []
 
 
 @pytest.mark.parametrize(("seed", "size"), [(50, 150.0), (51, 300.0), (52, -300.0), (53, 600.0)])

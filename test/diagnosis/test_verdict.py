@@ -472,6 +472,7 @@ def test_a_wrong_value_of_the_file_is_named_with_its_interval(recorded, tmp_path
     assert found["verdict"]["status"] == "none"
     (changed, *_) = found["verdict"]["changed"]
     assert changed["name"] == "bearing_friction"
+    assert found["base"]["refitted"]["bearing_friction"]["value"] == pytest.approx(true, rel=0.1)
     low, high = changed["ci95"]
     assert low < true < high
     assert changed["text"] in found["verdict"]["sentence"]

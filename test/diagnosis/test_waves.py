@@ -56,7 +56,7 @@ def test_a_wave_is_found_with_its_length_and_named_after_a_belt():
         assert np.corrcoef(shape, wave)[0, 1] > 0.9
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_noise_has_no_wave(seed):
     speed, torque, _ = driven(seed, 0.0)
     assert find_wave(left_by([speed], [torque])) is None
