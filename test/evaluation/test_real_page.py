@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, load_base, read_recordings
+from trackres_ros.evaluation import closed_loop
 from trackres_ros.evaluation.closed_loop import left_by_diagnosis
 from trackres_ros.evaluation.field.bus import LONG_STRETCH_S, TOPICS, VEHICLE, mass_of_joined, missions
 from trackres_ros.evaluation.field.data import car
@@ -20,7 +21,8 @@ DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 
 
 @pytest.mark.long
-def test_drives_that_all_begin_cold_have_a_start_state_of_one(tmp_path):
+def test_drives_that_all_begin_cold_have_a_start_state_of_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(closed_loop, "diagnose", lambda *given: diagnose(*given, DiagnosisOptions(quick=True)))
     left = left_by_diagnosis(tmp_path, {"warmup": {"torque": 600.0, "seconds": 400.0}}, 12.0, -1, 3)
     tried = FieldTrial("drives", "a cold drive train", WARM, NOTHING, left.found)
     assert tried.outcome == "right"
