@@ -170,16 +170,3 @@ def test_nothing_tells_the_speed() -> None:
         )
     for part in ("/cmd_vel (geometry_msgs/msg/TwistStamped)", "/engine_speed_rpm", "/imu (sensor_msgs/msg/Imu)", "topics file"):
         assert part in str(caught.value)
-
-
-def test_a_torque_that_comes_late_is_of_an_earlier_time(tmp_path: Path) -> None:
-    from trackres_ros.recording.opening import open_source
-    from trackres_ros.recording.recording import Recording
-
-    table = tmp_path / "drive.csv"
-    table.write_text("time_s,speed_mps,torque_nm\n" + "".join(f"{t},5.0,{100 * t}\n" for t in range(5)), encoding="utf-8")
-    late = load(tmp_path, "torque: {column: torque_nm, delay_s: 0.4}")
-    recording = Recording.from_source(open_source([table], late))
-    apart = recording.series["torque"].stamp_ns - recording.series["speed"].stamp_ns
-    assert set(apart.tolist()) == {-400_000_000}
-    assert open_source([table], late).bindings["torque"].delay_s == 0.4
