@@ -22,7 +22,7 @@ GRID = ("--speed-kmh", "5,12", "--belt-degc", "0,60")
 
 @pytest.fixture(scope="module")
 def softer(tmp_path_factory, good):
-    """The reference vehicle with half of the loss, and twice the bearing friction."""
+    """The reference vehicle with half of the loss."""
     folder = tmp_path_factory.mktemp("designs")
     good("vehicle", "new", "softer", "-o", folder)
     file = folder / "softer.yaml"
@@ -36,6 +36,8 @@ def test_half_the_loss_modulus_is_half_the_hysteresis_everywhere(good, softer):
     found = json.loads(good("compare", "xgd24d", softer, *GRID, "--json"))
     (differs,) = (one for one in found["values"] if one["ratio"] is not None)
     assert (differs["path"], differs["ratio"]) == ("rubber.loss_modulus_scale", 0.5)
+    (moved_one,) = (q for q in found["parameters"] if q["difference"])
+    assert (moved_one["parameter"], moved_one["difference"]) == ("loss_modulus_scale", pytest.approx(-0.5))
     found = found["designs"]
     assert found["speeds_kmh"] == [5.0, 12.0]
     assert found["belts_degc"] == [0.0, 60.0]
