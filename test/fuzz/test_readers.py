@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 from collections import Counter
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -45,22 +46,32 @@ def test_the_whole_file_is_read_whole(tmp_path, name):
 @pytest.mark.parametrize("name", FORMATS)
 def test_damaged_files(name, tmp_path, bounded):
     for number, one in enumerate(damaged(FORMATS[name], tmp_path, MUTATIONS, seed=1)):
-        signal.setitimer(signal.ITIMER_REAL, HANG_S)
-        result = outcome_of(one)
+        with bounded():
+            result = outcome_of(one)
         assert result["outcome"] not in run.FAULTS, f"mutation {number}: {result['text']}"
 
 
 @pytest.fixture
 def bounded():
-    """What hangs or wants a gigabyte more than this process has is ended."""
+    """`with bounded():` ends what hangs, and finds that and what takes a gigabyte: a reader refuses both as damage."""
+    begun, late = run.peak_bytes(), []
 
     def hangs(*_):
+        late.append(True)
         raise TimeoutError
+
+    @contextmanager
+    def watched():
+        signal.setitimer(signal.ITIMER_REAL, HANG_S)
+        yield
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        assert not late
+        assert run.peak_bytes() < begun + run.MOST_BYTES
 
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limits, handler = resource.getrlimit(resource.RLIMIT_AS), signal.signal(signal.SIGALRM, hangs)
-    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + run.MOST_BYTES, limits[1]))
-    yield
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + run.LIMIT_BYTES, limits[1]))
+    yield watched
     signal.setitimer(signal.ITIMER_REAL, 0.0)
     signal.signal(signal.SIGALRM, handler)
     resource.setrlimit(resource.RLIMIT_AS, limits)
