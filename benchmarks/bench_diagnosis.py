@@ -90,13 +90,13 @@ class BySolveIvp(TrackBase):
         return found
 
 
-def run(minutes: float = 60.0, step_s: float = 0.01, quick: bool = False) -> dict[str, float]:
+def run(minutes: float = 60.0, step_s: float = 0.01) -> dict[str, float]:
     """All numbers."""
     loaded = load_base("xgd24d")
-    recordings, stages = _diagnosed(loaded, 1, minutes, step_s, quick)
+    recordings, stages = _diagnosed(loaded, 1, minutes, step_s)
     whole = _lasted(stages)
     found = {"whole diagnosis of an hour at 100 Hz [s]": whole}
-    _, of_three = _diagnosed(loaded, 3, minutes / 3.0, 0.1, quick)
+    _, of_three = _diagnosed(loaded, 3, minutes / 3.0, 0.1)
     found["whole diagnosis of three drives of 20 minutes at 10 Hz [s]"] = _lasted(of_three)
     shares: dict[str, float] = {}
     for (name, since), (_, after) in pairwise(stages):
@@ -105,7 +105,7 @@ def run(minutes: float = 60.0, step_s: float = 0.01, quick: bool = False) -> dic
     return found | _fits(loaded, gate(recordings, loaded.known, hide=["belt"]).sessions)
 
 
-def _diagnosed(loaded: Any, count: int, minutes: float, step_s: float, quick: bool) -> tuple[Any, list[tuple[str, float]]]:
+def _diagnosed(loaded: Any, count: int, minutes: float, step_s: float) -> tuple[Any, list[tuple[str, float]]]:
     """Recordings with an effect that is missing, and when each stage of their diagnosis began, with its end."""
     rng, effect = np.random.default_rng(SEED), catalogue()[EFFECT]
     with tempfile.TemporaryDirectory() as folder:
@@ -117,7 +117,7 @@ def _diagnosed(loaded: Any, count: int, minutes: float, step_s: float, quick: bo
         def on_stage(stage: str) -> None:
             stages.append((_STAGE.match(stage)[0].rstrip(), time.perf_counter()))
 
-        assert diagnose(recordings, loaded, DiagnosisOptions(seed=SEED, quick=quick, on_stage=on_stage)).verdict.sentence
+        assert diagnose(recordings, loaded, DiagnosisOptions(seed=SEED, on_stage=on_stage)).verdict.sentence
     return recordings, [*stages, ("", time.perf_counter())]
 
 

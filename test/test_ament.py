@@ -8,22 +8,8 @@ import pytest
 CHECKED = ("trackres_ros", "launch", "setup.py")
 # What ruff.toml leaves out as well, and sections that pydocstyle sees in words of a sentence.
 OTHERWISE = (
-    "D203",
-    "D205",
-    "D213",
-    "D301",
-    "D400",
-    "D401",
-    "D405",
-    "D406",
-    "D407",
-    "D410",
-    "D411",
-    "D413",
-    "D414",
-    "D415",
-    "D417",
-)
+    "D203", "D205", "D213", "D301", "D400", "D401", "D405", "D406", "D407", "D410", "D411", "D413", "D414", "D415", "D417",
+)  # fmt: skip
 
 
 @pytest.fixture(autouse=True)

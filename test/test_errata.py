@@ -15,20 +15,9 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 EQUATIONS = range(1, 37)
 VERDICTS = (
-    "OK",
-    "form OK",
-    "wrong",
-    "unsafe",
-    "signs lost",
-    "sign wrong",
-    "index wrong",
-    "ambiguous",
-    "inconsistent",
-    "two errors",
-    "unit missing",
-    "scope",
-    "w undefined",
-)
+    "OK", "form OK", "wrong", "unsafe", "signs lost", "sign wrong", "index wrong", "ambiguous", "inconsistent", "two errors",
+    "unit missing", "scope", "w undefined",
+)  # fmt: skip
 
 
 def page(name: str) -> str:
@@ -114,19 +103,9 @@ def test_each_symbol_names_existing_vehicle_keys_and_code_names() -> None:
 def test_every_quantity_of_the_vehicle_file_has_a_symbol() -> None:
     """But those that only check others, or stand for a place in the geometry."""
     without = {
-        "tread_depth",
-        "tread_land_ratio",
-        "max_speed",
-        "motor_ratio",
-        "motor_efficiency",
-        "radius",
-        "wrap_angle",
-        "positions",
-        "load",
-        "ground_run",
-        "split",
-        "own_weight_split",
-    }
+        "tread_depth", "tread_land_ratio", "max_speed", "motor_ratio", "motor_efficiency", "radius", "wrap_angle", "positions",
+        "load", "ground_run", "split", "own_weight_split",
+    }  # fmt: skip
     names = set(re.findall(r"(\w+): \{value:", (ROOT / "config" / "agri3t.yaml").read_text(encoding="utf-8"))) - without
     assert len(names) > 30
     keys = " ".join(row[4] for row in rows(page("model.md")) if len(row) == 5)

@@ -13,26 +13,14 @@ import yaml
 
 KEYS = {"yaml": "python3-yaml", "llvmlite": "python3-numba"}
 """Keys that are neither the module nor ``python3-`` before it; llvmlite comes with numba."""
+NAMED_ALIKE = (
+    "SALib asammdf bokeh cantools cyclonedds dask distributed fsspec h5py openpyxl pandas pyarrow pysindy rosbags ruptures xarray"
+)
 EXTRAS = {
-    "SALib": "SALib",
-    "asammdf": "asammdf",
-    "bokeh": "bokeh",
+    **{name: name for name in NAMED_ALIKE.split()},
     "can": "python-can",
-    "cantools": "cantools",
-    "cyclonedds": "cyclonedds",
-    "dask": "dask",
-    "distributed": "distributed",
-    "fsspec": "fsspec",
-    "h5py": "h5py",
     "lz4": "rosbags",
-    "openpyxl": "openpyxl",
-    "pandas": "pandas",
-    "pyarrow": "pyarrow",
-    "pysindy": "pysindy",
-    "rosbags": "rosbags",
-    "ruptures": "ruptures",
     "sklearn": "scikit-learn",
-    "xarray": "xarray",
     "zstandard": "rosbags",
 }
 """Modules that extras bring, each with the requirement in setup.py by which they come."""

@@ -15,6 +15,13 @@ def rooms(imported):
     return imported("tools/rooms.py")
 
 
+@pytest.fixture(scope="module")
+def trees(repository):
+    """The syntax of each file of the package and of its tests."""
+    paths = [path for folder in ("trackres_ros", "test") for path in (repository / folder).rglob("*.py")]
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in paths}
+
+
 def test_no_room_needs_one_that_needs_it(rooms):
     placed = rooms.order(rooms.needs())
     assert placed.index("effects") < placed.index("vehicle") < placed.index("model") < placed.index("estimator")
@@ -54,18 +61,8 @@ def test_each_room_says_what_it_is_for(rooms):
 
 def test_sealed_truth_imports_none_of_the_code_it_tests(rooms):
     known = rooms.modules()
-    for name in (
-        "truth",
-        "programs",
-        "size",
-        "phenomenon",
-        "belt_heat",
-        "belt_loss",
-        "drives",
-        "sensors",
-        "material",
-        "data_sheet",
-    ):
+    names = "truth programs size phenomenon belt_heat belt_loss drives sensors material data_sheet"
+    for name in names.split():
         used = {other.split(".")[0] for other in rooms.imported(known[f"evaluation.sealed.{name}"], known)}
         assert not used & {"model", "effects", "diagnosis", "estimator"}, name
 
@@ -76,7 +73,7 @@ def test_the_page_of_the_house_is_true(rooms, repository):
     assert len({re.sub(r" [\d< ]+ \|$", " |", page, flags=re.MULTILINE) for page in pages}) == 1
 
 
-def test_constants_in_compiled_code_are_part_of_the_cache_name(rooms):
+def test_constants_in_compiled_code_are_part_of_the_cache_name(rooms, trees):
     """Machine code keeps the constants it was compiled with: a file they come from must tell one cache from another."""
     from trackres_ros.jit.compiled import COMPILED_ROOMS, CONSTANTS
 
@@ -84,7 +81,7 @@ def test_constants_in_compiled_code_are_part_of_the_cache_name(rooms):
     for module, path in known.items():
         if module.split(".")[0] not in COMPILED_ROOMS or "jit.compiled" not in path.read_text():
             continue
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(trees[path]):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("trackres_ros."):
                 home = node.module.removeprefix("trackres_ros.")
                 numbers = [name.name for name in node.names if name.name.isupper() and name.name != "HAVE_NUMBA"]
@@ -93,11 +90,11 @@ def test_constants_in_compiled_code_are_part_of_the_cache_name(rooms):
     assert not strange
 
 
-def test_no_test_name_is_longer_than_60_characters(repository):
+def test_no_test_name_is_longer_than_60_characters(trees):
     names = [
         node.name
-        for path in (repository / "test").rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for tree in trees.values()
+        for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name.startswith("test_")
     ]
     assert len(names) > 1000
@@ -117,11 +114,26 @@ REASONS = {
 }  # fmt: skip
 
 
-def test_a_long_function_has_a_reason(repository):
+def _says_only_a_type(test):
+    if isinstance(test, ast.Call):
+        return isinstance(test.func, ast.Name) and test.func.id == "isinstance"
+    if isinstance(test, ast.Compare):
+        return all(isinstance(op, ast.IsNot) for op in test.ops) and isinstance(test.comparators[0], ast.Constant)
+    return isinstance(test, ast.Name | ast.Attribute)
+
+
+def test_no_assert_of_the_package_guards_more_than_a_type(trees, repository):
+    for path, tree in trees.items():
+        for node in ast.walk(tree) if path.is_relative_to(repository / "trackres_ros") else ():
+            if isinstance(node, ast.Assert):
+                assert _says_only_a_type(node.test), f"{path}:{node.lineno} is gone under python -O"
+
+
+def test_a_long_function_has_a_reason(trees):
     """Lines are counted without the docstring. A command has a parameter for each option, a kernel takes numbers."""
     large = set()
-    for path in [file for tree in ("trackres_ros", "test") for file in (repository / tree).rglob("*.py")]:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for path, tree in trees.items():
+        for node in ast.walk(tree):
             if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 continue
             if re.search(r"command|group|compiled|inlined|njit", " ".join(map(ast.unparse, node.decorator_list))):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -17,6 +18,7 @@ HEAD = (Path(__file__).parent / "architecture.in.md").read_text(encoding="utf-8"
 COMMON = ("errors", "units", "checks", "files", "text", "jit")  # used from everywhere: left out of the picture
 
 
+@cache
 def modules() -> dict[str, Path]:
     """Every module of the package by its name without the package's."""
     found = {}
@@ -52,6 +54,7 @@ def imported(path: Path, known: Mapping[str, Path]) -> Iterator[str]:
                     yield module
 
 
+@cache
 def module_needs() -> dict[str, set[str]]:
     """For each module the modules that it imports."""
     known = modules()

@@ -1,53 +1,48 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Commands with an optional library missing, interrupted commands, and checks that hold under `python -O`."""
+"""Commands with an optional library missing, and interrupted commands."""
 
-import ast
 import json
 import os
 import signal
 import subprocess
 import sys
-from dataclasses import asdict
-from pathlib import Path
 
 import pytest
 from waiting import wait_for
 
-import trackres_ros
-from trackres_ros.evaluation.sealed.cases import draw_cases, sealed
-
-# Blocks the import of modules, then runs the command line as it is.
-BLOCKED = """
-import sys
-for name in {modules!r}:
-    sys.modules[name] = None
+# Runs each command in a fork of a process that has loaded the command line alone, without the modules that are blocked.
+FORKS = """
+import json, os, sys
+blocked, commands = json.loads(sys.argv[1])
+sys.modules.update(dict.fromkeys(blocked))
 from trackres_ros.cli.main import main
-main({arguments!r})
+for number, (modules, words) in enumerate(commands):
+    child = os.fork()
+    if child == 0:
+        os.chdir(str(number))
+        for stream, name in ((1, "out"), (2, "err")):
+            os.dup2(os.open(f"../{number}.{name}", os.O_WRONLY | os.O_CREAT), stream)
+        sys.modules.update(dict.fromkeys(modules))
+        main(words)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
-OPTIONAL = (
-    "numba",
-    "rosbags",
-    "pyarrow",
-    "pandas",
-    "xarray",
-    "matplotlib",
-    "jinja2",
-    "ruptures",
-    "sklearn",
-    "pysindy",
-    "cyclonedds",
-    "distributed",
-    "SALib",
-    "fsspec",
-)
+OPTIONAL = "numba rosbags pyarrow pandas xarray matplotlib jinja2 ruptures sklearn pysindy cyclonedds distributed SALib fsspec"
 
 
-def without(modules, *arguments, cwd):
-    program = BLOCKED.format(modules=tuple(modules), arguments=[str(a) for a in arguments])
+def without(blocked, commands, folder):
+    """For each of some commands, each with modules that are missing: exit code, both outputs, and the files it made."""
+    for number in range(len(commands)):
+        (folder / str(number) / "here").mkdir(parents=True)
+        rows = "".join(f"{i * 0.1:.1f},2.0\n" for i in range(30))
+        (folder / str(number) / "drive.csv").write_text("time_s,speed_mps\n" + rows)
     environment = {**os.environ, "TRACKRES_INTERPRETED": "1"}  # nothing here is worth compiling
-    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=cwd, env=environment, check=False)
+    command = [sys.executable, "-c", FORKS, json.dumps([blocked, commands])]
+    done = subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+    for number, code in enumerate(map(int, done.stdout.split())):
+        made = {path.name for path in (folder / str(number)).rglob("*")} - {"here", "drive.csv"}
+        yield code, *((folder / f"{number}.{name}").read_text() for name in ("out", "err")), made
 
 
 NEEDED = [
@@ -72,40 +67,25 @@ NEEDED = [
 ]
 
 
-@pytest.fixture
-def folder(tmp_path):
-    (tmp_path / "here").mkdir()
-    (tmp_path / "drive.csv").write_text("time_s,speed_mps\n" + "".join(f"{i * 0.1:.1f},2.0\n" for i in range(30)))
-    return tmp_path
+def test_a_library_that_is_missing_is_said_before_any_work(tmp_path):
+    cases = [([module], words) for words, modules in NEEDED for module in modules]
+    for (modules, words), (code, out, err, made) in zip(cases, without([], cases, tmp_path), strict=True):
+        said, nothing = (out, err) if "--json" in words else (err, out)
+        assert (code, nothing, made) == (2, "", set()), (modules, words, err)
+        assert said.count("\n") == 1, said
+        assert "pip install" in said
 
 
-@pytest.mark.parametrize(
-    ("arguments", "module"), [(a, m) for a, modules in NEEDED for m in modules], ids=lambda v: v if isinstance(v, str) else v[0]
-)
-def test_a_library_that_is_missing_is_said_before_any_work(folder, arguments, module):
-    before = sorted(folder.rglob("*"))
-    done = without([module], *arguments, cwd=folder)
-    assert done.returncode == 2, done.stderr
-    said, nothing = (done.stdout, done.stderr) if "--json" in arguments else (done.stderr, done.stdout)
-    assert nothing == ""
-    assert said.count("\n") == 1, said
-    assert "pip install" in said
-    assert sorted(folder.rglob("*")) == before
-
-
-WORKS = [
-    ("simulate", "--vehicle", "agri3t", "--speed-kmh", "5", "--duration-s", "5", "-o", "out.csv"),
-    ("replay", "drive.csv", "--vehicle", "agri3t", "-o", "out.csv"),
-    ("explain", "--vehicle", "agri3t", "--speed-kmh", "5", "--belt-degc", "20"),
-    ("effects",),
-]
-
-
-@pytest.mark.parametrize("arguments", WORKS, ids=lambda a: a[0])
-def test_without_any_of_them_the_rest_works(folder, arguments):
-    done = without(OPTIONAL, *arguments, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    assert "Traceback" not in done.stderr
+def test_without_any_of_them_the_rest_works(tmp_path):
+    works = [
+        ("simulate", "--vehicle", "agri3t", "--speed-kmh", "5", "--duration-s", "5", "-o", "out.csv"),
+        ("replay", "drive.csv", "--vehicle", "agri3t", "-o", "out.csv"),
+        ("explain", "--vehicle", "agri3t", "--speed-kmh", "5", "--belt-degc", "20"),
+        ("effects",),
+    ]
+    for code, _, err, _ in without(OPTIONAL.split(), [([], words) for words in works], tmp_path):
+        assert code == 0, err
+        assert "Traceback" not in err
 
 
 def test_an_interrupted_command_lists_the_files_it_has_written(tmp_path):
@@ -178,34 +158,3 @@ def test_a_command_interrupted_before_it_wrote_says_so(tmp_path, monkeypatch, ca
         cli_main.main(["simulate"])
     assert ended.value.code == 130
     assert "nothing was written" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("flags", [(), ("-O",)])
-def test_labels_unlike_the_seal_are_refused_without_asserts_too(tmp_path, flags):
-    cases = draw_cases({"none": 2, "single": 2}, 5)
-    (tmp_path / "seal.txt").write_text(sealed(5, cases) + "\n")
-    (tmp_path / "sealed").mkdir()
-    labels = {"seed": 5, "cases": [asdict(case) for case in cases]}
-    labels["cases"][0]["level"] = "single" if labels["cases"][0]["level"] == "none" else "none"
-    (tmp_path / "sealed" / "labels.json").write_text(json.dumps(labels))
-    command = [sys.executable, *flags, "-m", "trackres_ros.evaluation.sealed.score", str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode
-    assert done.stderr.startswith("trackres: error: ")
-    assert "not those that were sealed" in done.stderr
-    assert not (tmp_path / "scores.json").exists()
-
-
-def _says_only_a_type(test):
-    if isinstance(test, ast.Call):
-        return isinstance(test.func, ast.Name) and test.func.id == "isinstance"
-    if isinstance(test, ast.Compare):
-        return all(isinstance(op, ast.IsNot) for op in test.ops) and isinstance(test.comparators[0], ast.Constant)
-    return isinstance(test, ast.Name | ast.Attribute)
-
-
-def test_no_assert_of_the_package_guards_more_than_a_type():
-    for path in Path(trackres_ros.__file__).parent.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Assert):
-                assert _says_only_a_type(node.test), f"{path}:{node.lineno} is gone under python -O"

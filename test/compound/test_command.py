@@ -18,7 +18,7 @@ from trackres_ros.compound.writing import files_of, write_compound
 from trackres_ros.errors import InputError
 from trackres_ros.vehicle import load
 
-DAMAGED, FITTED = 200, 3
+DAMAGED, FITTED = 200, 2
 LONGEST_LINE = 3000  # characters
 
 

@@ -75,7 +75,7 @@ def test_scaling_all_frequencies_keeps_the_shift_and_moduli(vehicle):
 def test_published_shifts_come_back_within_their_intervals(vehicle, name):
     shift = published(name)
     inside = []
-    for seed in range(3):
+    for seed in range(2):
         found = fit_compound(sweep(shift, np.arange(shift.glass_transition + 10.0, 61.0, 5.0), seed=seed), vehicle)
         assert found.law == WLF
         assert not found.glass_is_seen
@@ -84,14 +84,14 @@ def test_published_shifts_come_back_within_their_intervals(vehicle, name):
             assert value.value == pytest.approx(true, rel=0.05)
             assert value.high - value.low < 0.2 * true
             inside.append(value.low <= true <= value.high)
-    assert sum(inside) >= 5  # of 6, at 95 %
+    assert sum(inside) >= 3  # of 4, at 95 %
 
 
 def test_a_glass_transition_that_is_measured_comes_back(vehicle, natural_rubber):
     """Near that of SBR isotherms hardly overlap, so steep is its shift: what is known of it less well is said so."""
     sbr = published("SBR")
     temps = np.arange(sbr.glass_transition - 11.0, 61.0, 5.0)
-    steep = [fit_compound(sweep(sbr, temps, shared=0.02, seed=seed), vehicle) for seed in range(3)]
+    steep = [fit_compound(sweep(sbr, temps, shared=0.02, seed=seed), vehicle) for seed in range(2)]
     for shift, found, width in ((published("natural rubber"), natural_rubber, 0.1), *((sbr, each, 0.3) for each in steep)):
         assert found.law == WLF
         assert found.glass_is_seen

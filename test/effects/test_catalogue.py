@@ -138,8 +138,8 @@ def test_editing_a_constant_in_an_effect_file_changes_its_code(tmp_path):
 
 
 def test_an_uncompilable_effect_runs_as_long_as_its_table_lives(tmp_path):
-    tables = [table_of(tmp_path, float(i), " + len(type(self).text) - 8") for i in range(10)]
-    assert [torque_by(table) for table in tables] == [10.0 * i + 1.0 for i in range(10)]
+    tables = [table_of(tmp_path, float(i), " + len(type(self).text) - 8") for i in range(3)]
+    assert [torque_by(table) for table in tables] == [1.0, 11.0, 21.0]
 
 
 def test_an_effects_own_state_follows_its_target_exactly():

@@ -141,16 +141,9 @@ def curves(draw):
 
 
 ANYWHERE = st.builds(
-    conditions,
-    st.just(FACTS),
-    speed=within((-15.0, 15.0)),
-    accel=within((-1.5, 1.5)),
-    weight=within((5e4, 5e5)),
-    ambient=within((-30.0, 50.0)),
-    yaw_rate=within((-0.6, 0.6)),
-    drive_torque=within((-3e4, 3e4)),
-    belt=within((-30.0, 110.0)),
-)
+    conditions, st.just(FACTS), speed=within((-15.0, 15.0)), accel=within((-1.5, 1.5)), weight=within((5e4, 5e5)),
+    ambient=within((-30.0, 50.0)), yaw_rate=within((-0.6, 0.6)), drive_torque=within((-3e4, 3e4)), belt=within((-30.0, 110.0)),
+)  # fmt: skip
 
 
 def active(curve, y):

@@ -9,8 +9,10 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
+from trackres_ros.cli import prove
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
+from trackres_ros.evaluation.learned import delay
 from trackres_ros.evaluation.learned.cases import (
     KINDS,
     OFF,
@@ -111,8 +113,11 @@ def test_delays_are_drawn_of_a_seed_and_sealed():
     assert all(0.0 <= one.filter_s <= one.delay_s <= LONGEST_S for one in drawn)
 
 
-def test_a_concealed_delay_is_found_and_its_seal_holds(good, trackres, tmp_path):
+def test_a_concealed_delay_is_found_and_its_seal_holds(good, trackres, tmp_path, monkeypatch):
     pytest.importorskip("ruptures")
+    # Its processes in this one.
+    monkeypatch.setattr(prove, "_process", lambda _as_json, step: delay.main([str(word) for word in step[1:]]))
+    monkeypatch.setattr(delay, "each", lambda work, tasks, _word: [work(task) for task in tasks])
     asked = ("prove", "delay", "--seed", 21, "--vehicles", 1, "--hostile", 1, "--minutes", 6, "-o", tmp_path)
     good(*asked)
     scores = json.loads((tmp_path / "scores.json").read_text())

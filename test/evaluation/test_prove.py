@@ -1,12 +1,12 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The proof as three processes, on two cases."""
+"""The proof as separate processes, on one case, and how it is asked for."""
 
 import json
 import subprocess
 import sys
-from pathlib import Path
+from dataclasses import asdict
 
 import pytest
 from click.testing import CliRunner
@@ -14,9 +14,17 @@ from click.testing import CliRunner
 from trackres_ros.cli import prove
 from trackres_ros.cli.main import cli
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.sealed import earlier
+from trackres_ros.evaluation.sealed import earlier, score
+from trackres_ros.evaluation.sealed.cases import draw_cases, sealed
 from trackres_ros.evaluation.sealed.oracle import LEAST_GAIN
 from trackres_ros.evaluation.sealed.scored import wilson
+
+EARLIER = """
+import pathlib, sys
+out, drive = sys.argv[sys.argv.index("-o") + 1], pathlib.Path(sys.argv[2])
+(pathlib.Path(out) / "report.json").write_text((drive.parents[2] / "report.json").read_text())
+"""
+"""Stands for the checkout of an earlier version: a command line whose report is already there."""
 
 
 def process(module, *arguments):
@@ -26,30 +34,42 @@ def process(module, *arguments):
 
 @pytest.mark.long
 def test_the_labels_are_opened_only_by_the_score(tmp_path):
-    said = process("generate", tmp_path, 7, 5, "outside=1", "single=1")
+    said = process("generate", tmp_path, 7, 5, "outside=1")
     seal = (tmp_path / "seal.txt").read_text().strip()
     assert seal in said
-    cases = sorted((tmp_path / "cases").iterdir())
-    assert all({p.suffix for p in case.iterdir()} == {".csv", ".yaml"} for case in cases)
+    (case,) = (tmp_path / "cases").iterdir()
+    assert {p.suffix for p in case.iterdir()} == {".csv", ".yaml"}
     away = tmp_path.parent / "away"
     (tmp_path / "sealed").rename(away)  # the diagnosis does without
     process("blind", tmp_path / "cases", tmp_path / "results")
-    process("earlier", tmp_path / "cases", tmp_path / "results_earlier", Path(__file__).parents[2])
+    (result,) = (tmp_path / "results").iterdir()
+    assert result.stem == case.name
+    (tmp_path / "report.json").write_text(json.dumps(json.loads(result.read_text())["report"]))
+    (tmp_path / "checkout" / "trackres_ros").mkdir(parents=True)
+    for name, text in (("__init__.py", ""), ("__main__.py", EARLIER)):
+        (tmp_path / "checkout" / "trackres_ros" / name).write_text(text)
+    earlier.main([str(tmp_path / name) for name in ("cases", "results_earlier", "checkout")])
     away.rename(tmp_path / "sealed")
-    assert {p.stem for p in (tmp_path / "results").iterdir()} == {c.name for c in cases}
-    page = process("score", tmp_path)
-    assert seal in page
-    scores = json.loads((tmp_path / "scores.json").read_text())
-    assert sorted(c["case"]["level"] for c in scores["cases"]) == ["outside", "single"]
-    assert all(c["answers"]["earlier"] == c["answers"]["diagnosis"] for c in scores["cases"])  # the same version twice
-    (outside,) = [c for c in scores["cases"] if c["case"]["level"] == "outside"]
-    assert outside["known"]["gain"] > LEAST_GAIN
-    assert outside["known"]["mae"] < outside["known"]["mae_base"]
-    assert all(len(c["learned"]) > 1 and min(c["learned"].values()) > 0.0 for c in scores["cases"])
-    labels = tmp_path / "sealed" / "labels.json"
-    labels.write_text(labels.read_text().replace('"level": "single"', '"level": "none"'))
-    with pytest.raises(subprocess.CalledProcessError):
-        process("score", tmp_path)
+    assert seal in process("score", tmp_path)
+    (scores,) = json.loads((tmp_path / "scores.json").read_text())["cases"]
+    assert scores["case"]["level"] == "outside"
+    assert scores["answers"]["earlier"] == scores["answers"]["diagnosis"]  # the same version twice
+    assert scores["known"]["gain"] > LEAST_GAIN
+    assert scores["known"]["mae"] < scores["known"]["mae_base"]
+    assert len(scores["learned"]) > 1
+    assert min(scores["learned"].values()) > 0.0
+
+
+def test_labels_unlike_the_seal_are_refused(tmp_path):
+    cases = draw_cases({"none": 2, "single": 2}, 5)
+    (tmp_path / "seal.txt").write_text(sealed(5, cases) + "\n")
+    (tmp_path / "sealed").mkdir()
+    labels = {"seed": 5, "cases": [asdict(case) for case in cases]}
+    labels["cases"][0]["level"] = "single" if labels["cases"][0]["level"] == "none" else "none"
+    (tmp_path / "sealed" / "labels.json").write_text(json.dumps(labels))
+    with pytest.raises(InputError, match="not those that were sealed"):
+        score.main([str(tmp_path)])
+    assert not (tmp_path / "scores.json").exists()
 
 
 def test_wilson():

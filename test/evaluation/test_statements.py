@@ -4,8 +4,6 @@
 """Whether a description is true of a hidden torque, and cases of another simulator by the same scores."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -13,6 +11,7 @@ from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
 from trackres_ros.errors import InputError
+from trackres_ros.evaluation.sealed import second
 from trackres_ros.evaluation.sealed.cases import Case
 from trackres_ros.evaluation.sealed.generate import _drives, _kept
 from trackres_ros.evaluation.sealed.statements import is_true
@@ -119,7 +118,7 @@ def answered(status, described=(), effects=()):
     return {"report": {**report, "described": list(described)}, "simple": {}, "learned": {"base": 160.0}}
 
 
-def folder_of(tmp_path, labels, results):
+def score_them(tmp_path, labels, results):
     text = json.dumps({"seed": 11, "n": len(labels), "cases": labels})
     (tmp_path / "out" / "results").mkdir(parents=True)
     for one in labels:
@@ -128,8 +127,7 @@ def folder_of(tmp_path, labels, results):
     (tmp_path / "truth" / "labels.json").write_text(text)
     for one, result in zip(labels, results, strict=True):
         (tmp_path / "out" / "results" / f"{one['case']}.json").write_text(json.dumps(result))
-    command = [sys.executable, "-m", "trackres_ros.evaluation.sealed.second", str(tmp_path / "truth"), str(tmp_path / "out")]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    second.main([str(tmp_path / "truth"), str(tmp_path / "out")])
 
 
 def test_cases_of_another_simulator_get_the_same_scores(tmp_path):
@@ -137,8 +135,7 @@ def test_cases_of_another_simulator_get_the_same_scores(tmp_path):
     named = {"name": "vibration", "class": ["vibration"], "parameters": {}, "grade": "confirmed"}
     spells = {**term("spells"), "heldout": {"mae": [160.0, 110.0]}}
     results = [answered("described", [spells]), answered("named", effects=[named]), answered("unexplained")]
-    done = folder_of(tmp_path, labels, results)
-    assert done.returncode == 0, done.stderr
+    score_them(tmp_path, labels, results)
     kept = json.loads((tmp_path / "out" / "scores.json").read_text())
     ours, own = kept["scores"]["diagnosis"], kept["own"]
     assert (ours["outside: described or unexplained"]["hits"], ours["outside: described or unexplained"]["of"]) == (2, 3)

@@ -94,11 +94,9 @@ def test_an_export_belongs_until_something_changes(own, trackres):
 
 
 def test_an_effect_that_c_cannot_say_is_refused_with_its_line(own, trackres):
-    text = EFFECT.replace(
-        "        return Terms(torque=p.torque", '        names = {"a": 1.0}\n        return Terms(torque=names["a"]'
-    )
+    text = EFFECT.replace("        return Terms(torque=p.torque", '        name = "a"\n        return Terms(torque=len(name)')
     (own / "guard.py").write_text(text)
-    line = text.splitlines().index('        names = {"a": 1.0}') + 1
+    line = text.splitlines().index('        name = "a"') + 1
     done = trackres("export", "c", "mine.yaml", "-o", "out", cwd=own)
     assert done.returncode == 2
     assert f"guard.py:{line}: given" in done.stderr

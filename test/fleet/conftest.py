@@ -1,6 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
+import shutil
+
 import pytest
 
 from trackres_ros.evaluation.fleet.draw import draw_fleet, write_recording
@@ -22,7 +24,5 @@ def driven(tmp_path_factory):
 @pytest.fixture
 def recordings(driven, tmp_path):
     """A copy of them that a test may change."""
-    import shutil
-
     shutil.copytree(driven, tmp_path / "fleet")
     return tmp_path / "fleet"

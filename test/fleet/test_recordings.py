@@ -4,6 +4,7 @@
 """Which recordings there are, whose they are, and rows that come into their place whole."""
 
 import os
+import shutil
 
 import pytest
 from fleet_rows import row as good_row
@@ -44,10 +45,8 @@ def test_paths_globs_and_urls_lead_to_the_same(folder, form):
 
 
 def test_each_recording_comes_once_however_often_it_is_named(folder):
-    assert names(find_recordings([str(folder / "a"), str(folder), str(folder / "a" / "one.csv")]), folder)[:2] == [
-        "a/one.csv",
-        "a/two.mcap",
-    ]
+    found = names(find_recordings([str(folder / "a"), str(folder), str(folder / "a" / "one.csv")]), folder)
+    assert found[:2] == ["a/one.csv", "a/two.mcap"]
     assert len(list(find_recordings([str(folder), str(folder)]))) == 4
 
 
@@ -119,13 +118,10 @@ def test_a_bad_fleet_file_is_one_line(tmp_path, text, part):
 
 
 def test_the_digest_of_a_vehicle_follows_the_files_it_names(tmp_path, repository):
-    import shutil
-
     shutil.copytree(repository / "config", tmp_path / "config")
     path = tmp_path / "config" / "xgd24d.yaml"
     before = digest(path)
     assert before == digest(path) == one_vehicle(str(path), None).vehicles["xgd24d"].sha
-    sweep = next((tmp_path / "config" / "rubber").glob("*.csv"))
     for sweep in (tmp_path / "config" / "rubber").glob("*.csv"):
         sweep.write_text(sweep.read_text() + "\n")
     assert digest(path) != before
@@ -182,15 +178,9 @@ def test_no_results_is_one_line(tmp_path):
         FleetDataset.existing(tmp_path / "x")
 
 
-def good(vehicle, start_s, duration_s=600.0, url=""):
-    return {
-        "vehicle": vehicle,
-        "start_s": start_s,
-        "duration_s": duration_s,
-        "url": url or f"{vehicle}{start_s}",
-        "status": "good",
-        "day": "2026-01-01",
-    }
+def good(vehicle, start_s):
+    dated = {"vehicle": vehicle, "start_s": start_s, "duration_s": 600.0, "url": f"{vehicle}{start_s}", "day": "2026-01-01"}
+    return {**dated, "status": "good"}
 
 
 def test_a_later_recording_is_dropped_if_its_clock_overlaps():
@@ -199,7 +189,7 @@ def test_a_later_recording_is_dropped_if_its_clock_overlaps():
     assert [r["url"] for r in left_out] == ["a1000000300.0"]
     assert "clock" in left_out[0]["reason"]
     assert len(kept) == 3
-    undated = [{**good("a", 0.0, url=name), "day": "none"} for name in "xy"]
+    undated = [{**good("a", 0.0), "url": name, "day": "none"} for name in "xy"]
     assert len(without_overlaps(undated)[0]) == 2
 
 
@@ -228,8 +218,6 @@ def test_what_may_be_otherwise_the_next_time_is_tried_again(tmp_path):
 
 
 def test_a_vehicle_file_that_changes_midway_is_a_reason(tmp_path, repository):
-    import shutil
-
     shutil.copytree(repository / "config", tmp_path / "config")
     path = tmp_path / "config" / "xgd24d.yaml"
     vehicle = one_vehicle(str(path), None).vehicles["xgd24d"]

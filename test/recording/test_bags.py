@@ -165,15 +165,19 @@ def test_ros2_bags(tmp_path: Path, storage: str, compression: str) -> None:
 
 
 def test_a_torque_that_comes_late_is_of_an_earlier_time(tmp_path: Path) -> None:
-    path = write(tmp_path / "bag", "mcap")
-    line = {"topic": "/joints", "type": "sensor_msgs/JointState", "field": "effort[right]", "delay_s": 0.25}
-    speed = {"topic": "/odom", "type": ODOMETRY, "field": "twist.twist.linear.x"}
-    late = open_source([path], Topics.parse({"speed": speed, "torque": line}))
-    shifted = [row for row in by_blocks(late) if row[0] == "torque"]
-    as_stamped = [row for row in by_blocks(open_source([path], TOPICS)) if row[0] == "torque"]
-    assert len(shifted) == 100
-    assert shifted == [(role, stamp - 250_000_000, arrival, value) for role, stamp, arrival, value in as_stamped]
-    assert late.bindings["torque"].delay_s == 0.25
+    joints = {"topic": "/joints", "type": "sensor_msgs/JointState", "field": "effort[right]"}
+    (tmp_path / "run.csv").write_text("time_s,speed_mps,torque_nm\n" + "".join(f"{t},5.0,{100 * t}\n" for t in range(5)))
+    for path, line, speed in (
+        (write(tmp_path / "bag", "mcap", count=30), joints, lines_of("speed")["speed"]),
+        (tmp_path / "run.csv", {"column": "torque_nm"}, {"column": "speed_mps"}),
+    ):
+        late, as_stamped = (
+            open_source([path], Topics.parse({"speed": speed, "torque": {**line, "delay_s": delay}})) for delay in (0.25, 0.0)
+        )
+        shifted, torque = ([row for row in by_blocks(one) if row[0] == "torque"] for one in (late, as_stamped))
+        assert len(shifted) >= 5
+        assert shifted == [(role, stamp - 250_000_000, arrival, value) for role, stamp, arrival, value in torque]
+        assert late.bindings["torque"].delay_s == 0.25
 
 
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
@@ -345,7 +349,7 @@ def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
     peaks = []
-    for count in (60_000, 240_000):  # both of many chunks, of which a reader holds a few
+    for count in (20_000, 120_000):  # both of many chunks, of which a reader holds a few
         path = tmp_path / f"{count}.mcap"
         write_outputs(path, count)
         source = open_source([path])
@@ -353,7 +357,7 @@ def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
         assert sum(map(len, source.blocks(512))) == count
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert peaks[1] < 1.5 * peaks[0] + 2**20, peaks
+    assert peaks[1] < 1.3 * peaks[0], peaks
 
 
 def write_outputs(path: Path, count: int, at_once: int = 256) -> None:
@@ -393,7 +397,7 @@ def check_outputs(rows: list[tuple[str, int, Any]], count: int) -> None:
     ]
 
 
-@pytest.mark.parametrize("count", [0, 1, 300, 20_000])
+@pytest.mark.parametrize("count", [0, 1, 300, 3_000])
 def test_what_is_written_the_library_reads(tmp_path: Path, count: int) -> None:
     path = tmp_path / "out.mcap"
     path.write_text("old")
@@ -416,7 +420,7 @@ def test_what_is_written_another_library_reads(tmp_path: Path) -> None:
     """The reference implementation of the format reads the file by its index and from front to end."""
     reader = pytest.importorskip("mcap.reader")
     path = tmp_path / "out.mcap"
-    write_outputs(path, 5000)
+    write_outputs(path, 1000)
     for make in (reader.make_reader, lambda file: reader.NonSeekingReader(file, validate_crcs=True)):
         with path.open("rb") as file:
             read = make(file)
@@ -425,7 +429,7 @@ def test_what_is_written_another_library_reads(tmp_path: Path) -> None:
                 assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
                 assert schema.data.decode() == STORE.generate_msgdef(schema.name, ros_version=2)[0]
                 rows.append((channel.topic, message.log_time, STORE.deserialize_cdr(message.data, schema.name)))
-        check_outputs(rows, 5000)
+        check_outputs(rows, 1000)
 
 
 def test_what_is_written_is_in_the_order_of_log_time(tmp_path: Path) -> None:

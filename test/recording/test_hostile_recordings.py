@@ -218,15 +218,15 @@ def test_fields_and_lines_beyond_any_measure(tmp_path, refused):
         assert says in refused(path)
 
 
-def test_200_000_columns(tmp_path, refused):
+def test_50_000_columns(tmp_path, refused):
     path = tmp_path / "run.csv"
-    names = ",".join(f"c{number}" for number in range(200_000))
-    path.write_text(f"{names},time_s,speed_mps\n" + "0," * 200_000 + "0,3\n")
+    names = ",".join(f"c{number}" for number in range(50_000))
+    path.write_text(f"{names},time_s,speed_mps\n" + "0," * 50_000 + "0,3\n")
     recording = speeds(path, None)
     assert recording.series["speed"].value.tolist() == [3.0]
-    assert "and 199980 more" in recording.notes[-1]
+    assert "and 49980 more" in recording.notes[-1]
     path.write_text(f"{names}\n")
-    assert "and 199980 more" in refused(path)
+    assert "and 49980 more" in refused(path)
 
 
 def test_every_damage_of_an_archive_is_said(tmp_path):

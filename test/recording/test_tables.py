@@ -121,16 +121,16 @@ def test_refused_with_the_place(tmp_path: Path, reader: str, text: str, says: li
 
 
 def test_a_bad_cell_far_down(tmp_path: Path, reader: str) -> None:
-    rows = [f"{row / 100!r},{row % 50}" for row in range(200_000)]
-    rows[150_000] = "1500.0,broken"
+    rows = [f"{row / 100!r},{row % 50}" for row in range(100_000)]
+    rows[80_000] = "800.0,broken"
     path = table(tmp_path, "time_s,speed_mps\n" + "\n".join(rows) + "\n")
-    with pytest.raises(InputError, match="line 150002: given 'broken'"):
+    with pytest.raises(InputError, match="line 80002: given 'broken'"):
         read(path)
-    rows[150_000] = " 1500.0 , 7 "
+    rows[80_000] = " 800.0 , 7 "
     path = table(tmp_path, "time_s,speed_mps\n" + "\n".join(rows) + "\n")
     got = read(path)
-    assert len(got) == 200_000
-    assert got[150_000] == ("speed", 1500.0, 7.0)
+    assert len(got) == 100_000
+    assert got[80_000] == ("speed", 800.0, 7.0)
     assert [value for _, _, value in got[:50]] == list(range(50))
 
 

@@ -142,16 +142,11 @@ def test_guess_prefers_types_and_names_the_rest() -> None:
     assert not any(sentence.startswith("accel") or "cmd_vel" in sentence for sentence in said)
 
 
-@pytest.mark.parametrize(
-    ("topic", "scale"),
-    [
-        ("/vehicle/speed", 1.0),
-        ("/vehicleSpeed", 1.0),
-        ("/speed_kmh", 1 / 3.6),
-        ("/velocity_km_h", 1 / 3.6),
-        ("/wheelVelocityKph", 1 / 3.6),
-    ],
-)
+KMH = 1 / 3.6
+NAMED = {"/vehicle/speed": 1.0, "/vehicleSpeed": 1.0, "/speed_kmh": KMH, "/velocity_km_h": KMH, "/wheelVelocityKph": KMH}
+
+
+@pytest.mark.parametrize(("topic", "scale"), [*NAMED.items()])
 def test_guess_takes_the_unit_of_a_bare_number_from_its_name(topic: str, scale: float) -> None:
     topics, said = guess({topic: "std_msgs/msg/Float64"})
     assert topics["speed"].scale == scale
@@ -159,26 +154,8 @@ def test_guess_takes_the_unit_of_a_bare_number_from_its_name(topic: str, scale: 
 
 
 def test_nothing_tells_the_speed() -> None:
+    number = "std_msgs/msg/Float64"
     with pytest.raises(InputError) as caught:
-        guess(
-            {
-                "/cmd_vel": "geometry_msgs/msg/TwistStamped",
-                "/engine_speed_rpm": "std_msgs/msg/Float64",
-                "/imu": "sensor_msgs/msg/Imu",
-            }
-        )
+        guess({"/cmd_vel": "geometry_msgs/msg/TwistStamped", "/engine_speed_rpm": number, "/imu": "sensor_msgs/msg/Imu"})
     for part in ("/cmd_vel (geometry_msgs/msg/TwistStamped)", "/engine_speed_rpm", "/imu (sensor_msgs/msg/Imu)", "topics file"):
         assert part in str(caught.value)
-
-
-def test_a_torque_that_comes_late_is_of_an_earlier_time(tmp_path: Path) -> None:
-    from trackres_ros.recording.opening import open_source
-    from trackres_ros.recording.recording import Recording
-
-    table = tmp_path / "drive.csv"
-    table.write_text("time_s,speed_mps,torque_nm\n" + "".join(f"{t},5.0,{100 * t}\n" for t in range(5)), encoding="utf-8")
-    late = load(tmp_path, "torque: {column: torque_nm, delay_s: 0.4}")
-    recording = Recording.from_source(open_source([table], late))
-    apart = recording.series["torque"].stamp_ns - recording.series["speed"].stamp_ns
-    assert set(apart.tolist()) == {-400_000_000}
-    assert open_source([table], late).bindings["torque"].delay_s == 0.4
