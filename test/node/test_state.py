@@ -7,6 +7,7 @@ import json
 import os
 import re
 import resource
+import shutil
 
 import pytest
 from hypothesis import given
@@ -19,14 +20,20 @@ from trackres_ros.node.state_keeper import state_name, state_path
 from trackres_ros.node.transport import Level
 
 
-@pytest.fixture
-def warm(desk, tmp_path):
+@pytest.fixture(scope="module")
+def warm_file(standing_desk, tmp_path_factory):
     """A state file of belts after ten minutes, and their temperature."""
-    path = tmp_path / "state.json"
-    d = desk(state_file=str(path))
+    path = tmp_path_factory.mktemp("warm") / "state.json"
+    d = standing_desk(state_file=str(path))
     d.drive(600.0, speed=15.0, dt=0.2)
     assert "saved" in d.app.save_state()
     return path, d.app.overview().values["belt_degc/front_left"]
+
+
+@pytest.fixture
+def warm(warm_file, tmp_path):
+    """The same, for this test alone."""
+    return shutil.copy(warm_file[0], tmp_path / "state.json"), warm_file[1]
 
 
 def first_belt(d):
@@ -66,30 +73,34 @@ def test_belts_that_wait_for_a_speed_cool_meanwhile(desk, warm, monkeypatch):
     assert first_belt(d) < belt - 3.0
 
 
-@pytest.mark.parametrize(
-    ("spoil", "said"),
-    [
-        (lambda path: path.write_text(""), "damaged"),
-        (lambda path: path.write_text(path.read_text()[:200]), "damaged"),
-        (lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "version": 99})), "version 99"),
-        (lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "key": "x"})), "vehicle"),
-        (lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "saved_at": "abc"})), "saved_at"),
-        (lambda path: path.write_text("[" * 100_000), "damaged"),
-        (lambda path: (path.unlink(), path.mkdir()), "a folder"),
-        (lambda path: (path.unlink(), os.mkfifo(path)), "a named pipe"),
-        (lambda path: (path.unlink(), path.symlink_to("/dev/zero")), "a device"),
-        (lambda path: path.write_text("[1, 2]"), "another kind"),
-        (lambda path: path.write_bytes(os.urandom(300)), "damaged"),
+SPOILT = {
+    "damaged": [
+        lambda path: path.write_text(""),
+        lambda path: path.write_text(path.read_text()[:200]),
+        lambda path: path.write_text("[" * 100_000),
+        lambda path: path.write_bytes(os.urandom(300)),
     ],
-)
-def test_a_file_of_no_use_is_a_cold_start_that_says_why(desk, warm, spoil, said):
-    path, _ = warm
-    spoil(path)
-    d = desk(state_file=str(path))
-    assert first_belt(d) == pytest.approx(15.0, abs=0.05)
-    notice = next(notice for notice in d.app.notices() if notice.name == "STATE_NOT_USED")
-    assert said in notice.text
-    assert str(path) in notice.text
+    "version 99": [lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "version": 99}))],
+    "vehicle": [lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "key": "x"}))],
+    "saved_at": [lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "saved_at": "abc"}))],
+    "another kind": [lambda path: path.write_text("[1, 2]")],
+    "a folder": [lambda path: (path.unlink(), path.mkdir())],
+    "a named pipe": [lambda path: (path.unlink(), os.mkfifo(path))],
+    "a device": [lambda path: (path.unlink(), path.symlink_to("/dev/zero"))],
+}
+
+
+@pytest.mark.parametrize("said", SPOILT)
+def test_a_file_of_no_use_is_a_cold_start_that_says_why(desk, warm, said):
+    for i, spoil in enumerate(SPOILT[said]):
+        path = warm[0].with_name(f"{i}.json")
+        shutil.copy(warm[0], path)
+        spoil(path)
+        d = desk(state_file=str(path))
+        assert first_belt(d) == pytest.approx(15.0, abs=0.05)
+        notice = next(notice for notice in d.app.notices() if notice.name == "STATE_NOT_USED")
+        assert said in notice.text
+        assert str(path) in notice.text
 
 
 def test_the_reason_of_a_cold_start_is_given_once(desk, warm):
