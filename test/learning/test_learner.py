@@ -28,7 +28,7 @@ def driven_before(road):
         key = mode, departure
         if key not in made:
             made[key] = road(mode, {at.OF_LOSS: departure}).drive(16.0)
-        estimator = made[key].learner.estimator
+        estimator = made[key].session.estimator
         return copy.deepcopy(made[key], {id(estimator): estimator})
 
     return given

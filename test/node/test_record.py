@@ -110,7 +110,7 @@ def test_replayed_with_the_same_topics_it_gives_the_same_torque(drive):
     d, _, bag, _ = drive
     live = {stamp: -values[0] for name, stamp, values in d.published if name == "resistance_torque"}
     replayed = tr.replay(bag, "xgd24d", topics=bag.with_name("topics.yaml"))
-    assert len(replayed["resistance_torque_nm"]) == len(live) == 590
+    assert len(replayed["resistance_torque_nm"]) == len(live) == 591
     np.testing.assert_allclose(replayed["resistance_torque_nm"], [torque for _, torque in sorted(live.items())], rtol=1e-6)
     series = tr.read(bag, topics=bag.with_name("topics.yaml")).series
     assert len(series["torque"]) == 599
