@@ -109,11 +109,10 @@ def test_values_that_cannot_be_are_refused_and_said(desk, value):
 def test_coarse_steps_and_one_value_for_long_are_remarked(desk):
     d = desk(stuck_s=2.0)
     for i in range(50):
-        d.drive(0.04, speed=[8, 9, 10, 9][i % 4] / 3.6, load=250e3, ambient=15.0)  # as a bus sends it
+        d.drive(0.04, speed=[28, 29, 30, 29][i % 4] / 3.6, load=250e3, ambient=15.0)  # as a bus sends it
     assert {notice.name: notice.level for notice in d.app.notices()}["SPEED_QUANTISED"] is Level.OK
-    for i in range(50):  # in fine steps the same speed is stuck sooner
+    for i in range(100):  # known to have fine steps, it is stuck sooner
         d.drive(0.02, speed=8.0 + 0.01 * (i % 7), load=250e3, ambient=15.0)
-    assert "SPEED_QUANTISED" not in d.names()
     d.drive(2.5, speed=8.0)
     assert "SPEED_STUCK" in d.names()
 
