@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import Belt, Rubber
@@ -69,6 +68,8 @@ def least_tension_for_sag(sag: float, mass: float, half_span: float, stiffness: 
 
 def tension_by_search(sag: float, mass: float, half_span: float, stiffness: float) -> float:
     """The same by root search on `catenary_sag`: the check on the closed form."""
+    from scipy.optimize import brentq
+
     return float(brentq(lambda tension: float(catenary_sag(tension, mass, half_span, stiffness)) - sag, 1e-3, 1e9))
 
 
