@@ -40,7 +40,7 @@ def left_of(settings, pause):
     return min(1.0, max(0.0, 1.0 - (pause - settings.speed_max_age_s) / settings.feedforward_fade_s))
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(st.sampled_from(sorted(RATES)), st.lists(st.tuples(PAUSES_S, SPEEDS), min_size=2, max_size=40))
 def test_feedforward_keeps_its_rate_and_resumes_where_it_faded(rate, steps):
     estimator = RATES[rate]
@@ -95,7 +95,7 @@ def test_forward_and_reverse_are_alike(steps):
         assert one.feedforward_torque_nm == pytest.approx(-other.feedforward_torque_nm, rel=2e-3, abs=1.0)
 
 
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(st.lists(st.tuples(PAUSES_S, SPEEDS), min_size=1, max_size=20))
 def test_std_is_positive_and_finite_and_resistance_parts_add_up(steps):
     for _, estimate in rows_of(RATES[20000.0], steps):

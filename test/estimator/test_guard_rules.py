@@ -593,6 +593,9 @@ def test_a_reset_or_a_jump_ends_the_doubt(guard):
     guard.send(20 * MS, 16.0)
     assert guard.send(-3600 * S, 16.0)[0] == ACCEPTED_AFTER_RESET
     assert guard.send(-3600 * S + 20 * MS, 16.0)[0] == ACCEPTED_IN_ORDER
+    guard.send(-3600 * S + 40 * MS, 8.0)
+    outcomes = [guard.send(i * 20 * MS, 8.0, arrival=-3600 * S + (i + 2) * 20 * MS)[0] for i in range(1, 5)]
+    assert outcomes == [-Count.FUTURE, -Count.FUTURE, ACCEPTED_AFTER_JUMP, ACCEPTED_IN_ORDER]
 
 
 def test_other_channels_may_leap(guard):

@@ -67,54 +67,6 @@ def test_whatever_comes_counters_add_up_and_results_are_finite(reference, messag
     assert counters[:, Count.ACCEPTED].sum() + counters[:, [int(c) for c in REFUSALS]].sum() == len(messages)
 
 
-@pytest.mark.parametrize(
-    ("value", "which"),
-    [(float("nan"), Count.NON_FINITE), (float("inf"), Count.NON_FINITE), (1e9, Count.OUT_OF_RANGE), (-30.0, Count.OUT_OF_RANGE)],
-)
-def test_values_that_cannot_be_are_refused_and_the_last_holds(session, value, which):
-    now, before = steady(session)
-    assert send(session, now, value) is None
-    assert count(session, which) == 1
-    after = send(session, now + 20 * MS)
-    assert after["speed_mps"] == pytest.approx(SPEED, abs=0.05)
-    assert after.resistance_torque_nm == pytest.approx(before.resistance_torque_nm, rel=0.01)
-
-
-def test_zero_stamps_are_timed_by_arrival(session):
-    now, _ = steady(session)
-    for i in range(10):
-        assert send(session, 0, SPEED + 0.01 * i, arrival=now + i * 20 * MS) is not None
-    assert count(session, Count.ZERO_STAMP) == 10
-    assert count(session, Count.CLOCK_JUMP) == 0
-
-
-def test_zero_stamps_keep_the_clock_offset_of_their_source(session):
-    lag = 66 * 86400 * S
-    for i in range(50):
-        send(session, START - lag + i * 20 * MS, SPEED + 0.01 * (i % 3), arrival=START + i * 20 * MS)
-    estimate = send(session, 0, SPEED, arrival=START + 50 * 20 * MS)
-    assert estimate is not None
-    assert not estimate.reasons & (Reason.GAP_BRIDGED | Reason.GAP_UNKNOWN)
-
-
-def test_duplicates_and_late_messages_are_dropped(session):
-    now, _ = steady(session)
-    assert send(session, now - 20 * MS) is None
-    assert count(session, Count.DUPLICATE) == 1
-    assert send(session, now - 500 * MS) is None
-    assert count(session, Count.LATE) == 1
-
-
-def test_one_stamp_an_hour_ahead_or_behind_changes_nothing(session):
-    now, before = steady(session)
-    assert send(session, now + 3600 * S, arrival=now) is None
-    assert send(session, now - 3600 * S, arrival=now + MS) is None
-    after = send(session, now + 20 * MS)
-    assert after.belt_degc()[0] == pytest.approx(before.belt_degc()[0], abs=0.05)
-    assert count(session, Count.FUTURE) == 1
-    assert count(session, Count.BACKWARD) == 1
-
-
 @pytest.mark.parametrize("jump", [3600 * S, -3600 * S])
 def test_a_clock_jump_accepted_after_three_keeps_the_temperature(session, jump):
     now, before = steady(session, 60.0)
@@ -155,43 +107,6 @@ def test_gaps_are_bridged_or_marked_unknown(session):
     unknown = send(session, now + 600 * S)
     assert unknown.reasons & Reason.GAP_UNKNOWN
     assert count(session, Count.GAP) == 2
-
-
-def test_a_stuck_speed_is_reported_a_standing_vehicle_is_not(session):
-    for i in range(700):
-        estimate = send(session, START + i * 200 * MS, SPEED)
-    assert estimate.reasons & Reason.SPEED_STUCK
-    now = START + 700 * 200 * MS
-    for i in range(1400):
-        estimate = send(session, now + i * 200 * MS, 0.0)
-    assert not estimate.reasons & Reason.SPEED_STUCK
-
-
-def test_a_steady_drive_on_a_coarse_bus_is_not_called_stuck(session):
-    step = 1 / 3.6
-    for i in range(1500):
-        estimate = send(session, START + i * 200 * MS, step * min(i, 30))
-    assert not estimate.reasons & Reason.SPEED_STUCK
-
-
-def test_load_falls_back_to_the_last_then_to_nominal(session):
-    send(session, START, 300e3, "load")
-    assert send(session, START + 1, SPEED)["weight_n"] == pytest.approx(300e3)
-    held = send(session, START + 30 * S, SPEED + 0.1)
-    assert held["weight_n"] == pytest.approx(300e3)
-    assert held.reasons & Reason.LOAD_HELD
-    nominal = send(session, START + 100 * S, SPEED)
-    assert nominal["weight_n"] == pytest.approx(272e3)
-    assert nominal.reasons & Reason.LOAD_NOMINAL
-
-
-def test_the_finest_load_counts(session):
-    send(session, START, 300e3, "load")
-    send(session, START, 160e3, "load/front")
-    send(session, START, 70e3, "load/front_left")
-    estimate = send(session, START + 1)
-    loads = [estimate[f"load_n/{name}"] for name in session.estimator.assemblies]
-    assert loads == pytest.approx([70e3, 80e3, 75e3, 75e3])
 
 
 def test_ambient_and_belt_measurements_are_used_once(session):

@@ -160,40 +160,6 @@ def test_a_speed_that_stays_is_accepted_in_the_end(messages, speed, every):
     assert drive.estimates[-1][1]["speed_mps"] == speed
 
 
-def test_a_real_step_is_accepted_once_the_vehicle_can_be_there():
-    drive = Drive().along([0.0] * 100).along([14.0] * 150)
-    first = next(when for when, estimate in drive.estimates if estimate["speed_mps"] == 14.0)
-    waited_s = (first - (START + 100 * 20 * MS)) * 1e-9
-    assert waited_s == pytest.approx((14.0 - SLACK) / A_MAX, abs=0.05)
-
-
-def test_a_gap_allows_a_larger_change():
-    drive = Drive().along([0.0] * 50)
-    assert drive.send(14.0, after=3 * S) is not None
-    assert drive.refused == 0
-
-
-def test_doubtful_stamps_are_in_order_too():
-    drive = Drive().along([0.0] * 50).along([16.0] * 5)
-    speed = drive.session.channel("speed")
-    for stamp, which in ((drive.now, Count.DUPLICATE), (drive.now - 30 * MS, Count.LATE)):
-        before = int(drive.session.memory.counters[at.SPEED, which])
-        assert drive.session.handle(speed, stamp, drive.now, 16.0) is None
-        assert drive.session.memory.counters[at.SPEED, which] == before + 1
-    assert drive.refused == 5
-
-
-def test_time_that_goes_back_or_jumps_ends_a_doubt():
-    drive = Drive().along([0.0] * 50).along([16.0] * 5)
-    drive.now = START - 3600 * S
-    assert drive.send(16.0) is not None
-    assert drive.send(16.0) is not None
-    jump = Drive().along([0.0] * 50).along([16.0] * 5)
-    speed, came = jump.session.channel("speed"), jump.now
-    found = [jump.session.handle(speed, came + 3600 * S + i * 20 * MS, came + i * 20 * MS, 16.0) for i in range(1, 6)]
-    assert [one is not None for one in found] == [False, False, True, True, True]
-
-
 # Wheels and odometer
 
 
@@ -256,43 +222,6 @@ def test_an_odometer_that_counts_back_in_reverse_agrees():
 
 
 ENABLED = Estimator(VEHICLE, Settings(enable_hold_s=0.5))
-
-
-def test_without_the_input_nothing_is_needed():
-    drive = Drive().along([8.0] * 100)
-    assert drive.fed > 3000.0
-    assert not drive.held(Reason.DISABLED | Reason.ENABLE_OLD)
-
-
-def test_the_feedforward_follows_enable_at_its_rate():
-    drive = Drive(ENABLED).along([8.0] * 20)
-    assert drive.fed == 0.0
-    assert drive.estimates[-1][1].reasons & Reason.ENABLE_OLD
-    fed = []
-    for i in range(300):
-        if i % 10 == 0:
-            drive.send(float(100 <= i < 200), "enable", after=1)
-        drive.send(8.0)
-        fed.append(drive.estimates[-1][1].feedforward_torque_nm)
-    rate = Settings().feedforward_rate
-    assert max(abs(np.diff(fed))) <= rate * 0.021
-    assert (fed[95], fed[250]) == (0.0, 0.0)
-    assert fed[199] > 3000.0
-    last = drive.estimates[-1][1]
-    assert (last.reasons & Reason.DISABLED, last.reasons & Reason.ENABLE_OLD) == (Reason.DISABLED, 0)
-    assert last.resistance_torque_nm > 3000.0  # the estimate continues
-    assert not last.reasons & ~at.HARMLESS & ~(Reason.LOAD_NOMINAL | Reason.AMBIENT_NOMINAL)
-
-
-def test_an_old_enable_counts_as_disabled():
-    drive = Drive(ENABLED)
-    drive.send(1.0, "enable")
-    drive.along([8.0] * 24)
-    assert drive.fed > 3000.0
-    drive.along([8.0] * 30)
-    assert drive.fed == 0.0
-    assert drive.estimates[-1][1].reasons & Reason.ENABLE_OLD
-    assert drive.estimates[-1][1].status == "warn"
 
 
 @pytest.mark.parametrize("value", [2.0, -1.0, math.nan])

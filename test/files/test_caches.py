@@ -8,12 +8,11 @@ import pickle
 import shutil
 import subprocess
 import sys
-import time
-from itertools import cycle
 from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import wait_for
 
 from trackres_ros.files import cache, own_files
 from trackres_ros.files.cached_arrays import cached_arrays
@@ -46,23 +45,22 @@ def damages(random):
 DAMAGES = damages(np.random.default_rng(5))
 
 
-@pytest.mark.parametrize("name", DAMAGES)
-def test_a_damaged_table_is_computed_anew_and_written_again(tmp_path, name):
+def test_a_damaged_table_is_computed_anew_and_written_again(tmp_path):
     computed = []
 
-    def compute():
-        computed.append(1)
-        return ARRAYS
+    def again():
+        return cached_arrays("key", SHAPES, lambda: computed.append(1) or ARRAYS, tmp_path)
 
-    cached_arrays("key", SHAPES, compute, tmp_path)
+    again()
     whole = (tmp_path / "key.arrays").read_bytes()
-    (tmp_path / "key.arrays").write_bytes(DAMAGES[name](whole))
-    again = cached_arrays("key", SHAPES, compute, tmp_path)
-    assert len(computed) == 2
-    assert all(np.array_equal(again[key], ARRAYS[key]) for key in SHAPES)
-    assert (tmp_path / "key.arrays").read_bytes() == whole
-    cached_arrays("key", SHAPES, compute, tmp_path)
-    assert len(computed) == 2
+    for count, (name, damage) in enumerate(DAMAGES.items(), 2):
+        (tmp_path / "key.arrays").write_bytes(damage(whole))
+        found = again()
+        assert len(computed) == count, name
+        assert all(np.array_equal(found[key], ARRAYS[key]) for key in SHAPES)
+        assert (tmp_path / "key.arrays").read_bytes() == whole
+        again()
+        assert len(computed) == count, name
 
 
 def test_the_table_of_another_key_is_not_taken(tmp_path):
@@ -184,12 +182,15 @@ def test_compiled_code_is_taken_from_the_cache(code):
 
 
 @needs_numba
-@pytest.mark.parametrize("name", list(DAMAGES)[:9])
-def test_damaged_code_is_compiled_anew_and_written_again(code, name):
-    code.write_bytes(DAMAGES[name](code.read_bytes()))
-    assert not compiling.is_cached(compiling.compiled(square))
-    assert compiled_anew()
-    assert not compiled_anew()
+def test_damaged_code_is_compiled_anew_and_written_again(code):
+    whole = code.read_bytes()
+    sealed = [own_files.sealed(code.name, pickle.dumps(content)) for content in (None, (1, 2), ("x",) * 9)]
+    unloadable = [*sealed, *(own_files.sealed(code.name, payload) for payload in (b"", b"\x80\x05."))]
+    for damaged in [*(damage(whole) for damage in list(DAMAGES.values())[:9]), *unloadable]:
+        code.write_bytes(damaged)
+        assert compiling.is_cached(compiling.compiled(square)) is (damaged in unloadable)
+        assert compiled_anew()
+        assert not compiled_anew()
 
 
 class Bomb:
@@ -205,14 +206,6 @@ def test_a_pickle_that_we_did_not_write_is_never_opened(code, tmp_path):
     code.write_bytes(pickle.dumps(Bomb(tmp_path / "ran")))
     assert compiled_anew()
     assert not (tmp_path / "ran").exists()
-
-
-@needs_numba
-@pytest.mark.parametrize("payload", [b"", b"\x80\x05.", pickle.dumps(None), pickle.dumps((1, 2)), pickle.dumps(("x",) * 9)])
-def test_sealed_code_that_cannot_be_loaded_is_compiled_anew(code, payload):
-    code.write_bytes(own_files.sealed(code.name, payload))
-    assert compiled_anew()
-    assert not compiled_anew()
 
 
 @needs_numba
@@ -232,83 +225,56 @@ SHORT_S, LONG_S = 20, 30000  # a long one waits for compiled steps, a short firs
 
 
 def simulation(out, seconds):
-    command = [sys.executable, "-m", "trackres_ros.cli.main", "simulate", "--vehicle", "agri3t", "--speed-kmh", "10"]
-    return [*command, "--duration-s", str(seconds), "--dt", "0.5", "-o", str(out)]
+    return ["simulate", "--vehicle", "agri3t", "--speed-kmh", "10", "--duration-s", str(seconds), "--dt", "0.5", "-o", str(out)]
 
 
-def simulate(folder, out, repository, seconds=SHORT_S, **environment):
-    given = {**os.environ, "XDG_CACHE_HOME": str(folder), **environment}
-    command = simulation(out, seconds)
-    done = subprocess.run(command, env=given, capture_output=True, text=True, timeout=300, cwd=repository, check=False)
-    assert done.returncode == 0, done.stderr
-    return out.read_bytes(), done.stderr
+def process(folder, out, seconds):
+    command = [sys.executable, "-m", "trackres_ros", *simulation(out, seconds)]
+    return subprocess.Popen(command, env={**os.environ, "XDG_CACHE_HOME": str(folder)}, stderr=subprocess.DEVNULL)
 
 
-@pytest.fixture(scope="module")
-def warm(tmp_path_factory, repository):
-    """A cache with all inputs of a simulation, without compiled code, and the simulation's result."""
-    folder = tmp_path_factory.mktemp("warm")
-    return folder, simulate(folder, folder / "out.csv", repository, TRACKRES_INTERPRETED="1")[0]
+@pytest.fixture
+def simulate(tmp_path, monkeypatch, compiled, good, said):
+    """The result of a simulation with its tables in a folder, and what it says of caches; compiled code is found elsewhere."""
+    if compiling.HAVE_NUMBA:
+        monkeypatch.setattr(compiling._library.config, "CACHE_DIR", str(compiling.code_folder().parent))
+
+    def run(folder):
+        monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
+        good(*simulation(tmp_path / "out.csv", SHORT_S))
+        return (tmp_path / "out.csv").read_bytes(), said()
+
+    return run
 
 
-@pytest.mark.parametrize("name", ["empty", "cut", "flipped 3"])
-def test_a_simulation_with_damaged_tables_gives_the_same(warm, tmp_path, repository, name):
-    folder, whole = warm
-    shutil.copytree(folder / "trackres", tmp_path / "trackres")
-    files = list((tmp_path / "trackres").glob("*.arrays"))
+def test_a_simulation_with_damaged_or_no_tables_gives_the_same(simulate, tmp_path):
+    whole = simulate(tmp_path / "warm")
+    assert whole[1] == []
+    files = list((tmp_path / "warm" / "trackres").glob("*.arrays"))
     assert files
     for file in files:
-        file.write_bytes(DAMAGES[name](file.read_bytes()))
-    assert simulate(tmp_path, tmp_path / "out.csv", repository, TRACKRES_INTERPRETED="1") == (whole, "")
-
-
-@pytest.mark.parametrize("place", ["a file", "read-only"])
-def test_a_simulation_without_a_cache_gives_the_same_and_says_so(warm, tmp_path, repository, place):
-    folder = tmp_path / "in the way" if place == "a file" else Path("/proc/none")
-    if place == "a file":
-        folder.write_text("")
-    out, said = simulate(folder, tmp_path / "out.csv", repository, TRACKRES_INTERPRETED="1")
-    assert out == warm[1]
-    assert said.count("\n") == 1
-    assert "not cached" in said
+        file.write_bytes(DAMAGES["cut"](file.read_bytes()))
+    assert simulate(tmp_path / "warm") == whole
+    (tmp_path / "in the way").write_text("")
+    out, messages = simulate(tmp_path / "in the way")
+    assert out == whole[0]
+    assert "not cached" in messages[0]
+    assert len(messages) == 1
 
 
 @needs_numba
 @pytest.mark.long
-def test_a_simulation_with_damaged_code_gives_the_same(tmp_path, repository, warm_code):
-    whole, _ = simulate(tmp_path, tmp_path / "whole.csv", repository, LONG_S)
-    files = warm_code("advance_along.entry", "advance_along", "start.entry")
-    for file, damage in zip(files, cycle(("other bytes", "cut", "empty")), strict=False):
-        file.write_bytes(DAMAGES[damage](file.read_bytes()))
-    assert simulate(tmp_path, tmp_path / "again.csv", repository, LONG_S) == (whole, "")
-    assert not [path for path in files if own_files.unsealed(path.name, path.read_bytes()) is None]
-
-
-@needs_numba
-@pytest.mark.long
-def test_a_first_run_compiles_in_the_background_for_the_next(tmp_path, repository, warm_code):
-    for path in warm_code("advance_along.entry"):
-        path.unlink()
-    first, _ = simulate(tmp_path, tmp_path / "first.csv", repository)
-    deadline = time.monotonic() + 1500.0
-    while not list(tmp_path.rglob("*advance_along.entry*.code")) and time.monotonic() < deadline:
-        time.sleep(0.2)
-    warm_code("advance_along.entry")
-    assert simulate(tmp_path, tmp_path / "second.csv", repository)[0] == first
-
-
-@needs_numba
-@pytest.mark.long
-def test_two_processes_at_once_leave_a_cache_that_is_whole(tmp_path, repository, warm_code):
-    for path in warm_code("advance_along.entry", "advance_along", "start.entry"):
-        path.unlink()
-    given = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
-    both = [
-        subprocess.Popen(simulation(tmp_path / f"{i}.csv", LONG_S), env=given, cwd=repository, stderr=subprocess.DEVNULL)
-        for i in range(2)
-    ]
-    assert [process.wait(timeout=300) for process in both] == [0, 0]
-    warm_code("advance_along.entry", "start.entry")
-    files = [path for path in (tmp_path / "trackres").rglob("*") if path.is_file()]
-    assert not [path for path in files if own_files.unsealed(path.name, path.read_bytes()) is None]
-    assert (tmp_path / "0.csv").read_bytes() == (tmp_path / "1.csv").read_bytes()
+def test_a_first_run_compiles_and_two_at_once_mend_damaged_code(tmp_path, warm_code, simulate, good):
+    (start,) = warm_code("start.entry")
+    start.unlink()
+    assert process(tmp_path, tmp_path / "first.csv", SHORT_S).wait() == 0
+    assert wait_for(start.exists, patience_s=600.0)
+    assert simulate(tmp_path)[0] == (tmp_path / "first.csv").read_bytes()
+    good(*simulation(tmp_path / "long.csv", LONG_S))
+    start.write_bytes(DAMAGES["other bytes"](start.read_bytes()))
+    both = [process(tmp_path, tmp_path / f"{i}.csv", LONG_S) for i in range(2)]
+    assert [one.wait() for one in both] == [0, 0]
+    files = [path for path in (tmp_path / "trackres").rglob("*.*") if path.suffix != ".lock"]
+    assert start in files
+    assert not [path for path in files if path.is_file() and own_files.unsealed(path.name, path.read_bytes()) is None]
+    assert len({(tmp_path / f"{name}.csv").read_bytes() for name in ("0", "1", "long")}) == 1

@@ -66,11 +66,16 @@ def climb(way):
     return 0.004 + 0.01 * np.sin(way / 250.0)
 
 
-def test_a_car_is_learned_on_the_level_and_acts():
-    driven = Drive().drive(25.0)
-    assert driven.rolling[0] == pytest.approx(MORE_ROLLING, abs=0.05)
-    assert driven.learner.counts(at.OF_BEARING)
-    true, expected = np.array(driven.rows[-1200:]).T
+@pytest.fixture(scope="module")
+def level():
+    """A car after 25 minutes on the level."""
+    return Drive().drive(25.0)
+
+
+def test_a_car_is_learned_on_the_level_and_acts(level):
+    assert level.rolling[0] == pytest.approx(MORE_ROLLING, abs=0.05)
+    assert level.learner.counts(at.OF_BEARING)
+    true, expected = np.array(level.rows[-1200:]).T
     assert np.abs(expected - true).mean() < 0.05 * np.abs(true).mean()
 
 
@@ -131,9 +136,8 @@ def test_nothing_pushes_a_car_that_stands_whatever_was_learned():
     assert driven.session.motion[at.Motion.feedforward] == 0.0
 
 
-def test_what_was_learned_of_a_car_becomes_its_file(tmp_path):
-    driven = Drive().drive(25.0)
-    written = write_learned(driven.learner, driven.estimator.vehicle, tmp_path / "learned.yaml")
+def test_what_was_learned_of_a_car_becomes_its_file(level, tmp_path):
+    written = write_learned(level.learner, level.estimator.vehicle, tmp_path / "learned.yaml")
     assert "road_load.rolling_coefficient" in written
     before, after = tr.load_vehicle("bmw_i3").values, tr.load_vehicle(tmp_path / "learned.yaml").values
     assert after["rolling_coefficient"] == pytest.approx((1.0 + MORE_ROLLING) * before["rolling_coefficient"], rel=0.05)

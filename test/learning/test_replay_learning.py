@@ -31,13 +31,23 @@ def recording(reference, tmp_path_factory):
     return path
 
 
-def test_twice_the_same_bytes_and_no_others_than_in_pieces(recording, tmp_path):
+@pytest.fixture(scope="module")
+def on(recording):
+    return tr.replay(recording, "xgd24d", learning="on")
+
+
+@pytest.fixture(scope="module")
+def watched(recording):
+    return tr.replay(recording, "xgd24d", learning="watch", save_vehicle=recording.with_name("learned.yaml"))
+
+
+def test_twice_the_same_bytes(recording, tmp_path):
     for name in ("a", "b"):
         tr.replay(recording, "xgd24d", learning="on", output=tmp_path / f"{name}.csv")
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
 
 
-def test_stopped_and_resumed_it_learns_what_it_would_have(recording, tmp_path):
+def test_stopped_and_resumed_it_learns_what_it_would_have(recording, on, tmp_path):
     lines = recording.read_text().splitlines(keepends=True)
     half = len(lines) // 2
     first, second = tmp_path / "first.csv", tmp_path / "second.csv"
@@ -46,24 +56,22 @@ def test_stopped_and_resumed_it_learns_what_it_would_have(recording, tmp_path):
     state = tmp_path / "state.json"
     tr.replay(first, "xgd24d", learning="on", save_state=state)
     resumed = tr.replay(second, "xgd24d", learning="on", resume=state)
-    whole = tr.replay(recording, "xgd24d", learning="on")
     for column in ("resistance_torque_nm", "learned_loss_modulus_scale", "learned_loss_modulus_scale_std"):
-        assert np.array_equal(resumed[column], whole[column][-len(resumed[column]) :]), column
+        assert np.array_equal(resumed[column], on[column][-len(resumed[column]) :]), column
 
 
-def test_watching_leaves_every_column_of_the_estimate_as_it_is(recording):
-    off, watched = tr.replay(recording, "xgd24d"), tr.replay(recording, "xgd24d", learning="watch")
+def test_watching_leaves_every_column_of_the_estimate_as_it_is(recording, watched):
+    off = tr.replay(recording, "xgd24d")
     for column in off.columns:
         assert np.array_equal(off[column], watched[column], equal_nan=True), column
     assert watched["learned_resistance_torque_nm"][-1] > 1.05 * off["resistance_torque_nm"][-1]
 
 
-def test_the_vehicle_file_it_leaves_starts_from_what_was_learned(recording, tmp_path):
-    learned = tr.replay(recording, "xgd24d", learning="watch", save_vehicle=tmp_path / "learned.yaml")
-    again = tr.replay(recording, tmp_path / "learned.yaml")
+def test_the_vehicle_file_it_leaves_starts_from_what_was_learned(recording, watched):
+    again = tr.replay(recording, recording.with_name("learned.yaml"))
     late = slice(-600, None)  # with values learned by then, over the whole distance
-    assert again["resistance_torque_nm"][late] == pytest.approx(learned["learned_resistance_torque_nm"][late], rel=0.02)
-    assert again["resistance_std_nm"][-1] < 0.5 * learned["resistance_std_nm"][-1]
+    assert again["resistance_torque_nm"][late] == pytest.approx(watched["learned_resistance_torque_nm"][late], rel=0.02)
+    assert again["resistance_std_nm"][-1] < 0.5 * watched["resistance_std_nm"][-1]
 
 
 def test_what_does_not_count_is_not_written(recording, tmp_path):

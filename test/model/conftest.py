@@ -15,7 +15,7 @@ from trackres_ros.model.rubber import RubberModel
 from trackres_ros.vehicle import Rubber, Track, Vehicle, load
 
 # The same examples on every run, and no deadline: a shared machine is slow for reasons that are not the code's.
-settings.register_profile("laws", deadline=None, derandomize=True, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("laws", deadline=None, derandomize=True, max_examples=30, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("laws")
 
 

@@ -22,7 +22,6 @@ from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import config_dir
 from trackres_ros.model.coverage import DESTROYED_DEGC, balance_degc, beyond_data, check_heat, coverage
-from trackres_ros.model.hysteresis import METHODS
 from trackres_ros.model.loss_table import loss_table, reverse_share
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.track import load_range, track_model, with_methods
@@ -37,6 +36,7 @@ def cut(vehicle: Vehicle, low: float, high: float) -> Vehicle:
     return replace(vehicle, rubber=replace(rubber, sweep_degc=parts[0], storage_pa=parts[1], loss_pa=parts[2]))
 
 
+@settings(max_examples=12)
 @given(low=st.sampled_from([-60, -40, -20, 0, 20]), share=st.floats(0.02, 1.0), factor=st.floats(1.02, 3.0))
 def test_colder_or_faster_than_the_data_leaves_the_sweep(xgd24d: Vehicle, low: int, share: float, factor: float) -> None:
     vehicle = cut(xgd24d, low, 120)
@@ -155,18 +155,7 @@ def test_vehicle_check_says_what_the_data_cover(short: Path, good: Any) -> None:
 # Forward and reverse
 
 
-@given(speed=st.floats(0.1, 16.0), belt=st.floats(-40.0, 100.0), torque=st.floats(-1.0, 1.0))
-@pytest.mark.parametrize("method", list(METHODS))
-def test_the_travel_alone_makes_no_difference(vehicle: Vehicle, method: str, speed: float, belt: float, torque: float) -> None:
-    """Only the sign of the drive torque may: which run of the belt it pulls taut."""
-    name = next(iter(vehicle.tracks))
-    model, load_n = track_model(with_methods(vehicle, method), name), load_range(vehicle, name).nominal
-    torque *= 0.15 * load_n * model.track.sprocket_radius
-    forward, backward = (model.loss.loss_force(v, belt, load_n, torque).total for v in (speed, -speed))
-    assert float(backward) == float(forward)
-
-
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(speeds=st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=30), ambient=st.floats(-30.0, 40.0), grade=st.floats(-0.2, 0.2))
 @pytest.mark.parametrize("which", ["reference", "carrier"])
 def test_a_mirrored_drive_reverses_the_sign_of_every_torque(

@@ -20,7 +20,7 @@ from trackres_ros.vehicle import Vehicle, load
 
 FULL_SPEED = 50 / 3.6
 PARTS = ("indentation", "bending", "tension", "drive")
-few = settings(max_examples=15)
+few = settings(max_examples=6)
 speeds = st.floats(-16.0, 16.0)
 temperatures = st.floats(-40.0, 110.0)
 weights = st.floats(1.5e5, 4e5)
@@ -63,15 +63,8 @@ def test_parts_add_up(xgd24d: Vehicle, method: str, speed: float, belt_degc: flo
     assert torque["inertia"] == 0.0  # a steady state
     assert point["heat_w"] == pytest.approx(sum(loss["total"] for loss in point["loss_force_by_assembly_n"]) * abs(speed))
     assert point["cooling_w"] * (belt_degc - 15.0) >= 0.0
-
-
-@few
-@given(speed=st.floats(0.5, 16.0), belt_degc=temperatures)
-def test_hysteresis_torque_is_the_heat_over_the_sprocket_speed(xgd24d: Vehicle, speed: float, belt_degc: float) -> None:
-    """Equation (33) with omega = v/R1."""
-    point = explain(xgd24d, speed, belt_degc)
-    omega = speed / xgd24d.tracks["triangular"].sprocket_radius
-    assert point["torque_nm"]["hysteresis"] == pytest.approx(point["heat_w"] / omega, rel=1e-6)
+    omega = speed / xgd24d.tracks["triangular"].sprocket_radius  # equation (33)
+    assert torque["hysteresis"] * omega == pytest.approx(point["heat_w"], rel=1e-6)
 
 
 @few

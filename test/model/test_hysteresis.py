@@ -101,7 +101,7 @@ def test_counting_is_low_by_about_three_on_a_bending_plateau(triangular: Track, 
 def test_spectral_loss_of_a_sine(triangular: Track, compound: Rubber, monkeypatch: pytest.MonkeyPatch) -> None:
     """Equation (28): a strain amplitude e at m cycles a loop loses pi m e^2 E''(m v/L) in a loop and unit volume."""
     rubber, length, cycles, amplitude, speed, belt_degc = RubberModel(compound), triangular.belt.loop_length, 7, 3.0, 4.0, 25.0
-    at = np.arange(4000) / 4000 * length
+    at = np.arange(2000) / 2000 * length
     sine = Profile(at, amplitude * np.sin(2 * np.pi * cycles * at / length + 0.4), length)
     monkeypatch.setattr(hysteresis, "build_loop", lambda track: replace(build_loop(track), curvature=sine))
     loss = float(Spectral(triangular, rubber).loss_force(speed, belt_degc, 68e3).bending)

@@ -191,18 +191,6 @@ def test_torque_rises_with_load_at_all_times(thermal: str, first: float, second:
         assert (heavier["resistance_torque_nm"][1:] > lighter["resistance_torque_nm"][1:]).all()
 
 
-@few
-@given(speed=st.floats(0.5, 16.0), ambient=ambients)
-def test_reverse_resists_as_forward_does(speed: float, ambient: float) -> None:
-    """The shipped track is its own mirror image, so driving backwards is the same but for the sign."""
-    forward, reverse = (
-        simulate(estimator("lumped"), ramp_and_hold(v, 20.0, 600.0, 0.5), ambient_degc=ambient) for v in (speed, -speed)
-    )
-    assert reverse["belt_degc"] == pytest.approx(forward["belt_degc"], rel=1e-9)
-    for part in ("hysteresis_nm", "bearing_nm", "wind_nm", "inertia_nm"):
-        assert -reverse[part] == pytest.approx(forward[part], rel=1e-6)
-
-
 @both_networks
 @pytest.mark.parametrize("dt", [0.01, 0.1, 0.5])
 def test_steps_against_an_ode_solver_on_the_same_table(thermal: str, dt: float) -> None:

@@ -174,6 +174,12 @@ def desk():
     yield from _desks(Desk)
 
 
+@pytest.fixture(scope="module")
+def standing_desk():
+    """As `desk`, for what several tests of a module look at."""
+    yield from _desks(Desk)
+
+
 def _desks(kind):
     desks = []
 

@@ -125,31 +125,3 @@ def test_a_mode_in_a_table_is_read_by_its_values(tmp_path):
 def test_values_of_a_mode_are_numbers(values):
     with pytest.raises(InputError, match="values"):
         Topics.parse({"enable": {"topic": "mode", "type": "std_msgs/msg/UInt8", "field": "data", "values": values}})
-
-
-def test_a_leap_of_the_speed_is_shown_at_once_and_fades(desk):
-    made = desk()
-    made.drive(2.0, 0.0)
-    assert "SPEED_IMPLAUSIBLE" not in made.names()
-    made.drive(0.02, 16.6)
-    assert "SPEED_IMPLAUSIBLE" in made.names()
-    made.drive(0.98, 16.6)
-    assert {values[0] for topic, _, values in made.published if topic == "feedforward_torque_nm"} == {0.0}
-    assert "SPEED_OLD" in made.names()
-    made.forward(0.1)
-    status = next(found for topic, found in reversed(made.statuses) if topic == "/diagnostics")
-    counted = next(dict(one.values) for one in status if one.name.endswith("input speed"))
-    assert int(counted["implausible"]) >= 45
-    made.drive(3.0, 0.0)
-    assert not made.names() & {"SPEED_IMPLAUSIBLE", "SPEED_OLD", "REFUSED"}
-
-
-def test_speeds_in_turn_fade_the_published_feedforward(desk):
-    made = desk()
-    made.drive(2.0, 5.0)
-    assert fed(made) > 3000.0
-    for _ in range(50):
-        made.drive(0.02, 16.5)
-        made.drive(0.02, 5.0)
-    assert fed(made) == 0.0
-    assert {"SPEED_IMPLAUSIBLE", "SPEED_OLD", "REFUSED"} <= made.names()

@@ -9,10 +9,9 @@ import re
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
-from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.node.mismatch import KNOWN_AFTER, MismatchDetector, MismatchSettings
-from trackres_ros.vehicle import load
 
 START_NS = 10**18
 DRIVE_NM, STD_NM, NOISE_NM = 3000.0, 300.0, 300.0  # tolerated are 300 Nm
@@ -24,11 +23,7 @@ def noise(hours, phi=0.0, size=NOISE_NM, seed=0, dt=1.0):
     random = np.random.default_rng(seed)
     count, step = int(hours * 3600 / dt), phi**dt
     shocks = random.normal(0.0, size * math.sqrt(1.0 - step * step), count)
-    series, now = np.empty(count), random.normal(0.0, size)
-    for i, shock in enumerate(shocks):
-        series[i] = now
-        now = step * now + shock
-    return series
+    return lfilter([1.0], [1.0, -step], np.append(random.normal(0.0, size), shocks[:-1]))
 
 
 def watch(residual, dt=1.0, settings=None, speed=8.0, accel=0.0, detector=None, start_s=0.0):
@@ -44,33 +39,32 @@ def watch(residual, dt=1.0, settings=None, speed=8.0, accel=0.0, detector=None, 
     return detector, turned
 
 
-@pytest.mark.parametrize("phi", [0.0, 0.5, 0.9, 0.97])
-@pytest.mark.parametrize("size", [30.0, 300.0, 1500.0])
+@pytest.mark.parametrize(("phi", "size"), [(0.0, 30.0), (0.5, 300.0), (0.97, 300.0), (0.97, 1500.0)])
 def test_noise_alone_is_no_mismatch(phi, size):
-    for seed in range(3):
-        detector, turned = watch(noise(8.0, phi, size, seed))
+    for seed in range(2):
+        detector, turned = watch(noise(6.0, phi, size, seed))
         assert not turned
         assert detector.verdict.settled
         assert detector.verdict.text == "no lasting difference"
 
 
 def test_hills_that_nobody_measured_seldom_raise_it():
-    alarms = [watch(noise(8.0, 0.99, 1500.0, seed))[1] for seed in range(8)]  # half the torque, over minutes
+    alarms = [watch(noise(6.0, 0.99, 1500.0, seed))[1] for seed in range(5)]  # half the torque, over minutes
     assert sum(map(bool, alarms)) <= 1
 
 
 def test_with_nothing_tolerated_noise_alone_is_still_none():
-    assert not any(watch(noise(8.0, 0.5, seed=seed), settings=NOTHING_TOLERATED)[1] for seed in range(6))
+    assert not any(watch(noise(8.0, 0.5, seed=seed), settings=NOTHING_TOLERATED)[1] for seed in range(3))
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.8])
 def test_false_alarms_are_rarer_than_the_bound_of_the_evidence(phi):
-    evidence, hold_s, hours = 3.0, 60.0, 10.0  # so little that there are some to count
+    evidence, hold_s, hours = 2.5, 60.0, 15.0  # so little that there are some to count
     settings = dataclasses.replace(NOTHING_TOLERATED, mismatch_evidence=evidence, mismatch_hold_s=hold_s)
     bins, bin_s = hold_s / settings.mismatch_bin_s, settings.mismatch_bin_s
     a_bin = evidence**3 * math.exp(-(evidence**2) / 2.0) / (2.0 * bins * math.sqrt(2.0 * math.pi))
-    alarms = sum(len(watch(noise(hours, phi, seed=seed), settings=settings)[1][::2]) for seed in range(3))
-    assert 0 < alarms < a_bin * 3 * hours * 3600.0 / bin_s
+    alarms = len(watch(noise(hours, phi, seed=1), settings=settings)[1][::2])
+    assert 0 < alarms < a_bin * hours * 3600.0 / bin_s
 
 
 def test_slow_noise_in_a_torque_that_comes_every_10_s_is_none():
@@ -90,13 +84,12 @@ def test_it_says_so_while_it_cannot_know():
     assert watch(noise(known_s / 3600.0 + 0.01) + 5000.0)[0].verdict.parted
 
 
-@pytest.mark.parametrize("bias", [100.0, 200.0, 270.0, -270.0])
+@pytest.mark.parametrize("bias", [270.0, -270.0])
 def test_an_offset_within_the_tolerance_is_none(bias):
-    assert not any(watch(noise(4.0, 0.5, seed=seed) + bias)[1] for seed in range(3))
+    assert not any(watch(noise(4.0, 0.5, seed=seed) + bias)[1] for seed in range(2))
 
 
-@pytest.mark.parametrize("phi", [0.0, 0.5, 0.9])
-@pytest.mark.parametrize("bias", [600.0, -600.0, 1500.0])
+@pytest.mark.parametrize(("phi", "bias"), [(0.0, 600.0), (0.5, -600.0), (0.9, 600.0), (0.9, -1500.0)])
 def test_a_lasting_offset_is_found_with_its_time_size_and_sign(phi, bias):
     residual = noise(3.0, phi, seed=5)
     residual[1800:] += bias
@@ -114,7 +107,7 @@ def test_a_lasting_offset_is_found_with_its_time_size_and_sign(phi, bias):
 def test_a_larger_offset_is_found_sooner():
     found = []
     for bias in (500.0, 700.0, 1500.0, 5000.0, 1e6):
-        residual = noise(3.0, 0.9, seed=2)
+        residual = noise(2.0, 0.9, seed=2)
         residual[1800:] += bias
         found.append(watch(residual)[1][0])
     assert found == sorted(found, reverse=True)
@@ -128,17 +121,17 @@ def test_an_offset_from_the_start_is_said_to_be_from_the_start():
 
 
 def test_what_comes_round_each_lap_is_none():
-    time_s = np.arange(4 * 3600.0)
+    time_s = np.arange(3 * 3600.0)
     lap = 700.0 * np.sin(2 * np.pi * time_s / 226.0)  # 1 % up and down the paper's circle at 10 km/h
-    assert not any(watch(noise(4.0, 0.5, 100.0, seed) + lap)[1] for seed in range(3))
+    assert not any(watch(noise(3.0, 0.5, 100.0, seed) + lap)[1] for seed in range(2))
 
 
 def test_a_mismatch_ends_within_30_minutes_of_the_offset_ending():
-    residual = noise(8.0, 0.5, seed=7)
-    residual[1800 : 1800 + 4 * 3600] += 900.0
+    residual = noise(4.0, 0.5, seed=7)
+    residual[1800 : 1800 + 2 * 3600] += 900.0
     _, turned = watch(residual)
     assert len(turned) == 2
-    assert turned[1] - (1800 + 4 * 3600) < 1800.0
+    assert turned[1] - (1800 + 2 * 3600) < 1800.0
 
 
 def test_signs_are_alike():
@@ -150,7 +143,7 @@ def test_signs_are_alike():
 
 
 def test_the_rate_of_messages_does_not_matter():
-    residual = noise(1.5, 0.5, seed=4)
+    residual = noise(0.8, 0.5, seed=4)
     residual[900:] += 700.0
     slow = watch(residual)[1]
     fast = watch(np.repeat(residual, 20), dt=0.05)[1]
@@ -166,14 +159,14 @@ def test_standing_and_hard_acceleration_are_not_compared(speed, accel):
 
 
 def test_spikes_do_not_raise_it():
-    residual = noise(6.0, 0.5, seed=3)
+    residual = noise(4.0, 0.5, seed=3)
     residual[np.random.default_rng(1).random(len(residual)) < 0.01] += 50000.0
     assert not watch(residual)[1]
 
 
-@pytest.mark.parametrize("spike", [5e4, 1e6, 1e150])
+@pytest.mark.parametrize("spike", [5e4, 1e150])
 def test_spikes_neither_hide_an_offset_nor_change_its_size(spike):
-    residual = noise(3.0, 0.5, seed=3)
+    residual = noise(2.0, 0.5, seed=3)
     residual[3600:] += 700.0
     plain, found = watch(residual)
     residual[np.random.default_rng(1).random(len(residual)) < 0.005] += spike
@@ -183,7 +176,7 @@ def test_spikes_neither_hide_an_offset_nor_change_its_size(spike):
     assert spiked.verdict.mean_nm == pytest.approx(plain.verdict.mean_nm, rel=0.03)
 
 
-@pytest.mark.parametrize("dt", [0.01, 1.5, 7.0])
+@pytest.mark.parametrize("dt", [0.05, 1.5, 7.0])
 def test_minutes_are_those_that_passed_at_any_rate(dt):
     residual = noise(1.5, size=100.0, dt=dt)
     residual[int(2700 / dt) :] += 2000.0
@@ -213,7 +206,7 @@ LIMITS = [[item.metadata["low"], item.default, item.metadata["high"]] for item i
 SIZES = [0.0, 300.0, 1e9, 1e300, math.inf]
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_any_allowed_settings_and_any_numbers_do_no_harm(seed):
     random = np.random.default_rng(seed)
     detector = MismatchDetector(MismatchSettings(*(float(random.choice(limits)) for limits in LIMITS)))
@@ -254,6 +247,17 @@ def test_restart_forgets():
     assert not detector.verdict.settled
 
 
+@pytest.fixture(scope="module")
+def hour(reference):
+    """Times [s] of a drive, and what the estimate gives along it."""
+    time_s = np.arange(0.0, 3600.0, 1.0)
+    speed = 8.0 + 2.0 * np.sin(2 * np.pi * time_s / 400.0)
+    state = reference.cold_start(reference.inputs(8.0, ambient=15.0))
+    rows, at = reference.run(state, time_s, speed, reference.vehicle.weight, 15.0)[1], reference.column_index
+    names = "hysteresis_nm", "bearing_nm", "drive_torque_nm", "resistance_std_nm", "speed_mps", "accel_mps2"
+    return time_s, [rows[:, at[name]] for name in names]
+
+
 WELL_KNOWN = MismatchSettings(mismatch_share=0.02, mismatch_std=0.0)
 
 
@@ -270,19 +274,13 @@ WELL_KNOWN = MismatchSettings(mismatch_share=0.02, mismatch_std=0.0)
         (1.0, 0.85, WELL_KNOWN, True),
     ],
 )
-def test_a_resistance_different_from_the_vehicle_file_is_found(loss, bearing, settings, parted):
-    estimator = Estimator(load("xgd24d"))
-    time_s = np.arange(0.0, 3600.0, 0.5)
-    speed = 8.0 + 2.0 * np.sin(2 * np.pi * time_s / 400.0)
-    state = estimator.cold_start(estimator.inputs(8.0, ambient=15.0))
-    rows = estimator.run(state, time_s, speed, estimator.vehicle.weight, 15.0)[1]
-    at = estimator.column_index
-    more = (loss - 1.0) * rows[:, at["hysteresis_nm"]] + (bearing - 1.0) * rows[:, at["bearing_nm"]]
+def test_a_resistance_different_from_the_vehicle_file_is_found(hour, loss, bearing, settings, parted):
+    time_s, (hysteresis, bearings, *rows) = hour
+    more = (loss - 1.0) * hysteresis + (bearing - 1.0) * bearings
     residual = more + np.random.default_rng(8).normal(0.0, 150.0, len(time_s))
-    columns = [at[name] for name in ("drive_torque_nm", "resistance_std_nm", "speed_mps", "accel_mps2")]
     detector = MismatchDetector(settings)
-    for stamp_s, value, row in zip(time_s, residual, rows[:, columns], strict=True):
-        detector.take(START_NS + round(stamp_s * 1e9), value, *row)
+    for stamp_s, *row in zip(time_s, residual, *rows, strict=True):
+        detector.take(START_NS + round(stamp_s * 1e9), *row)
     assert detector.verdict.parted is parted
     if parted:
         assert detector.verdict.mean_nm == pytest.approx(more.mean(), rel=0.1)

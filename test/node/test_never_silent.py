@@ -45,7 +45,7 @@ def message_of(role, seconds, nanoseconds, value):
     }[role]
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(st.booleans(), EVENTS)
 def test_whatever_comes_no_tick_raises_and_status_goes_out(wild_by_clock, simulated, events):
     d = wild_by_clock[simulated]
@@ -135,8 +135,10 @@ def test_stamps_are_those_of_builtin_interfaces(seconds, nanoseconds):
     assert FIRST_NS <= nearest_usable(seconds) <= LAST_NS
 
 
-@pytest.mark.parametrize(("rate_hz", "hz"), [(50.0, 50.0), (50.0, 1.0), (20.0, 7.0), (0.0, 50.0), (0.0, 2.0), (7.0, 100.0)])
-@pytest.mark.parametrize("nm_per_s", [500.0, 20000.0])
+@pytest.mark.parametrize(
+    ("nm_per_s", "rate_hz", "hz"),
+    [(500.0, 50.0, 50.0), (500.0, 20.0, 7.0), (500.0, 0.0, 2.0), (2e4, 50.0, 1.0), (2e4, 0.0, 50.0)],
+)
 def test_outputs_keep_the_feedforward_rate_over_speeds_and_gaps(desk, rate_hz, hz, nm_per_s):
     d = desk(output_rate_hz=rate_hz, output_deadline_s=0.0, feedforward_rate=nm_per_s)
     outputs, chance = [], random.Random(7)
@@ -148,7 +150,7 @@ def test_outputs_keep_the_feedforward_rate_over_speeds_and_gaps(desk, rate_hz, h
         publish(output, stamp, values)
 
     d.publish = keep
-    for _ in range(25):
+    for _ in range(20):
         d.drive(chance.uniform(0.1, 1.0), speed=chance.choice([3.0, -2.0, 0.0, 0.07, 5.0]), dt=1.0 / hz)
         d.forward(chance.choice([0.0, 0.3, 0.6, 1.0, 1.4, 3.0, 40.0]))
     limit = d.app.estimator.constants.number.feedforward_limit

@@ -7,9 +7,10 @@ import json
 import os
 import re
 import resource
+import shutil
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
@@ -19,14 +20,20 @@ from trackres_ros.node.state_keeper import state_name, state_path
 from trackres_ros.node.transport import Level
 
 
-@pytest.fixture
-def warm(desk, tmp_path):
+@pytest.fixture(scope="module")
+def warm_file(standing_desk, tmp_path_factory):
     """A state file of belts after ten minutes, and their temperature."""
-    path = tmp_path / "state.json"
-    d = desk(state_file=str(path))
+    path = tmp_path_factory.mktemp("warm") / "state.json"
+    d = standing_desk(state_file=str(path))
     d.drive(600.0, speed=15.0, dt=0.2)
     assert "saved" in d.app.save_state()
     return path, d.app.overview().values["belt_degc/front_left"]
+
+
+@pytest.fixture
+def warm(warm_file, tmp_path):
+    """The same, for this test alone."""
+    return shutil.copy(warm_file[0], tmp_path / "state.json"), warm_file[1]
 
 
 def first_belt(d):
@@ -66,30 +73,34 @@ def test_belts_that_wait_for_a_speed_cool_meanwhile(desk, warm, monkeypatch):
     assert first_belt(d) < belt - 3.0
 
 
-@pytest.mark.parametrize(
-    ("spoil", "said"),
-    [
-        (lambda path: path.write_text(""), "damaged"),
-        (lambda path: path.write_text(path.read_text()[:200]), "damaged"),
-        (lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "version": 99})), "version 99"),
-        (lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "key": "x"})), "vehicle"),
-        (lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "saved_at": "abc"})), "saved_at"),
-        (lambda path: path.write_text("[" * 100_000), "damaged"),
-        (lambda path: (path.unlink(), path.mkdir()), "a folder"),
-        (lambda path: (path.unlink(), os.mkfifo(path)), "a named pipe"),
-        (lambda path: (path.unlink(), path.symlink_to("/dev/zero")), "a device"),
-        (lambda path: path.write_text("[1, 2]"), "another kind"),
-        (lambda path: path.write_bytes(os.urandom(300)), "damaged"),
+SPOILT = {
+    "damaged": [
+        lambda path: path.write_text(""),
+        lambda path: path.write_text(path.read_text()[:200]),
+        lambda path: path.write_text("[" * 100_000),
+        lambda path: path.write_bytes(os.urandom(300)),
     ],
-)
-def test_a_file_of_no_use_is_a_cold_start_that_says_why(desk, warm, spoil, said):
-    path, _ = warm
-    spoil(path)
-    d = desk(state_file=str(path))
-    assert first_belt(d) == pytest.approx(15.0, abs=0.05)
-    notice = next(notice for notice in d.app.notices() if notice.name == "STATE_NOT_USED")
-    assert said in notice.text
-    assert str(path) in notice.text
+    "version 99": [lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "version": 99}))],
+    "vehicle": [lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "key": "x"}))],
+    "saved_at": [lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "saved_at": "abc"}))],
+    "another kind": [lambda path: path.write_text("[1, 2]")],
+    "a folder": [lambda path: (path.unlink(), path.mkdir())],
+    "a named pipe": [lambda path: (path.unlink(), os.mkfifo(path))],
+    "a device": [lambda path: (path.unlink(), path.symlink_to("/dev/zero"))],
+}
+
+
+@pytest.mark.parametrize("said", SPOILT)
+def test_a_file_of_no_use_is_a_cold_start_that_says_why(desk, warm, said):
+    for i, spoil in enumerate(SPOILT[said]):
+        path = warm[0].with_name(f"{i}.json")
+        shutil.copy(warm[0], path)
+        spoil(path)
+        d = desk(state_file=str(path))
+        assert first_belt(d) == pytest.approx(15.0, abs=0.05)
+        notice = next(notice for notice in d.app.notices() if notice.name == "STATE_NOT_USED")
+        assert said in notice.text
+        assert str(path) in notice.text
 
 
 def test_the_reason_of_a_cold_start_is_given_once(desk, warm):
@@ -155,24 +166,11 @@ def test_parts_of_a_saving_that_was_killed_are_cleared_away(desk, warm):
     assert "belts restored from" in d.app.began_with
 
 
-def test_each_node_and_vehicle_has_a_file_of_its_own(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    paths = {
-        state_path("auto", False, node, namespace, vehicle)[0]
-        for node in ("trackres", "other")
-        for namespace in ("/", "/a", "/a/b")
-        for vehicle in ("xgd24d", "agri3t")
-    }
-    assert len(paths) == 12
-    assert all(tmp_path in path.parents for path in paths)
-    assert state_path("auto", True, "trackres", "/", "xgd24d") == (None, "")
-    assert state_path("none", False, "trackres", "/", "xgd24d") == (None, "")
-
-
 ODD_NAMES = ["../../etc/x", "/etc/passwd", "a/b", "a_b", "a b", ".", "..", "", "a\nb", "a\0b", "x" * 500]
 NAMES = st.text(max_size=60) | st.sampled_from(ODD_NAMES)
 
 
+@settings(max_examples=40)
 @given(st.tuples(NAMES, NAMES, NAMES), st.tuples(NAMES, NAMES, NAMES))
 def test_each_node_and_vehicle_has_its_own_plain_state_file_name(one, other):
     for node, namespace, vehicle in (one, other):
@@ -182,6 +180,11 @@ def test_each_node_and_vehicle_has_its_own_plain_state_file_name(one, other):
     levels = [tuple(filter(None, namespace.split("/"))) for _, namespace, _ in (one, other)]
     alike = (levels[0], one[0], one[2]) == (levels[1], other[0], other[2])
     assert (state_name(*one) == state_name(*other)) is alike
+
+
+def test_in_simulated_time_or_by_request_no_state_is_kept():
+    assert state_path("auto", True, "trackres", "/", "xgd24d") == (None, "")
+    assert state_path("none", False, "trackres", "/", "xgd24d") == (None, "")
 
 
 def test_a_vehicle_named_like_a_path_has_its_state_in_the_folder(desk, monkeypatch, tmp_path, repository):

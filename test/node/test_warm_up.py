@@ -48,7 +48,7 @@ def run(cache, repository, how):
 @pytest.mark.long
 @pytest.mark.skipif(not find_spec("numba"), reason="numba is not installed: nothing is compiled")
 def test_the_first_start_computes_at_once_and_compiles_beside(tmp_path, repository, warm_code):
-    for path in warm_code("feed.entry"):
+    for path in warm_code("rest.entry"):
         path.unlink()
     compiled_at_first, said, compiled_at_last, difference = run(tmp_path, repository, "wait")
     assert not compiled_at_first

@@ -1,17 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""An independent participant on the wire: plain Cyclone DDS and rosbags, nothing of the package under test.
-
-As a program it prints what it receives on topics as lines of JSON, or publishes what it reads as lines of JSON:
-`peer.py listen TOPIC TYPE ...`, `peer.py publish TOPIC TYPE`.
-"""
+"""An independent participant on the wire: plain Cyclone DDS and rosbags, nothing of the package under test."""
 
 import fcntl
-import json
-import math
 import os
-import sys
 import tempfile
 import time
 from dataclasses import dataclass
@@ -27,7 +20,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from waiting import PATIENCE_S, wait_for
+from waiting import PATIENCE_S
 
 LOOPBACK = (
     "<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast><Interfaces>"
@@ -208,42 +201,3 @@ class Wire:
     def close(self):
         """Leave."""
         self.participant._delete(self.participant._ref)
-
-
-def plain(message):
-    """A message as plain JSON."""
-    if hasattr(message, "__dataclass_fields__"):
-        return {name: plain(getattr(message, name)) for name in message.__dataclass_fields__ if not name.startswith("__")}
-    if isinstance(message, np.ndarray | list):
-        return [plain(value) for value in message]
-    return message.item() if isinstance(message, np.generic) else message
-
-
-def main():
-    """Listen or publish, as a process of its own."""
-    wire = Wire(int(os.environ["ROS_DOMAIN_ID"]))
-    what, rest = sys.argv[1], sys.argv[2:]
-    if what == "listen":
-        listening = {topic: wire.subscribe(topic, kind) for topic, kind in zip(rest[::2], rest[1::2], strict=True)}
-        wait_for(lambda: all(subscription.matched for subscription in listening.values()))
-        print(json.dumps("ready"), flush=True)
-
-        def told():
-            for topic, subscription in listening.items():
-                for heard in subscription.update():
-                    print(json.dumps({"topic": topic, "message": plain(heard.message)}), flush=True)
-                subscription.heard.clear()
-            return os.getppid() == 1
-
-        wait_for(told, math.inf)
-    elif what == "publish":
-        publisher = wire.publisher(*rest)
-        wait_for(lambda: publisher.matched)
-        print(json.dumps("ready"), flush=True)
-        for line in sys.stdin:
-            publisher.publish(**json.loads(line))
-            print(json.dumps("sent"), flush=True)
-
-
-if __name__ == "__main__":
-    main()

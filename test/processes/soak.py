@@ -50,7 +50,7 @@ class Soak:
         self.speed_topic = f"{prefix}/speed"
         self.second = None
         self.sent = {"speed": 0, "load": 0, "ambient": 0, "torque": 0}
-        self.faults = dict.fromkeys(FAULTS, 0)
+        self.faults, self.coming = dict.fromkeys(FAULTS, 0), []
         self.outputs, self.memory = 0, []
         node.until(lambda: self.torque.matched and self.clock.matched, "torque and clock to connect")
         node.sees_its_publishers(self.tell_time)
@@ -61,7 +61,7 @@ class Soak:
         fault, left = None, 0
         for step in range(steps):
             if left == 0:
-                fault = None if fault else self.random.choice(FAULTS)
+                fault = None if fault else self.next_fault()
                 left = int(HZ * self.random.uniform(0.5, 4.0))
                 self.begin(fault)
             left -= 1
@@ -71,6 +71,12 @@ class Soak:
                 self.collect()
         self.wall_s = time.monotonic() - begin
         self.finish()
+
+    def next_fault(self):
+        """All faults in a random order, and again in another."""
+        if not self.coming:
+            self.coming = self.random.sample(FAULTS, len(FAULTS))
+        return self.coming.pop()
 
     def begin(self, fault):
         """One action of a fault."""

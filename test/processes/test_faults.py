@@ -33,16 +33,18 @@ else:
     SingleThreadedExecutor.spin_once = failing(SingleThreadedExecutor.spin_once)
 {RUN}
 """
-LOG_IS_STUCK = f"""
+STUCK = f"""
 import fcntl, os, sys
-sys.stderr = open(2, "w", buffering=1, closefd=False)  # with a buffer, whatever PYTHONUNBUFFERED says
-read_end, write_end = os.pipe()
-fcntl.fcntl(write_end, fcntl.F_SETPIPE_SZ, 4096)
-os.dup2(write_end, 2)
+# With buffers, whatever PYTHONUNBUFFERED says.
+sys.stdout, sys.stderr = (open(number, "w", buffering=1, closefd=False) for number in (1, 2))
+kept = []
+for number in (1, 2):
+    read_end, write_end = os.pipe()
+    kept.append(read_end)
+    fcntl.fcntl(write_end, fcntl.F_SETPIPE_SZ, 4096)
+    os.dup2(write_end, number)
 {RUN}
 """
-
-OUTPUT_IS_STUCK = LOG_IS_STUCK.replace("sys.stderr = open(2", "sys.stdout = open(1").replace("write_end, 2)", "write_end, 1)")
 
 
 def messages_of(path, topics):
@@ -64,7 +66,7 @@ ambient: {topic: ambient, type: sensor_msgs/msg/Temperature, field: temperature}
 
 def test_a_killed_recording_loses_less_than_a_second(node, tmp_path, topics, good):
     n = node(topics=TOPICS, options=("--record", tmp_path / "drive.mcap"))
-    n.drive(4.0)
+    n.drive(2.5)
     killed_ns = time.time_ns()
     n.stop(signal.SIGKILL)
     part = tmp_path / "drive.mcap.part"
@@ -74,7 +76,7 @@ def test_a_killed_recording_loses_less_than_a_second(node, tmp_path, topics, goo
     assert "is unfinished" in notes[0]
     good("recover", part, "-o", tmp_path / "again.mcap")
     again, notes = messages_of(tmp_path / "again.mcap", topics)
-    assert len(again) == len(speed) > 100
+    assert len(again) == len(speed) > 60
     assert not notes
     other = node(topics=TOPICS, options=("--record", tmp_path / "drive.mcap"))
     other.drive(0.5)
@@ -102,10 +104,11 @@ def test_a_full_disk_pauses_the_recording_not_the_torque(node, tmp_path, topics)
     assert len(messages_of(there, topics)[0]) > 20
 
 
-def test_a_log_that_nobody_takes_holds_nothing_up(transport, node):
+def test_a_log_and_an_output_that_nobody_takes_hold_nothing_up(transport, node):
     if transport != "dds":
-        pytest.skip("the log of ROS 2 waits for who takes it")
-    n = node(program=LOG_IS_STUCK).healthy()
+        pytest.skip("the log of ROS 2 waits for who takes it, and what runs there has no output")
+    n = node(program=STUCK, options=("--json",)).healthy()
+    begun = len(n.statuses())
 
     def save_in_vain():
         n.process.send_signal(signal.SIGUSR1)
@@ -113,18 +116,10 @@ def test_a_log_that_nobody_takes_holds_nothing_up(transport, node):
 
     for _ in range(100):  # each is a line of the log; together more than the pipe takes
         save_in_vain()
+    enough = lambda: len(n.statuses()) >= begun + 7  # noqa: E731 - and so many lines of output, one a second
+    n.until(enough, "lines enough for the pipe", meanwhile=lambda: n.drive(0.2))
     before = len(n.torques())
-    n.until(lambda: len(n.torques()) - before > 40, "torques going on", meanwhile=lambda: n.drive(1.0))
-    assert n.stop() == 0
-
-
-def test_an_output_that_nobody_takes_holds_nothing_up(transport, node):
-    if transport != "dds":
-        pytest.skip("what runs there has no output")
-    n = node(program=OUTPUT_IS_STUCK, options=("--json",)).healthy()
-    n.drive(8.0)  # lines enough for the pipe
-    before = len(n.torques())
-    n.until(lambda: len(n.torques()) - before > 40, "torques going on", meanwhile=lambda: n.drive(1.0))
+    n.until(lambda: len(n.torques()) - before > 40, "torques going on", meanwhile=lambda: n.drive(0.3))
     assert n.stop() == 0
 
 

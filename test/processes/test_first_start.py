@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from conftest import TRANSPORTS, Node, environment
+from peer import stamp
 from waiting import Pace, exit_code, wait_for, work_s
 
 from trackres_ros.files.resources import cache_dir
@@ -31,29 +32,28 @@ REFUSALS_AND_ACCEPTED = (
 HZ = 1000
 
 
-@pytest.fixture
-def uncompiled(monkeypatch, tmp_path):
-    """An empty cache for every process that is started."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_two_compiling_nodes_count_all_speeds_and_no_clock_jump(transport, tmp_path, wire, uncompiled):
+def test_two_compiling_nodes_count_all_speeds_and_no_clock_jump(transport, tmp_path, wire, warm_code, monkeypatch):
+    """Two namespaces, and code of which a part is still to be compiled."""
+    for path in warm_code("rest.entry"):
+        path.unlink()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     nodes = [Node(transport, tmp_path, wire, name=name, namespace=f"/{name}") for name in ("left", "right")]
     try:
         for node in nodes:
             node.started()
-        begin, pace = time.monotonic(), Pace(HZ)
+        compiling, pace = {}, Pace(HZ)
         for count in itertools.count():
-            for node in nodes:
-                node.send("speed", 8.0 + 0.001 * (count % 7))
+            for node, speed in zip(nodes, (8.0, 3.0), strict=True):
+                node.send("speed", speed + 0.001 * (count % 7))
             pace.next()
-            if count % HZ == 0 and count >= 8 * HZ and time.monotonic() - begin > 8.0:
-                compiling = [node.notices(max(0, len(node.statuses()) - 3)) for node in nodes]
-                if not any("COMPILING" in names for names in compiling) or time.monotonic() - begin > 60.0:
+            if count % HZ == 0 and count >= 4 * HZ:
+                compiling = {node.name: node.notices(max(0, len(node.statuses()) - 3)) for node in nodes}
+                if not any("COMPILING" in names for names in compiling.values()) or count >= 60 * HZ:
                     break
+        assert any("COMPILING" in node.notices() for node in nodes)
         for node in nodes:
             sent = node.inputs["speed"].sent
 
@@ -66,6 +66,10 @@ def test_two_compiling_nodes_count_all_speeds_and_no_clock_jump(transport, tmp_p
             assert found()["clock_jump"] == 0
             assert found()["accepted"] > 0
             assert "CLOCK_JUMPED" not in node.notices()
+            assert {s.name for s in node.statuses()} == {f"{node.base[1:]}: estimate"}
+        left, right = (node.out["resistance"].update()[-1].message.effort[0] for node in nodes)
+        assert left != right
+        for node in nodes:
             assert node.stop() == 0, node.log
     finally:
         for node in nodes:
@@ -89,8 +93,7 @@ def when_it_listens(process):
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-@pytest.mark.parametrize("further_s", [0.0, 0.2, 0.6])
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(("number", "further_s"), [(signal.SIGTERM, 0.0), (signal.SIGINT, 0.2), (signal.SIGTERM, 0.6)])
 def test_a_stop_signal_during_start_ends_with_exit_code_0(transport, tmp_path, number, further_s):
     """At moments that are as far into the start, by the work done, on any machine."""
     process = subprocess.Popen(
@@ -111,38 +114,37 @@ def test_a_stop_signal_during_start_ends_with_exit_code_0(transport, tmp_path, n
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_save_and_reset_signals_during_start_act_once_it_runs(transport, tmp_path):
-    log = tmp_path / "log"
+def test_save_and_reset_signals_act_once_it_runs_and_then_at_once(transport, tmp_path):
+    log, state = tmp_path / "log", tmp_path / "state.json"
     with log.open("w") as said:
         process = subprocess.Popen(command(transport, tmp_path), env=environment(transport, tmp_path), stderr=said, stdout=said)
     when_it_listens(process)
-    for number in (signal.SIGUSR1, signal.SIGUSR2):
-        process.send_signal(number)
-    ended_or = lambda holds: holds or process.poll() is not None  # noqa: E731
-    assert wait_for(lambda: ended_or("estimate restarts" in log.read_text()), working=process.pid), log.read_text()
-    assert process.poll() is None, log.read_text()
-    assert (tmp_path / "state.json").exists()
+    restarts = lambda: log.read_text().count("estimate restarts")  # noqa: E731
+    for times in (1, 2):
+        for number in (signal.SIGUSR1, signal.SIGUSR2):
+            process.send_signal(number)
+        assert wait_for(lambda times=times: restarts() >= times or process.poll() is not None, working=process.pid), (
+            log.read_text()
+        )
+        assert process.poll() is None, log.read_text()
+        state.unlink()  # it was saved
     process.send_signal(signal.SIGTERM)
     assert exit_code(process) == 0
     assert "Traceback" not in log.read_text()
 
 
 def test_lines_of_json_for_programs(tmp_path, wire):
-    node = Node("dds", tmp_path, wire)  # for its publishers
-    environment_ = environment("dds", tmp_path)
-    process = subprocess.Popen(
-        [*command("dds", tmp_path, "--json"), "--namespace", "/json"], env=environment_, stdout=subprocess.PIPE, text=True
-    )
+    speed = wire.publisher("/json/speed", "geometry_msgs/msg/TwistStamped")
+    words = [*command("dds", tmp_path, "--json"), "--namespace", "/json"]
+    process = subprocess.Popen(words, env=environment("dds", tmp_path), stdout=subprocess.PIPE, text=True)
     try:
-        speed = wire.publisher("/json/speed", "geometry_msgs/msg/TwistStamped")
         lines = []
         while len(lines) < 3:
             if speed.matched:
                 pace = Pace(50.0)
                 for step in range(20):
-                    node.inputs["speed"], kept = speed, node.inputs["speed"]
-                    node.send("speed", 8.0 + 0.01 * step)
-                    node.inputs["speed"] = kept
+                    linear = {"x": 8.0 + 0.01 * step, "y": 0.0, "z": 0.0}
+                    speed.publish(header=stamp(time.time_ns()), twist={"linear": linear})
                     pace.next()
             lines.append(json.loads(process.stdout.readline()))
         process.send_signal(signal.SIGTERM)
@@ -152,8 +154,6 @@ def test_lines_of_json_for_programs(tmp_path, wire):
         process.stdout.close()
         if process.poll() is None:
             process.kill()
-        node.close()
-        speed.close()
     assert [line["final"] for line in lines] == [False] * (len(lines) - 1) + [True]
     assert lines[-1]["estimate"]["resistance_torque_nm"] > 1000.0
     assert {given["role"] for given in lines[-1]["inputs"]} == {"speed", "load", "ambient"}

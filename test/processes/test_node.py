@@ -5,15 +5,11 @@
 
 import itertools
 import json
-import os
 import random
 import resource
 import shutil
 import signal
-import subprocess
-import sys
 import time
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +24,6 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.snapshot import after_time_off
 from trackres_ros.estimator.topic_settings import settings_for
-from trackres_ros.evaluation.closed_loop import left_by_diagnosis
-from trackres_ros.node.parameters import PARAMETERS
 from trackres_ros.offline.replay import replay
 from trackres_ros.output.topics import output_topics, values_of
 from trackres_ros.recording.bindings import Topics
@@ -43,7 +37,6 @@ SECOND_NS = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND_NS
 AT_ONCE = 1e9  # Nm/s: how the feed-forward moves from output to output hangs on when they come
 FIX, WRENCH = "sensor_msgs/msg/NavSatFix", "geometry_msgs/msg/WrenchStamped"
-PEER = Path(__file__).with_name("peer.py")
 
 
 class Simulated:
@@ -82,17 +75,6 @@ class Simulated:
         self.node.until(lambda: heard.update() and stamp_ns(heard.heard[-1].message) == self.now_ns, "the output of a speed")
 
 
-def offline(sent):
-    """Results of an offline session from messages; by stamp."""
-    estimator = Estimator(load("xgd24d"), Settings(feedforward_rate=AT_ONCE))
-    session, found = estimator.session(), {}
-    for role, stamp, value in sent:
-        estimate = session.handle(session.channel(role), stamp, stamp, value)
-        if estimate is not None:
-            found[stamp] = estimate.row
-    return estimator, found
-
-
 def stamp_ns(message):
     return message.header.stamp.sec * SECOND_NS + message.header.stamp.nanosec
 
@@ -105,46 +87,13 @@ def simulated(node):
     return start
 
 
-def test_live_and_offline_give_equal_numbers_at_equal_stamps(simulated):
-    sim = simulated(feedforward_rate=AT_ONCE)
-    sim.drive(300)
-    node = sim.node
-    last = sim.sent[-1][1]
-    for name in ("feedforward", "resistance"):  # the belt's was waited for
-        node.until(lambda name=name: stamp_ns(node.out[name].update()[-1].message) == last, "the last estimate")
-    estimator, expected = offline(sim.sent)
-    for name, topic in (
-        ("feedforward", "feedforward_torque"),
-        ("resistance", "resistance_torque"),
-        ("belt", "track_temperature/front_left"),
-    ):
-        about = next(t for t in output_topics(estimator.vehicle) if t.name == topic)
-        heard = {stamp_ns(h.message): h.message for h in reversed(node.out[name].update())}  # the first of each
-        assert len(set(heard) & set(expected)) >= 299
-        for stamp, message in heard.items():
-            numbers = {
-                "feedforward": lambda m: [m.wrench.torque.y],
-                "resistance": lambda m: m.effort,
-                "belt": lambda m: [m.temperature, m.variance],
-            }
-            np.testing.assert_allclose(
-                numbers[name](message),
-                values_of(about, expected[stamp][np.newaxis], estimator.column_index)[0],
-                rtol=1e-9,
-                atol=1e-9,
-            )
-    assert list(node.out["resistance"].heard[-1].message.name) == list(
-        next(t for t in output_topics(estimator.vehicle) if t.name == "resistance_torque").names
-    )
-
-
-TOPICS_ON_ROUTE = """
+MEASURED = """
 speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
 load: {topic: load, type: std_msgs/msg/Float64, field: data}
 ambient: {topic: ambient, type: sensor_msgs/msg/Temperature, field: temperature}
 torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
-position: {topic: fix, type: sensor_msgs/msg/NavSatFix, max_age_s: 7.3}
 """
+TOPICS_ON_ROUTE = MEASURED + "position: {topic: fix, type: sensor_msgs/msg/NavSatFix, max_age_s: 7.3}\n"
 STREET_M, LATITUDE, LONGITUDE = 1200.0, 0.827, 0.1486
 LOST, ASIDE = range(45, 75), range(95, 112)  # seconds without a fix, and off the street
 
@@ -193,9 +142,24 @@ def recorded(path, messages, namespace):
     return path
 
 
+def outputs_of(vehicle):
+    """The node's subscriptions that a vehicle has, the topic of each, and the numbers of a message."""
+    numbers = {
+        "feedforward_torque": ("feedforward", lambda m: [m.wrench.torque.y]),
+        "resistance_torque": ("resistance", lambda m: m.effort),
+        "track_temperature/front_left": ("belt", lambda m: [m.temperature, m.variance]),
+    }
+    return [(numbers[t.name][0], t, numbers[t.name][1]) for t in output_topics(vehicle) if t.name in numbers]
+
+
 @pytest.mark.parametrize("vehicle", ["xgd24d", "ztbus_hess19"])
-def test_a_drive_with_positions_gives_the_same_live_and_replayed(node, tmp_path, vehicle):
+def test_a_drive_with_positions_gives_the_same_live_and_replayed(node, tmp_path, repository, vehicle):
     surroundings, messages = a_street(tmp_path, vehicle), list(along_the_street(150))
+    tracked = vehicle == "xgd24d"
+    if tracked:  # with what a diagnosis has found
+        text = (repository / "config" / "xgd24d.yaml").read_text().replace("rubber/", f"{repository}/config/rubber/")
+        vehicle = str(tmp_path / "found.yaml")
+        Path(vehicle).write_text(f"{text}\neffects:\n  vibration: {{torque: 650.0, speed: 8.0, width: 1.5}}\n")
     bag = recorded(tmp_path / "bag", messages, "/alone")
     topics = tmp_path / "of_the_bag.yaml"
     lines = [line for line in TOPICS_ON_ROUTE.splitlines() if not line.startswith("ambient")]  # which is not recorded
@@ -210,8 +174,8 @@ def test_a_drive_with_positions_gives_the_same_live_and_replayed(node, tmp_path,
     )
     reasons = np.array([int(row[at.Results.reasons]) for row in rows.values()])
     effects = np.array([row[at.Results.effects_nm] for row in rows.values()])
-    gears = np.array([row[at.Results.drive_torque_nm] for row in rows.values()]).max() * 0.05 * (vehicle == "ztbus_hess19")
-    assert 799.0 < effects.max() < 801.0 + gears  # the drive has all there is to see
+    gears = 0.0 if tracked else max(row[at.Results.drive_torque_nm] for row in rows.values()) * 0.05
+    assert 799.0 + 640.0 * tracked < effects.max() < 801.0 + 650.0 * tracked + gears  # the drive has all there is to see
     assert 0.1 < np.mean(reasons & at.Reason.OFF_ROUTE > 0) < 0.6
     assert 0.05 < np.mean(reasons & at.Reason.PLACE_UNKNOWN > 0) < 0.5
 
@@ -231,14 +195,15 @@ def test_a_drive_with_positions_gives_the_same_live_and_replayed(node, tmp_path,
         else:
             publishers[topic].delivered()  # no middleware promises that one topic overtakes no other
     n.until(lambda: stamp_ns(residual.update()[-1].message) == sim.now_ns, "the last residual")
-    about = next(t for t in output_topics(estimator.vehicle) if t.name == "resistance_torque")
-    heard = {stamp_ns(h.message): h.message.effort for h in reversed(n.out["resistance"].update())}
-    expected = {stamp_ns(h.message): h.message.effort[1] for h in residual.heard}
-    assert len(set(heard) & set(rows)) >= len(rows) - 1
-    for stamp, effort in heard.items():
-        wanted = values_of(about, rows[stamp][np.newaxis], estimator.column_index)[0]
-        np.testing.assert_allclose(effort, wanted, rtol=1e-9, atol=1e-9)
-    for stamp, torque in expected.items():
+    for out, about, numbers in outputs_of(estimator.vehicle):
+        heard = {stamp_ns(h.message): numbers(h.message) for h in reversed(n.out[out].update())}  # the first of each
+        assert len(set(heard) & set(rows)) >= len(rows) - 1
+        for stamp, found in heard.items():
+            wanted = values_of(about, rows[stamp][np.newaxis], estimator.column_index)[0]
+            np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
+        if out == "resistance":
+            assert tuple(n.out[out].heard[-1].message.name) == about.names
+    for stamp, torque in {stamp_ns(h.message): h.message.effort[1] for h in residual.heard}.items():
         assert torque == pytest.approx(rows[stamp][at.Results.drive_torque_nm], rel=1e-9)
     assert {"SURROUNDINGS", "OFF_ROUTE", "PLACE_UNKNOWN"} <= notices
     assert int(n.values("input latitude")["non_finite"]) > 0.5 * len(LOST)
@@ -249,7 +214,7 @@ def test_a_bag_that_loops_starts_anew_each_time(simulated):
     node = sim.node
     for _ in range(2):
         sim.now_ns = START_NS
-        sim.drive(150)
+        sim.drive(80, dt_ns=2 * SECOND_NS // 5)
     node.until(lambda: "TIME_RESET" in node.notices(), "the notice")
     stamps = [stamp_ns(h.message) for h in node.out["belt"].update()]
     assert sum(b < a for a, b in itertools.pairwise(stamps)) == 1
@@ -258,56 +223,12 @@ def test_a_bag_that_loops_starts_anew_each_time(simulated):
     assert rounds[1][-1] == pytest.approx(rounds[0][-1], rel=1e-3)
 
 
-def test_publisher_node_and_subscriber_are_three_processes(node, transport, tmp_path):
-    from conftest import DOMAIN
-
-    n = node(output_rate_hz=0.0)
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)}
-    kind = "geometry_msgs/msg/TwistStamped"
-    topics = [f"{n.base.rpartition('/')[0]}/speed", f"{n.base}/feedforward_torque"]
-    commands = {"publish": [topics[0], kind], "listen": [topics[1], "geometry_msgs/msg/WrenchStamped"]}
-    with ExitStack() as stack:
-        others, said = {}, {}
-        for what, rest in commands.items():
-            log = stack.enter_context((tmp_path / f"{what}.log").open("w"))
-            command = [sys.executable, PEER, what, *rest]
-            other = subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=log, text=True)
-            others[what] = stack.enter_context(other)
-            stack.callback(other.kill)
-            said[what] = lambda path=Path(log.name): path.read_text().splitlines()
-            n.until(said[what], f"the process to {what}")
-            assert json.loads(said[what]()[0]) == "ready"
-        n.until(lambda: "SEVERAL_PUBLISHERS" in n.last_remarks(), "the node to see it besides our own")
-
-        def publish(value):
-            twist = {"linear": {"x": value, "y": 0.0, "z": 0.0}}
-            others["publish"].stdin.write(json.dumps({"header": peer.stamp(time.time_ns()), "twist": twist}) + "\n")
-            others["publish"].stdin.flush()
-
-        for step in range(20):
-            come = lambda step=step: len(said["listen"]()) > step + 1  # noqa: E731
-            n.until(come, "a torque", meanwhile=lambda step=step: publish(8.0 + 0.01 * step))
-        torques = [json.loads(line)["message"]["wrench"]["torque"]["y"] for line in said["listen"]()[1:21]]
-        assert torques[-1] > torques[0] >= 0.0
-
-
-def test_outputs_come_at_their_rate_whatever_the_speed_comes_at(node):
-    n = node(output_rate_hz=20.0)
-    n.drive(1.0)
-    first = len(n.out["feedforward"].update())
-    n.drive(2.0, hz=100.0)
-    n.drive(2.0, hz=5.0)
-    heard = n.out["feedforward"].update()[first:]
-    rate = (len(heard) - 1) / (heard[-1].at_s - heard[0].at_s)
-    assert 15.0 < rate < 25.0
-
-
 def test_belts_outlive_a_restart(simulated, tmp_path):
     state = tmp_path / "state.json"
     sim = simulated(state_file=str(state))
-    sim.drive(800, speed=15.0, dt_ns=2 * SECOND_NS // 5)
+    sim.drive(250, speed=15.0, dt_ns=2 * SECOND_NS // 5)
     belt = sim.node.out["belt"].update()[-1].message.temperature
-    assert belt > 20.0
+    assert belt > 16.5
     assert sim.node.stop(signal.SIGTERM) == 0
     sim.node.close()
     kept = tmp_path / "kept.json"
@@ -327,45 +248,20 @@ def cooled(state, now):
     return float(session.belts[0, 0, Belt.temperature])
 
 
-def test_killed_at_any_moment_the_state_file_is_whole(node, tmp_path):
+def test_killed_at_any_moment_the_state_file_is_whole_and_used(node, tmp_path):
     state = tmp_path / "state.json"
-    moments = random.Random(3)
-    for _ in range(3):
-        n = node(state_file=str(state), save_period_s=1.0)
-        n.drive(1.2 + moments.random())
-        n.until(state.exists, "a first saved state")  # on a busy machine
-        n.stop(signal.SIGKILL)
-        n.close()
-        assert json.loads(state.read_text())["vehicle"] == "xgd24d"
+    state.write_text('{"format": "trackres-state", "ver')
+    n = node(state_file=str(state), save_period_s=1.0)
+    n.until(lambda: "damaged" in n.log, "the reason")
+    n.noticed("STATE_NOT_USED")
+    n.drive(1.2 + random.Random(3).random())
+    n.until(lambda: '"vehicle"' in state.read_text(), "a saved state")
+    n.stop(signal.SIGKILL)
+    n.close()
+    assert json.loads(state.read_text())["vehicle"] == "xgd24d"
     n = node(state_file=str(state))
     assert "belts restored from" in n.log
     assert not list(tmp_path.glob("state.json*.part"))
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("", "damaged"),
-        ('{"format": "trackres-state", "ver', "damaged"),
-        ('{"format": "trackres-state", "version": 999}', "version 999"),
-    ],
-)
-def test_a_state_file_of_no_use_is_said_in_log_and_status(node, tmp_path, text, said):
-    state = tmp_path / "state.json"
-    state.write_text(text)
-    n = node(state_file=str(state))
-    n.until(lambda: said in n.log, "the reason")
-    n.noticed("STATE_NOT_USED")
-
-
-def test_a_state_of_another_vehicle_is_said(node, tmp_path):
-    state = tmp_path / "state.json"
-    n = node(state_file=str(state))
-    n.drive(0.3)
-    n.close()
-    other = node(state_file=str(state), vehicle="agri3t")
-    other.until(lambda: "xgd24d" in other.log, "the other vehicle")
-    other.drive(0.3)
 
 
 def test_a_disk_that_takes_no_more_is_said_and_stops_nothing(node, tmp_path):
@@ -373,8 +269,7 @@ def test_a_disk_that_takes_no_more_is_said_and_stops_nothing(node, tmp_path):
     n = node(state_file=str(state), save_period_s=1.0, preexec=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000)))
     n.noticed("STATE_NOT_SAVED", meanwhile=lambda: n.drive(0.3))
     count = len(n.torques())
-    n.drive(0.3)
-    assert len(n.torques()) > count
+    n.until(lambda: len(n.torques()) > count, "torques going on", meanwhile=lambda: n.drive(0.3))
 
 
 def test_a_parameter_out_of_range_ends_it_with_one_line(transport, tmp_path, wire):
@@ -388,30 +283,15 @@ def test_a_parameter_out_of_range_ends_it_with_one_line(transport, tmp_path, wir
     n.close()
 
 
-def test_two_nodes_under_two_namespaces(node):
-    left, right = node(namespace="/left", output_rate_hz=0.0), node(namespace="/right", output_rate_hz=0.0)
-    left.drive(0.5)
-    right.drive(0.5, speed=3.0)
-    assert left.out["resistance"].update()[-1].message.effort[0] != right.out["resistance"].update()[-1].message.effort[0]
-    assert "left/trackres: estimate" in {s.name for s in left.statuses()}
-    assert "right/trackres: estimate" in {s.name for s in right.statuses()}
-
-
 def test_a_measured_torque_gives_residual_and_mismatch(node):
-    topics = """
-speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
-load: {topic: load, type: std_msgs/msg/Float64, field: data}
-ambient: {topic: ambient, type: sensor_msgs/msg/Temperature, field: temperature}
-torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
-"""
-    n = node(topics=topics, use_sim_time=True, output_rate_hz=0.0, mismatch_hold_s=60.0)
+    n = node(topics=MEASURED, use_sim_time=True, output_rate_hz=0.0, mismatch_hold_s=20.0)
     torque = n.wire.publisher("/alone/torque", "geometry_msgs/msg/WrenchStamped")
     residual = n.wire.subscribe(f"{n.base}/torque_residual", "sensor_msgs/msg/JointState")
     n.until(lambda: torque.matched and residual.matched, "the torque to connect")
     sim = Simulated(n)
     noise = random.Random(1)
-    for step in range(1500):
-        sim.to(sim.now_ns + SECOND_NS // 5)
+    for step in range(300):
+        sim.to(sim.now_ns + 2 * SECOND_NS // 5)
         torque.publish(
             header=peer.stamp(sim.now_ns),
             wrench={
@@ -432,21 +312,6 @@ torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.tor
     measured, expected, difference = last.effort
     assert list(last.name) == ["measured", "expected", "residual"]
     assert difference == pytest.approx(measured - expected)
-
-
-def test_signals_save_and_reset_without_ros(tmp_path, wire):
-    from conftest import Node
-
-    state = tmp_path / "state.json"
-    n = Node("dds", tmp_path, wire, state_file=str(state)).started()
-    n.drive(0.3)
-    n.process.send_signal(signal.SIGUSR1)
-    n.until(state.exists, "the state file")
-    n.process.send_signal(signal.SIGUSR2)
-    n.until(lambda: "estimate restarts" in n.log, "the reset")
-    n.drive(0.3)
-    assert n.stop() == 0
-    n.close()
 
 
 def test_without_ros_its_parameter_file_is_watched(tmp_path, wire):
@@ -473,50 +338,6 @@ def test_without_ros_its_parameter_file_is_watched(tmp_path, wire):
         assert "learning watch -> on" in n.log
         assert all(f"refused, and left as it was: parameter {name}" in n.log for name in ("vehicle", "gap_s"))
         assert "did you mean gap_s?" in n.log
-        numbers = {name: p for name, p in PARAMETERS.items() if p.is_number and not p.fixed_because}
-        for end in ("low", "high"):
-            limits = {name: getattr(p, end) for name, p in numbers.items()}
-            file.write_text(json.dumps({**n.parameters, **limits}))
-            line = f"-> {limits['stuck_s']:g}, "
-            n.until(lambda line=line: line in n.log, "the change to all limits")
-            changed = next(text for text in reversed(n.log.splitlines()) if line in text)
-            moved = {name: value for name, value in limits.items() if end == "high" or value != numbers[name].default}
-            assert all(f"{name} " in changed and f"-> {value:g}" in changed for name, value in moved.items())
-        file.write_text(json.dumps({**n.parameters, **limits, **{name: 2 * p.high + 1 for name, p in numbers.items()}}))
-        n.until(lambda: f"parameter {[*numbers][-1]}: given" in n.log, "the refusals")
-        assert all(f"left as it was: parameter {name}: given {2 * p.high + 1!r}" in n.log for name, p in numbers.items())
         assert n.stop() == 0
     finally:
         n.close()
-
-
-@pytest.fixture(scope="module")
-def diagnosed(tmp_path_factory):
-    """Vehicle file without and with what a diagnosis found missing, and a drive that it never saw: a belt that swings."""
-    hidden = {"vibration": {"torque": 650.0, "speed": 6.0, "width": 1.5}}
-    left = left_by_diagnosis(tmp_path_factory.mktemp("diagnosed"), hidden, 8.0, 0, seed=4)
-    assert "vibration" in [name for f in left.found.found for name in f.step.members]
-    return left.before, left.after, np.genfromtxt(left.kept_back, delimiter=",", names=True)
-
-
-def test_a_diagnosed_vehicle_file_improves_the_live_feedforward(simulated, diagnosed):
-    before, after, drive = diagnosed
-    every = 5  # of 10 Hz
-    error = {}
-    for name, vehicle in (("before", before), ("after", after)):
-        sim = simulated(vehicle=str(vehicle), name=name, namespace=f"/{name}")
-        measured = {}
-        for row in drive[::every]:
-            sim.to(sim.now_ns + SECOND_NS // 2)
-            sim.message("load", row["weight_n"])
-            sim.message("ambient", row["ambient_degc"])
-            sim.message("speed", row["speed_mps"])
-            measured[sim.now_ns] = row
-            sim.worked_off()
-        feedforward = sim.node.out["feedforward"]
-        heard = {stamp_ns(h.message): h.message.wrench.torque.y for h in feedforward.update()}
-        stamps = [s for s in sorted(heard) if s in measured and abs(measured[s]["speed_mps"]) > 1.0]
-        torque = np.array([measured[s]["torque_nm"] - heard[s] for s in stamps])
-        # Acceleration and deceleration cancel over a drive; the remaining mean is resistance.
-        error[name] = abs(np.nanmean(torque))
-    assert error["after"] < 0.5 * error["before"]

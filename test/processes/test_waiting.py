@@ -38,9 +38,6 @@ def test_it_ends_as_soon_as_it_holds_and_looks_at_least_once():
     assert wait_for(lambda: next(looks))
     assert wait_for(lambda: True, patience_s=0.0)
     assert not wait_for(lambda: False, patience_s=0.0)
-
-
-def test_something_may_be_done_meanwhile():
     done = []
     assert wait_for(lambda: len(done) == 3, meanwhile=lambda: done.append(1))
 
@@ -48,8 +45,10 @@ def test_something_may_be_done_meanwhile():
 def test_who_works_is_waited_for_and_who_idles_is_not(start, tmp_path, monkeypatch):
     monkeypatch.setattr(waiting, "LEAST_PROGRESS", 1e-9)  # however little of the processor is left for it here
     there = tmp_path / "there"
-    busy = start(BUSY.format(str(there)))
+    busy = start(f"import subprocess, sys; subprocess.run([sys.executable, '-c', {BUSY.format(str(there))!r}])")
     assert wait_for(there.exists, patience_s=0.5, working=busy.pid)  # others may have all processors for a while
+    assert work_s(busy.pid) >= 1.0  # its children's
+    assert work_s(None) == 0.0
     assert not wait_for(lambda: False, patience_s=0.2, working=busy.pid)
 
 
@@ -65,14 +64,6 @@ def test_an_exit_code_is_waited_for_and_an_idle_process_has_none(start, tmp_path
     monkeypatch.setattr(waiting, "LEAST_PROGRESS", 1e-9)
     busy = start(BUSY.format(str(tmp_path / "there")).replace("input()", "raise SystemExit(3)"))
     assert exit_code(busy, patience_s=0.2) == 3
-
-
-def test_work_is_that_of_children_too(start, tmp_path):
-    there = tmp_path / "there"
-    parent = start(f"import subprocess, sys; subprocess.run([sys.executable, '-c', {BUSY.format(str(there))!r}])")
-    assert wait_for(there.exists, working=parent.pid)
-    assert work_s(parent.pid) >= 1.0
-    assert work_s(None) == 0.0
 
 
 def test_who_is_kept_from_computing_is_waited_for(start):

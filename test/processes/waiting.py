@@ -11,7 +11,7 @@ import os
 import time
 from pathlib import Path
 
-POLL_S = 0.01
+POLL_S, FIRST_POLL_S, FIRST_POLLS = 0.01, 0.001, 10  # what answers a message does so within milliseconds
 PATIENCE_S = 30.0  # without progress
 LEAST_PROGRESS = 0.05  # of a processor, over the time waited: what only idles in its loop uses less
 MOST_WORK_S = 600.0  # of processor time: whoever needs more does not come to an end
@@ -40,7 +40,9 @@ def wait_for(holds, patience_s=PATIENCE_S, working=None, meanwhile=None):
     begun, kept = work_s(working), kept_waiting_s(working)
     used = begun
     until = time.monotonic() + patience_s
+    looks = 0
     while not holds():
+        looks += 1
         if time.monotonic() > until:
             before, used = used, work_s(working)
             kept_before, kept = kept, kept_waiting_s(working)
@@ -50,7 +52,7 @@ def wait_for(holds, patience_s=PATIENCE_S, working=None, meanwhile=None):
             until = time.monotonic() + patience_s
         if meanwhile:
             meanwhile()
-        time.sleep(POLL_S)
+        time.sleep(FIRST_POLL_S if looks <= FIRST_POLLS else POLL_S)
     return True
 
 

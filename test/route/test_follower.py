@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from streets import LATITUDE, LONGITUDE, autoregression
 
@@ -225,6 +225,7 @@ def test_nothing_of_it_is_fed_forward_whatever_parts_are(name, slopes, torques):
     np.testing.assert_allclose(found[:, at.Results.feedforward_torque_nm], bare[:, at.Results.feedforward_torque_nm], atol=1.0)
 
 
+@settings(max_examples=30)
 @given(
     torque=st.floats(-1e5, 1e5),
     slope=st.floats(-0.5, 0.5),

@@ -245,7 +245,7 @@ def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
     tables = [loss_table(vehicle, name, cache) for name in names]
     for name, table in zip(names, tables, strict=True):
         check_heat(vehicle, name, table)
-    covered = [coverage(vehicle, name) for name in names]
+    covered = [coverage(vehicle, name, cache) for name in names]
     spreads = {name: spread(vehicle, name, cache) for name in names}
     axle_names = [axle.name for axle in vehicle.axles]
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()

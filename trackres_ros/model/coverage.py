@@ -13,14 +13,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.errors import InputError
+from trackres_ros.files.cached_arrays import cached_arrays
 from trackres_ros.model.contact import half_length_for_force
 from trackres_ros.model.loads import wheel_loads
-from trackres_ros.model.loss_table import LOG_SPEED, LossTable
+from trackres_ros.model.loss_table import LOG_SPEED, LossTable, fingerprint
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient, thermal_network
 from trackres_ros.model.track import load_range
@@ -53,12 +55,16 @@ class Coverage:
         return high
 
 
-def coverage(vehicle: Vehicle, track_name: str) -> Coverage:
-    """Range of the sweep for a kind of track at nominal load."""
+def coverage(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> Coverage:
+    """Range of the sweep for a kind of track at nominal load; its coldest modulus is kept in the cache, as the loss table is."""
     track, rubber = vehicle.tracks[track_name], RubberModel(vehicle.rubber)
     wheels, sweep = track.road_wheels, vehicle.rubber.sweep_degc
     loads = wheel_loads(track, load_range(vehicle, track_name).nominal)
-    modulus = rubber.dynamic_modulus(vehicle.rubber.sweep_frequency, sweep[0])
+
+    def coldest() -> dict[str, NDArray[np.float64]]:
+        return {"modulus": rubber.dynamic_modulus(vehicle.rubber.sweep_frequency, sweep[0])}
+
+    modulus = cached_arrays(f"coldest-{fingerprint(vehicle, track_name)}", {"modulus": ()}, coldest, cache)["modulus"]
     half_length = half_length_for_force(loads.mean(), modulus, wheels.radius, wheels.contact_length, track.belt.thickness)
     reach = float(rubber.log_shift(sweep[0]) + np.log10(2.0 * half_length * vehicle.rubber.sweep_frequency))
     return Coverage(min(float(sweep[-1]), LIVES_DEGC), min(reach, LOG_SPEED[1]))

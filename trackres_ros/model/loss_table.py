@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import RectBivariateSpline
 
 from trackres_ros.files.cached_arrays import cached_arrays
 from trackres_ros.jit.compiled import inlined
@@ -127,6 +126,8 @@ def fingerprint(vehicle: Vehicle, track_name: str) -> str:
 
 def build(method: LossMethod, loads: LoadRange) -> dict[str, Array]:
     """Evaluate the exact method on a coarse grid and refine it by splines in the logarithm: the arrays of a `LossTable`."""
+    from scipy.interpolate import RectBivariateSpline
+
     reference = method.rubber.rubber.glass_transition + REFERENCE_ABOVE_TG  # at a_T = 1 reduced speed is speed
     x = np.linspace(*LOG_SPEED, EXACT_LOG_SPEEDS)
     log_load = np.linspace(np.log(loads.low), np.log(loads.high), EXACT_LOADS)

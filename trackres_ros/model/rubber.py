@@ -5,12 +5,17 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import PchipInterpolator
 
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.vehicle import Rubber
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PchipInterpolator
 
 Array = NDArray[np.float64]
 
@@ -44,8 +49,14 @@ class RubberModel:
 
     def __init__(self, rubber: Rubber) -> None:
         self.rubber = rubber
-        self._log_storage = PchipInterpolator(rubber.sweep_degc, np.log(rubber.storage_pa))
-        self._log_loss = PchipInterpolator(rubber.sweep_degc, np.log(rubber.loss_pa * rubber.loss_modulus_scale))
+
+    @cached_property
+    def _log_storage(self) -> PchipInterpolator:
+        return _joined(self.rubber.sweep_degc, self.rubber.storage_pa)
+
+    @cached_property
+    def _log_loss(self) -> PchipInterpolator:
+        return _joined(self.rubber.sweep_degc, self.rubber.loss_pa * self.rubber.loss_modulus_scale)
 
     def log_shift(self, belt_degc: ArrayLike) -> Array:
         """log10 a_T at temperatures [degC], same shape."""
@@ -85,3 +96,10 @@ class RubberModel:
         equivalent = self.equivalent_temperature(self.reduced(frequency, belt_degc))
         moduli = np.exp(self._log_storage(equivalent)), np.exp(self._log_loss(equivalent))
         return np.asarray(np.hypot(*moduli) * self.rubber.layer_stiffening)
+
+
+def _joined(belt_degc: Array, modulus: Array) -> PchipInterpolator:
+    """Logarithm of a modulus over the sweep. scipy takes half a second to load; an estimate with cached tables needs none."""
+    from scipy.interpolate import PchipInterpolator
+
+    return PchipInterpolator(belt_degc, np.log(modulus))
