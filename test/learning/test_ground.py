@@ -69,7 +69,7 @@ def climb(way):
 def test_a_car_is_learned_on_the_level_and_acts():
     driven = Drive().drive(25.0)
     assert driven.rolling[0] == pytest.approx(MORE_ROLLING, abs=0.05)
-    assert driven.learner.counts(at.OF_BEARING)
+    assert driven.learner.counted[at.OF_BEARING]
     true, expected = np.array(driven.rows[-1200:]).T
     assert np.abs(expected - true).mean() < 0.05 * np.abs(true).mean()
 
