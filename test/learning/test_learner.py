@@ -39,7 +39,7 @@ def test_fifteen_minutes_suffice_to_learn_a_20_percent_error(learned):
     assert file > 0.08
     assert with_it < 0.02
     assert learned.learner.acts
-    assert learned.learner.counts(at.OF_LOSS)
+    assert learned.learner.counted[at.OF_LOSS]
 
 
 def test_watching_changes_no_bit_and_learns_the_same_twice(reference, road):
@@ -72,7 +72,7 @@ def test_a_file_that_is_right_stays_right(driven_before):
 
 def test_one_corner_is_not_the_whole(road):
     driven = road("on", {at.OF_LOSS: 0.2}).drive(3.0, speed=lambda _t: 6.0)
-    assert not any(driven.learner.counts(state) for state in VEHICLES_OWN)
+    assert not any(driven.learner.counted[state] for state in VEHICLES_OWN)
     assert driven.session.learned[at.Learned.on] == 0.0
 
 

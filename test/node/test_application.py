@@ -367,7 +367,7 @@ def test_surroundings_that_are_assumed_are_said_and_warned_of(desk, tmp_path):
         one.drive(2.0, load=272e3, ambient=15.0)
     assert d.names() - plain.names() == {"SURROUNDINGS"}
     assert next(notice.level for notice in d.app.notices() if notice.name == "SURROUNDINGS") is Level.WARN
-    assert f"--surroundings {file}" in d.app.diagnose_command()
+    assert f"--surroundings {file}" in d.app.parameters.diagnose_command()
     fed, expected = ([one.last(name)[1][0] for one in (plain, d)] for name in ("feedforward_torque", "resistance_torque"))
     assert fed[0] == pytest.approx(fed[1], rel=1e-3)
     assert expected[0] != pytest.approx(expected[1], rel=0.1)

@@ -133,12 +133,7 @@ def values_key(estimator: Estimator) -> str:
 def check(folder: Path, vehicle: str | None = None) -> list[str]:
     """Evidence that the C in a folder does not belong to its vehicle file, or to this version; empty if it does.
 
-    Parameters
-    ----------
-    folder
-        From `export_c`.
-    vehicle
-        Another vehicle file than that of the export, or its new place.
+    `vehicle` is another vehicle file than that of the export, or its new place.
 
     Raises
     ------

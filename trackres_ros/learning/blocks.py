@@ -82,19 +82,14 @@ class Past:
 
     Short disturbances within a block, such as bumps of the road, are over two blocks later; slow ones are not. So the
     products of levels that far apart separate the two.
-
-    Attributes
-    ----------
-    numbers
-        Of each block; neighbours have consecutive ones. Negative: none yet.
-    levels
-        Measured less the estimate when the block was full, without disturbances, against travel [Nm].
     """
 
     last: int = 0  # number of the last block
     slow: float = math.nan  # variance of the slow disturbance [Nm^2]
     white: float = math.nan  # variance of the short disturbances, over a block [Nm^2]
+    # Number of each block: neighbours have consecutive ones; negative for none yet.
     numbers: Array = field(default_factory=lambda: np.full(PAST, -1.0))
+    # Measured less the estimate when the block was full, without disturbances, against travel [Nm].
     levels: Array = field(default_factory=lambda: np.zeros(PAST))
 
     def pause(self) -> None:

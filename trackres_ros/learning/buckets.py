@@ -23,15 +23,7 @@ ACCELERATES_MPS2, LEAST_ACCELERATING_S = 0.15, 60.0
 
 
 class Buckets:
-    """Seconds of driving that were learned from, of a vehicle with belts or without.
-
-    Attributes
-    ----------
-    seconds : ndarray, shape SHAPE
-        By speed, belt temperature and load.
-    accelerating : ndarray, shape (1,)
-        Seconds in which it accelerated.
-    """
+    """Seconds of driving that were learned from: by speed, belt temperature and load, of `SHAPE`; and accelerating, (1,)."""
 
     def __init__(self, greatest_speed: float, nominal_weight: float, belts: bool) -> None:
         self._least = LEAST_FILLED if belts else LEAST_WITHOUT_BELTS

@@ -18,11 +18,13 @@ from trackres_ros.text.numbers import figures
 LEARNING, LEARNED, FROZEN = range(3)
 STATES_OF = ("learning", "learned", "frozen")
 TORQUE, COVERAGE, ACTS = "learned_resistance_torque_nm", "learned_coverage", "learned_acts"
+Line = tuple[str, str, tuple[tuple[str, str], ...]]
+"""Name, message and values of a status."""
 TEXTS = ("the vehicle file is used", "the learned parameters fit better than the vehicle file")
 
 
 class LearningColumns:
-    """The columns of a learner, after those of the estimate.
+    """The columns of a learner, after those of the estimate, and the lines of a status out of them.
 
     Attributes
     ----------
@@ -32,7 +34,7 @@ class LearningColumns:
     """
 
     def __init__(self, learner: Learner) -> None:
-        self._learner = learner
+        self._learner, self._ranges = learner, ranges_of(learner)
         self._values: list[float] = []
         self._second = -2
         self.names = column_names(learner.learnables)
@@ -48,6 +50,10 @@ class LearningColumns:
             moved = learner.learned.applied * learned[at.Learned.sensitivities]
             torque += float(moved.sum()) - float(moved[at.OF_MASS])
         return [torque, *self._values]
+
+    def lines(self, row: Sequence[float]) -> list[Line]:
+        """The lines of a row that ends in the columns of the learner."""
+        return lines(self._learner.learnables, self._ranges, row[len(row) - len(self.names) + 1 :])
 
 
 def column_names(learnables: Sequence[Learnable]) -> tuple[str, ...]:
@@ -77,9 +83,6 @@ def shown(learner: Learner) -> list[float]:
     return found
 
 
-Line = tuple[str, str, tuple[tuple[str, str], ...]]
-
-
 def lines(learnables: Sequence[Learnable], ranges: Sequence[tuple[float, float]], values: Sequence[float]) -> list[Line]:
     """Name, message and values of a status for each learned parameter, from its columns without the torque."""
     coverage, acts = values[:2]
@@ -100,24 +103,6 @@ def lines(learnables: Sequence[Learnable], ranges: Sequence[tuple[float, float]]
         unit = f" {one.unit}" if one.unit != "1" else ""
         found.append((one.name, f"{one.meaning}: {figures(value, 4)} +- {figures(std, 2)}{unit}, {STATES_OF[int(state)]}", known))
     return found
-
-
-class LearnedTopic:
-    """Learned parameters as lines of a status, from rows with the columns of a learner.
-
-    Attributes
-    ----------
-    names
-        Those columns.
-    """
-
-    def __init__(self, learner: Learner) -> None:
-        self._learnables, self._ranges = learner.learnables, ranges_of(learner)
-        self.names = column_names(learner.learnables)
-
-    def lines(self, row: Sequence[float]) -> list[Line]:
-        """The lines of a row that ends in a learner's columns."""
-        return lines(self._learnables, self._ranges, row[len(row) - len(self.names) + 1 :])
 
 
 def ranges_of(learner: Learner) -> list[tuple[float, float]]:

@@ -61,12 +61,8 @@ def follow(s: LearnerState) -> None:
 def move(s: LearnerState, acts: bool, learned: Array, now: int, belt_variance: float) -> None:
     """Write the acting departures into the memory of a session, see `estimator.columns`.
 
-    Parameters
-    ----------
-    now
-        The present second: belts have become less certain since the last second used.
-    belt_variance
-        Variance of the belts' temperature without a torque measurement [K^2].
+    `now` is the present second: belts have become less certain since the last second used. `belt_variance` is that of their
+    temperature without a torque measurement [K^2].
     """
     if not (acts and s.applied.any()):
         learned[: at.Learned.slow] = 0.0

@@ -39,22 +39,12 @@ KNOWN_STD_S = 0.01  # so that 95 % are within 20 ms
 
 @dataclass
 class KeptDelays:
-    """Delays of the last windows; all of it is kept over a restart.
+    """Delays of the last windows; all of it is kept over a restart. Window number n is at n modulo `PAST`."""
 
-    Attributes
-    ----------
-    count
-        Windows with a delay so far.
-    fresh
-        Those since the last start: another topics file may have moved the torque since.
-    delays, variances
-        Of the last windows [s] and [s^2]; number n is at n modulo their length. A variance of 0: none.
-    """
-
-    count: int = 0
-    fresh: int = 0
-    delays: Array = field(default_factory=lambda: np.zeros(PAST))
-    variances: Array = field(default_factory=lambda: np.zeros(PAST))
+    count: int = 0  # windows with a delay so far
+    fresh: int = 0  # those since the last start: another topics file may have moved the torque since
+    delays: Array = field(default_factory=lambda: np.zeros(PAST))  # s
+    variances: Array = field(default_factory=lambda: np.zeros(PAST))  # s^2; 0 for none
 
     def see(self, delay: float, variance: float) -> None:
         """Add the delay of a window; forget the earlier ones if the last ones agree on another."""
@@ -119,18 +109,11 @@ class DelaySamples:
 
 
 class DelayEstimator:
-    """Takes steps one by one; each window of them gives a delay.
-
-    Parameters
-    ----------
-    rolling_nm
-        Size of the rolling resistance torque [Nm].
-    """
+    """Takes steps one by one, of a vehicle with a rolling resistance torque [Nm]; each window of them gives a delay."""
 
     def __init__(self, rolling_nm: float) -> None:
         self._rolling_nm = rolling_nm
-        self.kept = KeptDelays()
-        self._begin(0)
+        self.reset()
 
     def reset(self) -> None:
         """Forget all."""
@@ -148,27 +131,15 @@ class DelayEstimator:
 
     def take(
         self,
-        stamp_ns: int,
-        speed: float,
-        resisting_nm: float,
-        inertia: float,
-        torque_ns: int,
+        stamp_ns: int,  # of the speed
+        speed: float,  # m/s
+        resisting_nm: float,  # modelled drive torque without inertia
+        inertia: float,  # torque of the inertia per m/s^2 [Nm s^2/m]
+        torque_ns: int,  # stamp of the measured torque
         torque_nm: float,
-        usable: bool = True,
+        usable: bool = True,  # whether speed and estimate can be trusted now; if not, the whole window is discarded
     ) -> None:
-        """Add a speed and the last measured torque.
-
-        Parameters
-        ----------
-        stamp_ns, speed
-            Of the speed [ns] and [m/s].
-        resisting_nm, inertia
-            Modelled drive torque without inertia [Nm], and torque of the inertia per m/s^2 [Nm s^2/m].
-        torque_ns, torque_nm
-            Stamp [ns] and measured torque [Nm].
-        usable
-            Whether speed and estimate can be trusted now; if not, the whole window is discarded.
-        """
+        """Add a speed and the last measured torque."""
         samples, origin = self._samples, self._origin_ns
         passed_ns = stamp_ns - self._seen_ns
         if not usable or not samples.speed or not 0 <= passed_ns <= LONGEST_GAP_S * SECOND_NS:

@@ -17,14 +17,7 @@ Mask = NDArray[np.bool_]
 def aged(mean: Array, covariance: Array, keep: Array, gained: Array) -> None:
     """Predict states with decay and process noise; changes both.
 
-    Parameters
-    ----------
-    mean, covariance
-        Shapes (states,) and (states, states).
-    keep
-        Remaining share of each state, shape (states,).
-    gained
-        Process noise of each, shape (states,).
+    `keep` is the remaining share of each state, `gained` its process noise, shape (states,).
     """
     mean *= keep
     covariance *= keep[:, None]

@@ -109,15 +109,7 @@ class SampleHistory:
 
 
 class Gate:
-    """Takes steps one by one and averages the valid ones.
-
-    Parameters
-    ----------
-    belts
-        Columns of the belts' temperatures in a row.
-    rolling_nm
-        Size of the rolling resistance torque [Nm].
-    """
+    """Takes steps one by one and averages the valid ones; `belts` are the columns of their temperatures in a row."""
 
     def __init__(self, belts: list[int], rolling_nm: float) -> None:
         self._belts = belts
@@ -151,7 +143,8 @@ class Gate:
         residual = row[at.Results.residual_nm]
         if learned[at.Learned.on] > 0.0:  # against the file, whatever acts
             moved = learned[at.Learned.departures] * learned[at.Learned.sensitivities]
-            residual += float(moved.sum()) + row_lasting(row, learned)
+            lasting = float(learned[at.Learned.torque]) * math.tanh(row[at.Results.speed_mps] / STANDSTILL_MPS)
+            residual += float(moved.sum()) + lasting
         why = self._why_not(stamp_ns, row, residual, float(session.memory.values[at.YAW_RATE]))
         second = self.second
         if why != TAKEN:
@@ -225,15 +218,8 @@ class Gate:
         return OUTLYING if outlying else TAKEN
 
 
-def row_lasting(row: Row, learned: Array) -> float:
-    """Persistent disturbance within a step's torque [Nm]."""
-    return float(learned[at.Learned.torque]) * math.tanh(row[at.Results.speed_mps] / STANDSTILL_MPS)
-
-
 def _felt(stamp_ns: int, session: Session) -> float:
     """IMU acceleration along the track [m/s^2]; nan without one, or if it is old."""
-    times = session.memory.times[at.SPECIFIC_FORCE]
-    fresh = (
-        times[at.Times.seen] and abs(stamp_ns - times[at.Times.last_stamp]) <= session.estimator.constants.number.motion_hold_ns
-    )
+    times, hold_ns = session.memory.times[at.SPECIFIC_FORCE], session.estimator.constants.number.motion_hold_ns
+    fresh = times[at.Times.seen] and abs(stamp_ns - times[at.Times.last_stamp]) <= hold_ns
     return float(session.memory.values[at.SPECIFIC_FORCE]) if fresh else math.nan

@@ -41,32 +41,18 @@ OUTLIER = 4.0
 
 @dataclass
 class Ground:
-    """Memory of altitude and IMU; the slope itself is in the filter.
+    """Memory of altitude and IMU; the slope itself is in the filter."""
 
-    Attributes
-    ----------
-    way_m, rise_m
-        Distance since the last second, and rise of the ground over it, as known to the step.
-    known_slope
-        That rise over the distance, of the last second.
-    altitude_ns, stood_ns, stood_m
-        Time of the last altitude; start of a standstill, or the last altitude in motion, and that altitude.
-    zero_m
-        The altitude at which the filter's height is 0.
-    follows, feels
-        Whether an altitude is used, and whether an IMU is.
-    """
-
-    way_m: float = 0.0
-    rise_m: float = 0.0
-    known_slope: float = 0.0
+    way_m: float = 0.0  # distance since the last second
+    rise_m: float = 0.0  # rise of the ground over it, as known to the step
+    known_slope: float = 0.0  # that rise over the distance, of the last second
     step_ns: int = 0
-    altitude_ns: int = 0
-    stood_ns: int = 0
-    stood_m: float = 0.0
-    zero_m: float = 0.0
-    follows: bool = False
-    feels: bool = False
+    altitude_ns: int = 0  # time of the last altitude
+    stood_ns: int = 0  # start of a standstill, or the last altitude in motion
+    stood_m: float = 0.0  # that altitude
+    zero_m: float = 0.0  # the altitude at which the filter's height is 0
+    follows: bool = False  # whether an altitude is used
+    feels: bool = False  # whether an IMU is
     altitude_variance: float = ALTITUDE_STD_M**2
     drift: float = DRIFT
     felt_variance: float = FELT_STD**2

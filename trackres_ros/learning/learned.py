@@ -28,27 +28,18 @@ LEAST_WANDERING_SHARE = 0.003  # assumed: of the rolling resistance; no model is
 
 @dataclass
 class LearnerState:
-    """The state of learning; all of it is saved across a restart.
+    """The state of learning; all of it is saved across a restart."""
 
-    Attributes
-    ----------
-    mean, covariance
-        Of the filter's states, shapes (STATES,) and (STATES, STATES).
-    recent_mean, recent_covariance, before_mean, before_covariance
-        The same at the end of the last block without a suspicion, and of the one before it: a step is found a block late, and may
-        have come within one.
-    aim, applied
-        Target departures, and those that act or would, shape (LEARNABLE,).
-    """
-
-    mean: Array
-    covariance: Array
+    mean: Array  # of the filter's states, (STATES,)
+    covariance: Array  # (STATES, STATES)
+    # The same at the end of the last block without a suspicion, and of the one before it: a step is found a block late, and may
+    # have come within one.
     recent_mean: Array
     recent_covariance: Array
     before_mean: Array
     before_covariance: Array
-    aim: Array
-    applied: Array
+    aim: Array  # target departures, (LEARNABLE,)
+    applied: Array  # those that act or would
     second: int = -1  # the filter is of this one
     seconds: float = 0.0  # driven and learned from
     rolling: float = 0.0  # size of the torque that rolling takes [Nm]
@@ -123,14 +114,13 @@ class LearnerState:
 
 def nothing_learned(prior: Prior) -> LearnerState:
     """The state before learning."""
-    mean, covariance, rolling, none = np.zeros(STATES), prior.covariance, prior.rolling_nm, np.zeros(at.LEARNABLE)
+    mean, covariance = np.zeros(STATES), prior.covariance
     found = LearnerState(
         *(mean, covariance.copy()),
         *(mean.copy(), covariance.copy()),
         *(mean.copy(), covariance.copy()),
-        none,
-        none.copy(),
-        rolling=rolling,
+        *(np.zeros(at.LEARNABLE), np.zeros(at.LEARNABLE)),
+        rolling=prior.rolling_nm,
     )
-    found.noise = (FIRST_NOISE_SHARE * rolling) ** 2
+    found.noise = (FIRST_NOISE_SHARE * prior.rolling_nm) ** 2
     return found

@@ -66,12 +66,7 @@ def belt_variances(session: Session) -> tuple[float, float]:
 class Learner:
     """Learner of one session; call `take` after each of its steps.
 
-    Parameters
-    ----------
-    estimator
-        Of the session.
-    mode
-        `watch` learns and changes nothing; `on` applies learned values to the session's steps.
+    In mode `watch` it learns and changes nothing; in mode `on` it applies learned values to the session's steps.
     """
 
     def __init__(self, estimator: Estimator, mode: str = "watch") -> None:
@@ -83,9 +78,8 @@ class Learner:
         self._belts = [estimator.column_index[f"belt_degc/{name}"] for name in estimator.assemblies]
         load = estimator.constants.assembly[:, at.Assembly.nominal_load]
         weight = float(load.sum())
-        arm = float(load @ estimator.constants.assembly[:, at.Assembly.radius]) / weight
-        self._arm = arm
-        self._inertia = arm * estimator.vehicle.chassis.rotating_mass_factor / GRAVITY  # torque by weight and m/s^2
+        self._arm = float(load @ estimator.constants.assembly[:, at.Assembly.radius]) / weight
+        self._inertia = self._arm * estimator.vehicle.chassis.rotating_mass_factor / GRAVITY  # torque by weight and m/s^2
         self.delay = DelayEstimator(self.prior.rolling_nm)
         self.buckets = Buckets(estimator.vehicle.chassis.max_speed, weight, bool(self._belts))
         self.reset()
@@ -252,10 +246,6 @@ class Learner:
     def counted(self) -> Mask:
         """Accepted departures of the vehicle: covered, and known twice as well as by its file; (LEARNABLE,)."""
         return np.asarray(self.buckets.covered() & correction.sure(self.learned, self.prior))
-
-    def counts(self, state: int) -> bool:
-        """Whether one departure of the vehicle is accepted."""
-        return bool(self.counted[state])
 
     @property
     def acts(self) -> bool:

@@ -39,23 +39,13 @@ WANDERING_SHARE = 0.03  # assumed: standard deviation of the model error, of the
 
 @dataclass(frozen=True)
 class Learnable:
-    """One learned parameter.
+    """One learned parameter."""
 
-    Attributes
-    ----------
-    name, unit, meaning
-        As published; the name is that of a re-fit by `trackres diagnose`.
-    state
-        Index of the filter's state; or `DELAY`.
-    nominal
-        Value of the vehicle file in that unit. States are departures over it; offset and torques are themselves.
-    """
-
-    name: str
+    name: str  # as published; that of a re-fit by `trackres diagnose`
     unit: str
     meaning: str
-    state: int
-    nominal: float
+    state: int  # index of the filter's state; or `DELAY`
+    nominal: float  # value of the vehicle file; states are departures over it, but offset and torques are themselves
 
     def value(self, departure: float) -> float:
         """The value in its unit, of a departure."""
@@ -68,22 +58,12 @@ class Learnable:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Prior of the learned parameters.
+    """Prior of the learned parameters."""
 
-    Attributes
-    ----------
-    covariance
-        Of all states, shape (STATES, STATES).
-    low, high
-        Bounds of the departures, shape (STATES,); infinite without one.
-    rolling_nm
-        Prior size of the rolling resistance torque [Nm].
-    """
-
-    covariance: Array
-    low: Array
+    covariance: Array  # of all states, (STATES, STATES)
+    low: Array  # bounds of the departures, (STATES,); infinite without one
     high: Array
-    rolling_nm: float
+    rolling_nm: float  # size of the rolling resistance torque
 
 
 def learnables(vehicle: AnyVehicle) -> tuple[Learnable, ...]:
@@ -147,13 +127,7 @@ def make_prior(estimator: Estimator) -> Prior:
 
 
 def _tied(estimator: Estimator, own: Sequence[int], factor: Array) -> Array:
-    """Covariance of the vehicle's own departures by the ranges of its file, shape (STATES, STATES).
-
-    Parameters
-    ----------
-    factor
-        Of the belts' uncertainty and the radius, shape (4, 4); see `columns.CONSIDER_FACTOR`.
-    """
+    """Covariance of the vehicle's own departures, (STATES, STATES); `factor` is (4, 4), of uncertain belts and the radius."""
     vehicle, number = estimator.vehicle, estimator.constants.number
     wheels = isinstance(vehicle, RoadVehicle)
     causes = np.zeros((STATES, 4 + 2))

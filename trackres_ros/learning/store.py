@@ -58,9 +58,8 @@ def take_learned(learner: Learner, given: object, path: Path) -> None:
     try:
         take(learner, given)
     except ValueError as error:
-        raise InputError(
-            f"state file {path}", str(error), "learned parameters saved by this program", "delete the file to start anew"
-        ) from error
+        allowed, remedy = "learned parameters saved by this program", "delete the file to start anew"
+        raise InputError(f"state file {path}", str(error), allowed, remedy) from error
 
 
 def _parts(learner: Learner) -> dict[str, Any]:

@@ -30,20 +30,15 @@ REASON = "learned by trackres while driving"
 
 
 def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> list[str]:
-    """Write a vehicle file with the learned parameters.
-
-    Returns
-    -------
-    list of str
-        Paths of the values that are other than they were.
-    """
-    counts = [state for state in VEHICLES_OWN if learner.acts and learner.counts(state)]
+    """Write a vehicle file with the learned parameters; return the paths of the changed values."""
+    counts = [state for state in VEHICLES_OWN if learner.acts and learner.counted[state]]
     minutes = learner.learned.seconds / 60.0
     text = f"Written by trackres replay --save-vehicle, learned from {minutes:.0f} min of driving"
+    nothing = FileChanges(None, (), {})
     if isinstance(vehicle, RoadVehicle):
-        write_road_vehicle(vehicle, path, FileChanges(None, (), {}), text)
+        write_road_vehicle(vehicle, path, nothing, text)
     else:
-        write_track_vehicle(vehicle, path, FileChanges(None, (), {}), text)
+        write_track_vehicle(vehicle, path, nothing, text)
     document = Document(path.read_text(encoding="utf-8"))
     stds = _stds(learner, counts)
     applied = learner.learned.applied.tolist()

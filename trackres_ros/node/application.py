@@ -26,19 +26,17 @@ from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics
 from trackres_ros.node.guard import Guard
-from trackres_ros.node.inbox import Arrival
+from trackres_ros.node.inbox import Arrival, Arrived, SendingOrder
 from trackres_ros.node.input_reader import InputReader
 from trackres_ros.node.live_learning import LiveLearning
 from trackres_ros.node.notices import Notice, level_of
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.node.publisher import OutputPublisher
 from trackres_ros.node.report import Overview, bare_status, overview, statuses
-from trackres_ros.node.sending_order import Arrived, SendingOrder
 from trackres_ros.node.service_manager import ServiceManager
 from trackres_ros.node.setup import changed_parameters, read_setup
-from trackres_ros.node.stamps import nearest_usable
 from trackres_ros.node.state_keeper import StateKeeper, state_path
-from trackres_ros.node.transport import KeepMessage, Level, Peer, Reasons, Transport
+from trackres_ros.node.transport import KeepMessage, Level, Peer, Reasons, Transport, nearest_usable
 from trackres_ros.node.watch import Watch
 from trackres_ros.units import SECOND_NS
 
@@ -55,17 +53,6 @@ MUST_BE_FINITE = (at.Results.resistance_torque_nm, at.Results.resistance_std_nm,
 class Application:
     """The live estimate of one vehicle.
 
-    Parameters
-    ----------
-    parameters
-        Checked parameters; `vehicle` must be given.
-    transport
-        The middleware; before the first call of `tick` or `receive` only its topic names are used.
-    node, namespace
-        Name of the node, for the state file and the statuses.
-    steady_ns
-        A monotonic clock [ns].
-
     Raises
     ------
     InputError
@@ -74,11 +61,11 @@ class Application:
 
     def __init__(
         self,
-        parameters: Parameters,
-        transport: Transport,
-        node: str = "trackres",
+        parameters: Parameters,  # checked; `vehicle` must be given
+        transport: Transport,  # before the first call of `tick` or `receive` only its topic names are used
+        node: str = "trackres",  # its name, for the state file and the statuses
         namespace: str = "/",
-        steady_ns: Callable[[], int] = time.monotonic_ns,
+        steady_ns: Callable[[], int] = time.monotonic_ns,  # a monotonic clock
     ) -> None:
         self.parameters = parameters
         self.node, self.namespace = node, namespace
@@ -90,10 +77,10 @@ class Application:
         self.inputs = input_topics(self.topics, bool(self.vehicle.route), self.estimator.channels)
         self.outputs = live_topics(self.vehicle, self.topics)
         measured = any("torque" in given.roles for given in self.inputs)
+        self._diagnose = parameters.diagnose_command()
         self.comparison = Comparison(parameters.mismatch(), self.vehicle.disturbance if measured else None)
-        self.keeper = StateKeeper(
-            *state_path(parameters.text("state_file"), parameters.sim_time, node, namespace, self.vehicle.name)
-        )
+        file = state_path(parameters.text("state_file"), parameters.sim_time, node, namespace, self.vehicle.name)
+        self.keeper = StateKeeper(*file)
         self.active = False
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
         self.recording_notices: Callable[[], list[Notice]] = list
@@ -146,7 +133,7 @@ class Application:
         """
         others = other_topics(self.topics, self.inputs)
         texts = self._transport.record(others)
-        listed = [(given, text) for given, text in zip((*self.inputs, *others), texts, strict=True)]
+        listed = list(zip((*self.inputs, *others), texts, strict=True))
         for given, text in listed:
             if text is None:
                 name = self._transport.topic_name(given.name)
@@ -247,11 +234,8 @@ class Application:
             self._publish_status(self._steady_ns())
         self.guard("learning", self.learning.take, stamp, values, self.session)  # it acts from the next step on
         if self.on_estimate:
-            self.guard("recording", self._record_estimate, values, stamp, arrival)
-
-    def _record_estimate(self, values: list[float], stamp: int, arrival: int) -> None:
-        if self.on_estimate:
-            self.on_estimate([*values, *self.learning.columns(values, self.session)], stamp, arrival)
+            record = self.on_estimate
+            self.guard("recording", lambda: record([*values, *self.learning.columns(values, self.session)], stamp, arrival))
 
     def _report_fault(self, text: str) -> None:
         self._reasons_seen = None
@@ -405,7 +389,7 @@ class Application:
         steady = self._steady_ns() if steady is None else steady
         found = [
             *(self.guard("watching the inputs", self._watched, steady) or []),
-            *(self.guard("the comparison with the measured torque", self._compared) or []),
+            *(self.guard("the comparison with the measured torque", self.comparison.notices, self._diagnose) or []),
             *(self.guard("learning", self.learning.notices) or []),
             *(self.guard("publishing statuses", self._publisher.notices) or []),
             *(self.guard("saving the state", self.keeper.notices) or []),
@@ -421,26 +405,15 @@ class Application:
             clock_runs=not self.parameters.sim_time or self._now_ns(steady) > 0,
         )
 
-    def _compared(self) -> list[Notice]:
-        return self.comparison.notices(self.diagnose_command())
-
     def _compiling(self) -> list[Notice]:
         if self.estimator.entries is self._warm_up.first and not self.estimator.entries.compiled and self._warm_up.running:
             return [Notice("COMPILING", "steps run in plain Python until they are compiled")]
         return []
 
-    def diagnose_command(self) -> str:
-        """Command that explains where and why measured and expected torque differ."""
-        given = [f" --{name} {self.parameters.text(name)}" for name in ("surroundings", "topics") if self.parameters.text(name)]
-        return f"trackres diagnose RECORDING --vehicle {self.parameters.text('vehicle')}{''.join(given)} -o report"
-
     def overview(self, steady: int | None = None) -> Overview:
         """Snapshot for statuses and the terminal."""
         steady = self._steady_ns() if steady is None else steady
-        notices = self.notices(steady)
-        return overview(
-            level_of(notices), notices, self._publisher, self._watch, self.comparison, self.keeper, self.learning, steady
-        )
+        return overview(self.notices(steady), self._publisher, self._watch, self.comparison, self.keeper, self.learning, steady)
 
     # Requests of a transport or a signal
 
@@ -468,9 +441,7 @@ class Application:
 
     def reset(self) -> str:
         """Start cold, with belts at the ambient temperature; return a text for the log."""
-        self.session.start_anew(time_went_back=False)
-        self.comparison.restart()
-        self.learning.restart()
+        self._start_anew(time_went_back=False)
         text = f"the estimate restarts with cold {'belts' if self.estimator.assemblies else 'effects'} at the next speed"
         self._log(Level.WARN, f"reset: {text}")
         return text
@@ -481,8 +452,8 @@ class Application:
         self._log(Level.WARN, f"reset of learning: {text}")
         return text
 
-    def save_state(self) -> str:
-        """Save the state now; return a text for the log.
+    def save_state(self, patience_s: float = SAVING_ON_REQUEST_S) -> str:
+        """Save the state now, waiting for the disk at most for some time [s]; return a text for the log.
 
         Raises
         ------
@@ -490,14 +461,17 @@ class Application:
             If no state is kept or it cannot be written.
         """
         self._rest_unused_belts()
-        return self.keeper.save(self.session, self._state_at, self.learning.learner, SAVING_ON_REQUEST_S)
+        return self.keeper.save(self.session, self._state_at, self.learning.learner, patience_s)
 
     def time_went_back(self) -> None:
         """Restart after a backward jump of the simulated clock; the next estimate reports it."""
-        self.session.start_anew(time_went_back=True)
+        self._start_anew(time_went_back=True)
+        self._log(Level.WARN, "time went back: the estimate restarts")
+
+    def _start_anew(self, time_went_back: bool) -> None:
+        self.session.start_anew(time_went_back)
         self.comparison.restart()
         self.learning.restart()
-        self._log(Level.WARN, "time went back: the estimate restarts")
 
     def close(self) -> str:
         """Save the state and end other threads; return a text for the log."""
@@ -510,8 +484,7 @@ class Application:
         if self.keeper.path is None:
             return "no state is saved"
         try:
-            self._rest_unused_belts()
-            return self.keeper.save(self.session, self._state_at, self.learning.learner, SAVING_AT_THE_END_S)
+            return self.save_state(SAVING_AT_THE_END_S)
         except InputError as error:
             return str(error)
         except Exception as error:  # whatever fails, it is to end

@@ -23,12 +23,8 @@ TIME_RESET = int(at.Reason.TIME_RESET)
 class Comparison:
     """Compares rows of results; `verdict` and `belief` are the results.
 
-    Parameters
-    ----------
-    settings
-        Of the detector; rows that it does not compare are not watched for disturbances either.
-    disturbance
-        From the vehicle file; None without one, or without a measured torque.
+    Rows that the detector does not compare are not watched for disturbances either. There is no disturbance to watch for
+    without one in the vehicle file, or without a measured torque.
     """
 
     def __init__(self, settings: MismatchSettings, disturbance: Disturbance | None) -> None:

@@ -37,25 +37,13 @@ class Quality:
 
 @dataclass(frozen=True, slots=True)
 class InputTopic:
-    """One topic to subscribe to, and the roles it feeds.
+    """One topic to subscribe to, and the roles it feeds."""
 
-    Attributes
-    ----------
-    name
-        From the topics file: absolute, or relative to the node's namespace.
-    type
-        ``package/msg/Name``.
-    roles, bindings
-        Its roles, and the field for each.
-    parts
-        For a role that is a sum, the field's place among its parts; else None.
-    """
-
-    name: str
-    type: str
+    name: str  # from the topics file: absolute, or relative to the node's namespace
+    type: str  # ``package/msg/Name``
     roles: tuple[str, ...]
-    bindings: tuple[TopicBinding, ...]
-    parts: tuple[int | None, ...]
+    bindings: tuple[TopicBinding, ...]  # the field for each role
+    parts: tuple[int | None, ...]  # for a role that is a sum, the field's place among its parts; else None
 
 
 def input_topics(topics: Topics, on_route: bool = False, channels: Collection[str] = CHANNELS) -> tuple[InputTopic, ...]:
@@ -84,16 +72,12 @@ def other_topics(topics: Topics, inputs: Sequence[InputTopic]) -> tuple[InputTop
 
 def _by_topic(topics: Topics, roles: Sequence[str]) -> list[InputTopic]:
     by_name: dict[tuple[str, str], list[Reading]] = {}
-    for reading in readings_of(sorted(roles, key=_last_speed), topics.bindings):
+    for reading in readings_of(sorted(roles, key="speed".__eq__), topics.bindings):
         by_name.setdefault((reading.binding.topic, reading.binding.type), []).append(reading)
     return [
         InputTopic(name, kind, tuple(one.role for one in fed), tuple(one.binding for one in fed), tuple(one.part for one in fed))
         for (name, kind), fed in by_name.items()
     ]
-
-
-def _last_speed(role: str) -> bool:
-    return role == "speed"
 
 
 def measures_torque(topics: Topics) -> bool:

@@ -32,13 +32,7 @@ class Guard:
 
     The failure of an essential part (reading a message, a step, publishing) is an error: there is no usable estimate. For
     any other part (the disk, the log, other nodes, learning, recording, the statuses) it is a warning.
-
-    Parameters
-    ----------
-    report
-        Logs a failure, once for each text while it lasts.
-    steady_ns
-        A monotonic clock [ns].
+    `report` logs a failure, once for each text while it lasts; `steady_ns` is a monotonic clock [ns].
     """
 
     def __init__(self, report: Callable[[str], None], steady_ns: Callable[[], int]) -> None:
@@ -47,22 +41,19 @@ class Guard:
 
     def __call__(self, part: str, do: Callable[P, T], *args: P.args, **named: P.kwargs) -> T | None:
         """Call a part; return its result, or None if it fails."""
+        return self._call(part, False, do, *args, **named)
+
+    def essential(self, part: str, do: Callable[P, T], *args: P.args, **named: P.kwargs) -> T | None:
+        """Call a part that the estimate needs."""
+        return self._call(part, True, do, *args, **named)
+
+    def _call(self, part: str, is_essential: bool, do: Callable[P, T], *args: P.args, **named: P.kwargs) -> T | None:
         try:
             return do(*args, **named)
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # whatever a library raises to end a program must not end this one
-            self.failed(part, error, essential=False)
-        return None
-
-    def essential(self, part: str, do: Callable[P, T], *args: P.args, **named: P.kwargs) -> T | None:
-        """Call a part that the estimate needs."""
-        try:
-            return do(*args, **named)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:  # as above
-            self.failed(part, error, essential=True)
+            self.failed(part, error, is_essential)
         return None
 
     def taking(self, part: str, take: Callable[[], Iterable[T]]) -> Callable[[], Sequence[T]]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.endpoints import InputTopic
-from trackres_ros.node.stamps import is_usable, stamp_ns
+from trackres_ros.node.transport import is_usable, stamp_ns
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.sums import Sum
 
@@ -23,16 +23,7 @@ Sample = tuple[int, int, float]
 
 
 class InputReader:
-    """Reads the messages of all input topics.
-
-    Parameters
-    ----------
-    inputs
-        The topics.
-    channels
-        Names of the estimator's channels, in their order.
-    bindings
-        By role; those of sums define how to add the parts.
+    """Reads the messages of all input topics into samples of the estimator's channels; bindings of sums say how to add the parts.
 
     Raises
     ------
@@ -61,20 +52,11 @@ class InputReader:
         return _stamp(message), [_value(read, message) for _, read, *_ in self._readers[index]]
 
     def samples(self, index: int, stamp_ns: int | None, values: Sequence[float | None], now_ns: int) -> list[Sample]:
-        """Samples from the values of a message.
+        """Samples from the values of a message of an input topic, at the node's time `now_ns`.
 
-        Parameters
-        ----------
-        index
-            Index of the input topic.
-        stamp_ns
-            Stamp of the message [ns], None where its type has none; one that was never set is 0 and stays so. Without a stamp
-            the node's time is used. A stamp out of a message's range gives no sample: it could not be published again.
-        values
-            One for each binding of the topic, scaled: nan where it is no number; None, and no sample, where the message has no
-            such element.
-        now_ns
-            The node's time [ns].
+        The stamp is None where the message's type has none: then the node's time is used. One that was never set is 0 and stays
+        so. A stamp out of a message's range gives no sample: it could not be published again. There is a scaled value for each
+        binding of the topic: nan where it is no number; None, and no sample, where the message has no such element.
         """
         self.received[index] += 1
         found = []

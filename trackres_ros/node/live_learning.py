@@ -20,27 +20,12 @@ OFF, ON = "off", "on"
 
 
 class LiveLearning:
-    """A learner for a node with a measured torque; without one it does nothing.
-
-    Parameters
-    ----------
-    estimator
-        Of the node.
-    mode
-        `off`, `watch` or `on`. Learned values are kept while it is off.
-    measured
-        Whether a torque is measured at all.
-    """
+    """A learner for a node with a measured torque; without one it does nothing. Learned values are kept while it is off."""
 
     def __init__(self, estimator: Estimator, mode: str, measured: bool) -> None:
         self.mode = mode
         self.learner = Learner(estimator, mode) if measured else None
         self._columns = None if self.learner is None else LearningColumns(self.learner)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the columns after those of the estimate."""
-        return () if self._columns is None else self._columns.names
 
     def take(self, stamp_ns: int, row: list[float], session: Session) -> None:
         """Take the results of a step."""
@@ -55,7 +40,7 @@ class LiveLearning:
                 raise
 
     def columns(self, row: list[float], session: Session) -> list[float]:
-        """Values of the columns after those of an estimate, in the order of `names`."""
+        """Values of the columns after those of an estimate."""
         return [] if self._columns is None else self._columns.of(row, session)
 
     def change(self, mode: str, session: Session) -> None:
@@ -94,21 +79,15 @@ class LiveLearning:
         if self.learner is None or self.mode == OFF:
             return ()
         level = Level.WARN if self.learner.frozen else Level.OK
-        values = shown(self.learner)
         overall = (
             ("mode", self.mode),
             ("acts", str(self.learner.acts).lower()),
             ("frozen", self.learner.frozen),
             ("disturbance", self.learner.disturbance),
         )
-        head = Status(level, f"{node}: learning", self.text, vehicle, overall)
-        return [
-            head,
-            *(
-                Status(level, f"{node}: {name}", message, vehicle, known)
-                for name, message, known in lines(self.learner.learnables, ranges_of(self.learner), values)
-            ),
-        ]
+        learned = lines(self.learner.learnables, ranges_of(self.learner), shown(self.learner))
+        listed = [("learning", self.text, overall), *learned]
+        return [Status(level, f"{node}: {name}", message, vehicle, known) for name, message, known in listed]
 
     def notices(self) -> list[Notice]:
         """Present notices of the learning."""

@@ -22,11 +22,12 @@ from __future__ import annotations
 import math
 import statistics
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from trackres_ros.estimator.disturbance import LARGEST_NM, STEADY_MPS, STEADY_MPS2
+from trackres_ros.estimator.settings import setting
 from trackres_ros.units import NANOSECOND
 
 SETTLING_BINS = 30  # before the noise is believed
@@ -40,30 +41,26 @@ MAD_TO_STD = 1.4826  # of a normal distribution
 LEAST_NOISE = 0.001  # of the expected torque: finer than torque transducers are (class 0.1), for a residual without noise
 
 
-def _setting(default: float, unit: str, low: float, high: float, meaning: str) -> Any:
-    return field(default=default, metadata={"unit": unit, "low": low, "high": high, "meaning": meaning})
-
-
 @dataclass(frozen=True)
 class MismatchSettings:
     """Settings of the detector; the field metadata holds unit, limits and meaning of each."""
 
-    mismatch_share: float = _setting(
+    mismatch_share: float = setting(
         0.1, "1", 0.0, 10.0, "a lasting difference up to this share of the expected torque is tolerated"
     )
-    mismatch_std: float = _setting(
+    mismatch_std: float = setting(
         1.0, "1", 0.0, 10.0, "a lasting difference up to this many standard deviations of the estimate is tolerated"
     )
-    mismatch_evidence: float = _setting(
+    mismatch_evidence: float = setting(
         6.0, "1", 3.0, 100.0, "standard errors by which the difference must exceed both; larger means fewer and later alarms"
     )
-    mismatch_hold_s: float = _setting(
+    mismatch_hold_s: float = setting(
         300.0, "s", 10.0, 86400.0, "driving time that the difference must last; choose it longer than a lap"
     )
-    mismatch_bin_s: float = _setting(2.0, "s", 0.1, 60.0, "time over which the residual is averaged")
-    mismatch_memory_s: float = _setting(600.0, "s", 30.0, 86400.0, "time constant of the residual's noise estimate")
-    mismatch_min_speed_mps: float = _setting(STEADY_MPS, "m/s", 0.0, 30.0, "lower speeds are not compared")
-    mismatch_max_accel: float = _setting(STEADY_MPS2, "m/s^2", 0.01, 15.0, "larger accelerations are not compared")
+    mismatch_bin_s: float = setting(2.0, "s", 0.1, 60.0, "time over which the residual is averaged")
+    mismatch_memory_s: float = setting(600.0, "s", 30.0, 86400.0, "time constant of the residual's noise estimate")
+    mismatch_min_speed_mps: float = setting(STEADY_MPS, "m/s", 0.0, 30.0, "lower speeds are not compared")
+    mismatch_max_accel: float = setting(STEADY_MPS2, "m/s^2", 0.01, 15.0, "larger accelerations are not compared")
 
     def compares(self, speed_mps: float, accel_mps2: float) -> bool:
         """Whether measured and expected torque are compared at a speed [m/s] and an acceleration [m/s^2]."""
@@ -72,31 +69,15 @@ class MismatchSettings:
 
 @dataclass(frozen=True, slots=True)
 class Mismatch:
-    """Result of the detector.
+    """Result of the detector."""
 
-    Attributes
-    ----------
-    parted
-        Whether there is a mismatch.
-    since_ns
-        Stamp of its beginning, estimated afterwards [ns].
-    after_s
-        Driving time compared until then [s].
-    mean_nm, share
-        Mean difference since then, measured less expected [Nm], and relative to the mean size of the expected torque.
-    settled
-        Whether there were enough data to judge.
-    text
-        The same in a sentence.
-    """
-
-    parted: bool
-    since_ns: int | None
-    after_s: float
-    mean_nm: float
-    share: float
-    settled: bool
-    text: str
+    parted: bool  # whether there is a mismatch
+    since_ns: int | None  # stamp of its beginning, estimated afterwards
+    after_s: float  # driving time compared until then
+    mean_nm: float  # mean difference since then, measured less expected
+    share: float  # the same relative to the mean size of the expected torque
+    settled: bool  # whether there were enough data to judge
+    text: str  # the same in a sentence
 
 
 class _Bin(NamedTuple):
@@ -219,18 +200,9 @@ class MismatchDetector:
     def take(
         self, stamp_ns: int, residual_nm: float, drive_torque_nm: float, std_nm: float, speed_mps: float, accel_mps2: float
     ) -> None:
-        """Process one estimate.
+        """Process one estimate: its time, measured less expected torque, expected torque with its standard deviation, and motion.
 
-        Parameters
-        ----------
-        stamp_ns
-            Its time [ns].
-        residual_nm
-            Measured less expected torque, and less a present, known disturbance [Nm]; nan where none is measured.
-        drive_torque_nm, std_nm
-            Expected torque and its standard deviation [Nm].
-        speed_mps, accel_mps2
-            Speed [m/s] and acceleration [m/s^2].
+        The residual is without a present, known disturbance, and nan where no torque is measured.
         """
         if not self.settings.compares(speed_mps, accel_mps2):
             return

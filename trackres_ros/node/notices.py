@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -15,22 +15,12 @@ from trackres_ros.node.transport import Level
 
 @dataclass(frozen=True, slots=True)
 class NoticeKind:
-    """A kind of notice.
-
-    Attributes
-    ----------
-    level, meaning
-        Severity and meaning.
-    awaited
-        Whether it is present at every start until the inputs have arrived.
-    of_start
-        Whether it is about the start of the node: the log has it once, the diagnostics in the entry of the state.
-    """
+    """A kind of notice."""
 
     level: Level
     meaning: str
-    awaited: bool = False
-    of_start: bool = False
+    awaited: bool = False  # present at every start until the inputs have arrived
+    of_start: bool = False  # about the start of the node: the log has it once, the diagnostics in the entry of the state
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +100,6 @@ def of_reasons(reasons: at.Reason) -> list[Notice]:
     return [Notice(str(reason.name), text) for reason, text in at.REASON_TEXT.items() if reason & reasons]
 
 
-def level_of(notices: list[Notice]) -> Level:
+def level_of(notices: Sequence[Notice]) -> Level:
     """The heaviest level."""
     return max((notice.level for notice in notices), default=Level.OK)

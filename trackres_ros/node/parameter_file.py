@@ -21,16 +21,7 @@ class ParameterFile:
 
     It is read once it is unchanged between two checks, so that a file that an editor is still writing is not read. A refused line
     leaves its parameter unchanged, and the other lines apply. Values of the command line keep priority. A deleted file changes
-    nothing.
-
-    Parameters
-    ----------
-    path, node, namespace
-        As for `read_entries`.
-    parameters
-        Parameters at the start of the node.
-    overruled
-        Names set on the command line.
+    nothing. `parameters` are those at the start of the node, and `overruled` the names set on the command line.
     """
 
     def __init__(self, path: Path, node: str, namespace: str, parameters: Parameters, overruled: Collection[str]) -> None:

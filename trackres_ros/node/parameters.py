@@ -15,6 +15,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, get_type_hints
@@ -38,28 +39,16 @@ SWITCH = MappingProxyType({True: "on", False: "off"})
 
 @dataclass(frozen=True)
 class NodeParameter:
-    """One parameter.
-
-    Attributes
-    ----------
-    name, default, meaning, unit
-        Name, default value, meaning and unit. All values have the type of the default.
-    low, high
-        Limits of a number, integers for an integer; nan for other kinds.
-    choices
-        Allowed texts; of a list, allowed elements. Empty: any text.
-    fixed_because
-        Why it cannot be changed while the node runs; empty if it can.
-    """
+    """One parameter. All values have the type of the default."""
 
     name: str
     default: Value
     meaning: str
     unit: str = ""
-    low: float = math.nan
+    low: float = math.nan  # limits of a number, integers for an integer; nan for other kinds
     high: float = math.nan
-    choices: tuple[str, ...] = ()
-    fixed_because: str = ""
+    choices: tuple[str, ...] = ()  # allowed texts; of a list, allowed elements. Empty: any text
+    fixed_because: str = ""  # why it cannot be changed while the node runs; empty if it can
 
     def __post_init__(self) -> None:
         if self.is_number:
@@ -118,21 +107,21 @@ def _of(settings: type[Settings | MismatchSettings]) -> tuple[NodeParameter, ...
     )
 
 
+_read_once = partial(NodeParameter, fixed_because=AT_START)
+_connecting = partial(NodeParameter, fixed_because=CONNECTED)
 NODE_PARAMETERS = (
-    NodeParameter("vehicle", "", "vehicle file, or the name of a shipped vehicle; required", fixed_because=AT_START),
-    NodeParameter(
+    _read_once("vehicle", "", "vehicle file, or the name of a shipped vehicle; required"),
+    _read_once(
         "surroundings",
         "",
         "file with the current effects of site, weather and ground, as trackres diagnose writes it; empty: none",
-        fixed_because=AT_START,
     ),
-    NodeParameter("topics", "", "topics file, or the name of a shipped one; empty: default", fixed_because=AT_START),
-    NodeParameter(
+    _read_once("topics", "", "topics file, or the name of a shipped one; empty: default"),
+    _read_once(
         "state_file",
         "auto",
         "file that saves belt temperatures across restarts. auto: one per node and vehicle in "
         "~/.local/state/trackres, none in simulated time; none: start cold",
-        fixed_because=AT_START,
     ),
     NodeParameter(
         "learning",
@@ -142,53 +131,42 @@ NODE_PARAMETERS = (
     ),
     NodeParameter("save_period_s", 30.0, "time between two saves of the state", "s", 1.0, 3600.0),
     NodeParameter("output_rate_hz", 50.0, "rate of the outputs; 0: one output per accepted speed", "Hz", 0.0, 1000.0),
-    NodeParameter(
-        "autostart",
-        True,
-        "configure and activate at the start; false: wait for a lifecycle manager; trackres live always starts",
-        fixed_because=AT_START,
+    _read_once(
+        "autostart", True, "configure and activate at the start; false: wait for a lifecycle manager; trackres live always starts"
     ),
-    NodeParameter("use_sim_time", False, "take the time from /clock, for a simulation or a replay", fixed_because=AT_START),
-    NodeParameter("frame_id", "base_link", "frame of the stamped outputs", fixed_because=AT_START),
-    NodeParameter(
+    _read_once("use_sim_time", False, "take the time from /clock, for a simulation or a replay"),
+    _read_once("frame_id", "base_link", "frame of the stamped outputs"),
+    _connecting(
         "input_reliability",
         "best_effort",
         "reliability requested from publishers; best effort connects to both kinds",
         choices=RELIABILITIES,
-        fixed_because=CONNECTED,
     ),
-    NodeParameter(
+    _connecting(
         "input_depth",
         100,
         "queue length of each topic; when it is full, the oldest messages are dropped and counted",
         "1",
         1,
         10000,
-        fixed_because=CONNECTED,
     ),
-    NodeParameter(
+    _connecting(
         "input_deadline_s",
         0.0,
         "deadline requested from publishers; 0: none (a publisher without a deadline would never connect otherwise)",
         "s",
         0.0,
         3600.0,
-        fixed_because=CONNECTED,
     ),
-    NodeParameter(
-        "output_reliability", "reliable", "reliability offered to subscribers", choices=RELIABILITIES, fixed_because=CONNECTED
-    ),
-    NodeParameter(
-        "output_depth", 10, "messages kept for a reliable subscriber that falls behind", "1", 1, 10000, fixed_because=CONNECTED
-    ),
-    NodeParameter(
+    _connecting("output_reliability", "reliable", "reliability offered to subscribers", choices=RELIABILITIES),
+    _connecting("output_depth", 10, "messages kept for a reliable subscriber that falls behind", "1", 1, 10000),
+    _connecting(
         "output_deadline_s",
         0.2,
         "deadline offered to subscribers on the torque and temperature topics; 0: none",
         "s",
         0.0,
         3600.0,
-        fixed_because=CONNECTED,
     ),
 )
 PARAMETERS: Mapping[str, NodeParameter] = MappingProxyType(
@@ -224,6 +202,11 @@ class Parameters:
         value = self.values[name]
         assert isinstance(value, str)
         return value
+
+    def diagnose_command(self) -> str:
+        """Command that explains where and why measured and expected torque differ."""
+        given = [f" --{name} {self.text(name)}" for name in ("surroundings", "topics") if self.text(name)]
+        return f"trackres diagnose RECORDING --vehicle {self.text('vehicle')}{''.join(given)} -o report"
 
     def settings(self) -> Settings:
         """The estimator's share."""
@@ -309,18 +292,14 @@ def read_entries(path: Path, node: str, namespace: str) -> dict[str, object]:
     """
     content = read_yaml(path)
     full = f"{namespace.rstrip('/')}/{node}"
-    given: dict[str, object] = {}
-    if any(isinstance(value, Mapping) for value in content.values()):
-        sections = _sections(content, "", str(path))
-        fitting = [values for pattern, values in sections if fnmatchcase(full, pattern) or pattern == "/**"]
-        if not fitting:
-            names = ", ".join(pattern for pattern, _ in sections)
-            raise InputError(str(path), f"parameters of {names}", f"a section for {full}", "use that name, or /** for any node")
-        for values in fitting:
-            given.update(values)
-    else:
-        given = dict(content)
-    return given
+    if not any(isinstance(value, Mapping) for value in content.values()):
+        return dict(content)
+    sections = _sections(content, "", str(path))
+    fitting = [values for pattern, values in sections if fnmatchcase(full, pattern) or pattern == "/**"]
+    if not fitting:
+        names = ", ".join(pattern for pattern, _ in sections)
+        raise InputError(str(path), f"parameters of {names}", f"a section for {full}", "use that name, or /** for any node")
+    return {name: value for values in fitting for name, value in values.items()}
 
 
 def _sections(content: Mapping[Any, Any], prefix: str, origin: str) -> list[tuple[str, Mapping[str, object]]]:

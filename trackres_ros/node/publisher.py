@@ -13,8 +13,7 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.feedforward import fade, followed, towards
 from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.notices import Notice
-from trackres_ros.node.stamps import nearest_usable
-from trackres_ros.node.transport import Level, Reasons, Status, Transport
+from trackres_ros.node.transport import Level, Reasons, Status, Transport, nearest_usable
 from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic
 from trackres_ros.units import NANOSECOND
 

@@ -21,13 +21,12 @@ import numpy as np
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.learning.columns import LearnedTopic
+from trackres_ros.learning.columns import LearningColumns
 from trackres_ros.node.endpoints import InputTopic, input_name
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.record_files import RecordingFiles, RecordLimits
 from trackres_ros.offline.summary import picture_columns
 from trackres_ros.output.bag import OutputBag
-from trackres_ros.output.mcap import BagTopic
 from trackres_ros.output.plots import plot_estimate
 from trackres_ros.output.preview import ResultPreview
 
@@ -89,7 +88,7 @@ class Recorder:
         """
         learner = application.learning.learner
         self._estimator: Estimator = application.estimator
-        self._learned = None if learner is None else LearnedTopic(learner)
+        self._learned = None if learner is None else LearningColumns(learner)
         self._columns = (*self._estimator.columns, *(() if self._learned is None else self._learned.names))
         self._seen, self._unseen = ResultPreview(len(self._columns)), list[Steps]()
         unfinished = self._files.left_unfinished()
@@ -110,9 +109,8 @@ class Recorder:
         self._thread.join(END_PATIENCE_S)
         if self._thread.is_alive():
             return [f"{self._part}: the disk does not respond, the file is unfinished; see trackres recover"]
-        inputs = ", ".join(
-            f"{n} of {input_name(given.name, '/')}" for (given, _), n in zip(self._given, self._counts, strict=True)
-        )
+        counted = zip(self._given, self._counts, strict=True)
+        inputs = ", ".join(f"{n} of {input_name(given.name, '/')}" for (given, _), n in counted)
         estimates = f"{self._seen.steps} estimates as topics" if self._seen.steps else "no estimate was made"
         lines = [f"{self._where()}: {estimates}; messages: {inputs}"]
         if any(self._lost()):
@@ -234,28 +232,22 @@ class Recorder:
         path, self._part = self._files.next()
         bag = OutputBag(path, self._estimator, self._learned, self._part)
         bag.__enter__()
-        self._topics: list[BagTopic] = [
-            bag.writer.raw_topic(input_name(given.name, "/"), given.type, text) for given, text in self._given
-        ]
+        self._topics = [bag.writer.raw_topic(input_name(given.name, "/"), given.type, text) for given, text in self._given]
         self._bag, self._began_ns = bag, 0
 
     def _close(self) -> None:
         """Finish a file; if that fails, it stays unfinished."""
-        bag = self._bag
-        if bag is None:
-            return
-        self._finished, self._bag = self._written(), None
-        bag.__exit__(None, None, None)
-        self._done.append(str(bag.path))
+        bag, self._finished, self._bag = self._bag, self._written(), None
+        if bag is not None:
+            bag.__exit__(None, None, None)
+            self._done.append(str(bag.path))
 
     def _written(self) -> list[int]:
         """Messages and estimates that are in a file."""
         messages, estimates = self._finished
-        return (
-            [messages + sum(t.count for t in self._topics), estimates + self._bag.estimates]
-            if self._bag
-            else [messages, estimates]
-        )
+        if self._bag is None:
+            return [messages, estimates]
+        return [messages + sum(topic.count for topic in self._topics), estimates + self._bag.estimates]
 
     def _lost(self) -> list[int]:
         """Messages and estimates that are in no file, and will not be."""

@@ -14,7 +14,7 @@ from trackres_ros.estimator.disturbance import Belief
 from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.live_learning import LiveLearning
 from trackres_ros.node.mismatch import Mismatch
-from trackres_ros.node.notices import KINDS, Notice
+from trackres_ros.node.notices import KINDS, Notice, level_of
 from trackres_ros.node.publisher import OutputPublisher
 from trackres_ros.node.state_keeper import StateKeeper
 from trackres_ros.node.transport import Level, Status
@@ -102,7 +102,6 @@ class Overview:
 
 
 def overview(
-    level: Level,
     notices: Sequence[Notice],
     publisher: OutputPublisher,
     watch: Watch,
@@ -114,30 +113,30 @@ def overview(
     """Gather the current overview."""
     estimator = publisher.estimator
     return Overview(
-        level,
-        tuple(notices),
-        publisher.stamp_ns,
-        publisher.age_s(steady),
-        watch.steps_hz,
-        publisher.published,
-        publisher.left(steady),
-        publisher.feedforward,
-        dict(zip(estimator.columns, publisher.row, strict=True)) if publisher.row else {},
-        estimator.assemblies,
-        watch.inputs(steady),
-        comparison.verdict,
-        comparison.belief,
-        learning.text,
-        str(keeper.path or ""),
-        math.nan if keeper.saved_at is None else time.time() - keeper.saved_at,
-        keeper.error,
-        keeper.unused,
+        level=level_of(notices),
+        notices=tuple(notices),
+        stamp_ns=publisher.stamp_ns,
+        age_s=publisher.age_s(steady),
+        steps_hz=watch.steps_hz,
+        published=publisher.published,
+        left=publisher.left(steady),
+        feedforward_nm=publisher.feedforward,
+        values=dict(zip(estimator.columns, publisher.row, strict=True)) if publisher.row else {},
+        assemblies=estimator.assemblies,
+        inputs=watch.inputs(steady),
+        mismatch=comparison.verdict,
+        disturbance=comparison.belief,
+        learning=learning.text,
+        state_file=str(keeper.path or ""),
+        saved_s_ago=math.nan if keeper.saved_at is None else time.time() - keeper.saved_at,
+        state_error=keeper.error,
+        state_unused=keeper.unused,
     )
 
 
 def bare_status(notices: Sequence[Notice], node: str, vehicle: str) -> Status:
     """The node's own status where only its notices are available."""
-    level = max((notice.level for notice in notices), default=Level.OK)
+    level = level_of(notices)
     values = (("level", level.name.lower()), ("remarks", " ".join(notice.name for notice in notices)))
     return Status(level, f"{node}: estimate", "; ".join(notice.text for notice in notices), vehicle, values)
 
@@ -158,18 +157,19 @@ def statuses(seen: Overview, node: str, vehicle: str) -> list[Status]:
         estimate += [(f"resistance_torque/{part}", _text(values[name] * sign_of(name) + 0.0, 3)) for part, name in TOTALS.items()]
         estimate += [(name, _text(values[name], 3)) for name in ("resistance_std_nm", "speed_mps", "weight_n", "ambient_degc")]
         estimate.append(("feedforward_torque_nm", _text(seen.feedforward_nm, 3)))
-        for assembly in seen.assemblies:
-            estimate += [
-                (f"{name}/{assembly}", _text(seen.values[f"{name}/{assembly}"], 3)) for name in ("belt_degc", "belt_std_k")
-            ]
+        of_belts = [f"{name}/{assembly}" for assembly in seen.assemblies for name in ("belt_degc", "belt_std_k")]
+        estimate += [(name, _text(values[name], 3)) for name in of_belts]
     found = [Status(seen.level, f"{node}: estimate", seen.message, vehicle, tuple(estimate))]
     for given in seen.inputs:
-        known = (("topic", given.topic), ("rate_hz", _text(given.rate_hz)), ("age_s", _text(given.age_s, 3)))
-        counts = tuple((name, str(number)) for name, number in given.counts)
-        level, text = _input_level(given)
-        found.append(
-            Status(level, f"{node}: input {given.role}", text, vehicle, (*known, ("value", _text(given.value, 4)), *counts))
+        known = (
+            ("topic", given.topic),
+            ("rate_hz", _text(given.rate_hz)),
+            ("age_s", _text(given.age_s, 3)),
+            ("value", _text(given.value, 4)),
+            *((name, str(number)) for name, number in given.counts),
         )
+        level, text = _input_level(given)
+        found.append(Status(level, f"{node}: input {given.role}", text, vehicle, known))
     mismatch = seen.mismatch
     if any(given.role == "torque" for given in seen.inputs):
         compared = (

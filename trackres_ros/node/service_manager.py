@@ -29,14 +29,7 @@ class ServiceManager:
     def alive(self, sent: int, active: bool, steady: int) -> None:
         """Report that the node is alive, if messages were sent since the last call that did, or it is inactive by request.
 
-        Parameters
-        ----------
-        sent
-            Number of messages passed to the middleware so far.
-        active
-            Whether the node publishes.
-        steady
-            Now, by a steady clock [ns].
+        `sent` is the number of messages passed to the middleware so far, `steady` is now by a steady clock [ns].
         """
         if (active and sent == self._sent) or (self._ready and steady - self._told_ns < EVERY_NS):
             return

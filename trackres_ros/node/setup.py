@@ -21,27 +21,13 @@ from trackres_ros.vehicle import AnyVehicle, load_any, with_surroundings
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """Vehicle, topics and settings of a node.
-
-    Attributes
-    ----------
-    vehicle_file
-        File of the vehicle.
-    surroundings_file
-        File of its surroundings, empty if there is none.
-    vehicle
-        With its surroundings.
-    topics
-        Every role has a topic, and speed is among them.
-    settings
-        Of the estimator, with the values of the topics file.
-    """
+    """Vehicle, topics and settings of a node."""
 
     vehicle_file: Path
-    surroundings_file: str
-    vehicle: AnyVehicle
-    topics: Topics
-    settings: Settings
+    surroundings_file: str  # empty if there is none
+    vehicle: AnyVehicle  # with its surroundings
+    topics: Topics  # every role has a topic, and speed is among them
+    settings: Settings  # of the estimator, with the values of the topics file
 
 
 def read_setup(parameters: Parameters) -> Setup:
@@ -89,8 +75,7 @@ def _check_live(topics: Topics) -> None:
         if not topics[role].of_topics:
             raise InputError(f"{topics.origin}: {role}", "a column of a table", "a topic with type and field")
         if role in POSITION and not topics[role].unit:
-            raise InputError(
-                f"{topics.origin}: {role}: unit", "none", "deg or rad", "a live node has no values yet to infer the unit from"
-            )
+            remedy = "a live node has no values yet to infer the unit from"
+            raise InputError(f"{topics.origin}: {role}: unit", "none", "deg or rad", remedy)
     if "speed" not in topics:
         raise InputError(topics.origin, f"roles {', '.join(topics)}", "roles including speed")

@@ -11,7 +11,6 @@ import os
 import re
 import time
 from pathlib import Path
-from typing import Any
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator, Session
@@ -100,10 +99,9 @@ class StateKeeper:
     def notices(self) -> list[Notice]:
         """Text that the state file cannot be written, or that the existing one could not be used."""
         found = []
-        if self._writer.busy and time.monotonic_ns() - self._began_ns > SLOW_NS:
-            text = (
-                f"the disk has not accepted the state file {self.path} for {(time.monotonic_ns() - self._began_ns) * 1e-9:.0f} s"
-            )
+        waited_ns = time.monotonic_ns() - self._began_ns
+        if self._writer.busy and waited_ns > SLOW_NS:
+            text = f"the disk has not accepted the state file {self.path} for {waited_ns * 1e-9:.0f} s"
             found.append(Notice("STATE_NOT_SAVED", text))
         elif self.error:
             where = f" in {self.path}" if self.path else ""
@@ -117,9 +115,8 @@ class StateKeeper:
 
         `state_at` is the time [s since 1970] of the state: the belts cool from then on.
         """
-        if self.path is None or self._writer.busy:
-            return
-        self._begin(self.path, content(session, state_at, _beside(learner)))
+        if self.path is not None and not self._writer.busy:
+            self._begin(self.path, session, state_at, learner)
 
     def save(self, session: Session, state_at: float, learner: Learner | None = None, patience_s: float = 1.0) -> str:
         """Save now; return a text for the log. See `save_soon`.
@@ -133,17 +130,17 @@ class StateKeeper:
             raise InputError("state file", "none", "the node's parameter state_file set to a path or to auto")
         if not self._writer.wait(patience_s):
             raise InputError(f"state file {self.path}", "an earlier save that is still running", "a disk that responds")
-        self._begin(self.path, content(session, state_at, _beside(learner)))
+        self._begin(self.path, session, state_at, learner)
         if not self._writer.wait(patience_s):
             given = f"a disk that does not respond within {patience_s:g} s"
-            raise InputError(
-                f"state file {self.path}", given, "a faster disk", "the save continues; the status reports if it fails"
-            )
+            remedy = "the save continues; the status reports if it fails"
+            raise InputError(f"state file {self.path}", given, "a faster disk", remedy)
         if self.error:
             raise InputError(f"state file {self.path}", self.error, "a file that can be written")
         return f"state saved in {self.path}"
 
-    def _begin(self, path: Path, data: bytes) -> None:
+    def _begin(self, path: Path, session: Session, state_at: float, learner: Learner | None) -> None:
+        data = content(session, state_at, None if learner is None else stored(learner))
         self._began_ns = time.monotonic_ns()
         self._writer.start(lambda: self._write(data, path))
 
@@ -155,7 +152,3 @@ class StateKeeper:
             self.error = getattr(error, "strerror", None) or str(error)
         else:
             self.error, self.saved_at = "", time.time()
-
-
-def _beside(learner: Learner | None) -> dict[str, Any] | None:
-    return None if learner is None else stored(learner)

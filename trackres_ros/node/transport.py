@@ -10,8 +10,15 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Protocol
 
+from trackres_ros.units import SECOND_NS
+
 if TYPE_CHECKING:
     from trackres_ros.node.endpoints import InputTopic
+
+# Range of a stamp: builtin_interfaces/msg/Time has int32 seconds and less than 1e9 nanoseconds.
+FIRST_NS, LAST_NS = -(2**31) * SECOND_NS, 2**31 * SECOND_NS - 1
+UNUSABLE = LAST_NS + 1
+"""Marks an invalid stamp; no message can carry it."""
 
 
 class Level(IntEnum):
@@ -36,18 +43,10 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """A publisher on one of our input topics, by its announcement.
+    """A publisher on one of our input topics, by its announcement."""
 
-    Attributes
-    ----------
-    type
-        Its message type, ``package/msg/Name``.
-    compatible
-        Whether its quality of service meets the input's request; otherwise it never connects.
-    """
-
-    type: str
-    compatible: bool
+    type: str  # ``package/msg/Name``
+    compatible: bool  # whether its quality of service meets the input's request; otherwise it never connects
 
 
 Reasons = tuple[tuple[str, Level], ...]
@@ -90,3 +89,19 @@ class Transport(Protocol):
 
     def log(self, level: Level, text: str) -> None:
         """Write to the log."""
+
+
+def stamp_ns(seconds: int, nanoseconds: int) -> int:
+    """A stamp [ns] from its two numbers, `UNUSABLE` if they are invalid."""
+    stamp = seconds * SECOND_NS + nanoseconds
+    return stamp if 0 <= nanoseconds < SECOND_NS and is_usable(stamp) else UNUSABLE
+
+
+def is_usable(stamp: int) -> bool:
+    """Whether a message can carry it [ns]."""
+    return FIRST_NS <= stamp <= LAST_NS
+
+
+def nearest_usable(stamp: int) -> int:
+    """The nearest stamp [ns] that a message can carry."""
+    return min(max(stamp, FIRST_NS), LAST_NS)

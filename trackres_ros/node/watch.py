@@ -27,38 +27,18 @@ MESSAGES = [int(at.Count.ACCEPTED), *REFUSALS]
 
 @dataclass(frozen=True, slots=True)
 class InputState:
-    """One role of one input topic in the last second.
-
-    Attributes
-    ----------
-    role, topic
-        The role, and the full name of its topic, remapped.
-    rate_hz
-        Messages received, including refused ones [1/s].
-    age_s
-        Since the arrival of the last accepted one, by a monotonic clock [s]; nan if there was none.
-    value
-        The last accepted value, in the unit of the role; nan if there was none.
-    counts
-        Counters that are not zero, by name.
-    """
+    """One role of one input topic in the last second."""
 
     role: str
-    topic: str
-    rate_hz: float
-    age_s: float
-    value: float
-    counts: tuple[tuple[str, int], ...]
+    topic: str  # full name, remapped
+    rate_hz: float  # messages received, including refused ones [1/s]
+    age_s: float  # since the arrival of the last accepted one, by a monotonic clock [s]; nan if there was none
+    value: float  # the last accepted one, in the unit of the role; nan if there was none
+    counts: tuple[tuple[str, int], ...]  # counters that are not zero, by name
 
 
 class Watch:
-    """Statistics of inputs and estimates; they change nothing.
-
-    Parameters
-    ----------
-    inputs
-        The input topics by their full names, as on the wire.
-    """
+    """Statistics of inputs, whose topics have their full names, and of estimates; they change nothing."""
 
     def __init__(self, estimator: Estimator, inputs: Sequence[InputTopic]) -> None:
         self.accepted_ns: list[int | None] = [None] * len(estimator.channels)  # by a steady clock
@@ -115,13 +95,9 @@ class Watch:
         new, self._last_counts = counts - self._last_counts, counts
         bad_stamp = np.array(reader.bad_stamp) - self._last_bad_stamp
         self._last_bad_stamp += bad_stamp
-        dropped = list(reader.dropped)
-        self._overrun = [
-            (given.name, now - before)
-            for given, now, before in zip(self._topics, dropped, self._last_dropped, strict=True)
-            if now > before
-        ]
-        self._last_dropped = dropped
+        dropped, before = list(reader.dropped), self._last_dropped
+        lost = [(given.name, now - then) for given, now, then in zip(self._topics, dropped, before, strict=True)]
+        self._overrun, self._last_dropped = [(name, number) for name, number in lost if number > 0], dropped
         self._refused.clear()
         states = []
         for role, i in self._roles:

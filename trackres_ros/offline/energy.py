@@ -34,7 +34,7 @@ def energy_j(step_s: Array, speed: Array, torque: Array, radius: float) -> float
 
 
 def taken(time_s: Array, speed: Array, torque: Array, belts_degc: Array, radius: float) -> dict[str, float]:
-    """Summary of a drive: distance, time, resistance, energy and temperatures.
+    """Summary of a drive: distance, time, resistance, energy and temperatures, of the belts if there are any.
 
     Parameters
     ----------
@@ -44,16 +44,14 @@ def taken(time_s: Array, speed: Array, torque: Array, belts_degc: Array, radius:
         Of each belt, shape (belts, rows) [degC]; empty without belts.
     radius
         Of the sprockets [m].
-
-    Returns
-    -------
-    dict
-        Distance, driving time, mean and largest resistance, energy against it, coldest and warmest belt if there are belts.
     """
     step = steps_of(time_s)
     under_way = np.where(np.abs(speed) > STANDSTILL_MPS, step, 0.0)
     energy_mj = energy_j(step, speed, torque, radius) / MEGA
     driven = float(np.nansum(step * np.abs(speed)))
+    belts = {}
+    if len(belts_degc):
+        belts = {"coldest_belt_degc": float(np.nanmin(belts_degc)), "warmest_belt_degc": float(np.nanmax(belts_degc))}
     return {
         "distance_m": driven,
         "under_way_s": float(under_way.sum()),
@@ -61,15 +59,8 @@ def taken(time_s: Array, speed: Array, torque: Array, belts_degc: Array, radius:
         "largest_resistance_nm": float(np.nanmax(np.abs(torque))),
         "energy_mj": energy_mj,
         "kwh_per_km": energy_mj / MJ_PER_KWH / max(driven / 1000.0, 1e-9) if driven > 0.0 else 0.0,
-        **_ends(belts_degc),
+        **belts,
     }
-
-
-def _ends(belts_degc: Array) -> dict[str, float]:
-    """Coldest and warmest belt; empty without belts."""
-    if not len(belts_degc):
-        return {}
-    return {"coldest_belt_degc": float(np.nanmin(belts_degc)), "warmest_belt_degc": float(np.nanmax(belts_degc))}
 
 
 def taken_text(of: Mapping[str, float]) -> str:

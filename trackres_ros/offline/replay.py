@@ -22,7 +22,7 @@ from trackres_ros.estimator.entry_points import Entries
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.files.output_files import BAG_SUFFIX
-from trackres_ros.learning.columns import LearnedTopic, LearningColumns, column_names
+from trackres_ros.learning.columns import LearningColumns, column_names
 from trackres_ros.learning.learner import Learner
 from trackres_ros.offline.disturbance import DisturbanceColumns
 from trackres_ros.output.bag import OutputBag
@@ -51,12 +51,7 @@ class Replayed:
 
 
 def channel_indices(session: Session, roles: Sequence[str], learns: bool = False) -> NDArray[np.int16]:
-    """Channel of each role of a source, shape (roles,); -1 of an unneeded role.
-
-    Parameters
-    ----------
-    learns
-        Whether roles that show the ground are needed, see `roles.GROUND`.
+    """Channel of each role of a source, shape (roles,); -1 of an unneeded role, such as one of the ground without learning.
 
     Raises
     ------
@@ -125,10 +120,7 @@ def replay(
                 rows = channel >= 0
                 channel = channel[rows]
                 block = SampleBlock(block.role[rows], block.stamp_ns[rows], block.arrival_ns[rows], block.value[rows])
-            before, running = (
-                running,
-                worker.submit(handle, channel, block.stamp_ns, block.arrival_ns, block.value),
-            )
+            before, running = running, worker.submit(handle, channel, block.stamp_ns, block.arrival_ns, block.value)
             if before:
                 seen.take(before.result(), write)
             if progress:
@@ -176,7 +168,7 @@ class LearningSteps:
 @contextmanager
 def result_writer(path: Path, estimator: Estimator, learner: Learner | None = None) -> Iterator[Callable[[Steps], None]]:
     """A writer for the kind of file a path names: `.mcap` as topics, `.csv`, `.csv.gz`, `.parquet` or `.mf4` as a table."""
-    learned = None if learner is None else LearnedTopic(learner)
+    learned = None if learner is None else LearningColumns(learner)
     if path.suffix.lower() == BAG_SUFFIX:
         with OutputBag(path, estimator, learned) as bag:
             yield bag.write

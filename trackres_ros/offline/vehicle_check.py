@@ -47,31 +47,20 @@ def check_vehicle(vehicle: AnyVehicle, points: int) -> dict[str, Any]:
         errors = np.abs(interpolation_error(model, table, loads, vehicle.chassis.max_speed, points))
         physics, found = _physics(vehicle, name, model, table)
         remarks += found
-        modulus = float(model.rubber.dynamic_modulus(10.0, vehicle.chassis.ambient))
+        stiffness = float(belt_model.axial_stiffness(track.belt, model.rubber.dynamic_modulus(10.0, vehicle.chassis.ambient)))
+        tension, mass = steady_tension(model, vehicle.chassis.ambient), mass_per_length(track.belt, rubber)
+        uncertain = ("loss", "cooling", "heat_capacity", "sprocket_radius")
         tracks[name] = {
             "wheel_loads_n": wheel_loads(track, loads.nominal).tolist(),
             "hinge_position_m": hinge_position(track),
-            "belt_mass_kg": mass_per_length(track.belt, rubber) * track.belt.loop_length,
-            "mass_per_length_kg_m": mass_per_length(track.belt, rubber),
+            "belt_mass_kg": mass * track.belt.loop_length,
+            "mass_per_length_kg_m": mass,
             "heat_capacity_j_k": heat_capacity(track.belt, rubber),
             "cooled_area_m2": belt_model.cooled_area(track.belt),
-            "axial_stiffness_n": float(belt_model.axial_stiffness(track.belt, modulus)),
-            "tension_n": steady_tension(model, vehicle.chassis.ambient),
-            "sag_m": float(
-                belt_model.catenary_sag(
-                    steady_tension(model, vehicle.chassis.ambient),
-                    mass_per_length(track.belt, rubber),
-                    track.belt.sag_half_span,
-                    float(belt_model.axial_stiffness(track.belt, modulus)),
-                )
-            ),
-            "uncertainty": dict(
-                zip(
-                    ("loss", "cooling", "heat_capacity", "sprocket_radius"),
-                    (float(v) for v in spread(vehicle, name).relative),
-                    strict=True,
-                )
-            ),
+            "axial_stiffness_n": stiffness,
+            "tension_n": tension,
+            "sag_m": float(belt_model.catenary_sag(tension, mass, track.belt.sag_half_span, stiffness)),
+            "uncertainty": dict(zip(uncertain, spread(vehicle, name).relative.tolist(), strict=True)),
             "table": {
                 "seconds": took,
                 "load_range_n": [loads.low, loads.high],

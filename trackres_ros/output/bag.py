@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.learning.columns import LearnedTopic
+from trackres_ros.learning.columns import LearningColumns
 from trackres_ros.output.mcap import BagTopic, BagWriter
 from trackres_ros.output.topics import (
     BASE_FRAME,
@@ -38,7 +38,9 @@ FIELDS = {"wrench": ("wrench.torque.y",), "number": ("data",), "temperature": ("
 class OutputBag:
     """Writes blocks of results; the file is put in place when the `with` block ends well. See `BagWriter` for `part`."""
 
-    def __init__(self, path: Path, estimator: Estimator, learned: LearnedTopic | None = None, part: Path | None = None) -> None:
+    def __init__(
+        self, path: Path, estimator: Estimator, learned: LearningColumns | None = None, part: Path | None = None
+    ) -> None:
         self.path, self.writer = path, BagWriter(path, part=part)
         self._estimator, self._learned = estimator, learned
         self._topics: list[tuple[OutputTopic, BagTopic]] = []

@@ -120,7 +120,7 @@ def _learned(case: Path, drives: Sequence[Path], vehicle: Path, rows: dict[str, 
             "seconds": learner.learned.seconds,
             "applied": learner.learned.applied.tolist(),
             "std": np.sqrt(np.diag(learner.learned.covariance)).tolist(),
-            "counts": [state for state in VEHICLES_OWN if learner.counts(state)],
+            "counts": [state for state in VEHICLES_OWN if learner.counted[state]],
         }
     return said
 

@@ -15,8 +15,7 @@ import numpy as np
 from trackres_ros.node.dds.participant import serialized
 from trackres_ros.node.dds.wire import known_type, typestore
 from trackres_ros.node.endpoints import InputTopic
-from trackres_ros.node.stamps import UNUSABLE, stamp_ns
-from trackres_ros.node.transport import Reasons, Status
+from trackres_ros.node.transport import UNUSABLE, Reasons, Status, stamp_ns
 from trackres_ros.output.bag import FIELDS, template_message
 from trackres_ros.output.topics import ESTIMATE_TOPIC, REASONS_GROUP, VEHICLE_GROUP, OutputTopic
 from trackres_ros.recording.binding import FIX, NO_FIX, FieldStep, field_steps

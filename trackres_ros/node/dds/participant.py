@@ -96,11 +96,6 @@ class TopicReader:
 class Participant:
     """A node's presence on the wire.
 
-    Parameters
-    ----------
-    node, namespace
-        Name of the node.
-
     Raises
     ------
     InputError

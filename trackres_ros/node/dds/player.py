@@ -27,14 +27,7 @@ WAIT_S = 0.05
 
 
 class Player:
-    """Publishes the messages of a bag on their topics.
-
-    Parameters
-    ----------
-    path
-        A bag of ROS 2.
-    rate
-        Speed relative to the recording.
+    """Publishes the messages of a bag of ROS 2 on their topics, at a speed relative to the recording.
 
     Raises
     ------

@@ -105,16 +105,10 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         return self._transition(self._deactivate, state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Save the state and let go of everything."""
+        """Save the state and release everything, so that the node can be configured again."""
         return self._transition(lambda _: self.release(), state)
 
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Save the state and let go of everything."""
-        return self._transition(lambda _: self.release(), state)
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release everything, so that the node can be configured again."""
-        return self._transition(lambda _: self.release(), state)
+    on_shutdown = on_error = on_cleanup
 
     def _transition(self, step: Callable[[LifecycleState], None], state: LifecycleState) -> TransitionCallbackReturn:
         """Do a transition; rclpy would swallow an exception, so it is logged and reported."""
