@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from csv_tables import written
 
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.prepare.gate import gate
@@ -65,15 +66,13 @@ def test_airflow_cooling_is_slower_at_standstill(base, drive, name):
     assert (rested - warm) / (cold - warm) < 0.35  # of one constant while driving 1 - 1/e
 
 
-def written(folder, name, start_s, stood_s=None):
+def standing(folder, name, start_s, stood_s=None):
     time = start_s + np.arange(0.0, 300.0, 0.5)
     speed = 10.0 + 3.0 * np.sin(time / 20.0)
     columns = {"time_s": time, "speed_mps": speed, "torque_nm": 50.0 + 70.0 * np.gradient(speed, 0.5)}
     if stood_s is not None:
         columns["stood_s"] = np.full(len(time), stood_s)
-    path = folder / name
-    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="", fmt="%.3f")
-    return path
+    return written(folder / name, columns, fmt="%.3f")
 
 
 @pytest.mark.parametrize(
@@ -81,7 +80,7 @@ def written(folder, name, start_s, stood_s=None):
     [(None, 3600.0, False), (3600.0, 3600.0, False), (3580.0, 3600.0, False), (500.0, 500.0, True), (1e6, 3600.0, False)],
 )
 def test_standing_for_less_than_the_clock_gap_means_unseen_drive(tmp_path, stood_s, gap, unseen):
-    paths = [written(tmp_path, "a.csv", CLOCK_S), written(tmp_path, "b.csv", CLOCK_S + 299.0 + 3600.0, stood_s)]
+    paths = [standing(tmp_path, "a.csv", CLOCK_S), standing(tmp_path, "b.csv", CLOCK_S + 299.0 + 3600.0, stood_s)]
     first, second = gate(read_recordings(paths, None), KNOWN).sessions
     assert (first.gap, first.after_unseen) == (np.inf, False)
     assert second.gap == pytest.approx(gap, abs=5.0)
@@ -89,7 +88,7 @@ def test_standing_for_less_than_the_clock_gap_means_unseen_drive(tmp_path, stood
 
 
 def test_a_first_recording_may_begin_warm(tmp_path):
-    path = written(tmp_path, "a.csv", CLOCK_S, 30.0)
+    path = standing(tmp_path, "a.csv", CLOCK_S, 30.0)
     (session,) = gate(read_recordings([path], None), KNOWN).sessions
     assert (session.gap, session.after_unseen) == (30.0, True)
     assert gate(read_recordings([path], None), KNOWN, hide=["stood"]).sessions[0].gap == np.inf
@@ -97,4 +96,4 @@ def test_a_first_recording_may_begin_warm(tmp_path):
 
 def test_a_negative_standing_time_is_refused(tmp_path):
     with pytest.raises(InputError, match="stood"):
-        gate(read_recordings([written(tmp_path, "a.csv", CLOCK_S, -5.0)], None), KNOWN)
+        gate(read_recordings([standing(tmp_path, "a.csv", CLOCK_S, -5.0)], None), KNOWN)

@@ -5,6 +5,7 @@
 
 import numpy as np
 import pytest
+from csv_tables import written
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.prepare.gate import gate
@@ -89,9 +90,7 @@ def test_the_gate_makes_one_only_where_none_was_recorded(tmp_path, recorded):
     time, speed, yaw, heading, *_ = drive()
     columns = {"time_s": time, "speed_mps": speed, "torque_nm": 20.0 + 100.0 * np.gradient(speed, time), "heading_rad": heading}
     columns |= {"yaw_rate_radps": 2.0 * yaw} if recorded else {}
-    path = tmp_path / "drive.csv"
-    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
-    gated = gate(read_recordings([path], None), GateSettings(700.0, 20.0, 15.0, False))
+    gated = gate(read_recordings([written(tmp_path / "drive.csv", columns)], None), GateSettings(700.0, 20.0, 15.0, False))
     (session,) = gated.sessions
     said = [note for note in gated.notes if "the yaw rate is computed from heading" in note]
     assert len(said) == (0 if recorded else 1)
