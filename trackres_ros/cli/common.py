@@ -3,7 +3,6 @@
 
 """Commands with readable errors, and what all of them print: results, progress, warnings."""
 
-import json
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -86,6 +85,8 @@ def with_written(text: str, written: Iterable[object]) -> str:
 
 def emit(result: dict[str, Any], as_json: bool, text: Callable[[], str]) -> None:
     """Print a result as JSON or as text."""
+    import json  # not for a help text, which it would delay
+
     click.echo(json.dumps(result, indent=2, allow_nan=False) if as_json else text())
 
 

@@ -3,7 +3,6 @@
 
 """Gathers the commands of `trackres`, and turns bad input into exit codes."""
 
-import json
 import os
 import sys
 from collections.abc import Sequence
@@ -125,6 +124,8 @@ def _refuse_empty(given: Sequence[str]) -> None:
 
 def _fail(error: InputError, text: str, as_json: bool) -> None:
     if as_json:
+        import json
+
         click.echo(json.dumps({"error": error.as_dict()}))
     else:
         click.echo(f"trackres: error: {text}", err=True)
