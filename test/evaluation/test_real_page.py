@@ -23,7 +23,7 @@ DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 @pytest.mark.long
 def test_drives_that_all_begin_cold_have_a_start_state_of_one(tmp_path, monkeypatch):
     monkeypatch.setattr(closed_loop, "diagnose", lambda *given: diagnose(*given, DiagnosisOptions(quick=True)))
-    left = left_by_diagnosis(tmp_path, {"warmup": {"torque": 600.0, "seconds": 400.0}}, 12.0, -1, 3)
+    left = left_by_diagnosis(tmp_path, {"warmup": {"torque": 600.0, "seconds": 400.0}}, 7.0, -1, 3)
     tried = FieldTrial("drives", "a cold drive train", WARM, NOTHING, left.found)
     assert tried.outcome == "right"
     states = [start_state(tried, i) for i in range(len(left.found.sessions))]
