@@ -23,7 +23,7 @@ SIZES = {
     "bench_table": {"repeats": 1, "points": 5, "replays": 0},
     "bench_ways": {"duration_s": 5.0, "repeats": 1, "messages": 500, "calls": 10, "ways": 0},
     "bench_learning": {"seconds": 2.0, "rounds": 1},
-    "bench_fleet": {"recordings": 10, "minutes": 3.0, "analysed": 2},
+    "bench_fleet": {"recordings": 10, "minutes": 3.0, "analysed": 1},
     "bench_controller": {"steps": 200},
     "bench_export": {"steps": 100, "rounds": 1, "hours": 0.02},
     "bench_diagnosis": {"minutes": 9.0, "step_s": 0.2},
