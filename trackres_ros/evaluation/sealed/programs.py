@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.evaluation.sealed.phenomenon import Array, Journey
+from trackres_ros.evaluation.sealed.drives import Array
+from trackres_ros.evaluation.sealed.phenomenon import Journey
 
 PROGRAM = "program"  # its name among the hidden phenomena; parameters: seed, and size once it is known
 STANDING_MPS, BRAKING_MPS2, BEND_PER_M = 0.1, -0.35, 0.02  # what resets a memory

@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from trackres_ros.evaluation.sealed.drives import SealedDrive
-from trackres_ros.evaluation.sealed.phenomenon import Adds, Array, Journey
+from trackres_ros.evaluation.sealed.drives import Array, SealedDrive
+from trackres_ros.evaluation.sealed.phenomenon import Adds, Journey
 
 LOAD = "stretch_load"
 STAYS = 0.5  # share of the people who stay on at a stop
