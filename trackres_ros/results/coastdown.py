@@ -61,9 +61,9 @@ class CoastdownResult:
         for p in found.parameters:
             at = alike([p.before, p.value, p.interval.low, p.interval.high], p.interval.high - p.interval.low)
             std = "" if math.isinf(p.before_std) else figures(2.0 * p.before_std, 2)
-            beside = f"only together with {', '.join(p.with_others)}" if p.with_others and p.determined else ""
-            told = (at[1], at[2], at[3]) if p.determined else ("not identified", "", "")
-            rows.append((p.name, at[0], std, *told, "" if p.unit == "1" else p.unit, beside))
+            together = f"only together with {', '.join(p.with_others)}" if p.with_others and p.determined else ""
+            found_at = (at[1], at[2], at[3]) if p.determined else ("not identified", "", "")
+            rows.append((p.name, at[0], std, *found_at, "" if p.unit == "1" else p.unit, together))
         widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
         align = ("<", ">", ">", ">", ">", ">", "<", "<")
         lines += ["  ".join(f"{c:{a}{w}}" for c, a, w in zip(row, align, widths, strict=True)).rstrip() for row in rows]

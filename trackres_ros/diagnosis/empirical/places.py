@@ -163,13 +163,11 @@ def find_place(
     loads = [np.ones(len(d)) for d in distances] if loads is None else loads
     folded, rows = best.lap_m < longest, _Rows.of(distances, residuals, left, masks, loads)
     place = _place(best.lap_m, folded, tried, rows)
-    return _place(_length(place, rows), folded, tried, rows) if folded else place
-
-
-def _length(place: Place, rows: _Rows) -> float:
-    """Lap length near a place's with the largest gain for a torque between two edges."""
-    laps = place.lap_m * (1.0 + FINER * np.arange(-MOST_OFF, MOST_OFF + 1))
-    return float(max(laps, key=lambda lap: _best_edges(place.begin_m, place.end_m, EDGES_M[0], lap, rows)[3]))
+    if not folded:
+        return place
+    nearby = (place.lap_m * (1.0 + FINER * np.arange(-MOST_OFF, MOST_OFF + 1))).tolist()
+    lap_m = max(nearby, key=lambda lap: _best_edges(place.begin_m, place.end_m, EDGES_M[0], lap, rows)[3])
+    return _place(lap_m, folded, tried, rows)
 
 
 def _bins_of(distance: Array) -> Indices:

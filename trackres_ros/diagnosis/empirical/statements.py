@@ -10,19 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.empirical import terms
 from trackres_ros.diagnosis.empirical.candidates import series
 from trackres_ros.diagnosis.empirical.finders import Term, beginnings, residuals_without, torque_blocks
 from trackres_ros.diagnosis.empirical.spells import Chain, spell_probability
-from trackres_ros.diagnosis.empirical.terms import (
-    Described,
-    of_learned,
-    of_level_change,
-    of_payload,
-    of_place,
-    of_route,
-    of_spells,
-    of_wave,
-)
+from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.empirical.waves import part_of
 from trackres_ros.diagnosis.inference.fitting import Fit
@@ -41,25 +33,25 @@ def describe(term: Term, final: Fit) -> Described:
     name = term.candidate.name
     active = next(a for a in final.effects if a.effect.name == name)
     if isinstance(active.effect, EmpiricalEffect):
-        return of_learned(active.effect, active.values)
+        return terms.of_learned(active.effect, active.values)
     level = active.numbers[0]
     if term.wave is not None:
-        return of_wave(name, term.wave, level, part_of(term.wave.length_m, final.problem.base.parts))
+        return terms.of_wave(name, term.wave, level, part_of(term.wave.length_m, final.problem.base.parts))
     if term.change is not None:
-        return of_level_change(name, level, final.problem.sessions, term.change)
+        return terms.of_level_change(name, level, final.problem.sessions, term.change)
     if term.place is not None:
-        return of_place(name, level, term.place)
+        return terms.of_place(name, level, term.place)
     if term.payload is not None:
-        return of_payload(name, level, term.payload)
+        return terms.of_payload(name, level, term.payload)
     if term.route is not None:
         adds = against_travel(final.problem.sessions, final.contribution(name))
         used = np.concatenate([x[m] for x, m in zip(adds, final.problem.masks, strict=True)])
         least, most = (float(q) for q in np.quantile(used, MOST_OF_IT))
-        return of_route(name, float(np.sqrt(np.mean(used**2))), least, most, term.route)
+        return terms.of_route(name, float(np.sqrt(np.mean(used**2))), least, most, term.route)
     assert term.chain is not None
     spells = _spells_of(term.chain, name, final)
     lengths = np.array([(end - begin) * final.problem.sessions[i].step for i, begin, end in spells])
-    return of_spells(name, term.chain, level, len(spells), lengths, _begins_with(spells, final))
+    return terms.of_spells(name, term.chain, level, len(spells), lengths, _begins_with(spells, final))
 
 
 def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]]:

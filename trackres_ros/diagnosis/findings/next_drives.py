@@ -67,8 +67,8 @@ def advise(step: Step, max_speed: float) -> list[Advice]:
         more[:-1, :-1][together] = 0.0  # tied effects add no information
         bits = information(weights, np.maximum(here + more, 0.0)) - before
         if len(groups) > 1 and bits > 0.0:
-            told = [d for pair, d in between.items() if not any(pair <= set(group) for group in groups)]
-            found.append(Advice(tuple(names), groups, manoeuvre, min(told), len(session) * STEP_S / 60.0, bits))
+            distances = [d for pair, d in between.items() if not any(pair <= set(group) for group in groups)]
+            found.append(Advice(tuple(names), groups, manoeuvre, min(distances), len(session) * STEP_S / 60.0, bits))
     return _best_first(found)
 
 

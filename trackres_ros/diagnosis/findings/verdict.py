@@ -154,8 +154,8 @@ def judge(f: Findings) -> Verdict:
             f"{mean_error(improvement.before, improvement.after)} when the live estimate tracks it",
         ]
         return Verdict("described", CONFIRMED, joined([*lines, *f.shakes, may_be(f.listed, also=True), *f.after]), f.listed)
-    beside = max([*(abs(b.mean_residual) for b in f.left), f.left_over.size if f.has_slow_residual else 0.0])
-    if f.spread is not None and beside <= LEFT_SHARE * f.spread.size_nm:
+    otherwise_nm = max([*(abs(b.mean_residual) for b in f.left), f.left_over.size if f.has_slow_residual else 0.0])
+    if f.spread is not None and otherwise_nm <= LEFT_SHARE * f.spread.size_nm:
         lines = [*f.shakes, may_be(f.listed, also=True), *f.after, *f.rest, f.worth_of_refit]
         return Verdict("described", CONFIRMED, joined(lines), f.listed)
     return _unexplained(f) or _nothing_missing(f)

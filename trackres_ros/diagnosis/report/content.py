@@ -175,16 +175,16 @@ def _candidate(round_: int, c: Candidate, step: Step) -> dict[str, Any]:
 
 def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
     """Next steps for the kept results, in addition to using the vehicle file."""
-    said = []
+    steps = []
     around, sensors = (", ".join(d.kept.names_of(kind)) for kind in ("surroundings", "sensor"))
     if around:
-        said.append(
+        steps.append(
             f"The surroundings, not the vehicle, cause {around}. That is written to {SURROUNDINGS_FILE}, for --surroundings "
             "where it applies."
         )
     if lines:
-        said.append(f"A sensor causes {sensors}. No file corrects that: in the topics file, replace the line of the role with:")
-    return said
+        steps.append(f"A sensor causes {sensors}. No file corrects that: in the topics file, replace the line of the role with:")
+    return steps
 
 
 def _why(c: Candidate, step: Step) -> str:

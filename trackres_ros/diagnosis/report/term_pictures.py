@@ -45,14 +45,14 @@ def draw_effect(d: Diagnosis, found: NamedEffect, path: Path) -> Picture:
     return _over(d, course, found.resists, left_over, label, found.name, title, path)
 
 
-def draw_term(d: Diagnosis, told: UnnamedTerm, path: Path) -> Picture:
+def draw_term(d: Diagnosis, term: UnnamedTerm, path: Path) -> Picture:
     """The same for an unnamed term: over its variable, or over time without one."""
-    of = told.described
+    of = term.described
     left_over = against_travel(d.sessions, torque_residuals(d.final))
-    adds = against_travel(d.sessions, told.adds)
-    if told.course:
+    adds = against_travel(d.sessions, term.adds)
+    if term.course:
         label = f"{of.variable} [{of.unit}]" if of.unit else of.variable or of.gate
-        return _over(d, told.course, adds, left_over, label, of.name, of.sentence, path)
+        return _over(d, term.course, adds, left_over, label, of.name, of.sentence, path)
     if of.stretches:
         return _by_stretch(d, of, path)
     if of.form == "level_change":
