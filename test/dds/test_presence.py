@@ -219,7 +219,7 @@ def test_a_publisher_that_offers_less_than_asked_is_remarked(wire, command, star
     assert not speed.matched
 
 
-def test_in_the_last_domain_it_runs_and_needs_no_reader_of_its_log(command, start, tmp_path):
+def test_it_runs_in_the_last_domain_without_a_reader_of_its_log(command, start, tmp_path):
     state = tmp_path / "state.json"
     node = start(command(state_file=str(state)), ROS_DOMAIN_ID="232")
     said = [node.stderr.readline()]

@@ -114,7 +114,7 @@ def test_a_stop_signal_during_start_ends_with_exit_code_0(transport, tmp_path, n
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_save_and_reset_signals_act_once_it_runs_and_then_at_once(transport, tmp_path):
+def test_save_and_reset_signals_act_once_it_runs_and_then_too(transport, tmp_path):
     log, state = tmp_path / "log", tmp_path / "state.json"
     with log.open("w") as said:
         process = subprocess.Popen(command(transport, tmp_path), env=environment(transport, tmp_path), stderr=said, stdout=said)
