@@ -193,7 +193,7 @@ def test_a_set_that_two_ways_reach_is_one_with_the_better_fit(both):
     of_this_way = before.evidence + again.net_evidence
     assert search.known[pair].evidence >= of_this_way
     count, kept = len(search.known), search.known[pair]
-    search._add(before, replace(again, criterion=again.criterion - 1e3), None)  # a worse way to it
+    search._keep(replace(kept, evidence=of_this_way - 1e3))  # a worse way to it
     assert (len(search.known), search.known[pair]) == (count, kept)
 
 
