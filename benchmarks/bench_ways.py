@@ -57,7 +57,7 @@ WAYS = (
     ),
     Way(
         "a message and its step as one function", True, STEP,
-        (("estimator/entry_points.py", "import HAVE_NUMBA, inlined", "import HAVE_NUMBA, compiled, inlined"),
+        (("estimator/entry_points.py", "import HAVE_NUMBA, entry", "import HAVE_NUMBA, compiled, entry"),
          ("estimator/entry_points.py", "@inlined\ndef feed(", "@compiled\ndef feed("),
          ("estimator/kernel.py", "compiled import inlined", "compiled import compiled, inlined"),
          ("estimator/kernel.py", "@inlined\ndef advance(", "@compiled\ndef advance(")),
@@ -65,7 +65,7 @@ WAYS = (
     Way(
         "the direction of travel reckoned once a step", False, STEP,
         (("estimator/road.py", "    number = k.number\n", "    number, sign = k.number, direction(speed)\n"),
-         ("estimator/road.py", "        direction(speed),\n", "        sign,\n"),
+         ("estimator/road.py", "log_speed(speed), direction(speed)", "log_speed(speed), sign"),
          ("estimator/road.py", "bearing_force(speed, weight, rolling)", "rolling * weight * sign"),
          ("estimator/kernel.py", "abs(direction(speed))", "abs(road.sign)")),
     ),

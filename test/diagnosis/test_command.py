@@ -167,7 +167,7 @@ def test_order_names_and_bad_files_change_nothing(run, recorded, tmp_path, monke
         (note,) = (n for n in other.gated.notes if n.startswith(f"{path}: not used: "))
         assert reason in note
     assert len(other.gated.notes) == len(one.gated.notes) + len(bad)
-    assert [x for x in other.gated.left_out if "left out" not in x.reason] == list(one.gated.left_out)
+    assert {why: seconds for why, seconds in other.gated.excluded.items() if "left out" not in why} == dict(one.gated.excluded)
     assert one.split.held_out == other.split.held_out
     for a, b in zip(one.sessions, other.sessions, strict=True):
         for name in ("torque", "speed", "accel", "weight", "ambient", "yaw_rate", "heading", "belt", "gap", "used", "block"):

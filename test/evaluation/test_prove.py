@@ -87,10 +87,10 @@ def test_a_level_that_is_none_is_refused(tmp_path, level):
 
 def test_a_run_takes_cases_by_level_and_resumes_where_it_stopped(tmp_path, monkeypatch):
     started = []
-    monkeypatch.setattr(prove, "_process", lambda _stream, module, *arguments: started.append((module, arguments)))
+    monkeypatch.setattr(prove, "_process", lambda _as_json, step: started.append(tuple(map(str, step))))
     begun = ["prove", "--level", "outside=18", "--level", "none", "--cases", "6", "--seed", "31", "-o", str(tmp_path)]
     assert CliRunner().invoke(cli, begun).exit_code == 0
-    assert started[0] == ("generate", (str(tmp_path), "31", "15", "outside=18", "none=6"))
+    assert started[0] == ("sealed.generate", str(tmp_path), "31", "15", "outside=18", "none=6")
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "one.json").touch()
     assert CliRunner().invoke(cli, begun).exit_code == 0

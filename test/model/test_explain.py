@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.operating_point import explain
+from trackres_ros.model.resistance import direction
 from trackres_ros.model.track import with_methods
 from trackres_ros.vehicle import Vehicle, load
 
@@ -63,8 +64,8 @@ def test_parts_add_up(xgd24d: Vehicle, method: str, speed: float, belt_degc: flo
     assert torque["inertia"] == 0.0  # a steady state
     assert point["heat_w"] == pytest.approx(sum(loss["total"] for loss in point["loss_force_by_assembly_n"]) * abs(speed))
     assert point["cooling_w"] * (belt_degc - 15.0) >= 0.0
-    omega = speed / xgd24d.tracks["triangular"].sprocket_radius  # equation (33)
-    assert torque["hysteresis"] * omega == pytest.approx(point["heat_w"], rel=1e-6)
+    omega = speed / xgd24d.tracks["triangular"].sprocket_radius  # equation (33); near standstill the torque fades out
+    assert torque["hysteresis"] * omega == pytest.approx(point["heat_w"] * abs(direction(speed)), rel=1e-6, abs=1e-9)
 
 
 @few
