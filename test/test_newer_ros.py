@@ -99,3 +99,8 @@ def test_setup_cfg_has_keys_with_underscores_only(repository):
     sections = configparser.ConfigParser(interpolation=None)
     sections.read_string(text)
     assert not [key for section in ("develop", "install") for key in sections[section] if "-" in key]
+
+
+def test_the_example_in_cpp_uses_no_macro_that_lyrical_removed(repository):
+    text = (repository / "examples" / "ros2_feedforward" / "CMakeLists.txt").read_text(encoding="utf-8")
+    assert "ament_target_dependencies" not in text

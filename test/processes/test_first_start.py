@@ -127,7 +127,8 @@ def test_save_and_reset_signals_act_once_it_runs_and_then_too(transport, tmp_pat
             log.read_text()
         )
         assert process.poll() is None, log.read_text()
-        state.unlink()  # it was saved
+        assert wait_for(state.exists, working=process.pid)
+        state.unlink()
     process.send_signal(signal.SIGTERM)
     assert exit_code(process) == 0
     assert "Traceback" not in log.read_text()

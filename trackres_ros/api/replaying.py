@@ -86,7 +86,7 @@ def replay(
     from trackres_ros.estimator import columns as at
     from trackres_ros.estimator.estimate import Steps
     from trackres_ros.estimator.estimator import Estimator
-    from trackres_ros.estimator.snapshot import read_beside, save
+    from trackres_ros.estimator.snapshot import read_learning, save
     from trackres_ros.estimator.snapshot import resume as resumed
     from trackres_ros.estimator.topic_settings import settings_for
     from trackres_ros.estimator.warm_up import BLOCKS, LIVE, first_run
@@ -126,7 +126,7 @@ def replay(
         estimator = Estimator(described, settings, entries=warm_up.first)
         learner = Learner(estimator, learning) if learns else None
         session = None if resume is None else resumed(estimator, Path(resume))
-        if resume is not None and learner is not None and (kept_before := read_beside(estimator, Path(resume))) is not None:
+        if resume is not None and learner is not None and (kept_before := read_learning(estimator, Path(resume))) is not None:
             take_learned(learner, kept_before, Path(resume))
         write = kept.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
         done = run(source, estimator, write, session, progress, learner, warm_up.finished)

@@ -121,11 +121,11 @@ def _between(low: float, high: float, count: int) -> tuple[float, ...]:
     return tuple(float(f"{low + i * (high - low) / (count - 1):.10g}") for i in range(count))
 
 
-def short(path: str, beside: Sequence[str] = ()) -> str:
+def short(path: str, others: Sequence[str] = ()) -> str:
     """The last two words of a path, or more if these are ambiguous."""
     parts = path.split(".")
     for count in range(2, len(parts)):
         name = ".".join(parts[-count:])
-        if not any(other != path and other.endswith(name) for other in beside):
+        if not any(other != path and other.endswith(name) for other in others):
             return name
     return path

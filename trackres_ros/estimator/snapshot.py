@@ -41,7 +41,7 @@ SEAL = re.compile(rb', "sha256": "([0-9a-f]{64})"\}\Z')
 # Session arrays in a state file, in the order of `_arrays`.
 FLOATS = ("belts", "motion", "effects", "learned", "values", "followed", "tracked")
 INTEGERS = ("times", "counters", "reasons")
-BESIDE = "learning"  # learned values, in their own format
+LEARNING = "learning"  # learned values, in their own format
 
 
 def key(estimator: Estimator) -> str:
@@ -64,7 +64,7 @@ def key(estimator: Estimator) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=lambda a: a.tolist()).encode()).hexdigest()[:32]
 
 
-def save(session: Session, path: Path, saved_at: float, beside: Mapping[str, Any] | None = None) -> None:
+def save(session: Session, path: Path, saved_at: float, learning: Mapping[str, Any] | None = None) -> None:
     """Write a session, and plain values with it. Time off begins at the wall-clock time `saved_at` [s since 1970].
 
     Raises
@@ -72,10 +72,10 @@ def save(session: Session, path: Path, saved_at: float, beside: Mapping[str, Any
     OSError
         If the file cannot be written; an older one is then unchanged.
     """
-    own_files.write(path, content(session, saved_at, beside))
+    own_files.write(path, content(session, saved_at, learning))
 
 
-def content(session: Session, saved_at: float, beside: Mapping[str, Any] | None = None) -> bytes:
+def content(session: Session, saved_at: float, learning: Mapping[str, Any] | None = None) -> bytes:
     """Content of a state file, sealed; see `save`."""
     arrays = _arrays(session)
     return seal(
@@ -88,7 +88,7 @@ def content(session: Session, saved_at: float, beside: Mapping[str, Any] | None 
             "started": session.started,
             **{name: [float(value).hex() for value in arrays[name].ravel()] for name in FLOATS},  # bit by bit, nan too
             **{name: arrays[name].ravel().tolist() for name in INTEGERS},
-            **({} if beside is None else {BESIDE: beside}),
+            **({} if learning is None else {LEARNING: learning}),
         }
     )
 
@@ -99,7 +99,7 @@ def seal(content: dict[str, Any]) -> bytes:
     return body + f', "sha256": "{hashlib.sha256(body).hexdigest()}"}}'.encode()
 
 
-def read_beside(estimator: Estimator, path: Path) -> Any:
+def read_learning(estimator: Estimator, path: Path) -> Any:
     """Plain values saved with a session; None without any.
 
     Raises
@@ -107,7 +107,7 @@ def read_beside(estimator: Estimator, path: Path) -> Any:
     InputError
         As `resume`.
     """
-    return _read(estimator, path).get(BESIDE)
+    return _read(estimator, path).get(LEARNING)
 
 
 def leftovers(path: Path) -> list[Path]:

@@ -104,10 +104,10 @@ def verdicts(folder: Path) -> dict[str, dict[str, dict[str, str]]]:
         report = place / "report.json"
         if report.is_file():
             page = place / "report.html"
-            told = {**_verdict(report), "page": page.relative_to(folder).as_posix() if page.is_file() else ""}
+            verdict = {**_verdict(report), "page": page.relative_to(folder).as_posix() if page.is_file() else ""}
         else:
-            told = {"status": "refused", "text": (place / REASON).read_text(encoding="utf-8", errors="replace"), "page": ""}
-        found.setdefault(place.parent.name, {})[place.name] = told
+            verdict = {"status": "refused", "text": (place / REASON).read_text(encoding="utf-8", errors="replace"), "page": ""}
+        found.setdefault(place.parent.name, {})[place.name] = verdict
     return found
 
 

@@ -93,11 +93,11 @@ def _analysed(path: Path, task: Task, row: dict[str, Any]) -> dict[str, Any]:
     row |= {"start_s": start_s, "day": _day(start_s), "duration_s": float(times[-1]) if len(times) else 0.0, "findings": found}
     loaded, vehicle = _vehicle(task.vehicle.file, task.vehicle.sha, task.vehicle.topics)
     row |= _replayed(recording, vehicle)
-    told = asdict(evidence(recording, loaded, task.hide))
-    upper = np.triu_indices(len(told["names"]))
+    likelihood = asdict(evidence(recording, loaded, task.hide))
+    upper = np.triu_indices(len(likelihood["names"]))
     for name in ("covariance", "precision"):
-        told[name] = told[name][upper]
-    plain = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in told.items()}
+        likelihood[name] = likelihood[name][upper]
+    plain = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in likelihood.items()}
     return {**plain, "status": GOOD}
 
 

@@ -113,9 +113,9 @@ def _vehicle(path: Path, name: str, content: Any) -> FleetVehicle:
 def _beside(path: Path, given: object, where: str) -> Path:
     if not isinstance(given, str):
         raise InputError(where, given, "a path")
-    beside = path.parent / given
-    if beside.is_file():
-        return beside.resolve()
+    local = path.parent / given
+    if local.is_file():
+        return local.resolve()
     return (find_vehicle if where.endswith(".file") else find_topics)(given).resolve()
 
 
@@ -124,9 +124,9 @@ def digest(path: Path) -> str:
     content = read_yaml(path)
     found = hashlib.sha256(path.read_bytes())
     for name in sorted(_files_named(content)):
-        beside = path.parent / name
-        if beside.is_file():
-            found.update(beside.read_bytes())
+        local = path.parent / name
+        if local.is_file():
+            found.update(local.read_bytes())
     return found.hexdigest()
 
 

@@ -76,13 +76,13 @@ def _step_found(s: LearnerState, size: float) -> None:
 
 def _tell(s: LearnerState) -> None:
     """Whether the mean residual of a minute exceeds the short disturbances."""
-    beside, std = s.past.of_late()
+    mean, std = s.past.of_late()
     least = SAID_SHARE * s.rolling
-    if not abs(beside) > 0.5 * least:
-        s.beside_since = -1
-    elif s.beside_since < 0 and abs(beside) > max(least, SAID_STDS * std):
-        s.beside_since = s.second
-    s.beside_nm = beside if s.beside_since >= 0 else 0.0
+    if not abs(mean) > 0.5 * least:
+        s.disturbed_since = -1
+    elif s.disturbed_since < 0 and abs(mean) > max(least, SAID_STDS * std):
+        s.disturbed_since = s.second
+    s.disturbance_nm = mean if s.disturbed_since >= 0 else 0.0
 
 
 def let_last(s: LearnerState, compared: bool) -> None:
@@ -120,9 +120,9 @@ def why_frozen(s: LearnerState, now: int, known: Disturbance | None) -> str:
     return ""
 
 
-def beside(s: LearnerState, now: int, known: Disturbance | None) -> str:
+def disturbance_text(s: LearnerState, now: int, known: Disturbance | None) -> str:
     """Text on an unmodelled torque outside the vehicle's parameters; empty without one. See `why_frozen`."""
-    return "" if s.beside_since < 0 else said(s.beside_nm, max(now - s.beside_since, 0), known)
+    return "" if s.disturbed_since < 0 else said(s.disturbance_nm, max(now - s.disturbed_since, 0), known)
 
 
 def said(torque_nm: float, since_s: int, known: Disturbance | None) -> str:

@@ -51,8 +51,8 @@ class LearnerState:
     step_s: float = math.inf  # driving since a step
     step_nm: float = 0.0
     step_second: int = -1
-    beside_nm: float = 0.0  # reported torque outside the vehicle's parameters
-    beside_since: int = -1  # second; -1 for none
+    disturbance_nm: float = 0.0  # reported torque outside the vehicle's parameters
+    disturbed_since: int = -1  # second; -1 for none
     lasting_s: float = 0.0
     lasting_nm: float = 0.0
     blocks: int = 0  # since the estimate began: during warm-up the residual changes without a step
@@ -74,7 +74,7 @@ class LearnerState:
         """Reset belts and slow disturbance to their priors; keep the vehicle's parameters."""
         self.second, self.last_left, self.suspect, self.disagrees, self.blocks = -1, math.nan, 0.0, 0.0, 0
         self.lasting_s = self.lasting_nm = 0.0
-        self.beside_nm, self.beside_since = 0.0, -1
+        self.disturbance_nm, self.disturbed_since = 0.0, -1
         self.block, self.last_block = ResidualBlock(), ResidualBlock()
         self.past.pause()
         self.ground.restart()

@@ -20,7 +20,7 @@ from trackres_ros.learning import correction
 from trackres_ros.learning.blocks import BLOCK_S
 from trackres_ros.learning.buckets import ACCELERATES_MPS2, Buckets
 from trackres_ros.learning.delay import DelayEstimator
-from trackres_ros.learning.disturbances import DISAGREES_S, beside, close_block, let_last, why_frozen
+from trackres_ros.learning.disturbances import DISAGREES_S, close_block, disturbance_text, let_last, why_frozen
 from trackres_ros.learning.filter import aged, corrected, expected, spread
 from trackres_ros.learning.gate import AGAINST, OUTLYING, TEXTS, Gate, Row
 from trackres_ros.learning.learned import SLOW_S, nothing_learned
@@ -224,7 +224,7 @@ class Learner:
     @property
     def disturbance(self) -> str:
         """Text on an unmodelled torque outside the vehicle's parameters; empty without one."""
-        return beside(self.learned, self.gate.second.number, self._known)
+        return disturbance_text(self.learned, self.gate.second.number, self._known)
 
     @property
     def left_out(self) -> str:

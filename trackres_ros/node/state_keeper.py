@@ -14,7 +14,7 @@ from pathlib import Path
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.estimator.snapshot import after_time_off, content, leftovers, read_beside
+from trackres_ros.estimator.snapshot import after_time_off, content, leftovers, read_learning
 from trackres_ros.files import own_files
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.store import stored, take
@@ -85,11 +85,11 @@ class StateKeeper:
         what = "belts" if estimator.assemblies else "temperatures of the effects"
         text = f"{what} restored from {self.path} and cooled for {off_s / 60.0:.1f} min"
         session.learned[:] = 0.0  # it acts again once the learner allows it
-        beside = read_beside(estimator, self.path)
-        if learner is None or beside is None:
+        saved = read_learning(estimator, self.path)
+        if learner is None or saved is None:
             return session, text
         try:
-            take(learner, beside)
+            take(learner, saved)
         except ValueError as error:
             self.unused = f"learning starts from the vehicle file: {error}"
             return session, text

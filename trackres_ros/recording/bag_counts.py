@@ -112,12 +112,12 @@ def _count_ros1(reader: Any, path: Path, counts: MessageCounts) -> None:
     indexed: Counter[int] = Counter()
     for info in reader.chunk_infos:
         indexed.update(info.connection_counts)
-    beside: Counter[int] = Counter()
+    in_chunks: Counter[int] = Counter()
     with path.open("rb") as file:
         for head in _records(file, counts):
             if head.get(b"op") == bytes([INDEX_DATA]) and len(head.get(b"conn", b"")) == len(head.get(b"count", b"")) == 4:
-                beside[int.from_bytes(head[b"conn"], "little")] += int.from_bytes(head[b"count"], "little")
-    counts.add(names, beside | indexed)
+                in_chunks[int.from_bytes(head[b"conn"], "little")] += int.from_bytes(head[b"count"], "little")
+    counts.add(names, in_chunks | indexed)
 
 
 def _records(file: BinaryIO, counts: MessageCounts) -> Iterator[dict[bytes, bytes]]:

@@ -332,11 +332,11 @@ def _check_geometry(reader: ValueReader, key: str, track: Track) -> None:
     if wheels.contact_length > belt.width:
         raise refused("road_wheels.contact_length", wheels.contact_length, f"at most the belt width {belt.width:g} m")
     reach = 2 * wheels.radius * (1 - 1e-9)
-    beside = max(int(np.count_nonzero((positions >= at) & (positions < at + reach))) for at in positions)  # if they interleave
-    if beside * wheels.contact_length > belt.width:
+    abreast = max(int(np.count_nonzero((positions >= at) & (positions < at + reach))) for at in positions)  # if they interleave
+    if abreast * wheels.contact_length > belt.width:
         raise refused(
             "road_wheels.positions",
-            f"{beside} wheels of radius {wheels.radius:g} m that overlap along the track, with contacts of "
+            f"{abreast} wheels of radius {wheels.radius:g} m that overlap along the track, with contacts of "
             f"{wheels.contact_length:g} m each on a belt {belt.width:g} m wide",
             f"wheels at least {2 * wheels.radius:g} m apart, or so narrow that overlapping wheels fit side by side",
             "check radius (not diameter) and positions",

@@ -42,7 +42,7 @@ class FieldTrial:
     wanted: frozenset[str]  # effects one of which should be named; empty if none should
     never: frozenset[str]  # effects that must not be named: given or impossible ones
     found: Diagnosis
-    beside: frozenset[str] = NOTHING  # effects that may be named too: they are present and no given channel shows them
+    also_present: frozenset[str] = NOTHING  # effects that may be named too: they are present and no given channel shows them
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
@@ -64,7 +64,7 @@ class FieldTrial:
             return "wrong"
         if self.wanted & {*names, *self.described}:
             return "right"
-        if names - self.beside:
+        if names - self.also_present:
             return "wrong"
         return "silent" if self.wanted else "right"
 

@@ -21,7 +21,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.snapshot import read_beside, save
+from trackres_ros.estimator.snapshot import read_learning, save
 from trackres_ros.evaluation.learned.generate import REFIT
 from trackres_ros.evaluation.processes import each, run_main
 from trackres_ros.evaluation.sealed.generate import APART_S, refit
@@ -106,7 +106,7 @@ def _learned(case: Path, drives: Sequence[Path], vehicle: Path, rows: dict[str, 
     for path in drives:
         learner = Listening(estimator, "on")
         if path is not drives[0]:  # belts begin soaked at the measured air's temperature, as with every other file
-            take(learner, read_beside(estimator, state))
+            take(learner, read_learning(estimator, state))
             learner.age(APART_S)
         kept: list[Steps] = []
         done = replay(open_source([path], None), estimator, kept.append, learner=learner)

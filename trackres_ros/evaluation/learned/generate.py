@@ -67,11 +67,11 @@ def make_case(task: tuple[Path, LearningCase, float]) -> None:
     runs = simulate_truth(sheet, Build(**case.build), {}, driven)
     sensors = drawn_sensors(rng)
     kept: dict[str, Any] = {}
-    for i, (told, one, run) in enumerate(zip(planned, driven, runs, strict=True)):
+    for i, (plan, one, run) in enumerate(zip(planned, driven, runs, strict=True)):
         added = added_torque(case, one, weight, radius)
         path, off = into / f"drive_{i + 1}.csv", float(rng.normal(0.0, AIR_OFF_K))
         with_added = replace(run, torque=run.torque + added, shown=run.shown + added)
-        record(path, told, with_added, replace(sensors, ambient_off_k=off), radius, START_S + i * APART_S, rng)
+        record(path, plan, with_added, replace(sensors, ambient_off_k=off), radius, START_S + i * APART_S, rng)
         if case.hostile in SENSORS:
             _mislead(path, case, one.step, rng)
         inertia = radius * numbers["chassis.rotating_mass_factor"] * one.weight / G * one.accel

@@ -133,10 +133,10 @@ def table(
     for name, (hits, of) in {**found[OURS], **own}.items():
         low, high = wilson(hits, of)
         shown = f"{hits / of:.0%} ({hits} of {of})" if of else "no case"
-        beside = [_share(*found[method][name]) if name in found[method] else "" for method in methods]
+        by_others = [_share(*found[method][name]) if name in found[method] else "" for method in methods]
         target, met = _target(name, hits / of if of else float("nan"), lambda x: f"{x:.0%}")
         lines.append(
-            f"| {name} | {shown} | {f'{low:.0%} to {high:.0%}' if of else ''} | {target} | {met} | {' | '.join(beside)} |"
+            f"| {name} | {shown} | {f'{low:.0%} to {high:.0%}' if of else ''} | {target} | {met} | {' | '.join(by_others)} |"
         )
     for name, values in other.items():
         if not values:
@@ -243,11 +243,11 @@ def _write_cases(path: Path, scored: Sequence[Scored]) -> None:
         methods = [method for method in BASELINES if all(method in s.answers for s in scored)]
         writer.writerow(["case", "level", "hidden", "said", "status", "identifiable", "oracle_gain", "mistake", *methods])
         for s in sorted(scored, key=lambda s: (s.case.level, sorted(s.true))):
-            beside = [_verdict_of(s.answers[method]) for method in methods]
+            by_others = [_verdict_of(s.answers[method]) for method in methods]
             plain = "yes" if s.known.identifiable else "no"
             writer.writerow(
                 [s.case.name, s.case.level, "+".join(s.case.hidden), _verdict_of(s.answer), s.answer.status, plain,
-                 f"{s.known.gain:.1f}", s.wrong, *beside]
+                 f"{s.known.gain:.1f}", s.wrong, *by_others]
             )  # fmt: skip
 
 

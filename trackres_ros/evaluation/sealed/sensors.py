@@ -105,8 +105,8 @@ def _in_town(street: OnStreet, step: float, sensors: Sensors, rng: np.random.Gen
     n, per_sample = len(street.x), round(SECOND_S / step)
     known = (np.arange(n) % per_sample == 0) & ~street.covered & ~_lost(n, step, rng)
 
-    def shown(series: Array, wanders: float, white: float) -> Array:
-        return np.where(known, series + wandering(n, step, wanders, rng) + rng.normal(0.0, white, n), np.nan)
+    def shown(series: Array, drift: float, white: float) -> Array:
+        return np.where(known, series + wandering(n, step, drift, rng) + rng.normal(0.0, white, n), np.nan)
 
     x, y = (shown(series, sensors.position_m, sensors.position_white_m) for series in (street.x, street.y))
     parallel_m = EARTH_M * np.cos(np.radians(LATITUDE_DEG))

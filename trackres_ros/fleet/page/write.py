@@ -33,7 +33,7 @@ def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -
     """Write index.html and vehicles/NAME.html; return the path of the first. Raises MissingExtraError without jinja2."""
     environment = templates("trackres_ros.fleet.page", "the pages of a fleet", "fleet", figures=figures, percent=percent)
     style = environment.get_template("style.css").render()
-    told = verdicts(folder)
+    diagnosed = verdicts(folder)
     names = sorted({*found["vehicles"], *found["months"]})
     pages = {name: f"{VEHICLES}/{quote(name, safe='')}.html" for name in names}
     months = sorted({month for of in found["months"].values() for month in of})
@@ -43,7 +43,7 @@ def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -
     for row in dataset.rows(list(SHOWN)):
         rows.setdefault(row["vehicle"], []).append(row)
     text = environment.get_template("index.html").render(
-        style=style, found=found, months=months, pages=pages, lines=sentences(found), told=told, quote=quote,
+        style=style, found=found, months=months, pages=pages, lines=sentences(found), diagnosed=diagnosed, quote=quote,
         shade=lambda mismatch: shade(mismatch, worst), worst=worst, colours=COLOURS,
     )  # fmt: skip
     (folder / VEHICLES).mkdir(exist_ok=True)
@@ -56,7 +56,8 @@ def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -
             for key, levels in (vehicle["levels"] if vehicle else {}).items()
         ]
         page = environment.get_template("vehicle.html").render(
-            style=style, name=name, vehicle=vehicle, of_type=type_, pictures=pictures, told=told.get(quote(name, safe=""), {}),
+            style=style, name=name, vehicle=vehicle, of_type=type_, pictures=pictures,
+            diagnosed=diagnosed.get(quote(name, safe=""), {}),
             rows=sorted(rows.get(name, ()), key=lambda row: (row["day"], row["url"])),
             changes=[change_sentence(name, c) for c in (vehicle["changes"] if vehicle else ())],
         )  # fmt: skip

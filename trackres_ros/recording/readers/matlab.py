@@ -84,12 +84,12 @@ def _time_of(name: str, vectors: Mapping[str, _Vector], named: str) -> str:
     if named:
         return named if vectors[named].length == vectors[name].length else ""
     folder = name
-    beside = [f"{name}_time", f"{name}_t"]
+    candidates = [f"{name}_time", f"{name}_t"]
     while folder:
         folder = folder.rpartition(".")[0]
         within = {one.lower(): one for one in vectors if one.rpartition(".")[0] == folder}
-        beside += [within[key] for time in TIMES if (key := f"{folder}.{time}".lower().lstrip(".")) in within]
-    return next((one for one in beside if one in vectors and vectors[one].length == vectors[name].length), "")
+        candidates += [within[key] for time in TIMES if (key := f"{folder}.{time}".lower().lstrip(".")) in within]
+    return next((one for one in candidates if one in vectors and vectors[one].length == vectors[name].length), "")
 
 
 def _read(path: Path, name: str, topics: Topics | None) -> list[MatlabFile]:

@@ -170,12 +170,12 @@ def finish(
     edited = document.text()
     note = "" if edited is not None else "Its comments could not be kept: they stand in the file it was made from.\n"
     path.write_text(_comment(note + text) + (edited or document.plain()), encoding="utf-8")
-    beside = path.with_name(SURROUNDINGS_FILE)
+    site_file = path.with_name(SURROUNDINGS_FILE)
     learned = {one.kind for one in kept.route}
     route = [*kept.route, *(one for one in route if one.kind not in learned)]
     if not around and not route:
-        if beside.is_file() and any(line in beside.read_text(encoding="utf-8") for line in WRITTEN):
-            beside.unlink()  # of an earlier diagnosis: it would look like this one's
+        if site_file.is_file() and any(line in site_file.read_text(encoding="utf-8") for line in WRITTEN):
+            site_file.unlink()  # of an earlier diagnosis: it would look like this one's
         return [path]
     lines = [f"schema: {SCHEMA}", f"vehicle: {flow(name)}"]
     files = _files_of(around, copied)
@@ -183,11 +183,11 @@ def finish(
     lines += [f"route: {ROUTE_FILE}"] if route else []
     lines += ["effects:" if around else "effects: {}"]
     lines += [f"  {active.effect.name}: {flow(_values(active))}" for active in around]
-    beside.write_text(_comment(text) + "\n".join(lines) + "\n", encoding="utf-8")
+    site_file.write_text(_comment(text) + "\n".join(lines) + "\n", encoding="utf-8")
     if not route:
-        return [path, beside]
+        return [path, site_file]
     write_route(path.with_name(ROUTE_FILE), route)
-    return [path, beside, path.with_name(ROUTE_FILE)]
+    return [path, site_file, path.with_name(ROUTE_FILE)]
 
 
 def _comment(text: str) -> str:
