@@ -76,6 +76,21 @@ def test_two_compiling_nodes_count_all_speeds_and_no_clock_jump(transport, tmp_p
             node.close()
 
 
+@pytest.fixture
+def begin():
+    """Starts a process as `subprocess.Popen` does; none outlives its test."""
+    begun = []
+
+    def start(*words, **given):
+        begun.append(subprocess.Popen(*words, **given))
+        return begun[-1]
+
+    yield start
+    for process in begun:
+        process.kill()
+        process.communicate()  # closes its pipes too
+
+
 def command(transport, folder, *more):
     words = [sys.executable, "-m", "trackres_ros", "live", "--transport", "dds" if transport == "dds" else "ros", "--quiet"]
     return [*words, "--vehicle", "xgd24d", "-p", f"state_file:={folder / 'state.json'}", *more]
@@ -94,9 +109,9 @@ def when_it_listens(process):
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
 @pytest.mark.parametrize(("number", "further_s"), [(signal.SIGTERM, 0.0), (signal.SIGINT, 0.2), (signal.SIGTERM, 0.6)])
-def test_a_stop_signal_during_start_ends_with_exit_code_0(transport, tmp_path, number, further_s):
+def test_a_stop_signal_during_start_ends_with_exit_code_0(transport, tmp_path, begin, number, further_s):
     """At moments that are as far into the start, by the work done, on any machine."""
-    process = subprocess.Popen(
+    process = begin(
         command(transport, tmp_path),
         env=environment(transport, tmp_path),
         stderr=subprocess.PIPE,
@@ -114,10 +129,10 @@ def test_a_stop_signal_during_start_ends_with_exit_code_0(transport, tmp_path, n
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_save_and_reset_signals_act_once_it_runs_and_then_too(transport, tmp_path):
+def test_save_and_reset_signals_act_once_it_runs_and_then_too(transport, tmp_path, begin):
     log, state = tmp_path / "log", tmp_path / "state.json"
     with log.open("w") as said:
-        process = subprocess.Popen(command(transport, tmp_path), env=environment(transport, tmp_path), stderr=said, stdout=said)
+        process = begin(command(transport, tmp_path), env=environment(transport, tmp_path), stderr=said, stdout=said)
     when_it_listens(process)
     restarts = lambda: log.read_text().count("estimate restarts")  # noqa: E731
     for times in (1, 2):
@@ -134,27 +149,22 @@ def test_save_and_reset_signals_act_once_it_runs_and_then_too(transport, tmp_pat
     assert "Traceback" not in log.read_text()
 
 
-def test_lines_of_json_for_programs(tmp_path, wire):
+def test_lines_of_json_for_programs(tmp_path, wire, begin):
     speed = wire.publisher("/json/speed", "geometry_msgs/msg/TwistStamped")
     words = [*command("dds", tmp_path, "--json"), "--namespace", "/json"]
-    process = subprocess.Popen(words, env=environment("dds", tmp_path), stdout=subprocess.PIPE, text=True)
-    try:
-        lines = []
-        while len(lines) < 3:
-            if speed.matched:
-                pace = Pace(50.0)
-                for step in range(20):
-                    linear = {"x": 8.0 + 0.01 * step, "y": 0.0, "z": 0.0}
-                    speed.publish(header=stamp(time.time_ns()), twist={"linear": linear})
-                    pace.next()
-            lines.append(json.loads(process.stdout.readline()))
-        process.send_signal(signal.SIGTERM)
-        lines += [json.loads(line) for line in process.stdout]
-        assert exit_code(process) == 0
-    finally:
-        process.stdout.close()
-        if process.poll() is None:
-            process.kill()
+    process = begin(words, env=environment("dds", tmp_path), stdout=subprocess.PIPE, text=True)
+    lines = []
+    while len(lines) < 3:
+        if speed.matched:
+            pace = Pace(50.0)
+            for step in range(20):
+                linear = {"x": 8.0 + 0.01 * step, "y": 0.0, "z": 0.0}
+                speed.publish(header=stamp(time.time_ns()), twist={"linear": linear})
+                pace.next()
+        lines.append(json.loads(process.stdout.readline()))
+    process.send_signal(signal.SIGTERM)
+    lines += [json.loads(line) for line in process.stdout]
+    assert exit_code(process) == 0
     assert [line["final"] for line in lines] == [False] * (len(lines) - 1) + [True]
     assert lines[-1]["estimate"]["resistance_torque_nm"] > 1000.0
     assert {given["role"] for given in lines[-1]["inputs"]} == {"speed", "load", "ambient"}
@@ -171,13 +181,13 @@ main()
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_without_home_or_user_entry_the_node_runs_and_warns(transport, tmp_path, wire):
+def test_without_home_or_user_entry_the_node_runs_and_warns(transport, tmp_path, wire, begin):
     kept = {k: v for k, v in environment(transport, tmp_path).items() if k not in ("HOME", "XDG_STATE_HOME")}
     kept.setdefault("XDG_CACHE_HOME", str(cache_dir().parent))
     log = tmp_path / "log"
     with log.open("w") as said:
         words = [sys.executable, "-c", NOBODY, *command(transport, tmp_path)[3:-2], "--namespace", "/nobody"]
-        process = subprocess.Popen(words, env=kept, stderr=said, stdout=said)
+        process = begin(words, env=kept, stderr=said, stdout=said)
     status = wire.subscribe("/nobody/trackres/status", "diagnostic_msgs/msg/DiagnosticArray")
 
     def said_or_ended():

@@ -46,11 +46,11 @@ def test_from_the_start_without_a_speed(standing):
 
 def test_speed_stops_and_comes_back(anywhere):
     anywhere.healthy()
-    full = anywhere.torques()[-1]
+    full, since = anywhere.torques()[-1], len(anywhere.torques()) - 1
     anywhere.noticed("SPEED_OLD")
     anywhere.until(lambda: anywhere.torques()[-1] == 0.0, "the feed-forward to fade")
     torques = anywhere.torques()
-    fading = torques[-torques[::-1].index(next(t for t in reversed(torques) if t > 0.9 * full)) :]
+    fading = torques[torques.index(max(torques[since:]), since) :]
     assert fading == sorted(fading, reverse=True)
     count = len(torques)
     anywhere.until(lambda: len(anywhere.torques()) > count + 20, "outputs going on")
