@@ -65,7 +65,7 @@ WAYS = (
     Way(
         "the direction of travel reckoned once a step", False, STEP,
         (("estimator/road.py", "    number = k.number\n", "    number, sign = k.number, direction(speed)\n"),
-         ("estimator/road.py", "log_speed(speed), direction(speed)", "log_speed(speed), sign"),
+         ("estimator/road.py", "        direction(speed),\n", "        sign,\n"),
          ("estimator/road.py", "bearing_force(speed, weight, rolling)", "rolling * weight * sign"),
          ("estimator/kernel.py", "abs(direction(speed))", "abs(road.sign)")),
     ),

@@ -153,16 +153,16 @@ def explained():
 def play(monkeypatch):
     """A round of the search in a world, with some of its effects: the round, and the world."""
 
-    def it(gains, effects=None, beside=(), by_noise=None, **given):
+    def it(gains, effects=None, chosen=(), by_noise=None, **given):
         world = World(gains, **given)
         for name, changed in (effects or {}).items():
             world.effects[name] = changed
-        return run(world, beside, by_noise)
+        return run(world, chosen, by_noise)
 
-    def run(world, beside=(), by_noise=None):
+    def run(world, chosen=(), by_noise=None):
         for name in ("fit", "separability", "screen"):
             monkeypatch.setattr(naming, name, getattr(world, name))
-        current = Model(world, [world.effects[name] for name in beside])
+        current = Model(world, [world.effects[name] for name in chosen])
         step = naming.one_round(current, naming.Pool(world.effects, None, by_noise), 19, np.random.default_rng(0))
         return SimpleNamespace(step=step, world=world, names=[c.name for c in step.candidates])
 

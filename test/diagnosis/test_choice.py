@@ -29,7 +29,7 @@ def test_fitted_candidates_come_best_first_with_gains_and_costs(play):
 
 
 def test_after_a_fit_only_other_terms_are_proposed_by_their_gain(play):
-    done = play({"a": 40.0, "b": 39.0, "c": 20.0}, together={("a", "b"): 40.5}, beside=["a"])
+    done = play({"a": 40.0, "b": 39.0, "c": 20.0}, together={("a", "b"): 40.5}, chosen=["a"])
     assert done.names == ["c"]
     assert dict(done.step.screened) == pytest.approx({"b": 0.5, "c": 20.0})
     assert done.step.before.effect_names == ("a",)

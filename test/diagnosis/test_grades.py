@@ -66,13 +66,13 @@ def test_what_displaces_is_refuted_whatever_it_improves():
         assert (graded.grade, graded.confirmed) == (REFUTED, False)
 
 
-@pytest.mark.parametrize(("beside", "without", "takes"), [
+@pytest.mark.parametrize(("with_term", "without_term", "takes"), [
     (0.0, 1.0, True), (2.0, 1.0, True), (0.001, 1.0, True), (1.999, 1.0, True),
     (0.003, 1.0, False), (1.997, 1.0, False), (0.0, 0.0, False), (0.0, 0.002, False),
 ])  # fmt: skip
-def test_a_term_displaces_a_value_that_it_drives_to_its_bound(beside, without, takes):
+def test_a_term_displaces_a_value_that_it_drives_to_its_bound(with_term, without_term, takes):
     little = Improvement(100.0, 92.0, 5.0, 11.0)
-    assert displaced(little, fitted(beside), fitted(without)) == (("rolling",) if takes else ())
+    assert displaced(little, fitted(with_term), fitted(without_term)) == (("rolling",) if takes else ())
 
 
 @pytest.mark.parametrize(("error", "takes"), [(90.1, True), (89.9, False), (50.0, False)])

@@ -103,6 +103,6 @@ def test_a_series_of_the_recordings_is_unknown_in_another_drive(tied):
     facts, before = tied.before.problem.base.facts, tied.before
     shape = [np.ones(len(s)) for s in before.problem.sessions]
     watched = ResidualPattern("spells", "for a while", shape, facts.weight * facts.radius)
-    beside = fit(before.problem, [watched], before.at, before.noises)
+    with_watched = fit(before.problem, [watched], before.at, before.noises)
     drive = menu(facts.weight, FASTEST_MPS)["drive at one speed with three loads, five minutes each"](before.problem.sessions[0])
-    assert np.isfinite(apart([beside, before], drive)).all()
+    assert np.isfinite(apart([with_watched, before], drive)).all()

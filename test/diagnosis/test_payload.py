@@ -122,7 +122,7 @@ def test_a_vehicle_that_stands_is_not_pushed(carried):
         assert not shape[np.abs(session.speed) < STANDSTILL_MPS].any()
 
 
-def test_mass_errors_match_their_std_beside_learned_slopes(car, carried):
+def test_mass_errors_match_their_std_with_learned_slopes(car, carried):
     found, masses, _ = carried
     problem, rng = found.problem, np.random.default_rng(1)
     radius, places = car.facts.radius, STRETCH_S
@@ -138,8 +138,8 @@ def test_mass_errors_match_their_std_beside_learned_slopes(car, carried):
         np.add.at(total, place[mask], residual[mask] / (session.weight[mask] * radius))
         np.add.at(count, place[mask], 1.0)
     adds = tuple(z @ (total / np.maximum(count, 1.0)) for z in columns)
-    beside = JointValues(adds, columns, (sparse.identity(places) / SLOPE**2).tocsc())
-    payload = find_payload(found, [r - x for r, x in zip(left, adds, strict=True)], beside)
+    slopes = JointValues(adds, columns, (sparse.identity(places) / SLOPE**2).tocsc())
+    payload = find_payload(found, [r - x for r, x in zip(left, adds, strict=True)], slopes)
     check_masses(payload.stretches, masses)
 
 

@@ -30,7 +30,7 @@ def fitted(residual, speed=None, yaw_rate=0.0, heading=0.0, white=None, belt=Non
             )
         )  # fmt: skip
         whites.append((residual if white is None else white)[part])
-        predicted.append(SimpleNamespace(torque=-residual[part], belt=none + np.nan if belt is None else belt[part]))
+        predicted.append(SimpleNamespace(torque=-residual[part], belt=np.full(len(part), np.nan) if belt is None else belt[part]))
     whites.append(np.full(50, 1e9))
     return SimpleNamespace(problem=SimpleNamespace(sessions=sessions), predicted=predicted, white=whites)
 

@@ -75,7 +75,7 @@ def validation_of(found):
     return CrossValidation(found, held_out_masks(found), np.random.default_rng(1))
 
 
-def beside(found, *effects):
+def fit_with(found, *effects):
     """A fit with effects, with values that predict."""
     return with_levels(fit(found.problem, effects, found.at, found.noises))
 
@@ -94,10 +94,10 @@ def series(found, of, ahead=None, name="series"):
 
 @pytest.fixture(scope="module")
 def scaled(driven, known):
-    """The base alone and beside the effect that is hidden, and the laps left out of them."""
+    """The base alone and with the hidden effect, and the laps left out of them."""
     found = driven(GAIN)
     plain = with_levels(found)
-    return plain, beside(found, known["torque_gain"]), validation_of(plain)
+    return plain, fit_with(found, known["torque_gain"]), validation_of(plain)
 
 
 def test_a_model_scored_against_itself_gains_nothing(scaled):
@@ -155,7 +155,7 @@ def test_what_only_fitted_laps_show_has_no_held_out_gain(driven):
     found = driven(adds=comes_and_goes)
     plain, validation = with_levels(found), validation_of(found)
     before = validation.score(plain)
-    unknown, known = (beside(found, series(found, comes_and_goes, ahead)) for ahead in (0.0, 1.0))
+    unknown, known = (fit_with(found, series(found, comes_and_goes, ahead)) for ahead in (0.0, 1.0))
     assert unknown.log_likelihood > plain.log_likelihood + 100.0
     assert validation.least_gain(before, validation.score(known)) > 100.0
     assert validation.least_gain(before, validation.score(unknown)) <= 0.0
@@ -207,7 +207,7 @@ def test_without_a_term_it_is_the_set_without_it(both):
     pair = search.known[frozenset({"torque_gain", "level_change"})]
     single = search.known.pop(frozenset({"level_change"}))
     try:
-        fitted = search.without(pair, "torque_gain")  # from the values beside the other
+        fitted = search.without(pair, "torque_gain")  # with the other in the fit
         assert fitted.terms.keys() == fitted.candidates.keys() == {"level_change"}
         assert fitted.evidence == pytest.approx(single.evidence, abs=3.0)
     finally:
@@ -258,7 +258,7 @@ def test_a_class_holds_four_fifths_unless_all_are_in_it(weights, data):
 
 @pytest.fixture(scope="module")
 def graded(loaded):
-    """Grades the terms of a fit beside a base, and says whether all of it is confirmed."""
+    """Grades the terms that a fit adds to a base, and says whether all of it is confirmed."""
 
     def grade(found, *effects, by_file=np.inf):
         sessions, masks, rng = found.problem.sessions, held_out_masks(found), np.random.default_rng(1)

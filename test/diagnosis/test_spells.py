@@ -45,7 +45,7 @@ def two_levels(n, rng):
     return LEVEL_NM * there + white(n, rng), there
 
 
-def wandering(n, rng, size=40.0, seconds=60.0):
+def drifting(n, rng, size=40.0, seconds=60.0):
     keep, level = math.exp(-BLOCK_S / seconds), np.empty(n)
     level[0] = rng.normal(0.0, size)
     for i in range(1, n):
@@ -80,17 +80,17 @@ def test_two_levels_are_found_with_their_size_length_and_share(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("draw", [wandering, white], ids=["wandering", "white"])
-def test_what_wanders_and_what_is_noise_are_no_two_levels(draw, seed):
+@pytest.mark.parametrize("draw", [drifting, white], ids=["drifting", "white"])
+def test_a_drift_and_noise_are_no_two_levels(draw, seed):
     gain, chain = likelier(made(draw(1200, np.random.default_rng(seed))))
     assert gain < SURE or not is_spells(chain)
 
 
-def test_a_level_that_wanders_is_found_with_its_size_and_time():
-    wander, _ = find_drifting_level(made(wandering(4000, np.random.default_rng(1))))
-    assert wander.size == pytest.approx(40.0, rel=0.15)
-    assert wander.seconds == pytest.approx(60.0, rel=0.3)
-    assert wander.noise == pytest.approx(NOISE_NM, rel=0.1)
+def test_a_drifting_level_is_found_with_its_size_and_time():
+    level, _ = find_drifting_level(made(drifting(4000, np.random.default_rng(1))))
+    assert level.size == pytest.approx(40.0, rel=0.15)
+    assert level.seconds == pytest.approx(60.0, rel=0.3)
+    assert level.noise == pytest.approx(NOISE_NM, rel=0.1)
 
 
 CHAIN = Chain(LEVEL_NM, 0.0, COMES, GOES, NOISE_NM)

@@ -68,10 +68,10 @@ def refitted(*moved, std=0.1):
     return SimpleNamespace(base_values=values, problem=SimpleNamespace(base=SimpleNamespace(parameters=parameters)))
 
 
-def said(found=(), terms=(), refuted=(), base=None, at_end=None, stray=QUIET, hint="", held=None, drift=None, changed=(), **more):
+def said(found=(), terms=(), refuted=(), base=None, at_end=None, slow=QUIET, hint="", held=None, drift=None, changed=(), **more):
     verdict = judge(
         Findings(
-            found=found, terms=terms, refuted=refuted, refitted=base or refitted(), at_end=at_end or regimes(), left_over=stray,
+            found=found, terms=terms, refuted=refuted, refitted=base or refitted(), at_end=at_end or regimes(), left_over=slow,
             hint=hint, held_out=held or worth(), drift=drift, changed=changed, **more,
         )
     )  # fmt: skip
@@ -134,7 +134,7 @@ def test_a_parameter_outside_its_range_has_moved_furthest_first():
 
 
 def test_several_values_far_out_of_range_reject_the_vehicle_file():
-    verdict = said(base=refitted(8.0, -6.0, 1.0), stray=NOISY)
+    verdict = said(base=refitted(8.0, -6.0, 1.0), slow=NOISY)
     assert (verdict.status, verdict.grade) == ("unexplained", SUSPECTED)
     assert verdict.seen == "The vehicle file does not fit this vehicle"
     assert "q0 would be 1.8" in verdict.sentence
@@ -180,16 +180,16 @@ def test_a_residual_without_a_name_is_unexplained_at_its_largest():
     assert said(at_end=regimes(30.0, p=0.0099)).status == "unexplained"
 
 
-def test_what_strays_is_unexplained_where_nothing_was_named():
-    verdict = said(stray=NOISY)
+def test_a_slow_residual_is_unexplained_where_nothing_was_named():
+    verdict = said(slow=NOISY)
     assert (verdict.status, verdict.grade) == ("unexplained", SUSPECTED)
     assert "differs from the model by 40 Nm, 8 % of the torque" in verdict.sentence
     assert "An unrecorded slope of 1.2 % would do the same." in verdict.sentence
-    assert "slope" not in said(stray=SlowResidual(40.0, 0.08, math.nan)).sentence
-    assert said(stray=SlowResidual(9.0, LARGE_SLOW_SHARE, 0.0)).status == "none"
+    assert "slope" not in said(slow=SlowResidual(40.0, 0.08, math.nan)).sentence
+    assert said(slow=SlowResidual(9.0, LARGE_SLOW_SHARE, 0.0)).status == "none"
 
 
-@pytest.mark.parametrize("left", [{"at_end": regimes(30.0)}, {"stray": NOISY}], ids=["bins", "strays"])
+@pytest.mark.parametrize("left", [{"at_end": regimes(30.0)}, {"slow": NOISY}], ids=["bins", "slow"])
 def test_a_refuted_term_is_named_and_the_unexplained_is_refuted(left):
     refuted = [Graded("payne", WORSE, ())]
     verdict = said(refuted=refuted, **left)
@@ -265,7 +265,7 @@ def test_a_suspected_effect_is_never_the_headline():
         assert (alone.status, alone.grade, alone.names) == ("unexplained", SUSPECTED, False)
     members = said([found(members=("scrub", "cornering"), improvement=UNSURE)])
     assert members.sentence.startswith(f"T{SEEN[1:]}. It may be: scrub (50 %), cornering (50 %).")
-    slow = said([found(improvement=UNSURE)], stray=NOISY)
+    slow = said([found(improvement=UNSURE)], slow=NOISY)
     assert slow.sentence.startswith("Averaged over 30 s, the measured torque differs")
     assert "It may be: scrub." in slow.sentence
     described = said(terms=[term(improvement=UNSURE)])
@@ -285,8 +285,8 @@ def test_name_probabilities_are_listed_with_none_of_these_last():
     verdict = said([found("payne", improvement=UNSURE)], at_end=regimes(-70.0), shares=shares)
     assert "It may be: mullins (36 %), payne (25 %), none of these (35 %)." in verdict.sentence
     assert verdict.may_be == (("mullins", 0.36), ("payne", 0.25), ("none of these", 0.35))
-    beside = said([found("mullins"), found("payne", improvement=UNSURE)], shares=shares)
-    assert "It may also be: payne (25 %), none of these (35 %)." in beside.sentence
+    verdict = said([found("mullins"), found("payne", improvement=UNSURE)], shares=shares)
+    assert "It may also be: payne (25 %), none of these (35 %)." in verdict.sentence
     assert said([found("mullins")], shares={"mullins": 0.97, "none of these": 0.03}).may_be == ()
 
 
@@ -328,34 +328,34 @@ def test_what_several_explain_counts_together_where_they_act():
     assert said([seldom], at_end=regimes(49.0)).status == "unexplained"
 
 
-def test_what_strays_and_can_be_followed_is_described_as_a_drift():
+def test_a_slow_residual_that_can_be_followed_is_a_drift():
     of = Described("drift", "", "The residual drifts by 40 Nm", ("a zero that drifts",), 40.0, memory=300.0)
 
     def drift(improvement):
         return UnnamedTerm(of, [], [], {}, 0.0, Graded("drift", improvement, ()))
 
-    verdict = said(stray=NOISY, drift=drift(BETTER))
+    verdict = said(slow=NOISY, drift=drift(BETTER))
     assert (verdict.status, verdict.grade) == ("described", CONFIRMED)
     assert verdict.sentence.startswith("The residual drifts by 40 Nm. Look for a zero that drifts. The model cannot predict it.")
     assert "from 100 to 80 Nm" in verdict.sentence
     for not_followed in (None, drift(UNSURE), drift(WORSE)):
-        assert said(stray=NOISY, drift=not_followed).status == "unexplained"
+        assert said(slow=NOISY, drift=not_followed).status == "unexplained"
     # The torque missing in a regime exceeds a drifting level, and a hardly visible one is none.
-    assert said(stray=NOISY, drift=drift(BETTER), at_end=regimes(30.0)).status == "unexplained"
+    assert said(slow=NOISY, drift=drift(BETTER), at_end=regimes(30.0)).status == "unexplained"
     assert said(drift=drift(BETTER)).status == "none"
     # Time and distance only grow, and show it as a level.
     at_distance = RegimeMap((Bin("distance", 0.0, 900.0, 30.0, "m", 50, 0.001),), 0.001, 500)
-    assert said(stray=NOISY, drift=drift(BETTER), at_end=at_distance).status == "described"
-    assert said(stray=NOISY, drift=drift(UNSURE), at_end=at_distance).status == "unexplained"
+    assert said(slow=NOISY, drift=drift(BETTER), at_end=at_distance).status == "described"
+    assert said(slow=NOISY, drift=drift(UNSURE), at_end=at_distance).status == "unexplained"
     # A level of each recording shows as whatever differs between them, and may show on hold-out laps alone.
     of = replace(of, form="recordings")
-    for more in ({"stray": NOISY, "at_end": regimes(30.0)}, {"later": (20.0, 200.0)}):
+    for more in ({"slow": NOISY, "at_end": regimes(30.0)}, {"later": (20.0, 200.0)}):
         assert said(drift=drift(BETTER), **more).status == "described"
         assert said(drift=drift(UNSURE), **more).status == "unexplained"
 
 
-def test_what_strays_beside_a_name_is_only_told():
-    verdict = said([found()], stray=NOISY)
+def test_a_slow_residual_next_to_a_name_is_only_noted():
+    verdict = said([found()], slow=NOISY)
     assert verdict.status == "named"
     assert "Averaged over 30 s, the measured torque differs" in verdict.sentence
     assert "Averaged" not in said([found()]).sentence
@@ -413,9 +413,9 @@ def test_what_has_no_name_is_described_with_what_to_look_for():
     verdict = said(terms=[term()])
     assert (verdict.status, verdict.grade, verdict.names) == ("described", CONFIRMED, True)
     assert verdict.sentence.startswith("The vehicle needs 100 Nm more. No effect of the catalogue explains this. Look for a fan.")
-    beside = said([found()], [term()])
-    assert beside.status == "named"
-    assert "Look for a fan" in beside.sentence
+    verdict = said([found()], [term()])
+    assert verdict.status == "named"
+    assert "Look for a fan" in verdict.sentence
 
 
 def test_an_unconfirmed_term_is_suspected_and_a_weak_one_dropped():

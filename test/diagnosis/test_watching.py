@@ -89,7 +89,7 @@ def test_a_suspected_disturbance_is_kept_only_on_request(grade, names, keep_susp
     assert may_be_kept(told, verdict, keep_suspected) is expected
 
 
-def wandering(seed, n=720, size=150.0, seconds=300.0, noise=40.0):
+def drifting(seed, n=720, size=150.0, seconds=300.0, noise=40.0):
     """Means over blocks of an hour of a slow disturbance [Nm]."""
     rng, level, keep = np.random.default_rng(seed), np.empty(n), np.exp(-BLOCK_S / seconds)
     level[0] = rng.normal(0.0, size)
@@ -100,15 +100,15 @@ def wandering(seed, n=720, size=150.0, seconds=300.0, noise=40.0):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_diagnosis_and_the_watch_follow_a_drift_alike(seed):
-    mean = wandering(seed)
+    mean = drifting(seed)
     n = len(mean)
     index = np.arange(n)
     b = Blocks(mean, np.full(n, 5.0), index == 0, np.zeros(n, dtype=np.int64), 5 * index, 5 * (index + 1))
-    wander, _ = find_drifting_level(b)
-    noise = wander.noise / np.sqrt(5.0)
-    most = MOST_DRIFT * wander.size
-    expected = np.clip(expected_level(b, wander)[0], -most, most)
-    watch, live = DisturbanceWatch(Drift(wander.size, wander.seconds, noise)), np.empty(n)
+    level, _ = find_drifting_level(b)
+    noise = level.noise / np.sqrt(5.0)
+    most = MOST_DRIFT * level.size
+    expected = np.clip(expected_level(b, level)[0], -most, most)
+    watch, live = DisturbanceWatch(Drift(level.size, level.seconds, noise)), np.empty(n)
     for i in range(n):
         for k in range(50):  # as many a block as blocks follow without a break
             belief = watch.take(round((BLOCK_S * i + 0.1 * k) * 1e9), mean[i], 5.0)

@@ -35,7 +35,7 @@ HZ = 1000
 @pytest.mark.long
 @pytest.mark.parametrize("transport", TRANSPORTS)
 def test_two_compiling_nodes_count_all_speeds_and_no_clock_jump(transport, tmp_path, wire, warm_code, monkeypatch):
-    """Two namespaces, and code of which a part is still to be compiled."""
+    """Nodes of two namespaces, while a part of the code is not compiled yet."""
     for path in warm_code("rest.entry"):
         path.unlink()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

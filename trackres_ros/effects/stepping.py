@@ -152,9 +152,17 @@ def neutral(work: Array) -> None:
 
 @inlined
 def look(
-    work: Array, speed: float, accel: float, weight: float, ambient: float, yaw_rate: float, heading: float, distance: float,
-    drive_torque: float, belt: float,
-) -> None:  # fmt: skip
+    work: Array,
+    speed: float,
+    accel: float,
+    weight: float,
+    ambient: float,
+    yaw_rate: float,
+    heading: float,
+    distance: float,
+    drive_torque: float,
+    belt: float,
+) -> None:
     """Write known values of a step for the effects; units of `Conditions`. A missing distance is integrated from the speed."""
     looked_at = work[TERMS : TERMS + LOOKED_AT]
     looked_at[AT_SPEED], looked_at[AT_ACCEL], looked_at[AT_WEIGHT], looked_at[AT_AMBIENT] = speed, accel, weight, ambient

@@ -36,9 +36,17 @@ BEHIND_BELTS = RESTED + 2 * BELT_COLUMNS
 
 @inlined
 def advance_belt(
-    k: Constants, assembly: Assembly, belt: Array, speed: float, log10_speed: float, log_load: float, drive_torque: float,
-    ambient: float, ambient_std: float, dt: float,
-) -> tuple[float, float]:  # fmt: skip
+    k: Constants,
+    assembly: Assembly,
+    belt: Array,
+    speed: float,
+    log10_speed: float,
+    log_load: float,
+    drive_torque: float,
+    ambient: float,
+    ambient_std: float,
+    dt: float,
+) -> tuple[float, float]:
     """Advance one belt by dt [s] at constant speed [m/s]; change `belt`, return heat in and out [J] over the step.
 
     Both are nan where only the temperatures are wanted.
@@ -57,9 +65,18 @@ def advance_belt(
 
 @inlined
 def roll(
-    k: Constants, assembly: Assembly, belt: Array, speed_from: float, speed_to: float, log10_middle: float, log_load: float,
-    drive_torque: float, ambient: float, ambient_std: float, dt: float,
-) -> tuple[float, float]:  # fmt: skip
+    k: Constants,
+    assembly: Assembly,
+    belt: Array,
+    speed_from: float,
+    speed_to: float,
+    log10_middle: float,
+    log_load: float,
+    drive_torque: float,
+    ambient: float,
+    ambient_std: float,
+    dt: float,
+) -> tuple[float, float]:
     """Advance one belt by dt [s] with the speed linear between two values; return heat in and out [J].
 
     `log10_middle` is log10 of the middle speed, shared by all belts in a short step.
@@ -79,9 +96,16 @@ def roll(
 
 @compiled
 def pass_gap(
-    k: Constants, assembly: Assembly, belt: Array, speed_from: float, speed_to: float, log_load: float, ambient: float,
-    ambient_std: float, dt: float,
-) -> None:  # fmt: skip
+    k: Constants,
+    assembly: Assembly,
+    belt: Array,
+    speed_from: float,
+    speed_to: float,
+    log_load: float,
+    ambient: float,
+    ambient_std: float,
+    dt: float,
+) -> None:
     """Pass a gap too long to bridge (ours): the mean of a rest and of a drive throughout, as uncertain as the two differ.
 
     A temperature anywhere between the two has their difference over sqrt(12) as its standard deviation.

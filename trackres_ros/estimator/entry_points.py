@@ -41,9 +41,17 @@ class Messages(NamedTuple):
 
 @inlined
 def feed(
-    k: Constants, memory: Memory, carried: Carried, loads: Array, belt_measured: Array, channel: int, stamp: int, arrival: int,
-    value: float, out: Array,
-) -> bool:  # fmt: skip
+    k: Constants,
+    memory: Memory,
+    carried: Carried,
+    loads: Array,
+    belt_measured: Array,
+    channel: int,
+    stamp: int,
+    arrival: int,
+    value: float,
+    out: Array,
+) -> bool:
     """Take one message in. An accepted speed makes a step and fills `out`; returns whether it did."""
     motion = Motion(carried.motion)
     outcome, elapsed = admit(k, memory, channel, stamp, arrival, value, motion.quantum)
@@ -69,9 +77,16 @@ def feed(
 
 @inlined
 def feed_all(
-    k: Constants, memory: Memory, carried: Carried, loads: Array, belt_measured: Array, messages: Messages, out: Array,
-    out_stamps: IntArray, out_arrivals: IntArray,
-) -> int:  # fmt: skip
+    k: Constants,
+    memory: Memory,
+    carried: Carried,
+    loads: Array,
+    belt_measured: Array,
+    messages: Messages,
+    out: Array,
+    out_stamps: IntArray,
+    out_arrivals: IntArray,
+) -> int:
     """`feed` for many messages; fills one row of `out` with its stamp and arrival [ns] for each step, returns their number."""
     steps = 0
     for i in range(messages.channels.shape[0]):

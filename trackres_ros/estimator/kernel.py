@@ -72,9 +72,18 @@ def start(k: Constants, carried: Carried, ambient: float, ambient_std: float) ->
 
 @inlined
 def act(
-    k: Constants, motion: Motion, effects: Array, speed: float, accel: float, weight: float, ambient: float,
-    turning: tuple[float, float, float], others: float, belt: float, dt: float,
-) -> int:  # fmt: skip
+    k: Constants,
+    motion: Motion,
+    effects: Array,
+    speed: float,
+    accel: float,
+    weight: float,
+    ambient: float,
+    turning: tuple[float, float, float],
+    others: float,
+    belt: float,
+    dt: float,
+) -> int:
     """Fill the terms of all effects in a step; return the effects' reasons.
 
     Some effects depend on the driving torque, and contribute to it. They get the last step's torque, corrected by the known

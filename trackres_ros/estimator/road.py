@@ -42,9 +42,17 @@ class Road(NamedTuple):
 
 @inlined
 def road_now(
-    k: Constants, last_speed: float, speed: float, accel: float, grade: float, weight: float, last_drive: float, ambient: float,
-    ambient_std: float, dt: float,
-) -> Road:  # fmt: skip
+    k: Constants,
+    last_speed: float,
+    speed: float,
+    accel: float,
+    grade: float,
+    weight: float,
+    last_drive: float,
+    ambient: float,
+    ambient_std: float,
+    dt: float,
+) -> Road:
     """Forces on the whole vehicle at the end of a step; an unknown grade is level.
 
     Notes
@@ -55,11 +63,22 @@ def road_now(
     number = k.number
     rolling = number.bearing_friction + number.rolling_rise * abs(speed)
     return Road(
-        last_speed, speed, log_speed(0.5 * (last_speed + speed)), log_speed(speed), direction(speed), weight,
-        bearing_force(speed, weight, rolling), rolling * weight, wind_force(speed, number.drag_area, number.air_density),
-        grade_force(0.0 if math.isnan(grade) else grade, weight), inertia_force(accel, weight, number.rotating_mass_factor),
-        last_drive, ambient, ambient_std, dt,
-    )  # fmt: skip
+        last_speed,
+        speed,
+        log_speed(0.5 * (last_speed + speed)),
+        log_speed(speed),
+        direction(speed),
+        weight,
+        bearing_force(speed, weight, rolling),
+        rolling * weight,
+        wind_force(speed, number.drag_area, number.air_density),
+        grade_force(0.0 if math.isnan(grade) else grade, weight),
+        inertia_force(accel, weight, number.rotating_mass_factor),
+        last_drive,
+        ambient,
+        ambient_std,
+        dt,
+    )
 
 
 @inlined

@@ -72,7 +72,7 @@ def other_topics(topics: Topics, inputs: Sequence[InputTopic]) -> tuple[InputTop
 
 def _by_topic(topics: Topics, roles: Sequence[str]) -> list[InputTopic]:
     by_name: dict[tuple[str, str], list[Reading]] = {}
-    for reading in readings_of(sorted(roles, key="speed".__eq__), topics.bindings):
+    for reading in readings_of(sorted(roles, key=lambda role: role == "speed"), topics.bindings):
         by_name.setdefault((reading.binding.topic, reading.binding.type), []).append(reading)
     return [
         InputTopic(name, kind, tuple(one.role for one in fed), tuple(one.binding for one in fed), tuple(one.part for one in fed))

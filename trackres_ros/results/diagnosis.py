@@ -52,9 +52,13 @@ class DiagnosisResult:
     """
 
     def __init__(
-        self, found: Diagnosis, loaded: LoadedBase, recordings: Sequence[Path], bindings: Mapping[str, TopicBinding],
+        self,
+        found: Diagnosis,
+        loaded: LoadedBase,
+        recordings: Sequence[Path],
+        bindings: Mapping[str, TopicBinding],
         seconds: float | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.diagnosis = found
         self.recordings = tuple(recordings)
         self.written: tuple[Path, ...] = ()

@@ -50,9 +50,15 @@ class ReplayResult(SeriesResult):
     """
 
     def __init__(
-        self, replayed: Replayed, kept: Sequence[Steps] | None, title: str, name: str, notes: Sequence[str],
-        findings: Sequence[Finding], output: Path | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        replayed: Replayed,
+        kept: Sequence[Steps] | None,
+        title: str,
+        name: str,
+        notes: Sequence[str],
+        findings: Sequence[Finding],
+        output: Path | None = None,
+    ) -> None:
         self.title, self.name, self.notes, self.findings, self.output = title, name, tuple(notes), tuple(findings), output
         self.session: Session = replayed.session
         self.messages, self.steps, self.duration_s = replayed.messages, replayed.steps, replayed.duration_s

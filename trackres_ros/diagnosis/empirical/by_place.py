@@ -147,9 +147,13 @@ class PlaceValues:
 
 
 def learn(
-    columns: PlaceColumns, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise, typical: float,
+    columns: PlaceColumns,
+    residuals: Sequence[Array],
+    masks: Sequence[Mask],
+    noise: Noise,
+    typical: float,
     base: Sequence[Array] | None = None,
-) -> PlaceValues:  # fmt: skip
+) -> PlaceValues:
     """Most likely values, with the length and size of the most evidence.
 
     Parameters

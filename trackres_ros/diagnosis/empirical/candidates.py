@@ -82,9 +82,18 @@ def series(code: int, fit: Fit) -> list[Array]:
         turning = np.abs(s.yaw_rate)
         curvature = turning / np.hypot(s.speed, facts.contact_length * turning + STANDSTILL_MPS)
         known: Any = (
-            s.speed, s.accel, s.weight, s.ambient, s.yaw_rate, s.heading, s.distance, p.at_sprockets,
-            np.tanh(s.speed / facts.standstill), curvature, p.belt,
-        )  # fmt: skip
+            s.speed,
+            s.accel,
+            s.weight,
+            s.ambient,
+            s.yaw_rate,
+            s.heading,
+            s.distance,
+            p.at_sprockets,
+            np.tanh(s.speed / facts.standstill),
+            curvature,
+            p.belt,
+        )
         found.append(np.asarray(np.broadcast_to(follow(Conditions(facts, *known), code), len(s)), dtype=float))
     return found
 

@@ -161,9 +161,16 @@ def _forward_backward(b: Blocks, chain: Chain) -> tuple[Array, Array, float]:
 
 @compiled
 def _pass(
-    absent: Array, present: Array, starts: Mask, come: float, go: float, share: float,
-    forward: Array, backward: Array, scales: Array,
-) -> None:  # fmt: skip
+    absent: Array,
+    present: Array,
+    starts: Mask,
+    come: float,
+    go: float,
+    share: float,
+    forward: Array,
+    backward: Array,
+    scales: Array,
+) -> None:
     """Forward pass, with the scale of each block, and backward pass, over the likelihoods without and with a spell."""
     stay0, stay1, n = 1.0 - come, 1.0 - go, len(absent)
     f0 = f1 = 0.0

@@ -133,13 +133,24 @@ def _driven(
     odd_minute = (time // 60.0) % 2 == 1
     turning = np.where(odd_minute, curvature, 0.0) * speed
     return replace(
-        like, name="manoeuvre", time=time, speed=speed, accel=np.diff(edges) / STEP_S,
-        weight=weight * np.repeat(load, -(-n // len(load)))[:n], ambient=np.full(n, like.ambient[0]),
-        grade=np.where(odd_minute, slope, -slope), yaw_rate=turning, heading=np.cumsum(turning) * STEP_S,
-        distance=np.cumsum(np.abs(speed)) * STEP_S, torque=np.zeros(n), belt=np.full(n, np.nan),
-        used=np.ones(n, dtype=bool), block=np.zeros(n, dtype=np.int64), gap=np.inf,
+        like,
+        name="manoeuvre",
+        time=time,
+        speed=speed,
+        accel=np.diff(edges) / STEP_S,
+        weight=weight * np.repeat(load, -(-n // len(load)))[:n],
+        ambient=np.full(n, like.ambient[0]),
+        grade=np.where(odd_minute, slope, -slope),
+        yaw_rate=turning,
+        heading=np.cumsum(turning) * STEP_S,
+        distance=np.cumsum(np.abs(speed)) * STEP_S,
+        torque=np.zeros(n),
+        belt=np.full(n, np.nan),
+        used=np.ones(n, dtype=bool),
+        block=np.zeros(n, dtype=np.int64),
+        gap=np.inf,
         given=like.given | {"grade"} if slope else like.given,
-    )  # fmt: skip
+    )
 
 
 def menu(weight: float, max_speed: float) -> dict[str, Callable[[DriveSession], DriveSession]]:

@@ -332,12 +332,16 @@ def inputs(d: Diagnosis) -> dict[str, Any]:
         gaps = [end - begin for begin, end in runs(s, ~s.used)]
         recordings.append(
             {
-                "name": s.name, "seconds": float(len(s) * s.step), "compared_s": float(s.used.sum() * s.step),
-                "held_out_s": float(d.split.held_out_mask(s).sum() * s.step), "gaps": len(gaps),
-                "longest_gap_s": float(max(gaps, default=0.0)), "laps": len(np.unique(s.block)),
+                "name": s.name,
+                "seconds": float(len(s) * s.step),
+                "compared_s": float(s.used.sum() * s.step),
+                "held_out_s": float(d.split.held_out_mask(s).sum() * s.step),
+                "gaps": len(gaps),
+                "longest_gap_s": float(max(gaps, default=0.0)),
+                "laps": len(np.unique(s.block)),
                 "measured": sorted(s.given),
             }
-        )  # fmt: skip
+        )
     series = {"torque": np.concatenate([s.torque for s in d.sessions])[used]}
     series |= {name: of[used] for name, of in varying(d.sessions, d.refitted.predicted).items()}
     ranges = []

@@ -140,9 +140,16 @@ def _over(
         axis = body.subplots()
         shown = count > 0
         axis.errorbar(
-            middle[shown], left[shown], spread[shown], fmt="o", color=BLUE, ecolor=GREY, markersize=4, linewidth=1.0,
+            middle[shown],
+            left[shown],
+            spread[shown],
+            fmt="o",
+            color=BLUE,
+            ecolor=GREY,
+            markersize=4,
+            linewidth=1.0,
             label="residual without it, mean and spread",
-        )  # fmt: skip
+        )
         axis.plot(middle[shown], term[shown], color=VERMILION, label=f"{name} as fitted")
         _label(axis, label, AGAINST, title)
     least, most = decimals(term[shown].min()), decimals(term[shown].max())

@@ -176,10 +176,13 @@ def draw_timeline(d: Diagnosis, path: Path) -> Picture:
                 label = line.text if panel is drawn[0] else ""  # the title of the panel below names its line
                 for i, values in enumerate(line.values):
                     axis.plot(
-                        *thinned(minutes(d, i), values, most), color=line.colour, label=label,
-                        linewidth=(2.4 if line.solid else 1.4) if line.wide else 0.8, zorder=2.0 if line.wide else 2.5,
+                        *thinned(minutes(d, i), values, most),
+                        color=line.colour,
+                        label=label,
+                        linewidth=(2.4 if line.solid else 1.4) if line.wide else 0.8,
+                        zorder=2.0 if line.wide else 2.5,
                         linestyle="-" if line.solid else (0, (3, 1.5)),
-                    )  # fmt: skip
+                    )
             axis.set_title(panel.title, fontsize=8.5)
             axis.set_xlim(0.0, ends[-1])
             axis.set_ylabel("torque [Nm]")
@@ -187,9 +190,15 @@ def draw_timeline(d: Diagnosis, path: Path) -> Picture:
             axes[0].axvspan(begin, end, ymax=0.04, color=MARK, linewidth=0, label=text)
         for begin, name in zip(ends, names(d, LETTERS), strict=False):
             axes[0].annotate(
-                name, (begin, 1.0), (2, -2), xycoords=("data", "axes fraction"), textcoords="offset points", va="top",
-                fontsize=7, color="#555555",
-            )  # fmt: skip
+                name,
+                (begin, 1.0),
+                (2, -2),
+                xycoords=("data", "axes fraction"),
+                textcoords="offset points",
+                va="top",
+                fontsize=7,
+                color="#555555",
+            )
         axes[-1].set_xlabel(f"time over consecutive recordings [{clock(d)[1]}]")
     terms = [line.text for line in drawn[0].lines if line.wide]
     over = f" with {', '.join(terms)} over it; below it the residual" if terms else ""

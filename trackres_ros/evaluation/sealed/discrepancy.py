@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.variables import varying
+from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Split
 
@@ -33,7 +34,7 @@ SEED = 1
 def learned_errors(refitted: Fit, split: Split) -> dict[str, float]:
     """Mean absolute error on hold-out laps of the re-fitted base, and with each learner added [Nm]."""
     sessions = refitted.problem.sessions
-    residual = np.concatenate([s.torque - p.torque for s, p in zip(sessions, refitted.predicted, strict=True)])
+    residual = np.concatenate(torque_residuals(refitted))
     training = np.concatenate([split.training_mask(s) for s in sessions])
     held_out = np.concatenate([split.held_out_mask(s) for s in sessions])
     rows = _rows(refitted)
