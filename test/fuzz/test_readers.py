@@ -51,6 +51,12 @@ def test_damaged_files(name, tmp_path, bounded):
         assert result["outcome"] not in run.FAULTS, f"mutation {number}: {result['text']}"
 
 
+@pytest.mark.parametrize("number", [2214, 3558])
+def test_a_damaged_parquet_column_ends_no_process(number, tmp_path):  # of those that are not read
+    for one in damaged(FORMATS["parquet"], tmp_path, number + 1, seed=2, start=number):
+        assert outcome_of(one)["outcome"] not in run.FAULTS
+
+
 @pytest.fixture
 def bounded():
     """`with bounded():` ends what hangs, and finds that and what takes a gigabyte: a reader refuses both as damage."""

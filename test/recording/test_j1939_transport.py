@@ -79,6 +79,11 @@ def test_what_ends_a_message_early_is_counted():
     assert joined([contradiction, *whole[2:]]) == ([], {"incomplete": 1, "stray": 3})
 
 
+def test_a_packet_after_a_whole_broadcast_is_counted():
+    frames = packets(0xFFC0, bytes(20), 3, 0xFF)
+    assert joined([*frames, frames[-1]]) == ([(0xFFC0, 3, bytes(20))], {"stray": 1})
+
+
 @given(st.lists(st.tuples(st.sampled_from([0x1CECFF03, 0x1CEBFF03, 0x1CEC0321]), st.binary(max_size=8)), max_size=60))
 def test_any_frames_are_read(frames):
     joined(frames)

@@ -136,6 +136,19 @@ def test_marked_and_unfinished_records_of_mdf(tmp_path):
     assert path.read_bytes() == data
 
 
+@pytest.mark.parametrize("kind", ["MF4", "MF4 of a bus"])
+@pytest.mark.parametrize("listed", [b"##DG", b"##CG", b"##CN"])
+def test_a_list_of_mdf_that_never_ends_is_refused(files, tmp_path, kind, listed):
+    source, topics = files[kind]
+    data = bytearray(Path(source).read_bytes())
+    block = data.rindex(listed + bytes(4))
+    data[block + 24 : block + 32] = block.to_bytes(8, "little")  # its first link, to the next block of the list
+    path = tmp_path / source.name
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=f"returns to byte {block}"):
+        tr.read(path, topics=topics)
+
+
 def test_frames_that_say_nothing_are_counted(files):
     found = {finding.kind: finding.count for finding in tr.read(files["BLF"][0], topics=files["BLF"][1]).findings}
     assert (found["unknown_topic"], found["other_source"], found["absent"]) == (120, 20, 20)

@@ -20,6 +20,8 @@ SMALLEST, LARGEST = 9, 1785
 OF_A_PACKET = 7
 LONGEST_PAUSE_NS = 1_250_000_000
 """T2 and T3 of the standard: time after which a receiver gives up."""
+EVERYONE = 255
+"""Receiver of a broadcast."""
 MOST_TRANSFERS = 1024
 """At once; a damaged log may begin any number."""
 
@@ -53,7 +55,7 @@ def with_joined(frames: Iterator[Frame], met: Counter[str]) -> Iterator[Frame]:
     """Yield all frames, and each joined message after its last packet, with the stamp of that packet.
 
     A sender has at most one broadcast in progress, and one transfer to each receiver. Packets may be repeated or reordered, as a
-    receiver requests them again.
+    receiver requests them again; nobody requests those of a broadcast that is complete.
 
     `frames`: in the order of the log; `met`: counts losses: `incomplete` messages, and `stray` packets of messages that were not
     announced.
@@ -95,7 +97,9 @@ def with_joined(frames: Iterator[Frame], met: Counter[str]) -> Iterator[Frame]:
             met["stray"] += 1
         elif not transfer.missing and transfer.content:
             yield Frame(frame.stamp_ns, _identifier(frame.id, transfer.group), True, frame.bus, bytes(transfer.content))
-            transfer.content.clear()  # kept, for packets that the receiver requests again
+            transfer.content.clear()
+            if receiver == EVERYONE:
+                end(key)  # others are kept, for packets that the receiver requests again
     for key in list(transfers):
         end(key)
 

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,12 @@ from trackres_ros.recording.unpacking import set_mdf_ceilings
 BLOCK_ROWS = 2**16
 """Records read at once: usually some megabytes, so that a packed block is unpacked a few times at most."""
 UNFINISHED = b"UnFinMF"
+IDENTIFICATION_BYTES = 64
+FIRST_LINK = 24
+"""Byte of a block at which its links begin, 8 bytes each; the first one of a block in a list is the next block."""
+OF_HEADER = ("DG", "FH", "CH", "AT", "EV")
+LISTS = {"DG": [(1, "CG")], "CG": [(1, "CN")], "CN": [(1, "CN")], "CH": [(1, "CH")], "FH": [], "AT": [], "EV": []}
+"""Links of a block at which further lists begin, and of which blocks these are: ASAM MDF 4."""
 FRAMES = "CAN_DataFrame"
 OF_A_BUS = (FRAMES, "CAN_ErrorFrame", "CAN_RemoteFrame")
 OF_A_FRAME = {"ID": 1, "DataBytes": 2, "DataLength": 1, "IDE": 1, "BusChannel": 1}
@@ -37,21 +43,47 @@ OF_A_FRAME = {"ID": 1, "DataBytes": 2, "DataLength": 1, "IDE": 1, "BusChannel": 
 EXTENDED, IDENTIFIER, STANDARD = 1 << 31, (1 << 29) - 1, 0x7FF
 
 
-def _opened(path: Path) -> tuple[Any, ExitStack]:
+def _opened(path: Path, name: str) -> tuple[Any, ExitStack]:
     """The file, and its closing function; given as a stream, as asammdf reads a channel of a named file at once."""
     from asammdf import MDF
 
     set_mdf_ceilings()
     with ExitStack() as opened, _silent():
         file: Any = opened.enter_context(path.open("rb"))
-        if file.read(len(UNFINISHED)) == UNFINISHED:  # it is finished in a copy, as asammdf does with a named file
-            file.seek(0)
+        identification = file.read(IDENTIFICATION_BYTES)
+        version = identification[8:16].decode("latin-1").strip("\0 ")
+        if version < "4":
+            text = "convert it: asammdf.MDF(FILE).convert('4.10').save(NEW)"
+            raise InputError(name, f"MDF {version}", "MDF 4", text)
+        _check_lists(file, name)
+        file.seek(0)
+        if identification.startswith(UNFINISHED):  # it is finished in a copy, as asammdf does with a named file
             whole, file = file, opened.enter_context(tempfile.TemporaryFile())
             shutil.copyfileobj(whole, file)
-        file.seek(0)
+            file.seek(0)
         mdf = MDF(file, process_bus_logging=False)  # all identifiers would be read
         opened.callback(mdf.close)
         return mdf, opened.pop_all()
+
+
+def _check_lists(file: IO[bytes], name: str) -> None:
+    """Raise InputError if a list of blocks leads back to itself: asammdf would follow it for ever."""
+
+    def link(address: int, place: int) -> int:
+        file.seek(address + FIRST_LINK + 8 * place)
+        return int.from_bytes(file.read(8), "little")
+
+    size = file.seek(0, io.SEEK_END)
+    begins, followed = [(kind, link(IDENTIFICATION_BYTES, place)) for place, kind in enumerate(OF_HEADER)], set[int]()
+    while begins:
+        (kind, address), here = begins.pop(), set[int]()
+        while 0 < address < size and address not in followed:
+            here.add(address)
+            begins += [(of, link(address, place)) for place, of in LISTS[kind]]
+            address = link(address, 0)
+            if address in here:
+                raise InputError(name, f"a list of blocks that returns to byte {address}", "an undamaged file")
+        followed |= here
 
 
 @contextmanager
@@ -67,10 +99,8 @@ class _Groups:
 
     def __init__(self, path: Path, name: str) -> None:
         self.name = name
-        self.mdf, opened = _opened(path)
+        self.mdf, opened = _opened(path, name)
         weakref.finalize(self, opened.close)
-        if self.mdf.version < "4":
-            raise InputError(name, f"MDF {self.mdf.version}", "MDF 4", "convert it: asammdf.MDF(FILE).convert('4.10').save(NEW)")
         self.start_ns = round(self.mdf.header.start_time.timestamp() * 1e6) * 1000
         kinds = [{channel.name for channel in group.channels}.intersection(OF_A_BUS) for group in self.mdf.groups]
         self.of_a_bus = [number for number, kind in enumerate(kinds) if kind]

@@ -100,9 +100,10 @@ def _look_at_counts(metadata: Any, names: Sequence[str], rows: int, empty: NDArr
     stated = max(metadata.num_rows, sum(group.num_rows for group in groups))
     if stated > rows:
         yield Finding("", "missing", stated - rows, float("nan"), f"{stated - rows} rows fewer than the file declares")
+    places = {metadata.schema.column(place).path: place for place in range(metadata.num_columns)}
     for name, found in zip(names, empty.tolist(), strict=True):
-        chunks = [group.column(place) for group in groups for place in range(group.num_columns)]
-        counts = [chunk.statistics for chunk in chunks if chunk.path_in_schema == name]
+        # Only of chunks that were read: pyarrow ends the process for a damaged description of another one.
+        counts = [group.column(places[name]).statistics for group in groups if group.num_rows]
         if all(count is not None and count.has_null_count for count in counts):
             more = found - sum(count.null_count for count in counts)
             if more > 0:
