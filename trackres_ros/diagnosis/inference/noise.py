@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammaln
@@ -112,20 +112,23 @@ def whole_past(mask: Mask, lags: int) -> Mask:
 
 def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask], largest_root: float = LARGEST_ROOT) -> Noise:
     """Fit the autoregression with bounded roots, and the tails of residuals; the order by BIC."""
-    rows, targets = [], []
+    lagged = []
     for series, mask in zip(residuals, masks, strict=True):
         at = np.flatnonzero(whole_past(mask, MOST_LAGS))
-        rows.append(np.stack([series[at - lag] for lag in range(1, MOST_LAGS + 1)], axis=1))
-        targets.append(series[at])
-    x, y = np.concatenate(rows), np.concatenate(targets)
-    degrees = max(DEGREES, key=lambda d: _log_likelihood(x, y, _most_likely(x, y, d, largest_root)))
-    found = [_most_likely(x[:, :order], y, degrees, largest_root) for order in range(MOST_LAGS + 1)]
+        lagged.append([series[at - lag] for lag in range(MOST_LAGS + 1)])
+    y, *past = np.concatenate(lagged, axis=1)
+    x = np.array(past).T  # each lag contiguous
+    begun = [_begun(x[:, :order], y, largest_root) for order in range(MOST_LAGS + 1)]
+
+    def most_likely(order: int, degrees: float) -> Noise:
+        return improved(x[:, :order], y, replace(begun[order], degrees=degrees), TURNS, largest_root)
 
     def criterion(noise: Noise) -> float:
         order = len(noise.phi)
         return _log_likelihood(x[:, :order], y, noise) - 0.5 * order * float(np.log(len(y)))
 
-    return max(found, key=criterion)
+    whole = max((most_likely(MOST_LAGS, degrees) for degrees in DEGREES), key=criterion)
+    return max((*(most_likely(order, whole.degrees) for order in range(MOST_LAGS)), whole), key=criterion)
 
 
 def improved(x: Array, y: Array, noise: Noise, turns: int = 2, largest_root: float = LARGEST_ROOT) -> Noise:
@@ -148,13 +151,12 @@ def _log_likelihood(x: Array, y: Array, noise: Noise) -> float:
     return float(noise.log_density((y - x @ noise.phi) / noise.std).sum())
 
 
-def _most_likely(x: Array, y: Array, degrees: float, largest_root: float) -> Noise:
-    """Noise with one lag per column of x."""
+def _begun(x: Array, y: Array, largest_root: float) -> Noise:
+    """Noise with one lag per column of x, robust against outliers, to improve."""
     scale = MAD_TO_STD * float(np.median(np.abs(y))) or float(np.abs(y).max()) or 1.0
     tame = OUTLIER * scale  # limits the influence of outliers on the first coefficients
     phi = _coefficients(np.clip(x, -tame, tame), np.clip(y, -tame, tame), np.ones(len(y)), largest_root)
-    scale = MAD_TO_STD * float(np.median(np.abs(y - x @ phi))) or scale
-    return improved(x, y, Noise(phi, scale, degrees), TURNS, largest_root)
+    return Noise(phi, MAD_TO_STD * float(np.median(np.abs(y - x @ phi))) or scale, DEGREES[-1])
 
 
 def _coefficients(x: Array, y: Array, weight: Array, largest_root: float) -> Array:
