@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin
+PIP := $(RUN)/python -m pip install --quiet --disable-pip-version-check --use-pep517
 OUT := out
 # These start nodes and mostly wait for them. Two files at a time: more would keep the nodes from their clock.
 LIVE_TESTS := test/dds test/processes
@@ -16,8 +17,7 @@ demo: $(VENV)/.ready
 test: export OPENBLAS_NUM_THREADS := 1
 test: export OMP_NUM_THREADS := 1
 test: $(VENV)/.ready
-	$(MAKE) --no-print-directory -j 2 lint compiled
-	$(MAKE) --no-print-directory -j 2 test-live test-rest
+	$(MAKE) --no-print-directory -j 3 lint test-live test-rest
 
 # For the loop of a developer: style, types and the laws of the physics.
 FAST_LAWS := test/model test/estimator test/vehicle test/route test/text test/effects/test_laws.py \
@@ -27,11 +27,11 @@ check: export OMP_NUM_THREADS := 1
 check: lint compiled
 	$(RUN)/python -m pytest -q -n auto --dist worksteal -m "not long" $(FAST_LAWS)
 
-test-live: $(VENV)/.ready
+test-live: compiled
 	@log=$$(mktemp); $(RUN)/python -m pytest -q -n 2 --dist loadfile --durations=12 $(LIVE_TESTS) > $$log 2>&1; \
 	status=$$?; cat $$log; rm $$log; exit $$status
 
-test-rest: $(VENV)/.ready
+test-rest: compiled
 	nice -n 19 $(RUN)/python -m pytest -q -n auto --dist worksteal $(addprefix --ignore ,$(LIVE_TESTS))
 
 # Once, before several tests would do so at a time.
@@ -40,17 +40,17 @@ compiled: $(VENV)/.ready
 
 # Small faults put into a module one at a time: how many of them its tests find. By hand: it takes half an hour.
 mutants: $(VENV)/.ready
-	$(RUN)/python -m pip install --quiet --disable-pip-version-check --use-pep517 --editable ".[mutation]"
+	$(PIP) --editable ".[mutation]"
 	$(RUN)/python tools/mutants
 
 # How much of the rooms that read what comes from outside their tests run, into CONTRIBUTING.md. Apart from the tests, which it would slow down.
 coverage: $(VENV)/.ready
-	$(RUN)/python -m pip install --quiet --disable-pip-version-check --use-pep517 --editable ".[coverage]"
+	$(PIP) --editable ".[coverage]"
 	nice -n 19 $(RUN)/python tools/coverage --write
 
 # The documentation of this version as a site in out/site/VERSION, with what the examples print; a link that leads nowhere is an error.
 site: $(VENV)/.ready
-	$(RUN)/python -m pip install --quiet --disable-pip-version-check --use-pep517 --editable ".[docs]"
+	$(PIP) --editable ".[docs]"
 	nice -n 19 $(RUN)/python tools/site $(OUT)/site
 
 lint: $(VENV)/.ready
@@ -60,7 +60,7 @@ lint: $(VENV)/.ready
 
 $(VENV)/.ready: setup.py
 	./tools/make-environment $(PYTHON) $(VENV)
-	$(RUN)/python -m pip install --quiet --disable-pip-version-check --use-pep517 --editable ".[test]"
+	$(PIP) --no-compile --editable ".[test]"  # Python compiles what is imported; pip would compile all
 	@touch $@
 
 clean:

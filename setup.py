@@ -55,7 +55,7 @@ INTERACTIVE = ["bokeh>=3.4"]
 DIAGNOSIS = ["jinja2>=3.1", "ruptures>=1.1.8", *PLOTS, *FAST]
 PROOF = [*DIAGNOSIS, "scikit-learn>=1.3", "pysindy>=1.7.5"]
 FLEET = [*DIAGNOSIS, *PARQUET, "dask>=2024.1", "distributed>=2024.1", "fsspec>=2023.12"]
-FLEET_TESTED = [*FLEET, "s3fs>=2023.12", "moto[server]>=5.0"]  # a bucket that is there, on loopback
+FLEET_TESTED = [*FLEET, "s3fs>=2023.12", "moto[s3]>=5.0", "flask>=3.0", "flask-cors>=4.0"]  # a bucket that is there, on loopback
 DESIGN = ["SALib>=1.4.7", *PLOTS]
 DDS = [*BAGS, CYCLONE]
 # No wheels elsewhere, and its source needs the C library: there the tests of that edge are skipped.
