@@ -38,7 +38,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SHOWN = re.compile(r"`((?:trackres|ros2) [^`\n]+)`|^\s*((?:trackres|ros2) [^`|\n]+)$", re.MULTILINE)
 BINDING = re.compile(r"^ +(\w+: \{topic: .*\})$", re.MULTILINE)
 RUN_ELSEWHERE = ("export", "first-controller", "first-designer", "first-tester", "own-effect")
-LONGEST_S = 1.0
+LONGEST_S = 0.5
 ELSEWHERE = ("://", "CHECKOUT", "DATA", "CASES")
 """What only another machine or an earlier version has."""
 
