@@ -15,7 +15,6 @@ demo: $(VENV)/.ready
 # What computes does so beside what waits, and gives way to it. Tests run as many at once as there are processors: no further
 # threads in each.
 test: export OPENBLAS_NUM_THREADS := 1
-test: export OMP_NUM_THREADS := 1
 test: $(VENV)/.ready
 	$(MAKE) --no-print-directory -j 3 lint test-live test-rest
 
@@ -23,7 +22,6 @@ test: $(VENV)/.ready
 FAST_LAWS := test/model test/estimator test/vehicle test/route test/text test/effects/test_laws.py \
 	test/learning/test_filter.py
 check: export OPENBLAS_NUM_THREADS := 1
-check: export OMP_NUM_THREADS := 1
 check: lint compiled
 	$(RUN)/python -m pytest -q -n auto --dist worksteal -m "not long" $(FAST_LAWS)
 

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import copy
-import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -118,8 +117,8 @@ class Base(ABC):
         return found
 
 
-class LastSimulation(threading.local):
-    """Cache of the last simulation per thread, reused where only sensor effects differ."""
+class LastSimulation:
+    """Cache of the last simulation, reused where only sensor effects differ."""
 
     def __init__(self) -> None:
         self._key: tuple[object, ...] = ()

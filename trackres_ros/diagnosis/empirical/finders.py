@@ -35,10 +35,10 @@ from trackres_ros.diagnosis.empirical.terms import Described, of_drift, of_recor
 from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.empirical.waves import Wave, find_wave, followed
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
-from trackres_ros.diagnosis.inference.threads import side_by_side
 from trackres_ros.diagnosis.prepare.session import DriveSession, Mask
 from trackres_ros.diagnosis.selection.naming import Candidate, compared, rms, spurious_gain
 from trackres_ros.estimator.disturbance import BLOCK_S, later_there, seen_there
+from trackres_ros.progress import counted
 from trackres_ros.vehicle.writing.changes import BY_PLACE
 
 Array = NDArray[np.float64]
@@ -251,7 +251,8 @@ def find_terms(current: Fit, roads: Roads | None, kinds: Collection[str], routes
         **({WAVE: _wave} if waves else {}),
         PAYLOAD: partial(_payload, route=route),
     }
-    found = side_by_side(lambda item: _search_twice(current, *item), list(searches.items()), "terms that follow the clock")
+    each = counted(searches.items(), "terms that follow the clock", len(searches))
+    found = [_search_twice(current, name, search) for name, search in each]
     return [*filter(None, found), *filter(None, [_by_place(current, roads, kinds)])]
 
 

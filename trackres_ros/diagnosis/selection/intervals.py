@@ -13,10 +13,10 @@ from scipy.stats import chi2
 
 from trackres_ros.diagnosis.inference.fitting import Fit, Free, fit, free_parameters
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
-from trackres_ros.diagnosis.inference.threads import side_by_side
 from trackres_ros.diagnosis.selection.confirm import ON_BOUND
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
 from trackres_ros.diagnosis.selection.visibility import base_columns
+from trackres_ros.progress import counted
 from trackres_ros.vehicle.writing.changes import Interval
 
 DROP = 0.5 * float(chi2.ppf(0.95, 1))
@@ -53,7 +53,7 @@ def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
         return Interval(max(f.low, at - below), min(f.high, at + above), low_open or high_open)
 
     of = free_parameters(found.problem.base, [a.effect for a in found.effects])
-    return {f.key: one for f, one in zip(of, side_by_side(interval, of, "intervals"), strict=True)}
+    return {f.key: interval(f) for f in counted(of, "intervals", len(of))}
 
 
 def lap_std(found: Fit, together: int = 1) -> dict[tuple[str, str], float]:

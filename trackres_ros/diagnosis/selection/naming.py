@@ -14,12 +14,12 @@ import numpy as np
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import shortened
-from trackres_ros.diagnosis.inference.threads import side_by_side
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.screening import Gain, Screened, screen
 from trackres_ros.diagnosis.selection.visibility import EffectColumns, EffectSensitivity, Separability, separability
 from trackres_ros.effects.effect import Effect
 from trackres_ros.effects.learned import EmpiricalEffect
+from trackres_ros.progress import counted
 
 MOST_REFITTED = {False: 6, True: 3}  # names, and forms
 FAR_BEHIND = 15.0  # in log-likelihood, to first order: no re-fit recovers that
@@ -138,10 +138,8 @@ def _refitted(current: Fit, screened: Screened) -> list[Candidate]:
             new += [name for name in of_kind if name not in fitted][: max(0, room)]
         if not new:
             return list(fitted.values())
-        tasks = [(looked_at[name], screened.form_error_gain.get(name, 0.0)) for name in new]
-        fitted.update(
-            zip(new, side_by_side(lambda task: _refit(current, *task), tasks, "fits of candidate effects"), strict=True)
-        )
+        for name in counted(new, "fits of candidate effects", len(new)):
+            fitted[name] = _refit(current, looked_at[name], screened.form_error_gain.get(name, 0.0))
         first_order = {name: max(gain.value for s, gain in screened.gains if s.effect.name == name) for name in fitted}
         misleading = {name for name, c in fitted.items() if c.gain < BORNE_OUT * first_order[name]}
 

@@ -18,10 +18,10 @@ from scipy.signal import lfilter
 
 from trackres_ros.diagnosis.inference.fitting import LARGE, Fit
 from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, improved, shortened, whole_past
-from trackres_ros.diagnosis.inference.threads import side_by_side
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.form_error import other_forms
 from trackres_ros.diagnosis.selection.visibility import EffectSensitivity, base_columns
+from trackres_ros.progress import counted
 
 TURNS = 3  # of coefficients and noise
 FLIPPED_TOGETHER = 20  # samples whose sign the bootstrap flips together: keeps the correlation after whitening
@@ -89,11 +89,13 @@ def screen(
         nearly = [movers[j] for j in np.argsort(-rank(drawn))[:NEARLY_LARGEST]]
         return max((few.likelihood(drawn, m, centred_on_fit=True).value - before for m in nearly), default=0.0)
 
+    def largest_of(count: int) -> Array:
+        return np.array([largest(few.lagged(few.drawn(rng))) for _ in counted(range(count), DRAWS, count)])
+
     first = math.ceil(FIRST_SHARE * replicates)
-    reached = np.array(side_by_side(largest, [few.lagged(few.drawn(rng)) for _ in range(first)], DRAWS))
+    reached = largest_of(first)
     if 1.0 / PLAINLY < gains[0][1].value / largest_by_noise(reached) < PLAINLY:
-        more = side_by_side(largest, [few.lagged(few.drawn(rng)) for _ in range(replicates - first)], DRAWS)
-        reached = np.concatenate((reached, more))
+        reached = np.concatenate((reached, largest_of(replicates - first)))
     return Screened(tuple(gains), form_error_gain, largest_by_noise(reached), reached)
 
 
@@ -188,7 +190,7 @@ class _Linear:
             found = self.likelihood(residual, mover)
             return found._replace(value=found.value - null, moved=found.moved[len(self.own.prior) :])
 
-        return side_by_side(gain, movers, "screening of the candidates")
+        return [gain(mover) for mover in counted(movers, "screening of the candidates", len(movers))]
 
     def ranking(self, movers: Sequence[_Mover]) -> Callable[[Lagged], Array]:
         """Function for the gain of each mover on a residual, without bounds and new noise: cheap, for ranking."""
