@@ -16,7 +16,8 @@ demo: $(VENV)/.ready
 # threads in each.
 test: export OPENBLAS_NUM_THREADS := 1
 test: $(VENV)/.ready
-	$(MAKE) --no-print-directory -j 3 lint test-live test-rest
+	$(MAKE) --no-print-directory -j 2 lint compiled
+	$(MAKE) --no-print-directory -j 2 test-live test-rest
 
 # For the loop of a developer: style, types and the laws of the physics.
 FAST_LAWS := test/model test/estimator test/vehicle test/route test/text test/effects/test_laws.py \
@@ -25,11 +26,11 @@ check: export OPENBLAS_NUM_THREADS := 1
 check: lint compiled
 	$(RUN)/python -m pytest -q -n auto --dist worksteal -m "not long" $(FAST_LAWS)
 
-test-live: compiled
+test-live: $(VENV)/.ready
 	@log=$$(mktemp); $(RUN)/python -m pytest -q -n 2 --dist loadfile --durations=12 $(LIVE_TESTS) > $$log 2>&1; \
 	status=$$?; cat $$log; rm $$log; exit $$status
 
-test-rest: compiled
+test-rest: $(VENV)/.ready
 	nice -n 19 $(RUN)/python -m pytest -q -n auto --dist worksteal $(addprefix --ignore ,$(LIVE_TESTS))
 
 # Once, before several tests would do so at a time.

@@ -34,8 +34,8 @@ IDENTIFICATION_BYTES = 64
 FIRST_LINK = 24
 """Byte of a block at which its links begin, 8 bytes each; the first one of a block in a list is the next block."""
 OF_HEADER = ("DG", "FH", "CH", "AT", "EV")
-LISTS = {"DG": [(1, "CG")], "CG": [(1, "CN")], "CN": [(1, "CN")], "CH": [(1, "CH")], "FH": [], "AT": [], "EV": []}
-"""Links of a block at which further lists begin, and of which blocks these are: ASAM MDF 4."""
+SECOND_LINK = {"DG": "CG", "CG": "CN", "CN": "CN", "CH": "CH"}
+"""Blocks whose second link begins a list, and the blocks in that list: ASAM MDF 4."""
 FRAMES = "CAN_DataFrame"
 OF_A_BUS = (FRAMES, "CAN_ErrorFrame", "CAN_RemoteFrame")
 OF_A_FRAME = {"ID": 1, "DataBytes": 2, "DataLength": 1, "IDE": 1, "BusChannel": 1}
@@ -53,8 +53,7 @@ def _opened(path: Path, name: str) -> tuple[Any, ExitStack]:
         identification = file.read(IDENTIFICATION_BYTES)
         version = identification[8:16].decode("latin-1").strip("\0 ")
         if version < "4":
-            text = "convert it: asammdf.MDF(FILE).convert('4.10').save(NEW)"
-            raise InputError(name, f"MDF {version}", "MDF 4", text)
+            raise InputError(name, f"MDF {version}", "MDF 4", "convert it: asammdf.MDF(FILE).convert('4.10').save(NEW)")
         _check_lists(file, name)
         file.seek(0)
         if identification.startswith(UNFINISHED):  # it is finished in a copy, as asammdf does with a named file
@@ -79,7 +78,8 @@ def _check_lists(file: IO[bytes], name: str) -> None:
         (kind, address), here = begins.pop(), set[int]()
         while 0 < address < size and address not in followed:
             here.add(address)
-            begins += [(of, link(address, place)) for place, of in LISTS[kind]]
+            if kind in SECOND_LINK:
+                begins.append((SECOND_LINK[kind], link(address, 1)))
             address = link(address, 0)
             if address in here:
                 raise InputError(name, f"a list of blocks that returns to byte {address}", "an undamaged file")
