@@ -18,6 +18,7 @@ from trackres_ros.effects.native import is_compiled
 from trackres_ros.effects.stepping import FIRST_OWN, effect_table, look, new_memory, new_work, step_effects
 from trackres_ros.effects.vehicle.payne import EXPONENT
 from trackres_ros.errors import InputError
+from trackres_ros.jit import code_cache
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import load
 
@@ -100,6 +101,8 @@ def test_the_step_runs_what_the_file_says_as_machine_code(name):
 
 
 OWN = """
+import math
+
 from trackres_ros.effects import Effect, Parameter, Terms
 
 CONSTANT = {constant}
@@ -112,13 +115,13 @@ class Own(Effect):
     parameters = (Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0),)
 
     def terms(self, at, p):
-        return Terms(torque=p.torque * CONSTANT{more})
+        return Terms(torque=p.torque * CONSTANT * math.{function}(0.0){more})
 """
 
 
-def table_of(folder, constant, more=""):
+def table_of(folder, constant=2.0, more="", function="cos"):
     """The table of an effect of a user's own, which nothing else holds."""
-    (folder / "own.py").write_text(OWN.format(constant=constant, more=more))
+    (folder / "own.py").write_text(OWN.format(constant=constant, more=more, function=function))
     effect = catalogue(folder)["own"]
     assert is_compiled(effect) == (not more)
     return effect_table([Active(effect, effect.values())])
@@ -132,9 +135,20 @@ def torque_by(table):
     return work[0]
 
 
-def test_editing_a_constant_in_an_effect_file_changes_its_code(tmp_path):
+def test_editing_an_effect_file_changes_its_code(tmp_path):
     assert torque_by(table_of(tmp_path, 2.0)) == 20.0
     assert torque_by(table_of(tmp_path, 3.0)) == 30.0
+    assert torque_by(table_of(tmp_path, 3.0, function="sin")) == 0.0
+
+
+def test_an_effect_file_is_compiled_once(tmp_path, monkeypatch):
+    table_of(tmp_path)
+    kept = []
+    monkeypatch.setattr(code_cache, "keep", lambda *given: kept.append(given))
+    assert torque_by(table_of(tmp_path)) == 20.0
+    assert not kept
+    table_of(tmp_path, 17.0)
+    assert kept
 
 
 def test_an_uncompilable_effect_runs_as_long_as_its_table_lives(tmp_path):

@@ -101,12 +101,12 @@ def test_indentation_amplitudes_are_the_integral_over_contact(triangular: Track,
     """A_n = (2/L) times the integral of strain(x) cos(2 pi n x/L)."""
     radius, thickness, length = triangular.road_wheels.radius, triangular.belt.thickness, triangular.belt.loop_length
     a = share * radius
-    amplitudes = sh.indentation_amplitudes(a, radius, thickness, length, np.array([1.0, 10.0, 30.0, 100.0, 300.0]))
-    for n, amplitude in zip((1, 10, 30, 100, 300), amplitudes, strict=True):
+    amplitudes = sh.indentation_amplitudes(a, radius, thickness, length, 300)
+    for n in (1, 10, 30, 64, 65, 100, 300):
         integral, _ = quad(
             lambda x: float(contact.indentation(x, a, radius)) / thickness, 0.0, a, weight="cos", wvar=2 * math.pi * n / length
         )
-        assert amplitude == pytest.approx(4.0 / length * integral, abs=(1e-6 + 0.04 * share**4) * amplitudes[0])
+        assert amplitudes[n - 1] == pytest.approx(4.0 / length * integral, abs=(1e-6 + 0.04 * share**4) * amplitudes[0])
 
 
 def test_amplitudes_of_the_whole_strain_through_the_thickness(track: Track) -> None:
@@ -116,7 +116,7 @@ def test_amplitudes_of_the_whole_strain_through_the_thickness(track: Track) -> N
     at = np.arange(SAMPLES) / SAMPLES * loop.length
     count = len(loop.wheel_positions)
     phases = np.exp(-2j * np.pi / loop.length * np.outer(HARMONICS, loop.wheel_positions)).sum(axis=1)
-    pulse = sh.indentation_amplitudes(half, track.road_wheels.radius, track.belt.thickness, loop.length, HARMONICS)
+    pulse = sh.indentation_amplitudes(half, track.road_wheels.radius, track.belt.thickness, loop.length, len(HARMONICS))
     strain = sh.through_thickness(loop, np.full(count, half), at)
     assert np.abs(sampled(strain) - pulse * phases).max() <= 1e-4 * np.abs(pulse[0] * count)
     assert strain.max() == pytest.approx(
@@ -126,7 +126,7 @@ def test_amplitudes_of_the_whole_strain_through_the_thickness(track: Track) -> N
 
 @given(z=st.floats(1e-6, 60.0))
 def test_pulse_transforms_are_their_integrals(z: float) -> None:
-    parabola, quartic = sh.pulse_transforms(np.array([z]))
+    parabola, quartic = sh.pulse_transforms(np.array([z]), np.sin([z]), np.cos([z]))
     for transform, order in ((parabola, 2), (quartic, 4)):
         integral, _ = quad(lambda u, k=order: 1.0 - u**k, 0.0, 1.0, weight="cos", wvar=z)
         assert float(transform[0]) == pytest.approx(2.0 * integral, abs=2e-10)
@@ -134,7 +134,7 @@ def test_pulse_transforms_are_their_integrals(z: float) -> None:
 
 def test_pulse_transforms_meet_where_the_series_ends() -> None:
     either_side = np.array([sh.SERIES_BELOW * (1 - 1e-12), sh.SERIES_BELOW])
-    for transform in sh.pulse_transforms(either_side):
+    for transform in sh.pulse_transforms(either_side, np.sin(either_side), np.cos(either_side)):
         assert transform[0] == pytest.approx(transform[1], rel=1e-10)
 
 

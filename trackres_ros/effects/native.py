@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
-from types import FunctionType
+from types import CodeType, FunctionType
 from typing import Any, cast
 
 import numpy as np
@@ -136,7 +136,9 @@ if HAVE_NUMBA:
 
     def _compile(kind: type[Effect], method: str, names: tuple[str, ...], answered: int) -> Any:
         python = getattr(kind, method)
-        inner = compiled_anew(FunctionType(python.__code__, {**python.__globals__, "Terms": _terms}, python.__name__))
+        of_file = FunctionType(python.__code__, {**python.__globals__, "Terms": _terms}, python.__name__)
+        of_file.__module__ = __name__  # that of a user's file cannot be imported when the code is read again
+        inner = compiled_anew(of_file)
         known = ", ".join(f"x[{i}]" for i in range(FACTS, LOOKED_AT))
         lines = [
             "def call(x_, p_, out_):",
@@ -151,17 +153,22 @@ if HAVE_NUMBA:
         exec("\n".join(lines), namespace)
         function = cast(FunctionType, namespace["call"])
         # The name distinguishes codes in the cache: the catalogue is part of its folder's name, a user's file is not.
-        known_as = repr((python.__code__.co_filename, python.__code__.co_code, python.__code__.co_consts, _frozen(python)))
+        code, frozen = python.__code__, _frozen(python)
+        known_as = repr((names, code.co_code, code.co_consts, code.co_names, frozen))
         function.__module__ = __name__
         function.__qualname__ = f"{kind.__name__}.{method}.{hashlib.sha256(known_as.encode()).hexdigest()[:16]}"
         found = ccallback.CFunc(function, _SIGNATURE, locals={}, options={"nopython": True, "error_model": "numpy"})
-        if kind.__module__.startswith(f"{__package__}.") or _frozen(python) is not None:
+        if kind.__module__.startswith(f"{__package__}.") or frozen is not None:
             found._cache = CodeCache(function, code_folder)
         found.compile()
         return found
 
     def _frozen(python: FunctionType) -> list[tuple[str, Any]] | None:
-        """Constants of its file that are part of a function's code; None if there are others than plain numbers and `math`."""
+        """Constants of its file that are part of a function's code; None if there are others than plain numbers and `math`, or
+        functions in it.
+        """
+        if any(isinstance(constant, CodeType) for constant in python.__code__.co_consts):
+            return None
         used = {name: python.__globals__[name] for name in python.__code__.co_names if name in python.__globals__}
         numbers = {name: value for name, value in used.items() if isinstance(value, int | float)}
         others = [value for name, value in used.items() if name not in numbers]

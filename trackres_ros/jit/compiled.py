@@ -23,7 +23,7 @@ from trackres_ros.files.cache import usable
 from trackres_ros.files.resources import cache_dir
 from trackres_ros.jit.code_cache import CodeCache
 
-COMPILED_ROOMS = ("model", "estimator", "effects", "jit", "route", "diagnosis/prepare", "diagnosis/described")
+COMPILED_ROOMS = ("model", "estimator", "effects", "jit", "route", "diagnosis/prepare", "diagnosis/base", "diagnosis/empirical")
 """Sources of compiled code."""
 CONSTANTS = "units.py"
 """Other sources of constants, which become part of the code."""

@@ -21,7 +21,7 @@ from trackres_ros.vehicle import Track
 Array = NDArray[np.float64]
 
 HARMONICS = 4096  # doubling them moves the loss by less than 0.1 % (test_hysteresis.py)
-POINTS_AT_ONCE = 128  # of a vectorised evaluation, to bound memory
+POINTS_AT_ONCE = 8  # of a vectorised evaluation, so that its arrays stay in the processor's cache
 BACK_AT_BASE = 0.1  # of a cycle's range: this near to its lesser extreme a passage is over
 SLOWEST_SPEED = 1e-9  # m/s; the loss per metre of travel tends to a limit at rest
 
@@ -101,15 +101,16 @@ class LossMethod(ABC):
         given = np.broadcast_arrays(*(np.asarray(x, float) for x in (speed, belt_degc, load, drive_torque)))
         v, t, g, m = (np.ravel(x) for x in given)
         v = np.maximum(np.abs(v), SLOWEST_SPEED)
+        half, strain = self.contacts(v, t, g).half_length, self.drive_strain(v, t, m)
         parts = np.empty((4, v.size))
         for start in range(0, v.size, POINTS_AT_ONCE):
             block = slice(start, start + POINTS_AT_ONCE)
-            parts[:, block] = self._loss(v[block], t[block], g[block], m[block])
+            parts[:, block] = self._loss(v[block], t[block], half[block], strain[block])
         return LossForce(*(part.reshape(given[0].shape) for part in parts))
 
     @abstractmethod
-    def _loss(self, speed: Array, belt_degc: Array, load: Array, drive_torque: Array) -> tuple[Array, ...]:
-        """Indentation, bending, tension and drive [N] at points given as 1-D arrays of one length."""
+    def _loss(self, speed: Array, belt_degc: Array, half_length: Array, drive_strain: Array) -> tuple[Array, ...]:
+        """Indentation, bending, tension and drive [N] at points of shape (points,); half lengths [m] of (points, wheels)."""
 
 
 class Spectral(LossMethod):
@@ -134,21 +135,24 @@ class Spectral(LossMethod):
         # wheels under the same load have the same pulse: one representative and the sum of their phases
         self._alike = [(int(wheel), phases[group == k].sum(axis=0)) for k, wheel in enumerate(first)]
 
-    def _loss(self, speed: Array, belt_degc: Array, load: Array, drive_torque: Array) -> tuple[Array, ...]:
+    def _loss(self, speed: Array, belt_degc: Array, half_length: Array, drive_strain: Array) -> tuple[Array, ...]:
         belt, wheels = self.track.belt, self.track.road_wheels
-        frequency = speed[:, np.newaxis] * self.harmonics / self.loop.length
-        loss = self.rubber.loss_modulus(frequency, belt_degc[:, np.newaxis])
-        strain = self.drive_strain(speed, belt_degc, drive_torque)
+        (speeds, temperatures), at = np.unique([speed, belt_degc], axis=1, return_inverse=True)  # those of many loads are alike
+        frequency = speeds[:, np.newaxis] * self.harmonics / self.loop.length
+        loss = self.rubber.loss_modulus(frequency, temperatures[:, np.newaxis])[np.ravel(at)]
         width, moment = belt.width, [belt_model.bending_moment_of_height(belt, order) for order in range(3)]
         bending = width * moment[2] * (loss @ self._bending)
-        drive = width * (strain * moment[1] * (loss @ self._coupling) + strain**2 * moment[0] * (loss @ self._drive))
-        half = self.contacts(speed, belt_degc, load).half_length
-        strain_amplitude = np.zeros(loss.shape, dtype=complex)
-        for wheels_alike, phase in self._alike:
-            pulse = indentation_amplitudes(half[:, wheels_alike], wheels.radius, belt.thickness, self.loop.length, self.harmonics)
-            strain_amplitude += pulse * phase
+        coupling, alone = drive_strain * moment[1] * (loss @ self._coupling), drive_strain**2 * moment[0] * (loss @ self._drive)
+        drive = width * (coupling + alone)
+        real, imaginary = np.zeros(loss.shape), np.zeros(loss.shape)
+        for wheel, phase in self._alike:
+            pulse = indentation_amplitudes(
+                half_length[:, wheel], wheels.radius, belt.thickness, self.loop.length, len(self.harmonics)
+            )
+            real += pulse * phase.real
+            imaginary += pulse * phase.imag
         section = wheels.contact_length * belt.thickness * self.rubber.rubber.layer_stiffening
-        power = (strain_amplitude.real**2 + strain_amplitude.imag**2) * self.harmonics
+        power = (real * real + imaginary * imaginary) * self.harmonics
         indentation = section * np.pi * np.einsum("pn,pn->p", power, loss)
         return indentation, bending, np.zeros_like(bending), drive
 
@@ -175,20 +179,18 @@ class RainflowCount(LossMethod):
         self._corners = np.unique(np.concatenate([self.loop.curvature.position, self.loop.drive.position]))
         self._bending_energy = self._along_energy(0.0)
 
-    def _loss(self, speed: Array, belt_degc: Array, load: Array, drive_torque: Array) -> tuple[Array, ...]:
-        half = self.contacts(speed, belt_degc, load).half_length
-        strain = self.drive_strain(speed, belt_degc, drive_torque)
+    def _loss(self, speed: Array, belt_degc: Array, half_length: Array, drive_strain: Array) -> tuple[Array, ...]:
         section = self.track.road_wheels.contact_length * self.track.belt.thickness * self.rubber.rubber.layer_stiffening
         indentation = np.array(
             [
                 section * float(self._lost(self._energy(self.indentation_cycles(a)), v, t))
-                for a, v, t in zip(half, speed, belt_degc, strict=True)
+                for a, v, t in zip(half_length, speed, belt_degc, strict=True)
             ]
         )
         bending = self._lost(self._bending_energy, speed, belt_degc)
         both = bending.copy()
-        for i in np.flatnonzero(strain):
-            both[i] = self._lost(self._along_energy(strain[i]), speed[i], belt_degc[i])
+        for i in np.flatnonzero(drive_strain):
+            both[i] = self._lost(self._along_energy(drive_strain[i]), speed[i], belt_degc[i])
         return indentation, bending, np.zeros_like(bending), both - bending
 
     def _along_energy(self, drive_strain: float) -> tuple[Array, Array]:

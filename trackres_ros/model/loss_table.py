@@ -27,7 +27,7 @@ from trackres_ros.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-VERSION = 5  # of the cached form
+VERSION = 6  # of the cached form
 LOG_SPEED = (-8.0, 9.5)  # x: from a belt at 120 degC creeping at 1 mm/s to one at -55 degC at any speed
 EXACT_LOG_SPEEDS = 351  # exact evaluations, joined by cubic splines
 EXACT_LOADS = 10

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 SERIES_BELOW = 0.3  # the closed transforms of a pulse cancel below it
+ANGLES = 64  # of which sines and cosines of all harmonics follow
 
 
 @dataclass(frozen=True)
@@ -112,30 +113,41 @@ def _drive(sprocket: tuple[float, float, float], ground_run: float, length: floa
     return Profile(position, np.array([0.0, 1.0, 1.0, 0.0])[first], length)
 
 
-def indentation_amplitudes(
-    half_length: ArrayLike, radius: float, thickness: float, loop_length: float, harmonics: Array
-) -> Array:
+def indentation_amplitudes(half_length: ArrayLike, radius: float, thickness: float, loop_length: float, harmonics: int) -> Array:
     """Real amplitudes A_n of the strain pulse of one contact centred at position 0, shape (..., harmonics).
 
     The arc of the wheel is taken to fourth order in x/R, (a^2-x^2)/(2R) + (a^4-x^4)/(8R^3), whose transform is closed,
     and scaled to the exact depth.
     """
     a = np.asarray(half_length, float)[..., np.newaxis]
-    z = 2.0 * np.pi * harmonics / loop_length * a
-    parabola, quartic = pulse_transforms(z)
+    angle = 2.0 * np.pi / loop_length * a
+    parabola, quartic = pulse_transforms(angle * np.arange(1, harmonics + 1), *_multiples(angle, harmonics))
     depth = a**2 / (2 * radius) + a**4 / (8 * radius**3)
     exact = radius - np.sqrt(radius**2 - a**2)
     scale = 2.0 / (loop_length * thickness) * exact / depth
     return np.asarray(scale * a**3 / (2 * radius) * parabola + scale * a**5 / (8 * radius**3) * quartic)
 
 
-def pulse_transforms(z: Array) -> tuple[Array, Array]:
-    """Integrals of (1 - u^2) cos(z u) and (1 - u^4) cos(z u) over -1..1, same shape as z > 0."""
-    sine, cosine = np.sin(z), np.cos(z)
+def _multiples(angle: Array, count: int) -> tuple[Array, Array]:
+    """Sine and cosine of 1 to `count` times an angle, of shape (..., 1): by the addition theorem from a few."""
+    few = angle * np.arange(1, ANGLES + 1)
+    many = (angle * np.arange(0, count, ANGLES))[..., np.newaxis]
+    sine, cosine = np.sin(few)[..., np.newaxis, :], np.cos(few)[..., np.newaxis, :]
+    sines, cosines = np.sin(many), np.cos(many)
+    shape = (*angle.shape[:-1], -1)
+    return (
+        (sines * cosine + cosines * sine).reshape(shape)[..., :count],
+        (cosines * cosine - sines * sine).reshape(shape)[..., :count],
+    )
+
+
+def pulse_transforms(z: Array, sine: Array, cosine: Array) -> tuple[Array, Array]:
+    """Integrals of (1 - u^2) cos(z u) and (1 - u^4) cos(z u) over -1..1, same shape as z > 0, its sine and its cosine."""
     inverse = 1.0 / z
     square = inverse * inverse
-    parabola = 4.0 * square * (sine * inverse - cosine)
-    quartic = 8.0 * square * (3.0 * (sine * inverse - 2.0 * square * (sine * inverse - cosine)) - cosine)
+    mean = sine * inverse  # of cos(z u)
+    parabola = 4.0 * square * (mean - cosine)
+    quartic = 8.0 * square * (3.0 * mean - 1.5 * parabola - cosine)
     small = z < SERIES_BELOW
     if small.any():
         w = z[small] ** 2
