@@ -11,7 +11,7 @@ from abc import ABC
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
@@ -249,7 +249,7 @@ class Active:
     values: Mapping[str, float]
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def numbers(self) -> tuple[float, ...]:
         """The values in the order of the parameters."""
         return tuple(float(self.values[q.name]) for q in self.effect.parameters)
@@ -272,6 +272,13 @@ class Active:
                 moved = value + std if value + std <= q.high else value - std
                 found.append(replace(self, values={**self.values, q.name: moved}))
         return found
+
+
+@lru_cache(maxsize=256)
+def terms_by_parameters(effects: tuple[Effect, ...], numbers: tuple[tuple[float, ...], ...], facts: VehicleConstants) -> Terms:
+    """Terms of effects together that depend on their parameters alone: of sensors, and the resistance inside a belt."""
+    at = conditions(facts)
+    return together([effect.terms(at, effect.pack(*of)) for effect, of in zip(effects, numbers, strict=True)])
 
 
 def together(terms: Sequence[Terms]) -> Terms:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.effects.effect import Active, VehicleConstants, conditions
+from trackres_ros.effects.effect import Active, VehicleConstants, terms_by_parameters
 from trackres_ros.effects.stepping import LIMITS, effect_table, new_work
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.motion_step import ROLLS_FROM
@@ -330,7 +330,7 @@ def parting_resistance(effects: Sequence[Active], facts: VehicleConstants) -> fl
     total = 0.0
     for active in effects:
         try:
-            found = float(active.terms(conditions(facts)).inner_resistance)
+            found = float(terms_by_parameters((active.effect,), (active.numbers,), facts).inner_resistance)
         except Exception:  # of any kind, as the code is not ours
             continue
         low, high = LIMITS["inner_resistance"]

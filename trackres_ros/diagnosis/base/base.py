@@ -16,7 +16,7 @@ import numpy as np
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern, SlopeByPlace, TorqueByPlace
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
-from trackres_ros.effects.effect import Active, Conditions, Terms, VehicleConstants, conditions, together
+from trackres_ros.effects.effect import Active, Conditions, Terms, VehicleConstants, conditions, terms_by_parameters
 from trackres_ros.effects.stepping import LIMITS, MOST_TORQUE, EffectTable, effect_table
 from trackres_ros.errors import InputError
 from trackres_ros.vehicle.writing.changes import FileChanges
@@ -155,8 +155,9 @@ class Acting:
         torques = tuple(active for active in series if isinstance(active.effect, TorqueByPlace))
         watched = tuple(active for active in series if active not in slopes and active not in torques)
         stepped = tuple(active for active in effects if active not in series and active.effect.acts_on != "sensor")
-        sensors = [active.terms(conditions(facts)) for active in effects if active.effect.acts_on == "sensor"]
-        return cls(stepped, effect_table(stepped, with_uncertainty=False), watched, slopes, torques, together(sensors))
+        of_sensors = [active for active in effects if active.effect.acts_on == "sensor"]
+        sensors = terms_by_parameters(tuple(a.effect for a in of_sensors), tuple(a.numbers for a in of_sensors), facts)
+        return cls(stepped, effect_table(stepped, with_uncertainty=False), watched, slopes, torques, sensors)
 
     def speed(self, session: DriveSession) -> Array:
         """True speed [m/s]."""

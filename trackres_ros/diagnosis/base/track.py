@@ -69,7 +69,7 @@ class TrackBase(Base):
         }
         self._firsts, self._count = _kinds(self._constants)
         self._simulated = LastSimulation()
-        self._loss_tables: tuple[tuple[float, Array], ...] = ((1.0, self._constants.loss),)
+        self._loss_tables: tuple[tuple[tuple[float, slice], Array], ...] = ()
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = vehicle_constants(vehicle)
         first = vehicle.track_of(vehicle.assemblies[0])
@@ -134,15 +134,27 @@ class TrackBase(Base):
 
     def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
         """Step through sessions; rows from `kernel.predict`, shape (n, `PREDICTED`), of each."""
-        k, belts = self._with(values, acting), len(self._firsts)
+        k, belts = self._with(values, acting, self._loads(sessions)), len(self._firsts)
         return simulated(k, self._count, belts, self.facts, sessions, lambda session: session.weight, acting)
 
-    def _scaled(self, loss: float) -> Array:
-        """Loss table for a multiple of the file's loss modulus, cached, because a fit step reuses a few of them."""
-        found = next((table for scale, table in self._loss_tables if scale == loss), None)
+    def _loads(self, sessions: Sequence[DriveSession]) -> slice:
+        """Columns of the loss table between which the belts are loaded, with one more on either side."""
+        of = self._constants.assembly[self._firsts].T
+        driven = [weight for session in sessions for weight in session.lightest_and_heaviest]
+        loads = np.array([*(weight * of[at.Assembly.share_of_all] for weight in driven), of[at.Assembly.nominal_load]])
+        nodes = (np.log(loads) - of[at.Assembly.first_log_load]) / of[at.Assembly.step_log_load]
+        first, last = np.clip([nodes.min(), nodes.max()], 0, self._constants.loss.shape[2] - 2).astype(int).tolist()
+        return slice(max(first - 1, 0), last + 3)
+
+    def _scaled(self, loss: float, loads: slice) -> Array:
+        """Loss table for a multiple of the file's loss modulus, nan at other loads; cached, because a fit step reuses a few."""
+        found = next((table for known, table in self._loss_tables if known == (loss, loads)), None)
         if found is None:
-            found = self._constants.loss * np.exp(math.log(loss) * self._loss_power)  # faster than a power
-            self._loss_tables = ((loss, found), *self._loss_tables[: LOSS_TABLES - 1])
+            found = np.full_like(self._constants.loss, np.nan)
+            found[:, :, :2] = self._constants.loss[:, :, :2]  # looked up at rest, where no loss heats
+            power = math.log(loss) * self._loss_power[:, :, loads]
+            found[:, :, loads] = self._constants.loss[:, :, loads] * np.exp(power)  # faster than a power
+            self._loss_tables = (((loss, loads), found), *self._loss_tables[: LOSS_TABLES - 1])
         return found
 
     def as_written(self, values: Values) -> TrackBase:
@@ -165,8 +177,8 @@ class TrackBase(Base):
         """See `base.Base`."""
         return write_track_vehicle(self.vehicle, path, kept, text)
 
-    def _with(self, values: Values, acting: Acting) -> Constants:
-        """Constants of the step with other parameter values."""
+    def _with(self, values: Values, acting: Acting, loads: slice) -> Constants:
+        """Constants of the step with other parameter values, for some columns of the loss table."""
         k, vehicle = self._constants, self.vehicle
         resistance = parting_resistance(acting.stepped, self.facts)
         number = k.number._replace(
@@ -191,7 +203,7 @@ class TrackBase(Base):
         return k._replace(
             number=number,
             assembly=assembly,
-            loss=self._scaled(loss),
+            loss=self._scaled(loss, loads),
             drive=loss * k.drive,
         )
 

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from trackres_ros.diagnosis.base.base import Base, BaseParameter, Predicted
 from trackres_ros.diagnosis.base.instrument import instrument
-from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, Noise, estimate_noise, whitened
+from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, MOST_LAGS, Noise, estimate_noise, whitened_at, whole_past
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.effects.effect import Active, Effect
 
@@ -50,6 +50,11 @@ class Segment:
     measured: Array
     mask: Mask  # used values
     block: NDArray[np.int64]  # lap of each
+
+    @cached_property
+    def valid(self) -> Mask:
+        """Used values with a whole past."""
+        return whole_past(self.mask, MOST_LAGS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +103,9 @@ class Problem:
 
     def white(self, rows: Sequence[Array], noises: Mapping[str, Noise]) -> list[Array]:
         """Whitened rows of each segment over their standard deviation, nan where unused."""
-        return [whitened(r, g.mask, noises[g.kind].phi) / noises[g.kind].std for r, g in zip(rows, self.segments, strict=True)]
+        return [
+            whitened_at(r, g.valid, noises[g.kind].phi) / noises[g.kind].std for r, g in zip(rows, self.segments, strict=True)
+        ]
 
     def noises(self, residuals: Sequence[Array], largest_root: float = LARGEST_ROOT) -> dict[str, Noise]:
         """Noise of each kind of segment, with bounded roots of the autoregression."""

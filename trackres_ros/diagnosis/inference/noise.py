@@ -11,8 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 from scipy.special import gammaln
 
 from trackres_ros.diagnosis.prepare.session import Array, Mask
@@ -39,6 +41,11 @@ class Noise:
     def std(self) -> float:
         """Standard deviation of normal innovations with the same information [unit of the series]."""
         return self.scale * float(np.sqrt((self.degrees + 3.0) / (self.degrees + 1.0)))
+
+    @cached_property
+    def whitening(self) -> Array:
+        """Factors of a sample and of those before it, for residuals over `std`."""
+        return np.concatenate(([1.0], -self.phi)) / self.std
 
     @property
     def dc_gain(self) -> float:
@@ -93,7 +100,11 @@ def whitened(series: Array, mask: Mask, phi: Array) -> Array:
 
     The number is independent of the order, so likelihoods of two fits use the same rows.
     """
-    valid = whole_past(mask, MOST_LAGS)
+    return whitened_at(series, whole_past(mask, MOST_LAGS), phi)
+
+
+def whitened_at(series: Array, valid: Mask, phi: Array) -> Array:
+    """The same for rows known to be valid."""
     out = np.array(series, dtype=float)
     for lag, coefficient in enumerate(phi, start=1):
         out[lag:] -= coefficient * series[:-lag]
@@ -139,11 +150,11 @@ def improved(x: Array, y: Array, noise: Noise, turns: int = 2, largest_root: flo
     phi, scale, degrees = noise.phi, noise.scale, noise.degrees
     left = y - x @ phi
     for _ in range(turns):
-        weight = 1.0 / (1.0 + (left / scale) ** 2 / degrees)
+        weight = 1.0 / (1.0 + left * left / (degrees * scale * scale))
         phi = _coefficients(x, y, weight, largest_root)
         left = y - x @ phi
-        square = (degrees + 1.0) / degrees * weight * left**2
-        scale = max(math.sqrt(square.sum() / len(square)), 1e-12 * scale)
+        square = (degrees + 1.0) / degrees * float((weight * left) @ left)
+        scale = max(math.sqrt(square / len(left)), 1e-12 * scale)
     return Noise(phi, scale, degrees)
 
 
@@ -163,15 +174,25 @@ def _coefficients(x: Array, y: Array, weight: Array, largest_root: float) -> Arr
     if not x.shape[1]:
         return np.empty(0)
     weighted = x.T * weight
-    normal = weighted @ x
-    np.einsum("ii->i", normal)[:] += 1e-9 * normal.trace()
-    return _stable(np.asarray(np.linalg.solve(normal, weighted @ y)), largest_root)
+    return _stable(solved(weighted @ x, weighted @ y, 1e-9), largest_root)
+
+
+def solved(normal: Array, right: Array, ridge: float) -> Array:
+    """Solution of normal equations, with a small part of their trace added on their diagonal, in place."""
+    normal.flat[:: len(normal) + 1] += ridge * normal.trace()
+    _, found, failed = dposv(normal, right)
+    return np.asarray(np.linalg.solve(normal, right) if failed else found)
 
 
 def _stable(phi: Array, largest_root: float) -> Array:
     """Shrink an autoregression until its largest root is within the limit."""
-    if np.abs(phi) @ largest_root ** -np.arange(1.0, len(phi) + 1.0) < 1.0:
+    reach = 0.0
+    for x in reversed(phi.tolist()):
+        reach = (reach + abs(x)) / largest_root
+    if reach < 1.0:  # surely
         return phi
-    largest = float(np.abs(np.roots(np.concatenate(([1.0], -phi)))).max())
+    companion = np.eye(len(phi), k=-1)
+    companion[0] = phi
+    largest = float(np.abs(np.linalg.eigvals(companion)).max())
     shrink = min(1.0, largest_root / largest) if largest > 0 else 1.0
     return phi * shrink ** np.arange(1, len(phi) + 1)

@@ -120,6 +120,11 @@ class DriveSession:
         return pace(self.step)
 
     @cached_property
+    def lightest_and_heaviest(self) -> tuple[float, float]:
+        """Least and largest weight [N]."""
+        return float(self.weight.min()), float(self.weight.max())
+
+    @cached_property
     def accel_around(self) -> Array:
         """Mean acceleration over `AROUND` steps [m/s^2], in which errors of the speed at the edges of a step cancel."""
         inside = np.convolve(np.ones(len(self)), np.ones(AROUND), mode="same")

@@ -17,7 +17,7 @@ from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis.inference.fitting import LARGE, Fit
-from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, improved, shortened, whole_past
+from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, improved, shortened, solved, whole_past
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.form_error import other_forms
 from trackres_ros.diagnosis.selection.visibility import EffectSensitivity, base_columns
@@ -267,8 +267,7 @@ def _thinned(rows: NDArray[np.int64], share: float) -> NDArray[np.int64]:
 
 def _white(lagged: Array, noise: Noise) -> Array:
     """Whitened rows over the noise's standard deviation."""
-    whitening = np.concatenate(([1.0], -noise.phi))
-    white: Array = whitening @ lagged.reshape(len(whitening), -1) / noise.std
+    white: Array = noise.whitening @ lagged.reshape(len(noise.whitening), -1)
     return white.reshape(lagged.shape[1:])
 
 
@@ -280,8 +279,7 @@ def coloured(white: Array, noise: Noise, rng: np.random.Generator) -> Array:
 
 def _bounded(x: Array, e: Array, low: Array, high: Array) -> Array:
     normal, right = x.T @ x, x.T @ e
-    np.einsum("ii->i", normal)[:] += 1e-9 * normal.trace() / len(normal)
-    free = np.asarray(np.linalg.solve(normal, right))
+    free = solved(normal, right, 1e-9 / len(normal))
     if np.all((free >= low) & (free <= high)):
         return free
     factor = np.linalg.cholesky(normal)
