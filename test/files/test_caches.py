@@ -17,6 +17,7 @@ from waiting import wait_for
 from trackres_ros.files import cache, own_files
 from trackres_ros.files.cached_arrays import cached_arrays
 from trackres_ros.jit import compiled as compiling
+from trackres_ros.jit.code_cache import LIGHT
 
 needs_numba = pytest.mark.skipif(not compiling.HAVE_NUMBA, reason="numba is not installed: nothing is compiled")
 
@@ -260,6 +261,37 @@ def test_a_simulation_with_damaged_or_no_tables_gives_the_same(simulate, tmp_pat
     assert out == whole[0]
     assert "not cached" in messages[0]
     assert len(messages) == 1
+
+
+START = """
+import sys
+from dataclasses import replace
+import numba
+from trackres_ros.effects import Active, catalogue
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.vehicle import load
+
+numba.__version__ = sys.argv[1] or numba.__version__
+effect = catalogue()["warmup"]
+estimator = Estimator(replace(load("xgd24d"), effects=(Active(effect, effect.values()),)))
+session = estimator.session()
+stamps = [10**18 + 10**8 * i for i in range(9)]
+results = [session.handle(session.channel("speed"), stamp, stamp, 5.0).row.tobytes() for stamp in stamps]
+estimator.rest(session.state, 0.0, 100.0)
+print("numba.np.linalg" in sys.modules, b"".join(results).hex())
+"""
+
+
+@needs_numba
+def test_cached_code_starts_without_the_library_of_numba(compiled):
+    def started(version=""):
+        return subprocess.run([sys.executable, "-c", START, version], capture_output=True, text=True, check=True).stdout.split()
+
+    started()  # the effect is in the cache from now on
+    (light, results), (whole, same) = started(), started("0.57.0")
+    assert (light == "False") == compiling._library.__version__.startswith(LIGHT)
+    assert whole == "True"
+    assert results == same
 
 
 @needs_numba

@@ -184,7 +184,7 @@ def test_a_picture_that_fails_is_a_line_of_text(node, monkeypatch, tmp_path):
     d, recorder = node(), Recorder(tmp_path / "live.mcap")
     recorder.begin(d.app)
     driven(d, 1.0)
-    monkeypatch.setattr(record, "plot_estimate", lambda *_: 1 / 0)
+    monkeypatch.setattr(record, "estimate_figure", lambda *_, **_path: 1 / 0)
     assert recorder.end()[-1].startswith(f"no picture {tmp_path / 'live.png'}: division by zero")
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.offline.simulate import ramp_and_hold, run_drive, simulate
-from trackres_ros.output.plots import plot_estimate
+from trackres_ros.output.plots import estimate_figure
 from trackres_ros.output.style import thinned
 
 pytest.importorskip("matplotlib")
@@ -45,7 +45,7 @@ def estimate(reference):
 def plain(estimate, tmp_path_factory):
     """The bytes of its picture."""
     path = tmp_path_factory.mktemp("plain") / "p.png"
-    plot_estimate(path, *estimate, "drive")
+    estimate_figure(*estimate, "drive", path=path)
     assert png_size(path) == (990, 792)
     return path.read_bytes()
 
@@ -62,21 +62,21 @@ def plain(estimate, tmp_path_factory):
 def test_other_data_and_measurements_show(estimate, plain, tmp_path, change):
     time_s, columns = estimate
     changed = {**columns, **{name: of(columns[name]) for name, of in change.items()}}
-    plot_estimate(tmp_path / "p.png", time_s, changed, "drive")
+    estimate_figure(time_s, changed, "drive", path=tmp_path / "p.png")
     assert (tmp_path / "p.png").read_bytes() != plain
 
 
 def test_a_channel_without_measurements_changes_nothing(estimate, plain, tmp_path):
     time_s, columns = estimate
     others = {name: series for name, series in columns.items() if name != "measured_torque_nm"}
-    plot_estimate(tmp_path / "p.png", time_s, others, "drive")
+    estimate_figure(time_s, others, "drive", path=tmp_path / "p.png")
     assert (tmp_path / "p.png").read_bytes() == plain
 
 
 @pytest.mark.parametrize("title", ["drive", ", ".join(f"2026-02-03_vehicle_17_part_{i}.mcap" for i in range(40))])
 def test_a_replay_can_be_read(estimate, drawn, tmp_path, title):
     time_s, columns = estimate
-    plot_estimate(tmp_path / "p.png", time_s, columns, title)
+    estimate_figure(time_s, columns, title, path=tmp_path / "p.png")
     assert not drawn.faults(drawn.figures[0])
 
 
@@ -84,14 +84,14 @@ def test_it_draws_the_same_bytes_whatever_the_user_set_up(estimate, plain, tmp_p
     import matplotlib
 
     with matplotlib.rc_context({"font.size": 20.0, "lines.linewidth": 5.0, "axes.facecolor": "black", "savefig.dpi": 30}):
-        plot_estimate(tmp_path / "dark.png", *estimate, "drive")
+        estimate_figure(*estimate, "drive", path=tmp_path / "dark.png")
         assert matplotlib.rcParams["font.size"] == 20.0
     assert (tmp_path / "dark.png").read_bytes() == plain
 
 
 def test_a_simulation_draws_from_its_few_columns(reference, tmp_path):
     series = simulate(reference, ramp_and_hold(10.0, 20.0, 60.0, 0.5))
-    plot_estimate(tmp_path / "s.png", series["time_s"], series, "simulated")
+    estimate_figure(series["time_s"], series, "simulated", path=tmp_path / "s.png")
     assert png_size(tmp_path / "s.png") == (990, 792)
 
 
@@ -105,14 +105,14 @@ def test_a_simulation_draws_from_its_few_columns(reference, tmp_path):
 def test_what_cannot_be_drawn_is_refused(estimate, tmp_path, damage):
     time_s, columns = damage(*estimate)
     with pytest.raises(InputError, match="allowed"):
-        plot_estimate(tmp_path / "bad.png", time_s, columns, "drive")
+        estimate_figure(time_s, columns, "drive", path=tmp_path / "bad.png")
     assert not (tmp_path / "bad.png").exists()
 
 
 def test_without_matplotlib_it_says_what_to_install(estimate, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match="pip install matplotlib"):
-        plot_estimate(tmp_path / "p.png", *estimate, "drive")
+        estimate_figure(*estimate, "drive", path=tmp_path / "p.png")
 
 
 def test_importing_plots_does_not_import_matplotlib(tmp_path):

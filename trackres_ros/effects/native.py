@@ -158,8 +158,9 @@ if HAVE_NUMBA:
         function.__module__ = __name__
         function.__qualname__ = f"{kind.__name__}.{method}.{hashlib.sha256(known_as.encode()).hexdigest()[:16]}"
         found = ccallback.CFunc(function, _SIGNATURE, locals={}, options={"nopython": True, "error_model": "numpy"})
-        if kind.__module__.startswith(f"{__package__}.") or frozen is not None:
-            found._cache = CodeCache(function, code_folder)
+        by_user = not kind.__module__.startswith(f"{__package__}.")
+        if frozen is not None or not by_user:
+            found._cache = CodeCache(function, code_folder, by_user)
         found.compile()
         return found
 

@@ -22,13 +22,17 @@ from trackres_ros.progress import tell
 
 COMPILING = "compiling, once"
 LARGEST = 64 << 20  # bytes; the largest of ours has less than one million
+LIGHT = ("0.68.",)  # versions of numba in which code of the package was tried without numba's library of functions
 
 
 class CodeCache:
-    """Interface of a numba dispatcher's cache (numba 0.57 to 0.68 have the same)."""
+    """Interface of a numba dispatcher's cache (numba 0.57 to 0.68 have the same).
 
-    def __init__(self, function: FunctionType, folder: Callable[[], Path | None]) -> None:
-        self._function, self._folder = function, folder
+    `by_user` marks a function that may call others of numba's: its library of functions is loaded first, which takes 0.3 s.
+    """
+
+    def __init__(self, function: FunctionType, folder: Callable[[], Path | None], by_user: bool = False) -> None:
+        self._function, self._folder, self._by_user = function, folder, by_user
 
     @property
     def cache_path(self) -> str:
@@ -55,9 +59,14 @@ class CodeCache:
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """The compiled function for a signature, or None."""
+        from numba import __version__
         from numba.core import compiler
+        from numba.core.runtime.nrt import rtsys
 
-        target.refresh()
+        if __version__.startswith(LIGHT) and not self._by_user:
+            rtsys.initialize(target)
+        else:
+            target.refresh()
         folder, name = self._folder(), self._name(signature, target.codegen())
         payload = fetched(folder, name, LARGEST)
         if payload is None or folder is None:

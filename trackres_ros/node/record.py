@@ -27,7 +27,7 @@ from trackres_ros.node.notices import Notice
 from trackres_ros.node.record_files import RecordingFiles, RecordLimits
 from trackres_ros.offline.summary import picture_columns
 from trackres_ros.output.bag import OutputBag
-from trackres_ros.output.plots import plot_estimate
+from trackres_ros.output.plots import estimate_figure
 from trackres_ros.output.preview import ResultPreview
 
 if TYPE_CHECKING:
@@ -259,7 +259,7 @@ class Recorder:
             return []
         try:
             columns = picture_columns(self._columns, self._seen.kept)
-            plot_estimate(picture, self._seen.kept[:, 0], columns, f"Live: {self._estimator.vehicle.title}")
+            estimate_figure(self._seen.kept[:, 0], columns, f"Live: {self._estimator.vehicle.title}", path=picture)
         except MissingExtraError as error:
             return [f"no picture: {error}"]
         except Exception as error:  # a picture is not worth an exit code

@@ -52,14 +52,9 @@ COLOURS = (BLUE, ORANGE, SKY, GREEN)
 LETTERS_FROM = 0.6  # of the darkest: letters on it are white
 
 
-def plot_estimate(path: Path, time_s: ArrayLike, columns: Mapping[str, Array], title: str) -> None:
-    """`estimate_figure` as a PNG file."""
-    with empty_figure(*ESTIMATE_INCHES) as figure:
-        _draw_estimate(figure, time_s, columns, title)
-        write_figure(figure, path)
-
-
-def estimate_figure(time_s: ArrayLike, columns: Mapping[str, Array], title: str, coverage: Array | None = None) -> Figure:
+def estimate_figure(
+    time_s: ArrayLike, columns: Mapping[str, Array], title: str, coverage: Array | None = None, path: Path | None = None
+) -> Figure:
     """Speed, torques and belt temperature over one time axis.
 
     Raises MissingExtraError if matplotlib is not installed; InputError on an empty series, or one whose length is not that of the
@@ -78,10 +73,15 @@ def estimate_figure(time_s: ArrayLike, columns: Mapping[str, Array], title: str,
         Heading of the picture.
     coverage
         Seconds used for learning, as counted by `learning.buckets`; drawn as a map below the learned values.
+    path
+        PNG file to write too.
     """
     with empty_figure(*ESTIMATE_INCHES) as figure:
         _draw_estimate(figure, time_s, columns, title, coverage)
-        figure.draw_without_rendering()  # ticks and text are made now, in this look
+        if path is None:
+            figure.draw_without_rendering()  # ticks and text are made now, in this look
+        else:
+            write_figure(figure, path)
     return figure
 
 

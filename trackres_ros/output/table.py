@@ -104,7 +104,14 @@ class TableWriter:
             self._out.write([c.astype(np.float32) if n in single else c for n, c in zip(self.names, columns, strict=True)])
             return
         for start in range(0, len(columns[0]), CHUNK_ROWS):
-            texts = [_texts(column[start : start + CHUNK_ROWS]) for column in columns]
+            known: dict[bytes, list[str]] = {}  # belts with the same load have the same values
+            texts = []
+            for column in columns:
+                cells = column[start : start + CHUNK_ROWS]
+                key = cells.tobytes()
+                if key not in known:
+                    known[key] = _texts(cells)
+                texts.append(known[key])
             self._out.write("\n".join(map(",".join, zip(*texts, strict=True))) + "\n")
 
     def _single(self, columns: Sequence[NDArray[Any]]) -> set[str]:

@@ -149,14 +149,11 @@ class SeriesResult(Mapping[str, Array]):
             Without matplotlib.
         """
         from trackres_ros.output.plots import estimate_figure
-        from trackres_ros.output.style import write_figure
 
         drawn = self._drawn()
         columns = {name: drawn[name] for name in drawn if name not in ("time_s", "stamp_ns")}
-        figure = estimate_figure(drawn["time_s"], columns, self.title, coverage=self._coverage())
-        if path is not None:
-            write_figure(figure, Path(path))
-        return figure
+        into = None if path is None else Path(path)
+        return estimate_figure(drawn["time_s"], columns, self.title, self._coverage(), into)
 
     def _table(self) -> str:
         """A few rows as HTML, evenly apart."""
