@@ -239,7 +239,7 @@ def check_phi(z: np.ndarray) -> None:
     block[:2, :2], block[:2, 2:4], block[2:4, 4:] = z, np.eye(2), np.eye(2)
     exact = expm(block)
     for order in (1, 2):
-        ours = np.array(phi_matrix(*z.ravel(), order)).reshape(2, 2)
+        ours = np.array(phi_matrix(*z.ravel(), float(order))).reshape(2, 2)
         assert ours == pytest.approx(exact[:2, 2 * order : 2 * order + 2], rel=1e-7, abs=1e-9)
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.effects.effect import Conditions, Effect, Lag, Terms, VehicleConstants, values_type
 from trackres_ros.jit.code_cache import CodeCache
-from trackres_ros.jit.compiled import HAVE_NUMBA, code_folder, compiled, compiled_anew
+from trackres_ros.jit.compiled import HAVE_NUMBA, code_folder, inlined, part
 
 Array = NDArray[np.float64]
 
@@ -120,7 +120,7 @@ if HAVE_NUMBA:
         exec(f"def terms({given}):\n    return Terms({', '.join(f'float({name})' for name in Terms._fields)})", namespace)
         made = namespace["terms"]
         made.__module__ = __name__
-        return compiled(made)
+        return inlined(made)
 
     _terms = _terms_in_code()
 
@@ -138,16 +138,15 @@ if HAVE_NUMBA:
         python = getattr(kind, method)
         of_file = FunctionType(python.__code__, {**python.__globals__, "Terms": _terms}, python.__name__)
         of_file.__module__ = __name__  # that of a user's file cannot be imported when the code is read again
-        inner = compiled_anew(of_file)
-        known = ", ".join(f"x[{i}]" for i in range(FACTS, LOOKED_AT))
+        inner = part(of_file)
+        known = [f"x[{i}]" for i in range(LOOKED_AT)]
         lines = [
-            "def call(x_, p_, out_):",
-            f"    x, p, out = carray(x_, {LOOKED_AT}), carray(p_, {len(names)}), carray(out_, {answered})",
-            f"    at = Conditions(VehicleConstants({', '.join(f'x[{i}]' for i in range(FACTS))}), {known})",
+            "def call(x, p, out):",
+            f"    at = Conditions(VehicleConstants({', '.join(known[:FACTS])}), {', '.join(known[FACTS:])})",
             f"    found = run(None, at, pack({', '.join(f'p[{i}]' for i in range(len(names)))}))",
             *(f"    out[{i}] = found[{i}]" for i in range(answered)),
         ]
-        namespace: dict[str, Any] = {"carray": numba.carray, "Conditions": Conditions, "run": inner}
+        namespace: dict[str, Any] = {"Conditions": Conditions, "run": inner}
         namespace["VehicleConstants"] = VehicleConstants
         namespace["pack"] = values_type(names)
         exec("\n".join(lines), namespace)

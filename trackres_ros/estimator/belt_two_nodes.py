@@ -41,7 +41,7 @@ def advance_two_nodes(
     j21, j22 = slope + inner * per_skin, -(inner + cooling) * per_skin
     f1 = gained - lost * per_capacity
     f2 = gained + (inner * between - lost) * per_skin
-    m11, m12, m21, m22 = phi_matrix(j11 * dt, j12 * dt, j21 * dt, j22 * dt, 1)
+    m11, m12, m21, m22 = phi_matrix(j11 * dt, j12 * dt, j21 * dt, j22 * dt, 1.0)
     mean.temperature += dt * (m11 * f1 + m12 * f2)
     skin.temperature += dt * (m21 * f1 + m22 * f2)
     if not k.number.with_uncertainty:
@@ -61,7 +61,7 @@ def advance_two_nodes(
         belt[0, column] = first + dt * (m11 * slope_1 + m12 * slope_2)
         belt[1, column] = second + dt * (m21 * slope_1 + m22 * slope_2)
     add_noise(belt, k.number.process_noise * math.sqrt(dt), k.number.process_noise * math.sqrt(dt))
-    p11, p12, p21, p22 = phi_matrix(j11 * dt, j12 * dt, j21 * dt, j22 * dt, 2)
+    p11, p12, p21, p22 = phi_matrix(j11 * dt, j12 * dt, j21 * dt, j22 * dt, 2.0)
     departure_1 = dt * dt * (p11 * f1 + p12 * f2)
     departure_2 = dt * dt * (p21 * f1 + p22 * f2)
     return power * dt + power_slope * departure_1, cooling * (above * dt + departure_2)

@@ -324,7 +324,8 @@ class Session:
         most = int(np.count_nonzero(channel == at.SPEED))
         rows = np.empty((most + 1, len(self.estimator.columns)))
         stamps, arrivals = np.empty((2, most + 1), dtype=np.int64)
-        steps = self.estimator.entries.feed_many(*self._arguments, channel, stamp_ns, arrival_ns, value, rows, stamps, arrivals)
+        channels = channel.astype(np.int64)  # as those of single messages, for which the step is compiled
+        steps = self.estimator.entries.feed_many(*self._arguments, channels, stamp_ns, arrival_ns, value, rows, stamps, arrivals)
         return Steps(stamps[:steps], arrivals[:steps], rows[:steps])
 
     def counts(self) -> Iterator[tuple[str, at.Count, int]]:

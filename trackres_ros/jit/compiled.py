@@ -43,6 +43,8 @@ else:
     HAVE_NUMBA = True
     _library = numba
 
+    _OF_PART = {"nopython": True, "boundscheck": None, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
     class _Part(CPUDispatcher):
         """A function that is called compiled only from compiled code: from Python it runs as Python.
 
@@ -107,9 +109,9 @@ def inlined(function: Function) -> Function:
     return _compile(function, True)
 
 
-def compiled_anew(function: Function) -> Function:
-    """Compile `function` in each process: for functions that become part of other cached code, or make arrays."""
-    return cast(Function, _library.njit(nogil=True, error_model="numpy")(function)) if HAVE_NUMBA else function
+def part(function: FunctionType) -> Any:
+    """A function that becomes part of one cached function, or of none; needs numba."""
+    return _Part(function, {}, {"nogil": True, "error_model": "numpy", **_OF_PART})
 
 
 def _compile(function: Function, into_callers: bool) -> Function:
@@ -119,8 +121,7 @@ def _compile(function: Function, into_callers: bool) -> Function:
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
     dispatcher: Any
     if into_callers:
-        options |= {"nopython": True, "boundscheck": None, "forceinline": True}
-        dispatcher = _Part(function, {}, {**options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True})
+        dispatcher = _Part(function, {}, {**options, **_OF_PART, "forceinline": True})
     else:
         dispatcher = _library.njit(**options)(function)
     dispatcher._cache = CodeCache(cast(FunctionType, function), code_folder)

@@ -82,7 +82,7 @@ def phi_2(z: float) -> float:
 
 
 @compiled
-def phi_series(z11: float, z12: float, z21: float, z22: float, order: int) -> tuple[float, float, float, float]:
+def phi_series(z11: float, z12: float, z21: float, z22: float, order: float) -> tuple[float, float, float, float]:
     """The same by its series, for a matrix with no term much above 1."""
     s11, s12, s21, s22 = 1.0, 0.0, 0.0, 1.0
     for n in range(SERIES_TERMS, 0, -1):
@@ -93,13 +93,13 @@ def phi_series(z11: float, z12: float, z21: float, z22: float, order: int) -> tu
             by * (z21 * s11 + z22 * s21),
             1.0 + by * (z21 * s12 + z22 * s22),
         )
-    whole = 1.0 if order == 1 else 0.5
+    whole = 1.0 if order == 1.0 else 0.5
     return whole * s11, whole * s12, whole * s21, whole * s22
 
 
 @compiled
-def phi_matrix(z11: float, z12: float, z21: float, z22: float, order: int) -> tuple[float, float, float, float]:
-    """phi_1 or phi_2 (order 1 or 2) of a 2 x 2 matrix, row by row.
+def phi_matrix(z11: float, z12: float, z21: float, z22: float, order: float) -> tuple[float, float, float, float]:
+    """phi_1 or phi_2 (order 1.0 or 2.0: as integers, each would be compiled by itself) of a 2 x 2 matrix, row by row.
 
     Notes
     -----
@@ -116,7 +116,7 @@ def phi_matrix(z11: float, z12: float, z21: float, z22: float, order: int) -> tu
         return phi_series(z11, z12, z21, z22, order)
     spread = math.sqrt(max(squared, least * least))
     first, second = middle + spread, middle - spread
-    if order == 1:
+    if order == 1.0:
         at_first, at_second = phi_1(first), phi_1(second)
     else:
         at_first, at_second = phi_2(first), phi_2(second)

@@ -84,6 +84,9 @@ def look(cells: IntArray, places: Array, followed: Array, is_old: bool) -> None:
         return
     followed[PLACE_KNOWN] = 1.0
     x, y = followed[AT_X] + ahead * east, followed[AT_Y] + ahead * north
-    rise, _ = learned_at(cells, places, SLOPES, x, y, east, north)
-    followed[SLOPE] = -rise if followed[BACKWARD] > 0.0 else rise
-    followed[TORQUE], followed[TORQUE_STD] = learned_at(cells, places, TORQUES, x, y, east, north)
+    for kind in (SLOPES, TORQUES):  # a loop: with constants, each would be compiled by itself
+        value, std = learned_at(cells, places, kind, x, y, east, north)
+        if kind == SLOPES:
+            followed[SLOPE] = -value if followed[BACKWARD] > 0.0 else value
+        else:
+            followed[TORQUE], followed[TORQUE_STD] = value, std
