@@ -63,7 +63,7 @@ class BySolveIvp(TrackBase):
     """The same base with the temperatures by scipy; of a vehicle with one kind of belt and without effects."""
 
     def predict(self, sessions: Any, values: Any, effects: Any) -> list[Predicted]:  # noqa: ARG002
-        k = self._with(values, Acting.of((), self.facts))
+        k = self._with(values, Acting.of((), self.facts), self._loads(sessions))
         n, belt, own = k.number, k.assembly[0], Assembly(k.assembly[0])
         numbers = np.array([n.first_x, n.step_x, n.glass_transition, n.wlf_c1, n.wlf_c2])
         found = []

@@ -114,7 +114,7 @@ WAYS = (
     ),
     Way(
         "no entry from Python for what compiled code alone calls", True, COMPILING,
-        (("jit/compiled.py", '{**options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}', "options"),),
+        (("jit/compiled.py", ', "no_cpython_wrapper": True, "no_cfunc_wrapper": True}', "}"),),
     ),
     Way(
         "LLVM optimising less (level 1)", False, COMPILING,

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import attrs
+import numba
 import numpy as np
 from mcap.writer import CompressionType, Writer
 from measuring import alternated, median_ratio
@@ -27,7 +28,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Motion
-from trackres_ros.jit.compiled import compiled_anew
 from trackres_ros.output.mcap import BagWriter
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.cdr import FieldReader, Template
@@ -371,7 +371,7 @@ def rows(steps: int = 200_000, repeats: int = 15) -> dict[str, float]:
             numbers[speed] += 0.1 * (numbers[last] - numbers[speed])
             numbers[last] += 1e-3
 
-    found, ways = {}, {"compiled": compiled_anew, "plain Python": lambda function: function}
+    found, ways = {}, {"compiled": numba.njit(nogil=True, error_model="numpy"), "plain Python": lambda function: function}
     for way, made in ways.items():
         count, functions = (
             steps if way == "compiled" else max(1, steps // 100),

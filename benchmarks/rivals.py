@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import odeint, solve_ivp
@@ -19,7 +20,7 @@ from scipy.integrate import odeint, solve_ivp
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.jit.compiled import compiled, compiled_anew
+from trackres_ros.jit.compiled import compiled
 from trackres_ros.model.hysteresis import METHODS, LossMethod
 from trackres_ros.model.loss_table import look_up, look_up_drive
 from trackres_ros.model.rubber import REFERENCE_ABOVE_TG, RubberModel, log_shift_factor
@@ -176,7 +177,7 @@ def torques(p: Plain, road: Road, temps: Array) -> Array:
     return np.stack([hysteresis, bearing, wind, accelerating], axis=1)
 
 
-@compiled_anew
+@numba.njit(nogil=True, error_model="numpy")
 def rates(
     time: float, temps: Array, p: Any, step: float, speeds: Array, accelerations: Array, loads: Array, ambient: float
 ) -> Array:

@@ -82,6 +82,7 @@ def estimate_figure(
             figure.draw_without_rendering()  # ticks and text are made now, in this look
         else:
             write_figure(figure, path)
+        figure.set_layout_engine("none")  # a second layout would move them
     return figure
 
 
