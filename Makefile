@@ -7,7 +7,7 @@ OUT := out
 # These start nodes and mostly wait for them. Two files at a time: more would keep the nodes from their clock.
 LIVE_TESTS := test/dds test/processes
 
-.PHONY: demo test check test-live test-rest compiled mutants coverage site lint clean
+.PHONY: demo test check test-live test-rest test-effects compiled mutants coverage site lint clean
 
 demo: $(VENV)/.ready
 	$(RUN)/python tools/demo $(OUT)
@@ -16,7 +16,7 @@ demo: $(VENV)/.ready
 # threads in each.
 test: export OPENBLAS_NUM_THREADS := 1
 test: $(VENV)/.ready
-	$(MAKE) --no-print-directory -j 2 lint compiled
+	$(MAKE) --no-print-directory -j 2 lint test-effects
 	$(MAKE) --no-print-directory -j 2 test-live test-rest
 
 # For the loop of a developer: style, types and the laws of the physics.
@@ -31,7 +31,11 @@ test-live: $(VENV)/.ready
 	status=$$?; cat $$log; rm $$log; exit $$status
 
 test-rest: $(VENV)/.ready
-	nice -n 19 $(RUN)/python -m pytest -q -n auto --dist worksteal $(addprefix --ignore ,$(LIVE_TESTS))
+	nice -n 19 $(RUN)/python -m pytest -q -n auto --dist worksteal $(addprefix --ignore ,$(LIVE_TESTS) test/effects)
+
+# They compile every effect, before several tests would do so at a time.
+test-effects: compiled
+	$(RUN)/python -m pytest -q test/effects
 
 # Once, before several tests would do so at a time.
 compiled: $(VENV)/.ready
