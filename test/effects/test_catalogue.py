@@ -106,22 +106,24 @@ import math
 from trackres_ros.effects import Effect, Parameter, Terms
 
 CONSTANT = {constant}
+TORQUE = Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0)
+SHARE = Parameter("share", "1", 0.0, 1.0, 0.5, "of it", off=0.0)
 
 class Own(Effect):
     name = "own"
     acts_on = "torque"
     belongs_to = "vehicle"
     text = "something"
-    parameters = (Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0),)
+    parameters = ({parameters})
 
     def terms(self, at, p):
         return Terms(torque=p.torque * CONSTANT * math.{function}(0.0){more})
 """
 
 
-def table_of(folder, constant=2.0, more="", function="cos"):
+def table_of(folder, constant=2.0, more="", function="cos", parameters="TORQUE, SHARE"):
     """The table of an effect of a user's own, which nothing else holds."""
-    (folder / "own.py").write_text(OWN.format(constant=constant, more=more, function=function))
+    (folder / "own.py").write_text(OWN.format(constant=constant, more=more, function=function, parameters=parameters))
     effect = catalogue(folder)["own"]
     assert is_compiled(effect) == (not more)
     return effect_table([Active(effect, effect.values())])
@@ -138,6 +140,7 @@ def torque_by(table):
 def test_editing_an_effect_file_changes_its_code(tmp_path):
     assert torque_by(table_of(tmp_path, 2.0)) == 20.0
     assert torque_by(table_of(tmp_path, 3.0)) == 30.0
+    assert torque_by(table_of(tmp_path, 3.0, parameters="SHARE, TORQUE")) == 30.0
     assert torque_by(table_of(tmp_path, 3.0, function="sin")) == 0.0
 
 

@@ -228,6 +228,12 @@ def test_the_text_of_a_table(tmp_path: Path) -> None:
     assert path.read_text() == 'time_s,n,ok,"why, ""so""",x\n0.0,1,1,"a,b",\n0.1,2,0,"say ""x""",1e+22\n'
 
 
+def test_columns_of_equal_bytes_keep_their_kinds(tmp_path: Path) -> None:
+    whole, path = np.array([0, 1 << 62]), tmp_path / "out.csv"
+    write_table(path, {"time_s": whole.view(float), "n": whole, "x": whole.view(float)})
+    assert path.read_text() == f"time_s,n,x\n0.0,0,0.0\n2.0,{1 << 62},2.0\n"
+
+
 def test_nothing_is_left_or_lost_when_writing_fails(tmp_path: Path) -> None:
     path = tmp_path / "out.csv"
     path.write_text("old")

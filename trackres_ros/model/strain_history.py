@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 SERIES_BELOW = 0.3  # the closed transforms of a pulse cancel below it
-ANGLES = 64  # of which sines and cosines of all harmonics follow
+ANGLES = 64  # multiples of an angle with a sine and cosine of their own; those of the other harmonics are sums of these
 
 
 @dataclass(frozen=True)

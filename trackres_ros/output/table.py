@@ -104,11 +104,11 @@ class TableWriter:
             self._out.write([c.astype(np.float32) if n in single else c for n, c in zip(self.names, columns, strict=True)])
             return
         for start in range(0, len(columns[0]), CHUNK_ROWS):
-            known: dict[bytes, list[str]] = {}  # belts with the same load have the same values
+            known: dict[tuple[str, bytes], list[str]] = {}  # belts with the same load have the same values
             texts = []
             for column in columns:
                 cells = column[start : start + CHUNK_ROWS]
-                key = cells.tobytes()
+                key = cells.dtype.str, cells.tobytes()  # a whole 0 and a real 0.0 have the same bytes
                 if key not in known:
                     known[key] = _texts(cells)
                 texts.append(known[key])

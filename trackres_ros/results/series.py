@@ -152,8 +152,8 @@ class SeriesResult(Mapping[str, Array]):
 
         drawn = self._drawn()
         columns = {name: drawn[name] for name in drawn if name not in ("time_s", "stamp_ns")}
-        into = None if path is None else Path(path)
-        return estimate_figure(drawn["time_s"], columns, self.title, self._coverage(), into)
+        picture = None if path is None else Path(path)
+        return estimate_figure(drawn["time_s"], columns, self.title, self._coverage(), picture)
 
     def _table(self) -> str:
         """A few rows as HTML, evenly apart."""
