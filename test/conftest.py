@@ -151,13 +151,12 @@ def drawn(monkeypatch):
     """`figures` as they are saved, and `faults(figure)`: what of one is cut off, collides or covers something."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
 
-    figures, save, write = [], Figure.savefig, FigureCanvasSVG.print_svg
+    figures, save, write = [], FigureCanvasAgg.print_png, FigureCanvasSVG.print_svg
 
-    def saved(figure, *args, **kwargs):
-        save(figure, *args, **kwargs)
-        figures.append(figure)
+    def saved(canvas, *args, **kwargs):
+        save(canvas, *args, **kwargs)
+        figures.append(canvas.figure)
 
     def written(canvas, *args, **kwargs):
         write(canvas, *args, **kwargs)
@@ -165,7 +164,7 @@ def drawn(monkeypatch):
         canvas.figure.draw_without_rendering()
         figures.append(canvas.figure)
 
-    monkeypatch.setattr(Figure, "savefig", saved)
+    monkeypatch.setattr(FigureCanvasAgg, "print_png", saved)
     monkeypatch.setattr(FigureCanvasSVG, "print_svg", written)
     return SimpleNamespace(figures=figures, faults=_faults)
 

@@ -109,9 +109,11 @@ def _look() -> Iterator[None]:
 
 def png_of(figure: Figure) -> bytes:
     """A figure of this module as PNG: the same figure gives the same bytes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     drawn = io.BytesIO()
-    with _look():
-        figure.savefig(drawn, format="png", metadata={"Software": None})
+    with _look():  # `savefig` would draw it twice
+        FigureCanvasAgg(figure).print_png(drawn, metadata={"Software": None})
     return drawn.getvalue()
 
 
@@ -123,7 +125,7 @@ def svg_of(figure: Figure) -> bytes:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     drawn = io.BytesIO()
-    with _look():  # `savefig` would draw it twice
+    with _look():
         FigureCanvasSVG(figure).print_svg(  # type: ignore[no-untyped-call]
             drawn, metadata={"Date": None, "Creator": None}
         )

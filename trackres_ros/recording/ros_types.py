@@ -133,7 +133,14 @@ def _finder(one: Connection | RosTopic, encoding: Encoding) -> Callable[[], Defi
         of_ros = types_of_text(one.msgtype, one.msgdef)
         return lambda: with_installed(of_ros, one.msgtype)
     own = _own_definitions(one.msgdef if isinstance(one.msgdef, str) else one.msgdef.data, one.msgtype)
-    return lambda: definitions({**_common(encoding), **own}, one.msgtype)
+
+    def complete() -> Definitions:
+        try:
+            return definitions(own, one.msgtype)
+        except KeyError:  # the common types take a while to load
+            return definitions({**_common(encoding), **own}, one.msgtype)
+
+    return complete
 
 
 def types_of(one: Connection | RosTopic, path: Path, encoding: Encoding) -> Definitions:
