@@ -315,7 +315,7 @@ def test_vehicle_yaml_alone_is_no_worse_whatever_is_hidden(tmp_path, loaded, nam
     written has the values that the report shows.
     """
     rng, known = np.random.default_rng(1), catalogue()
-    sessions = drives(loaded.base, loaded.known.max_speed, 2, 6.0, rng)
+    sessions = drives(loaded.base, loaded.known.max_speed, 2, 6.0, rng, step=0.5)
     hidden = [Active(known[name], known[name].values())]
     paths = write_recordings(loaded.base, tmp_path, sessions, hidden, rng)
     file = file_with(tmp_path / "given", factors, warmer)

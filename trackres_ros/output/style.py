@@ -113,7 +113,7 @@ def png_of(figure: Figure) -> bytes:
 
     drawn = io.BytesIO()
     with _look():  # `savefig` would draw it twice
-        FigureCanvasAgg(figure).print_png(drawn, metadata={"Software": None})
+        FigureCanvasAgg(figure).print_png(drawn, metadata={"Software": None})  # type: ignore[no-untyped-call]
     return drawn.getvalue()
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.files.arrow_columns import as_arrow
 from trackres_ros.files.output_files import TABLE_SUFFIXES, WRITTEN_WITH
 from trackres_ros.recording.samples import FloatArray
 
@@ -126,7 +127,7 @@ class TableWriter:
         real = [name for name, column in zip(self.names, columns, strict=True) if column.dtype.kind == "f"]
         single = self._single(columns)
         named = zip(self.names, columns, strict=True)
-        arrays = [_arrow(c.astype(np.float32) if name in single else c) for name, c in named]
+        arrays = [as_arrow(c.astype(np.float32) if name in single else c) for name, c in named]
         table = pa.table(arrays, names=list(self.names))
         if self._out is None:
             # Bytes of equal weight are grouped: smooth values differ in the last ones alone.
@@ -150,18 +151,6 @@ def write_table(path: Path, columns: Mapping[str, NDArray[Any]], estimates: bool
         raise InputError(str(path), lengths, "columns of one length")
     with TableWriter(path, list(columns), estimates) as writer:
         writer.write_columns([np.asarray(column) for column in columns.values()])
-
-
-def _arrow(column: NDArray[Any]) -> Any:
-    """Return a column as pyarrow keeps it, nan as no value."""
-    import pyarrow as pa
-
-    if column.dtype.kind not in "fiu":
-        return pa.array(column, from_pandas=True)
-    there = ~np.isnan(column)
-    bits = None if there.all() else pa.py_buffer(np.packbits(there, bitorder="little"))
-    # `pa.array` would import pandas where that is installed, which takes longer than writing the file.
-    return pa.Array.from_buffers(pa.from_numpy_dtype(column.dtype), len(column), [bits, pa.py_buffer(np.ascontiguousarray(column))])
 
 
 def _texts(column: NDArray[Any]) -> list[str]:

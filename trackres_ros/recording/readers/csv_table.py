@@ -19,6 +19,7 @@ from typing import IO, Any, cast
 import numpy as np
 
 from trackres_ros.errors import InputError
+from trackres_ros.files.arrow_columns import as_numpy
 from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
 from trackres_ros.recording.date_times import DateTimes, is_date_time
 from trackres_ros.recording.file_kind import FileKind
@@ -186,16 +187,15 @@ class CsvTable(TableFile):
 
     def _rows_of(self, batch: Any, wanted: Sequence[str]) -> ChannelRows:
         """Rows of an Arrow batch, time first."""
-        import pyarrow as pa
-
-        columns = [batch.column(name) for name in wanted]
-        valid = np.stack([column.is_valid().to_numpy(zero_copy_only=False) for column in columns], axis=1)
-        numbers = [column.cast(pa.float64()).to_numpy(zero_copy_only=False) for column in columns[1:]]
+        first, *others = (batch.column(name) for name in wanted)
+        cells, given = zip(*map(as_numpy, others), strict=True)
         if self._dates is None:
-            time = columns[0].to_numpy(zero_copy_only=False)
+            time, timed = as_numpy(first)
         else:
-            time = np.array([0 if text is None else self._dates.ns(text) for text in columns[0].to_pylist()], np.int64)
-        return ChannelRows(time, valid[:, 0], np.stack(numbers, axis=1), valid[:, 1:])
+            texts = first.to_pylist()
+            timed = np.array([text is not None for text in texts], np.bool_)
+            time = np.array([0 if text is None else self._dates.ns(text) for text in texts], np.int64)
+        return ChannelRows(time, timed, np.stack(cells, axis=1), np.stack(given, axis=1))
 
     def _plain_chunks(self, met: _Met) -> Iterator[ChannelRows]:
         """Yield the rows after those that were met, cell by cell; the same numbers, and an error with its line."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
+from trackres_ros.files.arrow_columns import as_numpy
 from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
 from trackres_ros.recording.date_times import NO_ZONE
 from trackres_ros.recording.file_kind import FileKind
@@ -67,30 +68,23 @@ class ParquetTable(TableFile):
 
     def _rows(self) -> Iterator[ChannelRows]:
         """Read the file."""
-        import pyarrow as pa
-
         with self._file() as file:
             count, empty = 0, np.zeros(len(self._read), np.int64)
             for batch in file.iter_batches(batch_size=CHUNK_ROWS, columns=self._read, use_threads=False):
-                rows = rows_of(batch, self._read, pa.timestamp("ns", "UTC") if self._dates else pa.float64())
+                rows = _rows_of(batch, self._read, self._dates)
                 count += len(rows.time)
                 empty += [np.count_nonzero(~rows.timed), *np.count_nonzero(~rows.given, axis=0)]
                 yield rows
             self.findings = tuple(_look_at_counts(file.metadata, self._read, count, empty))
 
 
-def rows_of(batch: Any, names: Sequence[str], time_type: Any) -> ChannelRows:
+def _rows_of(batch: Any, names: Sequence[str], dates: bool) -> ChannelRows:
     """Rows of an Arrow batch, time first."""
     import pyarrow as pa
 
     first, *others = (batch.column(name) for name in names)
-    timed = first.is_valid().to_numpy(zero_copy_only=False)
-    if pa.types.is_timestamp(time_type):
-        time = first.cast(time_type).cast(pa.int64()).fill_null(0).to_numpy(zero_copy_only=False)
-    else:
-        time = first.cast(time_type).to_numpy(zero_copy_only=False)
-    cells = [column.cast(pa.float64()).to_numpy(zero_copy_only=False) for column in others]
-    given = [column.is_valid().to_numpy(zero_copy_only=False) for column in others]
+    time, timed = as_numpy(first.cast(pa.timestamp("ns", "UTC")).cast(pa.int64()) if dates else first.cast(pa.float64()))
+    cells, given = zip(*(as_numpy(column.cast(pa.float64())) for column in others), strict=True)
     return ChannelRows(time, timed, np.stack(cells, axis=1), np.stack(given, axis=1))
 
 
