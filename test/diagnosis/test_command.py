@@ -177,13 +177,13 @@ def test_order_names_and_bad_files_change_nothing(run, recorded, tmp_path, monke
 
 
 def test_one_speed_alone_shows_little_and_says_so(run, tmp_path):
-    n = 3000
+    n = 600
     torque = np.random.default_rng(3).normal(5500.0, 40.0, n)
-    columns = {"time_s": 0.2 * np.arange(n), "speed_mps": np.full(n, 5.0), "torque_nm": torque}
+    columns = {"time_s": np.arange(float(n)), "speed_mps": np.full(n, 5.0), "torque_nm": torque}
     found = found_in(run, [written(tmp_path / "steady.csv", columns)], tmp_path / "out")
     assert len(found["not_visible"]) > 10
     assert found["verdict"]["status"] in ("none", "one_of", "unexplained") or found["verdict"]["grade"] != "confirmed"
-    assert found["written"]["effects"] == []
+    assert found["kept"]["vehicle"] == []  # a slope, which may be the cause, is none of the vehicle
 
 
 def test_a_clock_that_is_off_is_put_right(recorded, loaded, tmp_path):
