@@ -8,7 +8,7 @@ import json
 
 import pytest
 
-NEEDED = ("pandas", "xarray", "matplotlib", "jinja2", "ruptures")
+NEEDED = ("pandas", "xarray", "matplotlib", "jinja2")
 
 
 @pytest.fixture(scope="module")

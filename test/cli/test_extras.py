@@ -28,7 +28,7 @@ for number, (modules, words) in enumerate(commands):
         main(words)
     print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
-OPTIONAL = "numba rosbags pyarrow pandas xarray matplotlib jinja2 ruptures sklearn pysindy cyclonedds distributed SALib fsspec"
+OPTIONAL = "numba rosbags pyarrow pandas xarray matplotlib jinja2 sklearn pysindy cyclonedds distributed SALib fsspec"
 
 
 def without(blocked, commands, folder):
@@ -46,9 +46,9 @@ def without(blocked, commands, folder):
 
 
 NEEDED = [
-    (("prove", "--quick", "-o", "out"), ("sklearn", "pysindy", "matplotlib", "jinja2", "ruptures", "numba")),
+    (("prove", "--quick", "-o", "out"), ("sklearn", "pysindy", "matplotlib", "jinja2", "numba")),
     (("prove", "--quick", "--json", "-o", "out"), ("sklearn",)),
-    (("prove", "paper", "-o", "out"), ("matplotlib", "ruptures")),
+    (("prove", "paper", "-o", "out"), ("matplotlib", "jinja2")),
     (("prove", "loop", "-o", "out"), ("matplotlib",)),
     (("prove", "real", "--data", "here", "-o", "out"), ("matplotlib",)),
     (("fleet", "drive.csv", "--vehicle", "agri3t", "-o", "out"), ("distributed", "fsspec", "pyarrow", "jinja2")),

@@ -5,17 +5,19 @@
 
 import pickle
 from dataclasses import replace
+from itertools import chain, combinations, pairwise
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from hypothesis import given
+from hypothesis import strategies as st
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.findings import change_points as level_changes
-from trackres_ros.diagnosis.findings.change_points import changes
+from trackres_ros.diagnosis.findings.change_points import SHORTEST_PIECES, changes, segments
 from trackres_ros.diagnosis.findings.next_drives import menu
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, estimate_noise, whitened
+from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, autoregression, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.gate import SHORTEST_MOVING_S, gate
 from trackres_ros.diagnosis.prepare.refuse import SHORTEST_S
 from trackres_ros.diagnosis.prepare.session import Cumulative
@@ -42,17 +44,17 @@ def problem(gated, loaded):
     return Problem(loaded.base, gated.sessions, masks)
 
 
-def autoregression(phi, n, rng):
-    x = np.zeros(n)
-    for i in range(len(phi), n):
-        x[i] = sum(p * x[i - 1 - j] for j, p in enumerate(phi)) + rng.normal()
-    return x
+@pytest.mark.parametrize("phi", [(), (0.8,), (1.2, -0.3), (1.8, -1.1, 0.2, 0.05)])
+def test_whitening_gives_the_shocks_back(phi):
+    shocks, phi = np.random.default_rng(2).normal(size=2000), np.array(phi)
+    white = whitened(autoregression(shocks, phi), np.ones(2000, dtype=bool), phi)
+    np.testing.assert_allclose(white[MOST_LAGS:], shocks[MOST_LAGS:], atol=1e-12)
 
 
 @pytest.mark.parametrize("phi", [(), (0.8,), (0.5, 0.3)])
 def test_noise_is_recognised_and_whitening_makes_it_white(phi):
     rng = np.random.default_rng(5)
-    series = autoregression(phi, 4000, rng)
+    series = autoregression(rng.normal(size=4000), np.array(phi))
     mask = rng.random(4000) > 0.01
     noise = estimate_noise([series], [mask])
     assert noise.std == pytest.approx(1.0, rel=0.05)
@@ -63,7 +65,7 @@ def test_noise_is_recognised_and_whitening_makes_it_white(phi):
 
 
 def test_an_outlier_does_not_move_the_noise():
-    series = autoregression((0.6,), 3000, np.random.default_rng(1))
+    series = autoregression(np.random.default_rng(1).normal(size=3000), np.array([0.6]))
     spoilt = series.copy()
     spoilt[::500] += 300.0
     mask = np.ones(3000, dtype=bool)
@@ -75,7 +77,7 @@ def test_an_outlier_does_not_move_the_noise():
 def test_tails_are_as_heavy_as_the_data_say(degrees, low, high):
     rng = np.random.default_rng(8)
     e = rng.standard_t(degrees, 6000)
-    series = lfilter([1.0], [1.0, -0.7], 5.0 * e)
+    series = autoregression(5.0 * e, np.array([0.7]))
     noise = estimate_noise([series], [np.ones(6000, dtype=bool)])
     assert low <= noise.degrees <= high
     assert noise.scale == pytest.approx(5.0, rel=0.1)
@@ -151,8 +153,6 @@ def test_a_fit_finds_the_parameters_that_made_the_data(loaded):
 
 
 def test_temperature_is_carried_over_a_gap_and_forgotten_without(loaded):
-    from dataclasses import replace
-
     base = loaded.base
     one, two = drives(base, loaded.known.max_speed, 2, 10.0, np.random.default_rng(4))
     two = replace(two, ambient=one.ambient)
@@ -236,7 +236,6 @@ def test_an_interval_knows_that_the_function_is_not_nature(problem, effects):
 
 @pytest.mark.parametrize(("step_nm", "most"), [(0.0, 400), (150.0, 400), (150.0, 12)])
 def test_a_change_of_level_is_found_where_it_is(recorded, loaded, step_nm, most, monkeypatch):
-    pytest.importorskip("ruptures")
     monkeypatch.setattr(level_changes, "MOST_PIECES", most)
     gated = gate(read_recordings(recorded(count=1), None), loaded.known)
     (session,) = gated.sessions
@@ -250,6 +249,20 @@ def test_a_change_of_level_is_found_where_it_is(recorded, loaded, step_nm, most,
         assert nearest.after - nearest.before == pytest.approx(step_nm, abs=30.0)
     else:
         assert not found
+
+
+@given(st.lists(st.floats(-5.0, 5.0), min_size=8, max_size=20), st.floats(0.0, 20.0))
+def test_no_split_into_segments_costs_less(level, penalty):
+    level, n = np.array(level), len(level)
+
+    def cost(firsts):
+        return sum(penalty + (b - a) * level[a:b].var() for a, b in pairwise((0, *firsts, n)))
+
+    found = cost(segments(level, penalty))
+    places = range(SHORTEST_PIECES, n - SHORTEST_PIECES + 1)
+    for firsts in chain.from_iterable(combinations(places, count) for count in range(n // SHORTEST_PIECES)):
+        if all(b - a >= SHORTEST_PIECES for a, b in pairwise(firsts)):
+            assert found <= cost(firsts) + 1e-6
 
 
 def test_every_menu_manoeuvre_is_long_enough_to_diagnose(problem):

@@ -114,7 +114,6 @@ def test_delays_are_drawn_of_a_seed_and_sealed():
 
 
 def test_a_concealed_delay_is_found_and_its_seal_holds(good, trackres, tmp_path, monkeypatch):
-    pytest.importorskip("ruptures")
     # Its processes in this one.
     monkeypatch.setattr(prove, "_process", lambda _as_json, step: delay.main([str(word) for word in step[1:]]))
     monkeypatch.setattr(delay, "each", lambda work, tasks, _word: [work(task) for task in tasks])

@@ -19,7 +19,7 @@ MINUTES = 15.0
 QUICK_MINUTES = 12.0
 REPORTED_SEED = 20261124
 FOLLOWED, QUICK_FOLLOWED = 40, 8  # cases in which the advised manoeuvre is driven
-EXTRA = "proof", "numba", "matplotlib", "jinja2", "ruptures"
+EXTRA = "proof", "numba", "matplotlib", "jinja2"
 SAME_OPTIONS = "an empty folder, or one of a run with the same options"
 FOLDERS = ("cases", "results", "results_earlier", "next", "results_next", "sealed")
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from trackres_ros.compound.master import Smooth, chosen_penalty, smooth
 from trackres_ros.compound.reading import Sweep
@@ -94,7 +94,7 @@ class FittedShift:
         centre = of(self.theta)
         step = 1e-4 * np.maximum(np.sqrt(np.diag(self.covariances[0])), 1e-6)
         slope = np.array([(of(self.theta + s) - of(self.theta - s)) / (2.0 * s.sum()) for s in np.diag(step)])
-        wide = float(student.ppf(0.5 + 0.5 * SURE, self.dof)) * float(np.sqrt(max(slope @ c @ slope for c in self.covariances)))
+        wide = float(stdtrit(self.dof, 0.5 + 0.5 * SURE)) * float(np.sqrt(max(slope @ c @ slope for c in self.covariances)))
         return Value(centre, max(centre - wide, min(limits[0], centre)), min(centre + wide, max(limits[1], centre)))
 
 

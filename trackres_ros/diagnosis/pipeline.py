@@ -76,8 +76,8 @@ class Diagnosis(Judgement):
     kept: FileChanges
 
     @cached_property
-    def changes(self) -> list[Change] | None:
-        """Level changes in the residual of the re-fitted base; None where the search could not run."""
+    def changes(self) -> list[Change]:
+        """Level changes in the residual of the re-fitted base."""
         return changes(for_tests(self.refitted))
 
     @cached_property

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtri
 
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.jsons import parse_json
@@ -60,7 +60,7 @@ def compare(one: str, other: str) -> dict[str, Any]:
     if all(s.design for s in sides):  # equal values of both files have equal errors
         covariance[change == 0.0, :] = covariance[:, change == 0.0] = 0.0
     std = np.sqrt(np.diag(covariance))
-    most = float(norm.isf(0.5 * SURE / len(names)))
+    most = -float(ndtri(0.5 * SURE / len(names)))
     listed = []
     for i, name in enumerate(names):
         (one_value, one_std), (other_value, other_std) = (
@@ -78,7 +78,7 @@ def compare(one: str, other: str) -> dict[str, Any]:
     if known.any():
         scaled = covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
         apart = change[known] / std[known]
-        chance = float(chi2.sf(apart @ np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) @ apart, int(known.sum())))
+        chance = float(chdtrc(int(known.sum()), apart @ np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) @ apart))
     return {"one": sides[0].title, "other": sides[1].title, "parameters": listed, "chance_of_all": chance}
 
 

@@ -15,7 +15,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.instrument import instrument
@@ -163,7 +163,7 @@ def _scatter(all_free: Fit, rolled: Rollouts) -> dict[tuple[str, str], float]:
     """Standard deviations from leaving out coast-downs, thus with unmeasured slopes and winds, wider for few of them."""
     together = _together(rolled, FEWEST_GROUPS)
     groups = math.ceil(len(rolled.stretches) / together)
-    wider = float(student.ppf(0.975, groups - 1)) / NORMAL_95 if groups > 1 else 1.0
+    wider = float(stdtrit(groups - 1, 0.975)) / NORMAL_95 if groups > 1 else 1.0
     return {key: wider * std for key, std in lap_std(all_free, together).items()}
 
 

@@ -19,10 +19,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.signal import lfilter
 from scipy.sparse.linalg import SuperLU, splu
 
-from trackres_ros.diagnosis.inference.noise import Noise, whole_past
+from trackres_ros.diagnosis.inference.noise import Noise, autoregression, whole_past
 from trackres_ros.route.lookup import SPACING_M
 from trackres_ros.route.matching import Matched
 
@@ -230,7 +229,7 @@ class WhitenedRows:
 
 def _growth(phi: Array) -> float:
     """Standard deviation of an autoregression over that of its innovations."""
-    response = lfilter([1.0], np.concatenate(([1.0], -phi)), np.eye(1, LONGEST_RESPONSE)[0])
+    response = autoregression(np.eye(1, LONGEST_RESPONSE)[0], phi)
     return float(np.sqrt(np.sum(response**2)))
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.chebyshev import chebval
 from numpy.typing import NDArray
-from scipy.stats import gamma
+from scipy.special import gammainccinv
 
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.noise import whitened
@@ -65,8 +65,7 @@ def find_wave(found: Fit) -> Wave | None:
     longest = max(float(p.edges[-1] - p.edges[0]) for p in pieces)
     waves = np.arange(1.0 / LONGEST_M, 1.0 / SHORTEST_M, 1.0 / (FINER * longest))  # per metre
     gains = np.sum([_gains(found, p, waves) for p in pieces], axis=0)
-    expected = gamma(len(pieces))
-    scale = max(1.0, float(np.median(gains)) / float(expected.median()))
+    scale = max(1.0, float(np.median(gains)) / float(gammainccinv(len(pieces), 0.5)))
     per_metre, gain = max(
         (
             (float(waves[i]), sum(_fitted(found, p, float(waves[i]))[1] for p in pieces))
@@ -74,7 +73,7 @@ def find_wave(found: Fit) -> Wave | None:
         ),
         key=lambda one: one[1],
     )
-    return None if gain / scale < float(expected.isf(CHANCE / len(waves))) else _wave(found, pieces, per_metre)
+    return None if gain / scale < float(gammainccinv(len(pieces), CHANCE / len(waves))) else _wave(found, pieces, per_metre)
 
 
 def part_of(length_m: float, parts: Mapping[str, float]) -> str:

@@ -32,17 +32,8 @@ class Change:
     after: float
 
 
-def changes(found: Fit) -> list[Change] | None:
-    """Change points of the torque residual in each recording; None where `ruptures` is not installed.
-
-    Notes
-    -----
-    Pruned exact linear time (PELT) on the means of the whitened residual, in standard deviations of such a mean.
-    """
-    try:
-        from ruptures import Pelt
-    except ImportError:
-        return None
+def changes(found: Fit) -> list[Change]:
+    """Change points of the torque residual in each recording, by means of the whitened one over the std of such a mean."""
     listed = []
     sessions, masks = found.problem.sessions, found.problem.masks
     of_torque = found.white[: len(sessions)], torque_residuals(found)
@@ -58,9 +49,28 @@ def changes(found: Fit) -> list[Change] | None:
         influence = white[valid] * found.noise.weights(white[valid])
         level = np.bincount(piece[valid], weights=influence, minlength=len(count))[there] / np.sqrt(count[there])
         penalty = COST_OF_A_CHANGE * math.log(len(level))
-        ends = Pelt(model="l2", min_size=SHORTEST_PIECES, jump=1).fit(level).predict(pen=penalty)
         starts = np.flatnonzero(there)
-        edges = [0.0, *(length * starts[end] for end in ends[:-1]), np.inf]
+        edges = [0.0, *(length * starts[first] for first in segments(level, penalty)), np.inf]
         means = [float(residual[mask & (session.time >= a) & (session.time < b)].mean()) for a, b in pairwise(edges)]
         listed += [Change(session.name, float(t), *levels) for t, levels in zip(edges[1:-1], pairwise(means), strict=True)]
     return listed
+
+
+def segments(level: Array, penalty: float) -> list[int]:
+    """First index of each segment after the first one, of the split into constant segments with the least squares.
+
+    A segment has at least `SHORTEST_PIECES` levels and costs `penalty` more. Exact, by dynamic programming (Jackson et al., IEEE
+    Signal Processing Letters 12 (2005) 105, "An algorithm for optimal partitioning of data on an interval").
+    """
+    sums, squares = (np.concatenate(([0.0], np.cumsum(level**power))) for power in (1, 2))
+    cost, first = np.full(len(sums), np.inf), np.zeros(len(sums), int)
+    cost[0] = 0.0
+    for end in range(SHORTEST_PIECES, len(sums)):
+        begin = np.arange(end - SHORTEST_PIECES + 1)
+        total = cost[begin] + squares[end] - squares[begin] - (sums[end] - sums[begin]) ** 2 / (end - begin) + penalty
+        first[end] = int(total.argmin())
+        cost[end] = total[first[end]]
+    found = [int(first[-1])]
+    while found[-1]:
+        found.append(int(first[found[-1]]))
+    return found[-2::-1]

@@ -17,9 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 from scipy.optimize import nnls
-from scipy.stats import t
+from scipy.special import stdtr
 
 from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.inference.fitting import Fit
@@ -88,6 +87,8 @@ def find_spread(fit: Fit) -> Spread | None:
 
 def oscillation_of(session: DriveSession, expected: Array) -> Array | None:
     """Standard deviation of oscillations faster than a step, at each step [Nm], shape (n,); None for too sparse samples."""
+    from scipy.interpolate import CubicSpline  # takes a while to load
+
     course, step = session.torque_course, session.step
     part = step / WITHIN
     if course is None or len(course.at) < 2 or len(expected) < OVER:
@@ -154,7 +155,7 @@ def _compared(text: str, size: Array, drive: Array, inside: Mask, block: NDArray
         std = math.hypot(a.std(ddof=1) / math.sqrt(len(a)), b.std(ddof=1) / math.sqrt(len(b)))
     else:
         return None
-    p = float(t.sf((mean - math.log(SURELY_RATIO)) / max(std, 1e-9), degrees)) * tried
+    p = float(stdtr(degrees, (math.log(SURELY_RATIO) - mean) / max(std, 1e-9))) * tried
     laps = len(both) or len(there) + len(elsewhere)
     size_nm = float(np.median(size[inside]))
     return Spread(text, size_nm, math.exp(mean), min(1.0, p), laps)

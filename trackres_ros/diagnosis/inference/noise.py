@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg.lapack import dposv
+from scipy.linalg.lapack import dposv, dtbtrs
 from scipy.special import gammaln
 
 from trackres_ros.diagnosis.prepare.session import Array, Mask
@@ -110,6 +110,12 @@ def whitened_at(series: Array, valid: Mask, phi: Array) -> Array:
         out[lag:] -= coefficient * series[:-lag]
     out[~valid] = np.nan
     return out
+
+
+def autoregression(shocks: Array, phi: Array) -> Array:
+    """The series that shocks drive from rest, shape (n,): the inverse of whitening."""
+    bands = np.tile(np.concatenate(([1.0], -phi))[:, np.newaxis], len(shocks))
+    return np.asarray(dtbtrs(bands, shocks[:, np.newaxis], uplo="L")[0][:, 0])
 
 
 def whole_past(mask: Mask, lags: int) -> Mask:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from trackres_ros.diagnosis.prepare.robust import robust_least_squares
 from trackres_ros.diagnosis.prepare.session import DriveSession
@@ -62,6 +61,8 @@ def with_slope(session: DriveSession) -> tuple[DriveSession, str]:
 
 def error_by_revisits(session: DriveSession) -> tuple[float, int]:
     """Standard deviation of the altitude's error between passes of a place [m], and the number of pairs; 0 without pairs."""
+    from scipy.spatial import cKDTree  # takes a while to load
+
     x, y = Frame.about(session.latitude, session.longitude).metres(session.latitude, session.longitude)
     known = np.isfinite(x) & np.isfinite(session.altitude)
     piece = np.floor(session.distance / APART_M)

@@ -73,7 +73,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
             stage: [{**_bin(b), "samples": b.samples, "p": b.p} for b in of.bins]
             for stage, of in (("base", d.at_base), ("end", d.at_end))
         },
-        "changes": None if d.changes is None else [
+        "changes": [
             {"recording": c.recording, "t_s": c.time, "before": c.before, "after": c.after, "unit": "Nm"} for c in d.changes
         ],
         "whiteness_p": d.periodogram_p,

@@ -102,11 +102,13 @@ def interval(parameter: dict[str, Any]) -> tuple[str, str, str]:
 
 def provenance(read: Sequence[Path], seconds: float | None) -> list[tuple[str, str]]:
     """Name and text of each item of the provenance, from the read files and folders and the duration of the diagnosis."""
+    program = Path(sys.argv[0])
+    words = [program.name] if program.stem != "__main__" else ["python", "-m", program.parent.name]
     versions = f"trackres {__version__}, Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}"
     return [
         ("made", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"),
         ("version", versions),
-        ("command", shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])),
+        ("command", shlex.join([*words, *sys.argv[1:]])),
         *([] if seconds is None else [("duration", f"{seconds:.1f} s, without this page")]),
         *((path.name, f"SHA-256 {digest}") for path in read if (digest := sha256(path))),
     ]

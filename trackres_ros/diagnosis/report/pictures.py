@@ -112,7 +112,7 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
                     if span.recording == session.name:
                         ends = span.begin / unit, span.end / unit
                         axis.axvspan(*ends, ymax=0.05, color=ORANGE, linewidth=0, label=f"{found.name} acts most")
-            for change in d.changes or ():
+            for change in d.changes:
                 if change.recording == session.name:
                     axis.axvline(change.time / unit, color=GREY, linestyle="--", linewidth=1.0, label="change of level")
             axis.axhline(0.0, color=GREY, linewidth=0.8)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from trackres_ros.diagnosis.inference.fitting import Fit, Free, fit, free_parameters
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
@@ -19,7 +19,7 @@ from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.progress import counted
 from trackres_ros.vehicle.writing.changes import Interval
 
-DROP = 0.5 * float(chi2.ppf(0.95, 1))
+DROP = 0.5 * float(chdtri(1, 0.05))  # half of the 95 % quantile of chi-squared
 NORMAL_95 = 1.96
 MOST_TRIES = 8
 GROWTH = 2.0

@@ -14,10 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
-from scipy.signal import lfilter
 
 from trackres_ros.diagnosis.inference.fitting import LARGE, Fit
-from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, improved, shortened, solved, whole_past
+from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, autoregression, improved, shortened, solved, whole_past
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.form_error import other_forms
 from trackres_ros.diagnosis.selection.visibility import EffectSensitivity, base_columns
@@ -274,7 +273,7 @@ def _white(lagged: Array, noise: Noise) -> Array:
 def coloured(white: Array, noise: Noise, rng: np.random.Generator) -> Array:
     """Coloured noise from innovations, starting in steady state."""
     lead = rng.choice(white[white != 0.0], 500) if np.any(white) else np.zeros(500)
-    return np.asarray(lfilter([1.0], np.concatenate(([1.0], -noise.phi)), np.concatenate((lead, white)))[500:])
+    return autoregression(np.concatenate((lead, white)), noise.phi)[500:]
 
 
 def _bounded(x: Array, e: Array, low: Array, high: Array) -> Array:
