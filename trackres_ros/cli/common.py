@@ -3,6 +3,7 @@
 
 """Commands with readable errors, and what all of them print: results, progress, warnings."""
 
+import sys
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -93,13 +94,13 @@ def emit(result: dict[str, Any], as_json: bool, text: Callable[[], str]) -> None
 @contextmanager
 def progress(label: str, total: float | None) -> Iterator[Callable[[float], None]]:
     """A progress bar on standard error, in a terminal; the function takes the increment."""
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda _: None
-        return
     clock = TimeElapsedColumn() if total is None else TimeRemainingColumn()
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), clock)
     with Progress(*columns, console=console, transient=True) as bar:
@@ -115,13 +116,13 @@ def progress(label: str, total: float | None) -> Iterator[Callable[[float], None
 @contextmanager
 def stages() -> Iterator[Callable[[str], None]]:
     """One line on standard error per stage of long work; in a terminal with progress and duration."""
+    if not sys.stderr.isatty():
+        yield lambda stage: click.echo(f"  {stage}", err=True)
+        return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda stage: click.echo(f"  {stage}", err=True)
-        return
     left = TimeRemainingColumn(compact=True)
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(20), TaskProgressColumn(), left)
     with Progress(*columns, console=console, transient=True) as bar:
