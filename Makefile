@@ -4,7 +4,7 @@ VENV := .venv
 RUN := $(VENV)/bin
 PIP := $(RUN)/python -m pip install --quiet --disable-pip-version-check --use-pep517
 OUT := out
-# Containers often forbid it. Each process would compile all that it imports, and take twice as long.
+# Containers often forbid Python to keep bytecode. Then each process compiles all that it imports, and starts in twice the time.
 export PYTHONDONTWRITEBYTECODE :=
 # These start nodes and mostly wait for them. Two files at a time: more would keep the nodes from their clock.
 LIVE_TESTS := test/dds test/processes
