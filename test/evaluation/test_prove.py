@@ -4,9 +4,12 @@
 """The proof as separate processes, on one case, and how it is asked for."""
 
 import json
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import asdict
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -97,6 +100,35 @@ def test_a_run_takes_cases_by_level_and_resumes_where_it_stopped(tmp_path, monke
     assert (tmp_path / "results" / "one.json").exists()
     assert CliRunner().invoke(cli, [*begun, "--fresh"]).exit_code == 0
     assert not (tmp_path / "results").exists()
+
+
+WORKING = """
+import pathlib, sys, time
+from concurrent.futures import ProcessPoolExecutor
+with ProcessPoolExecutor(2) as pool:
+    list(pool.map(time.sleep, [0.0, 0.0]))
+    pathlib.Path(sys.argv[1]).write_text(" ".join(map(str, pool._processes)))
+    time.sleep(60.0)
+"""
+"""Stands for a step of a proof: it names its workers, and goes on."""
+
+
+def until(holds, patience_s=20.0):
+    end = time.monotonic() + patience_s
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_ended_by_a_signal_it_leaves_no_process(tmp_path):
+    (tmp_path / "working.py").write_text(WORKING)
+    begin = "from trackres_ros.cli.prove import _run; _run('work', ['working', 'workers'])"
+    command = subprocess.Popen([sys.executable, "-c", begin], cwd=tmp_path)
+    until(lambda: (tmp_path / "workers").exists() and (tmp_path / "workers").read_text().count(" "))
+    workers = (tmp_path / "workers").read_text().split()
+    command.terminate()
+    assert command.wait(20.0) == 128 + signal.SIGTERM
+    until(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
 
 
 def test_an_earlier_version_is_a_checkout(tmp_path):

@@ -5,8 +5,10 @@
 
 import os
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -142,16 +144,34 @@ def _score(output: Path, as_json: bool, *steps: Step) -> None:
 
 def _process(as_json: bool, step: Step) -> None:
     """Run a step in a process of its own."""
-    import subprocess
-
     # Every core works on a case of its own: threads within a case would only compete for cores.
     alone = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     module, *arguments = map(str, step)
-    command = [sys.executable, "-m", f"trackres_ros.evaluation.{module}", *arguments]
-    done = subprocess.run(command, env={**os.environ, **alone}, stdout=sys.stderr if as_json else None, check=False)
-    if done.returncode:
-        name = module.rpartition(".")[2]
-        raise click.ClickException(f"{name} ended with exit code {done.returncode}; finished results are kept")
+    words = f"trackres_ros.evaluation.{module}", *arguments
+    _run(module.rpartition(".")[2], words, env={**os.environ, **alone}, stdout=sys.stderr if as_json else None)
+
+
+def _run(name: str, words: Sequence[str], **how: Any) -> None:
+    """Run a module of Python as a process that ends with this one, and all that it starts too.
+
+    `name`: for messages; `words`: the module, and its arguments; `how`: for `subprocess.Popen`.
+    """
+    import signal
+    import subprocess
+
+    running = subprocess.Popen([sys.executable, "-m", *words], process_group=0, **how)
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    try:
+        code = running.wait()
+    except BaseException:
+        with suppress(ProcessLookupError):
+            os.killpg(running.pid, signal.SIGTERM)
+        running.wait()
+        raise
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    if code:
+        raise click.ClickException(f"{name} ended with exit code {code}; finished results are kept")
 
 
 @prove_command.command("second")
@@ -279,12 +299,8 @@ def prove_fleet_command(vehicles: int, days: int, every: float, minutes: float, 
     drawn_by = (seed, vehicles, days, f"{every:g}", f"{minutes:g}")
     _settle(output, f"fleet {' '.join(map(str, drawn_by))}", SAME_OPTIONS)
     _process(as_json, ("fleet.prove", "generate", output, *drawn_by))
-    import subprocess
-
+    words = ["fleet", str(output / "fleet" / "recordings"), "--vehicles", str(output / "fleet" / "fleet.yaml")]
+    words += ["--period", "none", "-o", str(output / "results"), "--json"]
     with (output / "found.json").open("w", encoding="utf-8") as into:
-        words = ["fleet", str(output / "fleet" / "recordings"), "--vehicles", str(output / "fleet" / "fleet.yaml")]
-        words += ["--period", "none", "-o", str(output / "results"), "--json"]
-        done = subprocess.run([sys.executable, "-m", "trackres_ros", *words], stdout=into, check=False)
-    if done.returncode:
-        raise click.ClickException(f"trackres fleet ended with exit code {done.returncode}; finished results are kept")
+        _run("trackres fleet", ["trackres_ros", *words], stdout=into)
     _score(output, as_json, ("fleet.prove", "score", output))
