@@ -52,7 +52,7 @@ FAST = ["numba>=0.57"]
 NOTEBOOK = ["pandas>=2.0", "xarray>=2023.1", *PLOTS]
 CYCLONE = "cyclonedds>=11.0.1"
 INTERACTIVE = ["bokeh>=3.4"]
-DIAGNOSIS = ["jinja2>=3.1", *PLOTS, *FAST]
+DIAGNOSIS = ["jinja2>=3.1", "threadpoolctl>=3.1", *PLOTS, *FAST]
 PROOF = [*DIAGNOSIS, "scikit-learn>=1.3", "pysindy>=1.7.5"]
 FLEET = [*DIAGNOSIS, *PARQUET, "dask>=2024.1", "distributed>=2024.1", "fsspec>=2023.12"]
 FLEET_TESTED = [*FLEET, "s3fs>=2023.12", "moto[s3]>=5.0", "flask>=3.0", "flask-cors>=4.0"]  # a bucket that is there, on loopback

@@ -14,7 +14,8 @@ import yaml
 KEYS = {"yaml": "python3-yaml", "llvmlite": "python3-numba"}
 """Keys that are neither the module nor ``python3-`` before it; llvmlite comes with numba."""
 NAMED_ALIKE = (
-    "SALib asammdf bokeh cantools cyclonedds dask distributed fsspec h5py openpyxl pandas pyarrow pysindy rosbags xarray"
+    "SALib asammdf bokeh cantools cyclonedds dask distributed fsspec h5py openpyxl pandas pyarrow pysindy rosbags threadpoolctl "
+    "xarray"
 )
 EXTRAS = {
     **{name: name for name in NAMED_ALIKE.split()},

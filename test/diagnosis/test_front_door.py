@@ -144,3 +144,21 @@ def test_a_road_vehicle_is_given_by_name_and_comes_back_as_one(found):
     assert isinstance(road, RoadVehicle)
     assert dict(road.values) == dict(base.base.vehicle.values)
     assert load_base(road).title == base.title
+
+
+def test_matrices_are_computed_by_one_thread(recorded):
+    control, used = pytest.importorskip("threadpoolctl"), []
+
+    def threads():
+        return {library["num_threads"] for library in control.threadpool_info() if library["user_api"] == "blas"}
+
+    def at_the_first_stage(_):
+        used.append(threads())
+        raise InterruptedError
+
+    with control.threadpool_limits(2, user_api="blas"):
+        before = threads()
+        with pytest.raises(InterruptedError):
+            tr.diagnose(recorded(), "xgd24d", on_stage=at_the_first_stage)
+        assert used == [{1}]
+        assert threads() == before

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from trackres_ros.blas_threads import one_blas_thread
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.empirical.routes import Route
@@ -116,6 +117,7 @@ def read_recordings(paths: Sequence[Path], topics: Topics | None) -> list[Record
     return in_order([Recording.from_source(open_source([path], topics)) for path in paths])
 
 
+@one_blas_thread()
 def diagnose(recordings: Sequence[Recording], vehicle: LoadedBase, options: DiagnosisOptions = BY_DEFAULT) -> Diagnosis:
     """Find where recordings differ from a base model, the missing effects, and the error of the improved model.
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import stdtrit
 
+from trackres_ros.blas_threads import one_blas_thread
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.instrument import instrument
 from trackres_ros.diagnosis.base.loading import LoadedBase
@@ -92,6 +93,7 @@ class Coastdown:
         )
 
 
+@one_blas_thread()
 def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1) -> Coastdown:
     """Estimate resistance parameters; an `InputError` without coast-downs or free parameters. `seed` is that of the bootstrap."""
     base = _with_free(loaded.base, [q.name for q in loaded.base.parameters if q.name not in SCALES])
