@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from trackres_ros.blas_threads import one_blas_thread
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.empirical.routes import Route
@@ -20,6 +19,7 @@ from trackres_ros.diagnosis.findings.change_points import Change, changes
 from trackres_ros.diagnosis.findings.locate import ThermalCheck, thermal_check
 from trackres_ros.diagnosis.findings.next_drives import Advice
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, cumulative_periodogram
+from trackres_ros.diagnosis.inference.blas_threads import one_blas_thread
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.inference.noise import Noise

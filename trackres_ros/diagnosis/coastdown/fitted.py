@@ -17,13 +17,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import stdtrit
 
-from trackres_ros.blas_threads import one_blas_thread
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.instrument import instrument
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.road_load import RoadBase
 from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.coastdown.stretches import Rollouts, rollouts
+from trackres_ros.diagnosis.inference.blas_threads import one_blas_thread
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
 from trackres_ros.diagnosis.inference.noise import MOST_LAGS, whole_past
