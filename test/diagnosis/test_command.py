@@ -183,7 +183,7 @@ def test_one_speed_alone_shows_little_and_says_so(run, tmp_path):
     found = found_in(run, [written(tmp_path / "steady.csv", columns)], tmp_path / "out")
     assert len(found["not_visible"]) > 10
     assert found["verdict"]["status"] in ("none", "one_of", "unexplained") or found["verdict"]["grade"] != "confirmed"
-    assert found["kept"]["vehicle"] == []  # a slope, which may be the cause, is none of the vehicle
+    assert found["kept"]["vehicle"] == []  # a slope may be the cause, but the vehicle has none
 
 
 def test_a_clock_that_is_off_is_put_right(recorded, loaded, tmp_path):

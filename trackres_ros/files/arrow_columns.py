@@ -26,7 +26,7 @@ def as_arrow(column: NDArray[Any]) -> Any:
 def as_numpy(column: Any) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     """The numbers of a pyarrow array of ``float64`` or ``int64``, and whether there is one, each of shape (n,).
 
-    Where there is none the number is nan, or 0 of ``int64``.
+    A missing number is nan, or 0 in a column of ``int64``.
     """
     import pyarrow as pa
 
