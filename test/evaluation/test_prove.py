@@ -17,6 +17,7 @@ from click.testing import CliRunner
 from trackres_ros.cli import prove
 from trackres_ros.cli.main import cli
 from trackres_ros.errors import InputError
+from trackres_ros.evaluation.processes import show_count
 from trackres_ros.evaluation.sealed import earlier, score
 from trackres_ros.evaluation.sealed.cases import draw_cases, sealed
 from trackres_ros.evaluation.sealed.oracle import LEAST_GAIN
@@ -100,6 +101,15 @@ def test_a_run_takes_cases_by_level_and_resumes_where_it_stopped(tmp_path, monke
     assert (tmp_path / "results" / "one.json").exists()
     assert CliRunner().invoke(cli, [*begun, "--fresh"]).exit_code == 0
     assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize("total", [1, 7, 118, 1000])
+def test_progress_in_a_log_is_at_most_ten_lines_and_the_last(total, capsys):
+    for done in range(1, total + 1):
+        show_count("diagnosed", done, total)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == min(total, 10)
+    assert lines[-1] == f"diagnosed {total} of {total}"
 
 
 WORKING = """

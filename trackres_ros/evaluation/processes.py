@@ -58,10 +58,17 @@ def each(work: Callable[[Task], Result], tasks: Sequence[Task], done: str = "") 
         for result in pool.map(work, tasks):
             found.append(result)
             if done:
-                print(f"\r{done} {len(found)} of {len(tasks)}", end="", flush=True)
-    if done:
-        print(flush=True)
+                show_count(done, len(found), len(tasks))
     return found
+
+
+def show_count(what: str, done: int, total: int, rest: str = "") -> None:
+    """Print how many are done: on one line that changes in a terminal, else a line for each tenth of all."""
+    line, last = f"{what} {done} of {total}{rest}", done >= total
+    if sys.stdout.isatty():
+        print(f"\r{line}   ", end="\n" if last else "", flush=True)
+    elif last or done * 10 // total > (done - 1) * 10 // total:
+        print(line, flush=True)
 
 
 def run_command(*words: str | Path) -> None:

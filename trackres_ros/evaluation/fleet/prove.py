@@ -33,7 +33,7 @@ from trackres_ros.evaluation.fleet.draw import (
     seal,
 )
 from trackres_ros.evaluation.fleet.sample import write_recordings
-from trackres_ros.evaluation.processes import check_seal, read_json, run_main
+from trackres_ros.evaluation.processes import check_seal, read_json, run_main, show_count
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.pooling import Vehicles, pool
 from trackres_ros.fleet.trends import NUMBERS, TEXTS
@@ -217,7 +217,7 @@ def _counting(total: int) -> Callable[[float], None]:
     def advance(more: float) -> None:
         nonlocal done
         done += more
-        print(f"\rrecorded {done:.0f} of {total}", end="\n" if done >= total else "", flush=True)
+        show_count("recorded", round(done), total)
 
     return advance
 

@@ -18,7 +18,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trackres_ros.evaluation.processes import run_main
+from trackres_ros.evaluation.processes import run_main, show_count
 
 if TYPE_CHECKING:
     from trackres_ros.diagnosis import Diagnosis
@@ -40,8 +40,7 @@ def main(arguments: Sequence[str]) -> None:
         for done, task in enumerate(as_completed(tasks), start=1):
             task.result()
             left = (time.monotonic() - began) / done * (len(folders) - done)
-            print(f"\rdiagnosed {done} of {len(folders)}, {left / 60.0:.0f} min to go   ", end="", flush=True)
-    print(flush=True)
+            show_count("diagnosed", done, len(folders), f", {left / 60.0:.0f} min to go")
 
 
 def opened(folder: Path) -> tuple[list[Path], LoadedBase]:
