@@ -50,10 +50,28 @@ def test_feedforward_keeps_its_rate_and_resumes_where_it_faded(rate, steps):
         pause = (now_ns - before_ns) * 1e-9
         left = left_of(estimator.settings, pause)
         moved = abs(now.feedforward_torque_nm - before.feedforward_torque_nm)
-        assert moved <= rate * pause + (1.0 - left) * limit + 1e-6
+        to_zero = max(rate, limit / estimator.settings.feedforward_fade_s)
+        assert moved <= to_zero * pause + (1.0 - left) * limit + 1e-6
+        if abs(now.feedforward_torque_nm) > abs(before.feedforward_torque_nm):
+            assert moved <= rate * pause + 1e-6
         if left == 0.0:
             assert abs(now.feedforward_torque_nm) <= rate * FEEDFORWARD_STEP_S + 1e-6
         assert abs(now.feedforward_torque_nm) <= limit + 1e-6
+
+
+@pytest.mark.parametrize("rate", [1.0, 500.0, 2000.0, 20000.0])
+@pytest.mark.parametrize("fade", [0.2, 1.0])
+def test_at_standstill_it_is_gone_within_its_fade_at_any_rate(rate, fade):
+    estimator = Estimator(load("xgd24d"), Settings(feedforward_rate=20000.0, feedforward_fade_s=fade))
+    session = estimator.session()
+    braking = [10.0] * 100 + [max(0.0, 10.0 - 0.06 * i) for i in range(167)]
+    for i, speed in enumerate(braking):
+        session.handle(at.SPEED, START_NS + 20_000_000 * i, START_NS + 20_000_000 * i, speed)
+    slower = Estimator(load("xgd24d"), Settings(feedforward_rate=rate, feedforward_fade_s=fade)).session()
+    slower.adopt(session)
+    slower.motion[at.Motion.feedforward] = estimator.constants.number.feedforward_limit
+    rows = [slower.handle(at.SPEED, now, now, 0.0) for now in (START_NS + 20_000_000 * i for i in range(267, 400))]
+    assert all(row.feedforward_torque_nm == 0.0 for row in rows[round(fade * 50) + 1 :])
 
 
 @settings(max_examples=60)

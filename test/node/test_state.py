@@ -59,6 +59,16 @@ def test_belts_come_back_and_have_cooled_over_the_time_off(desk, warm):
     assert at_last == pytest.approx(15.0, abs=0.1)
 
 
+def test_after_a_restart_while_driving_nothing_accelerates(desk, warm):
+    d = desk(state_file=str(warm[0]))
+    rows = []
+    for _ in range(50):
+        d.drive(0.02)
+        rows.append(d.app.overview().values)
+    assert all(row["accel_mps2"] == row["inertia_nm"] == 0.0 for row in rows)
+    assert max(row["feedforward_torque_nm"] for row in rows) < 1.01 * rows[-1]["resistance_torque_nm"]
+
+
 def test_belts_that_wait_for_a_speed_cool_meanwhile(desk, warm, monkeypatch):
     path, belt = warm
     now = [1e9]

@@ -105,7 +105,7 @@ class Motion(Row):
     last_speed = Real()  # m/s; "last" values are those of the last step
     feedforward = Real()  # Nm, of the last step
     last_drive = Real()  # Nm
-    started = Real()  # 0 before the first speed; START_ANEW
+    started = Real()  # 0 before the first speed, 1 after it; RESTS, START_ANEW
     feedforward_target = Real()  # Nm, which the feed-forward is on its way to
     rolls = Real()  # 1, or 0 at standstill
     last_others = Real()  # Nm, last drive torque without belts and effects
@@ -129,7 +129,8 @@ class Learned(Row):
     sensitivities = Reals(LEARNABLE)  # Nm of driving torque in the last step, per relative departure or per kelvin
 
 
-START_ANEW = -1.0  # in Motion.started: time went back, the next speed starts cold and reports it
+RESTS = 0.5  # in Motion.started: belts are known, the next speed begins the motion
+START_ANEW = -1.0  # and: time went back, the next speed starts cold and reports it
 
 
 class Times(Row):

@@ -132,6 +132,8 @@ def rest(k: Constants, carried: Carried, ambient: float, ambient_std: float, sec
     motion = Motion(carried.motion)
     motion.filtered_speed = motion.filtered_accel = motion.last_speed = motion.rolls = 0.0
     motion.feedforward = motion.feedforward_target = motion.last_drive = motion.last_others = 0.0
+    if motion.started > 0.0:
+        motion.started = at.RESTS
     rest_effects(k.effects, k.effect_values, carried.effects, k.work, ambient, seconds)
     for i in range(carried.belts.shape[0]):
         roll(k, Assembly(k.assembly[i]), carried.belts[i], 0.0, 0.0, SLOWEST_LOG_SPEED, 0.0, 0.0, ambient, ambient_std, seconds)

@@ -293,7 +293,7 @@ class Session:
         if len(state.effects) == len(self.effects):
             self.effects[:] = state.effects
         self.learned[:] = state.learned
-        self.motion[at.Motion.started] = 0.5
+        self.motion[at.Motion.started] = at.RESTS
 
     def adopt(self, other: Session) -> None:
         """Continue from another session of the same vehicle, with its whole memory and this one's settings."""

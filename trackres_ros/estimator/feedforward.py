@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from trackres_ros.effects.stepping import TERM_FED_GAIN, TERM_FED_INERTIA
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.columns import Motion, Part
-from trackres_ros.estimator.constants import Constants
+from trackres_ros.estimator.constants import Constants, Numbers
 from trackres_ros.jit.compiled import inlined
 
 Array = NDArray[np.float64]
@@ -38,9 +38,18 @@ def towards(here: float, there: float, room: float) -> float:
 
 
 @inlined
-def followed(value: float, target: float, rate: float, age: float) -> float:
+def rate_towards(number: Numbers, target: float) -> float:
+    """Largest change of the feed-forward [Nm/s] on its way to a target: zero is reached within the time of a fade, as nothing may
+    push a vehicle that stands or is not enabled (ours).
+    """
+    rate = number.feedforward_rate
+    return max(rate, number.feedforward_limit / number.feedforward_fade) if target == 0.0 else rate
+
+
+@inlined
+def followed(number: Numbers, value: float, target: float, age: float) -> float:
     """Feed-forward [Nm] some time [s] after a step, on its way to the target; the first output is the step's."""
-    return towards(value, target, rate * max(0.0, age - FEEDFORWARD_STEP_S))
+    return towards(value, target, rate_towards(number, target) * max(0.0, age - FEEDFORWARD_STEP_S))
 
 
 @inlined
@@ -67,9 +76,9 @@ def feedforward(
     if abs(wanted) > number.feedforward_limit:
         wanted = math.copysign(number.feedforward_limit, wanted)
         reasons |= CLAMPED
-    last = followed(motion.feedforward, motion.feedforward_target, number.feedforward_rate, dt)
+    last = followed(number, motion.feedforward, motion.feedforward_target, dt)
     last *= fade(dt, number.speed_max_age, number.feedforward_fade)
-    moved = towards(last, wanted, number.feedforward_rate * min(dt, FEEDFORWARD_STEP_S))
+    moved = towards(last, wanted, rate_towards(number, wanted) * min(dt, FEEDFORWARD_STEP_S))
     if moved != wanted:
         reasons |= LIMITED
     motion.feedforward_target = wanted

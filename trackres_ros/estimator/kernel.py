@@ -29,7 +29,18 @@ from trackres_ros.estimator.assembly_step import COLUMNS_EACH, FIRST_OF_ASSEMBLI
 from trackres_ros.estimator.belt_heat import loss_force, surface
 from trackres_ros.estimator.belt_step import roll
 from trackres_ros.estimator.by_place import is_missing
-from trackres_ros.estimator.columns import BELT_COLUMNS, TEMPERATURE, Assembly, Belt, Learned, Motion, OfAssembly, Part, Results
+from trackres_ros.estimator.columns import (
+    BELT_COLUMNS,
+    RESTS,
+    TEMPERATURE,
+    Assembly,
+    Belt,
+    Learned,
+    Motion,
+    OfAssembly,
+    Part,
+    Results,
+)
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.feedforward import feedforward
 from trackres_ros.estimator.learned_step import learn_from, learned_variance
@@ -118,13 +129,13 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     belts, motion, effects, learned = carried.belts, Motion(carried.motion), carried.effects, Learned(carried.learned)
     reasons = inputs.reasons
     speed = inputs.speed
-    started = motion.started > 0.0
-    last_speed = motion.last_speed if started else speed
-    if started and 0.0 < dt <= number.bridge:
+    moves = motion.started > RESTS
+    last_speed = motion.last_speed if moves else speed
+    if moves and 0.0 < dt <= number.bridge:
         advance_motion(
             motion, speed, last_speed, dt, number.speed_variance, number.acceleration_variance, number.acceleration_time
         )
-    elif not started or dt > 0.0:
+    elif not moves or dt > 0.0:
         start_motion(motion, speed, number.speed_variance, number.acceleration_variance)
     motion.rolls = rolls(motion, speed, number.speed_variance)
     if dt > number.bridge:
@@ -242,7 +253,7 @@ def predict(
         belts_in_all += count[i]
         before += count[i] * belts[i, 0, TEMPERATURE]
     before = before / belts_in_all if belts.shape[0] > 0 else math.nan
-    last_speed = motion.last_speed if motion.started > 0.0 else speed
+    last_speed = motion.last_speed if motion.started > RESTS else speed
     road = road_now(k, last_speed, speed, accel, grade, weight, motion.last_drive, ambient, 0.0, dt)
     of_place = torque_of_place(torque_by_place, speed)
     others = of_place + arm * (road.bearing + road.wind + road.uphill + road.inertia)

@@ -28,7 +28,6 @@ IntArray = NDArray[np.int64]
 
 STEPPED, WAITED, WRONG_TIME = 1, 0, -2
 FARTHEST_S = 1e9  # of one step to the next: more is no time
-RESTS = 0.5  # in Motion.started: belts are known, the next speed begins the motion
 
 
 def step(
@@ -85,7 +84,7 @@ def feedforward_now(k: Constants, memory: Memory, motion: Array, now: int) -> fl
     age, last = age_of_speed(memory, now), Motion(motion)
     if not age < math.inf or last.started <= 0.0:
         return 0.0
-    on_its_way = followed(last.feedforward, last.feedforward_target, k.number.feedforward_rate, age)
+    on_its_way = followed(k.number, last.feedforward, last.feedforward_target, age)
     return on_its_way * fade(age, k.number.speed_max_age, k.number.feedforward_fade)
 
 
@@ -97,8 +96,6 @@ def is_stale(k: Constants, memory: Memory, now: int) -> bool:
 def rest_after(k: Constants, memory: Memory, carried: Carried, ambient: float, seconds: float) -> None:
     """Restart after the vehicle stood, or was switched off: belts and effects have cooled, messages are forgotten."""
     there = ambient if math.isfinite(ambient) else k.number.nominal_ambient
-    motion = Motion(carried.motion)
-    if motion.started > 0.0:
+    if Motion(carried.motion).started > 0.0:
         rest(k, carried, there, k.number.ambient_unknown_std, min(max(seconds, 0.0), LONGEST_OFF))
-        motion.started = RESTS
     forget_others(memory, -1)

@@ -10,14 +10,16 @@ from collections.abc import Callable, Sequence
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.feedforward import fade, followed, towards
+from trackres_ros.estimator.feedforward import fade, followed, rate_towards, towards
 from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.transport import Level, Reasons, Status, Transport, nearest_usable
 from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic
 from trackres_ros.units import NANOSECOND
 
-FADE, FOLLOWED, TOWARDS = interpreted(fade), interpreted(followed), interpreted(towards)  # not worth compiling at a first start
+# Not worth compiling at a first start.
+FADE, FOLLOWED, TOWARDS = interpreted(fade), interpreted(followed), interpreted(towards)
+RATE_TOWARDS = interpreted(rate_towards)
 Row = list[float]
 Values = Callable[[Row], list[float]]
 
@@ -79,16 +81,17 @@ class OutputPublisher:
     def publish(self, steady: int, pace: int, reasons: Callable[[int], Reasons], enabled: bool = True) -> None:
         """Publish the last estimate on all topics of numbers, with the present reasons; nothing before the first one.
 
-        While the feed-forward is not enabled it goes to zero at its rate.
+        While the feed-forward is not enabled it goes to zero, as after `withdraw`.
         """
         if self.stamp_ns is None:
             return
-        rate = self.estimator.settings.feedforward_rate
+        number, target = self.estimator.constants.number, self._target
         before_pace, before_ns = self._published_at or (pace, steady)
         elapsed_s = max(0, pace - before_pace, steady - before_ns) * NANOSECOND  # a simulated clock stops between ticks
-        goal = FOLLOWED(self.row[at.Results.feedforward_torque_nm], self._target, rate, (pace - self._taken_pace) * NANOSECOND)
-        goal = goal if enabled and self._withdrawn_ns is None else 0.0
-        self._unfaded = TOWARDS(self._unfaded, goal, rate * elapsed_s)
+        goal = FOLLOWED(number, self.row[at.Results.feedforward_torque_nm], target, (pace - self._taken_pace) * NANOSECOND)
+        if not enabled or self._withdrawn_ns is not None:
+            goal = target = 0.0
+        self._unfaded = TOWARDS(self._unfaded, goal, RATE_TOWARDS(number, target) * elapsed_s)
         self.feedforward, self._published_at = self._unfaded * self.left(steady), (pace, steady)
         row = self.row.copy()
         row[at.Results.feedforward_torque_nm] = self.feedforward
