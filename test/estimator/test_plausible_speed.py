@@ -33,10 +33,11 @@ class Drive:
 
     def __init__(self, estimator=ESTIMATOR):
         self.session, self.now, self.estimates = estimator.session(), START, []
+        self.clock = 0  # of the stamps, ahead of the arrivals [ns]
 
     def send(self, value, name="speed", after=20 * MS):
         self.now += after
-        estimate = self.session.handle(self.session.channel(name), self.now, self.now, float(value))
+        estimate = self.session.handle(self.session.channel(name), self.now + self.clock, self.now, float(value))
         if estimate is not None:
             self.estimates.append((self.now, estimate))
         return estimate
@@ -73,6 +74,29 @@ def test_a_leap_from_standing_for_a_second_feeds_nothing():
     drive.along([0.0] * 60)
     assert drive.held(Reason.SPEED_IMPLAUSIBLE)
     assert drive.fed == 0.0
+
+
+@pytest.mark.parametrize("jump", [5 * S, 100 * S, -100 * S, 10**6 * S])
+def test_a_leap_with_a_jump_of_the_clock_waits_as_without(jump):
+    drive = Drive().along([0.0] * 100)
+    drive.clock = jump
+    drive.along([16.6] * round(50 * (16.6 - SLACK) / A_MAX - 1))
+    assert len(drive.estimates) == 100
+    assert drive.fed == 0.0
+    drive.along([16.6] * 2)
+    assert drive.estimates[-1][1].row[at.Results.speed_mps] == 16.6
+
+
+@pytest.mark.parametrize("every", [1, 5])
+def test_a_second_speed_of_another_clock_takes_nothing_over(every):
+    drive = Drive().along([0.0] * 100)
+    for i in range(500):
+        drive.clock = -3600 * S
+        drive.send(16.6)
+        drive.clock = 0
+        if i % every == 0:
+            drive.send(0.0, after=1)
+    assert all(estimate.row[at.Results.speed_mps] == 0.0 for _, estimate in drive.estimates)
 
 
 @pytest.mark.parametrize("pair", [(5.0, 16.5), (5.0, -5.0), (0.0, 16.5), (5.0, 8.0)])
@@ -193,6 +217,17 @@ def test_a_speed_beyond_all_wheel_speeds_is_not_fed_forward(speed, wheels, apart
         assert (first - START) * 1e-9 == pytest.approx(Settings().speed_max_age_s, abs=0.05)
         drive.send(speed, after=2 * S)  # the wheel speeds are old by then
         assert not drive.estimates[-1][1].reasons & Reason.SPEED_DISAGREES
+
+
+def test_wheels_disagree_after_a_jump_of_the_clock_too():
+    drive = with_wheels(8.0, {"front_left": 0.0})
+    drive.clock, before = -30 * S, len(drive.estimates)
+    for _ in range(100):
+        drive.send(0.0, "wheel_speed/front_left", after=1)
+        drive.send(8.0)
+    after = [estimate for _, estimate in drive.estimates[before:]]
+    assert len(after) > 90
+    assert all(estimate.reasons & Reason.SPEED_DISAGREES for estimate in after)
 
 
 @pytest.mark.parametrize("resolution", [0.0, 1.0, 100.0])

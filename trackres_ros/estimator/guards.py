@@ -23,7 +23,9 @@ from trackres_ros.estimator.plausible_speed import (
     NOTHING_TRACKED,
     disagrees,
     drive_on,
+    is_near,
     is_plausible,
+    move_clock,
     odometer_came,
     seems_to_stand,
     trust,
@@ -116,6 +118,7 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
         if forward < 0 and waited < -k.number.clock_jump_ns:
             counters[RESET] += 1
             outcome, elapsed = ACCEPTED_AFTER_RESET, 0
+            times.disagrees_since = 0
         elif forward < 0 or (forward > k.number.clock_jump_ns and abs(forward - waited) > k.number.clock_jump_ns):
             since, until = stamp - times.suspect_stamp, arrival - times.suspect_arrival
             agrees = times.suspects > 0 and since > 0 and abs(since - until) <= k.number.clock_jump_ns
@@ -125,10 +128,15 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
                 refusal = FUTURE if forward > 0 else BACKWARD
                 counters[refusal] += 1
                 return -refusal, 0
-            counters[CLOCK_JUMP] += 1
             outcome, elapsed = ACCEPTED_AFTER_JUMP, max(waited, 0)
+            if channel == at.SPEED:
+                if not is_near(k, tracked, elapsed, value, quantum):  # the clock of who sends this is none to go by
+                    counters[IMPLAUSIBLE] += 1
+                    return -IMPLAUSIBLE, 0
+                move_clock(times, forward - elapsed)
+            counters[CLOCK_JUMP] += 1
     if channel == at.SPEED:
-        if not times.seen or outcome != ACCEPTED_IN_ORDER:  # no earlier value to compare with, or its time is unknown
+        if not times.seen or outcome == ACCEPTED_AFTER_RESET:  # no earlier value to compare with
             trust(times, tracked, value)
         else:
             in_doubt = times.doubts > 0

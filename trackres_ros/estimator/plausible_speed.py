@@ -55,6 +55,22 @@ def trust(times: Times, tracked: Tracked, speed: float) -> None:
 
 
 @inlined
+def move_clock(times: Times, by: int) -> None:
+    """Move all that is remembered of the speed's clock by a jump of it [ns]."""
+    times.last_stamp += by
+    times.doubt_since += by
+    times.doubt_stamp += by
+    if times.disagrees_since != 0:
+        times.disagrees_since += by
+
+
+@inlined
+def is_near(k: Constants, tracked: Tracked, elapsed: int, speed: float, quantum: float) -> bool:
+    """Whether the vehicle can have reached a speed some time [ns] after the last accepted one."""
+    return follow(k, tracked.reference, speed, elapsed, quantum)[1]
+
+
+@inlined
 def seems_to_stand(k: Constants, tracked: Tracked) -> bool:
     """Whether the doubtful speeds are those of a standing vehicle."""
     return bool(abs(tracked.run) <= k.number.speed_slack)
