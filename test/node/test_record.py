@@ -117,6 +117,26 @@ def test_replayed_with_the_same_topics_it_gives_the_same_torque(drive):
     assert float(np.mean(series["torque"].value) / np.mean(replayed["drive_torque_nm"])) == pytest.approx(1.3, abs=0.05)
 
 
+def test_each_round_of_simulated_time_is_a_file_of_its_own(desk, tmp_path):
+    (tmp_path / "topics.yaml").write_text(TOPICS)
+    d = desk(topics=str(tmp_path / "topics.yaml"), use_sim_time=True, learning="off")
+    wire, last = Wire(d, tmp_path / "live.mcap"), []
+    for _ in range(3):
+        for _ in range(200):
+            d.forward(0.02)
+            wire.send("speed", TWIST, 8.0)
+        last.append(d.app.overview().values["belt_degc/front_left"])
+        d.time_s = 0.0
+        d.app.time_went_back()
+    wire.recorder.end()
+    files = [tmp_path / name for name in ("live.mcap", "live_0001.mcap", "live_0002.mcap")]
+    assert sorted(tmp_path.glob("*.mcap*")) == files
+    for path, belt in zip(files, last, strict=True):
+        replayed = tr.replay(path, "xgd24d", topics=tmp_path / "topics.yaml")
+        assert len(replayed["belt_degc/front_left"]) == 200
+        assert replayed["belt_degc/front_left"][-1] == pytest.approx(belt, abs=1e-6)
+
+
 def test_messages_before_the_sim_clock_get_its_first_time(desk, tmp_path):
     (tmp_path / "topics.yaml").write_text(TOPICS)
     d = desk(topics=str(tmp_path / "topics.yaml"), use_sim_time=True)

@@ -239,6 +239,7 @@ def _times_ns(settings: Settings) -> dict[str, Any]:
     return {f"{name}_ns": int(round(value * 1e9)) for name, value in seconds.items()}
 
 
+@functools.lru_cache(maxsize=2)  # a change of settings must not hold a node's outputs where no file can be cached
 def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
     """Assemblies with belts."""
     names = list(vehicle.tracks)

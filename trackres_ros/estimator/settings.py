@@ -13,7 +13,7 @@ from trackres_ros import checks
 from trackres_ros.recording.roles import PASSENGER_KG
 
 PARTS = ("hysteresis", "bearing", "wind", "grade", "inertia")
-BELT_SENSORS = ("mean", "surface")
+BELT_SENSORS = ("auto", "mean", "surface")
 
 
 def setting(default: float, unit: str, low: float, high: float, meaning: str) -> Any:
@@ -74,7 +74,11 @@ class Settings:
         },
     )
     belt_sensor: str = field(
-        default="mean", metadata={"meaning": "what a measured belt temperature shows: mean, or surface (infrared)"}
+        default="auto",
+        metadata={
+            "meaning": "what a measured belt temperature shows: mean, or surface (infrared); auto: surface for a belt of a "
+            "topics file, else mean"
+        },
     )
 
     def __post_init__(self) -> None:

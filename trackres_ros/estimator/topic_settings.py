@@ -27,23 +27,43 @@ AGE_LIMITS = {
     "enable": "enable_hold_s",
 }
 """Setting behind `max_age_s` of a role; several roles may share one, then the smallest applies."""
+FIELDS = {"passenger_kg": "kg_each", "belt_sensor": "sensor", "belt_measured_std_k": "std_k"}
+"""Field of a topics file behind a setting; behind all others it is `max_age_s`."""
 ENABLE_HOLD_S = 0.5
 """Default duration of an enable [s]; as the age limit of a trusted speed."""
 
 
 def settings_for(settings: Settings, topics: Topics | None, roles: Collection[str] = ()) -> Settings:
-    """Settings with the values of a topics file, and an enable that lasts `ENABLE_HOLD_S` where `roles` have one.
+    """Settings with the values that a topics file gives, and an enable that lasts `ENABLE_HOLD_S` where `roles` have one.
 
     Raises
     ------
     InputError
-        For an age limit out of range or for a role without one, or for belts with different sensors.
+        As `given_by`, and for an age limit out of range.
     """
     changes: dict[str, Any] = {}
     if settings.enable_hold_s == 0.0 and "enable" in (*(topics or ()), *roles):
         changes["enable_hold_s"] = ENABLE_HOLD_S
     if topics is None:
         return replace(settings, **changes)
+    if settings.belt_sensor == "auto" and any(base_role(role) == "belt" for role in topics):
+        changes["belt_sensor"] = "surface"
+    changes |= given_by(topics)
+    try:
+        return replace(settings, **changes)
+    except InputError as error:
+        raise InputError(f"{topics.origin}: max_age_s: {error.where}", error.given, error.allowed, error.remedy) from None
+
+
+def given_by(topics: Topics) -> dict[str, Any]:
+    """The settings that a topics file gives, by name.
+
+    Raises
+    ------
+    InputError
+        For an age limit of a role without one, or for belts with different sensors.
+    """
+    changes: dict[str, Any] = {}
     for role in topics:
         limit = topics[role].max_age_s
         if limit is None:
@@ -52,15 +72,10 @@ def settings_for(settings: Settings, topics: Topics | None, roles: Collection[st
         if name is None:
             raise InputError(f"{topics.origin}: {role}: max_age_s", limit, f"an age limit on {', '.join(AGE_LIMITS)}")
         changes[name] = limit if role == "enable" else min(limit, changes.get(name, limit))
-    if "passengers" in topics:
-        changes["passenger_kg"] = topics["passengers"].kg_each
-    belts = [topics[role] for role in topics if base_role(role) == "belt"]
-    if belts:
-        kinds = {(belt.sensor, belt.std_k) for belt in belts}
-        if len(kinds) > 1:
-            raise InputError(f"{topics.origin}: belt", sorted(kinds), "one sensor and std_k for all belts")
-        changes.update(belt_sensor=belts[0].sensor, belt_measured_std_k=belts[0].std_k)
-    try:
-        return replace(settings, **changes)
-    except InputError as error:
-        raise InputError(f"{topics.origin}: max_age_s: {error.where}", error.given, error.allowed, error.remedy) from None
+    kinds = {(topics[role].sensor, topics[role].std_k) for role in topics if base_role(role) == "belt"}
+    if len(kinds) > 1:
+        raise InputError(f"{topics.origin}: belt", sorted(map(str, kinds)), "one sensor and std_k for all belts")
+    sensor, std_k = kinds.pop() if kinds else ("", None)
+    kg_each = topics["passengers"].kg_each if "passengers" in topics else None
+    of_fields = {"passenger_kg": kg_each, "belt_sensor": sensor or None, "belt_measured_std_k": std_k}
+    return changes | {name: value for name, value in of_fields.items() if value is not None}

@@ -465,6 +465,8 @@ class Application:
 
     def time_went_back(self) -> None:
         """Restart after a backward jump of the simulated clock; the next estimate reports it."""
+        for message in self._order.rest():  # they belong to the time before
+            self._handle(message)
         self._start_anew(time_went_back=True)
         self._log(Level.WARN, "time went back: the estimate restarts")
 
@@ -493,6 +495,9 @@ class Application:
     def _log_counts(self) -> None:
         counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]
         counted += [f"{name} bad_stamp {n}" for name, n in zip(self.estimator.channels, self._reader.bad_stamp, strict=True) if n]
+        counted += [
+            f"{name} without_other_part {n}" for name, n in zip(self.estimator.channels, self._reader.alone(), strict=True) if n
+        ]
         counted += [f"{name} dropped {n}" for name, n in zip(self._topic_names, self._reader.dropped, strict=True) if n]
         self._log(Level.OK, f"messages: {', '.join(counted) or 'none'}")
 

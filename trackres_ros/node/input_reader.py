@@ -36,10 +36,11 @@ class InputReader:
         self.dropped = [0] * len(inputs)
         self.absent = [0] * len(channels)
         self.bad_stamp = [0] * len(channels)
-        sums = {role: Sum(role, bindings[role]) for i in inputs for role in i.roles if bindings[role].parts}
+        self.sums = {role: Sum(role, bindings[role]) for i in inputs for role in i.roles if bindings[role].parts}
+        self._channels = channels
         self._readers = [
             [
-                (_channel(role, channels), _getter(b), b.stamp != "log", b, sums.get(role), part)
+                (_channel(role, channels), _getter(b), b.stamp != "log", b, self.sums.get(role), part)
                 for role, b, part in zip(i.roles, i.bindings, i.parts, strict=True)
             ]
             for i in inputs
@@ -77,6 +78,10 @@ class InputReader:
             else:
                 found += [(channel, *sample) for sample in total.add(part, stamp, now_ns, value)]
         return found
+
+    def alone(self) -> list[int]:
+        """Messages of each channel that gave no sum, as another part is missing."""
+        return [self.sums[role].alone if role in self.sums else 0 for role in self._channels]
 
     def _own_stamp(self, channel: int, now_ns: int) -> int:
         """The node's time; a simulated clock stands still between its ticks, so each message adds a nanosecond."""

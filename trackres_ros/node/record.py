@@ -12,7 +12,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +29,7 @@ from trackres_ros.offline.summary import picture_columns
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.plots import estimate_figure
 from trackres_ros.output.preview import ResultPreview
+from trackres_ros.units import SECOND_NS
 
 if TYPE_CHECKING:
     from trackres_ros.node.application import Application
@@ -50,7 +51,8 @@ class Recorder:
     """Takes messages and estimates one by one, and writes them twice a second.
 
     Messages have their names in the topics file, whatever the namespace: with it the bag is a recording like any other. A
-    message from before the simulated clock gets the clock's first time. Times on a topic are unique.
+    message from before the simulated clock gets the clock's first time. Times on a topic are unique. Where the clock goes back
+    the next file begins, as the estimate does.
 
     Parameters
     ----------
@@ -72,7 +74,7 @@ class Recorder:
         self._error, self._failed_ns, self._answered_ns = "", -SHOWN_NS, 0
         self._is_finished = False
         self._done: list[str] = []
-        self._began_ns = 0
+        self._began_ns = self._latest_ns = self._jump_ns = 0
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
 
@@ -95,6 +97,7 @@ class Recorder:
         self._given: list[tuple[InputTopic, str]] = application.record(self._keep)
         self._counts, self._last = [0] * len(self._given), [0] * len(self._given)
         self._early: list[Item] = []
+        self._jump_ns = int(self._estimator.settings.clock_jump_s * SECOND_NS)
         self._open()
         application.on_estimate, application.recording_notices = self._take, self.notices
         self._answered_ns = time.monotonic_ns()
@@ -191,9 +194,21 @@ class Recorder:
         return items
 
     def _write(self) -> None:
-        items = self._drain()
-        for item in items:
+        rounds: list[list[Item]] = [[]]
+        for item in self._drain():
             self._given_out[item[0] == ESTIMATE] += 1
+            if 0 < item[3] < self._latest_ns - self._jump_ns:  # a simulated clock went back
+                rounds.append([])
+                self._latest_ns = 0
+            self._latest_ns = max(self._latest_ns, item[3])
+            rounds[-1].append(item)
+        for number, items in enumerate(rounds):
+            if number:
+                self._close()
+                self._last = [0] * len(self._given)
+            self._write_round(items)
+
+    def _write_round(self, items: Sequence[Item]) -> None:
         if self._bag is None:
             self._open()
         assert self._bag

@@ -57,7 +57,8 @@ class RecordLimits:
 
 
 class RecordingFiles:
-    """The files of one recording: `drive.mcap`, or `drive_0000.mcap`, `drive_0001.mcap`... if it is split.
+    """The files of one recording: `drive.mcap`, or `drive_0000.mcap`, `drive_0001.mcap`... if it is split. One that is not split
+    goes on with `drive_0001.mcap` where a simulated clock goes back.
 
     Numbers continue from earlier runs, which belong to the same recording. An unfinished file ends in `.part`;
     one from an earlier run is never overwritten.
@@ -67,13 +68,15 @@ class RecordingFiles:
         self._path, self._limits = path, limits
         self._name = re.compile(rf"{re.escape(path.stem)}_(\d{{4,}}){re.escape(path.suffix)}({re.escape(SUFFIX)})?")
         self.deleted = 0
+        self._begun = False  # the file without a number
 
     def next(self) -> tuple[Path, Path]:
         """The next file, and its name until it is finished."""
-        if self._limits.splits:
-            number = 1 + max((number for number, _ in self._numbered()), default=-1)
+        if self._limits.splits or self._begun:
+            number = 1 + max((number for number, _ in self._numbered()), default=0 if self._begun else -1)
             path = self._path.with_name(f"{self._path.stem}_{number:04d}{self._path.suffix}")
             return path, path.with_name(path.name + SUFFIX)
+        self._begun = True
         part, number = self._path.with_name(self._path.name + SUFFIX), 0
         while part.exists():
             number += 1

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.estimator.topic_settings import settings_for
+from trackres_ros.estimator.topic_settings import FIELDS, given_by, settings_for
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.recording.bindings import Topics
@@ -57,14 +57,14 @@ def changed_parameters(before: Parameters, given: Mapping[str, object], topics: 
         For an unknown or bad value, one that cannot be changed while running, or one that the topics file decides.
     """
     parameters = before.changed(given)
-    settings = settings_for(parameters.settings(), topics)
+    fixed = given_by(topics)
     for name in given:
-        if hasattr(settings, name) and getattr(settings, name) != parameters.values[name]:
+        if name in fixed and fixed[name] != parameters.values[name]:
             raise InputError(
                 f"parameter {name}",
                 given[name],
-                f"{getattr(settings, name)}, set by the topics file",
-                f"change max_age_s, sensor or std_k in {topics.origin} and reconfigure the node",
+                f"{fixed[name]}, set by the topics file",
+                f"change {FIELDS.get(name, 'max_age_s')} in {topics.origin} and reconfigure the node",
             )
     return parameters
 

@@ -128,10 +128,11 @@ class StateKeeper:
         """
         if self.path is None:
             raise InputError("state file", "none", "the node's parameter state_file set to a path or to auto")
+        until = time.monotonic() + patience_s
         if not self._writer.wait(patience_s):
             raise InputError(f"state file {self.path}", "an earlier save that is still running", "a disk that responds")
         self._begin(self.path, session, state_at, learner)
-        if not self._writer.wait(patience_s):
+        if not self._writer.wait(max(0.0, until - time.monotonic())):
             given = f"a disk that does not respond within {patience_s:g} s"
             remedy = "the save continues; the status reports if it fails"
             raise InputError(f"state file {self.path}", given, "a faster disk", remedy)

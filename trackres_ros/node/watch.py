@@ -50,11 +50,12 @@ class Watch:
         self._peers: Sequence[Sequence[Peer]] = [()] * len(inputs)
         self._last_counts = np.zeros((len(estimator.channels), len(at.Count)), dtype=np.int64)
         self._last_bad_stamp = np.zeros(len(estimator.channels), dtype=np.int64)
-        self._last_dropped = [0] * len(inputs)
+        self._last_dropped, self._last_received = [0] * len(inputs), [0] * len(inputs)
+        self._last_alone = np.zeros(len(estimator.channels), dtype=np.int64)
         self._overrun: list[tuple[str, int]] = []
         self._refused: dict[str, list[tuple[str, int]]] = {}
         self._looked_ns: int | None = None
-        self._shown_reasons, self._second_reasons = 0, 0
+        self._shown_reasons, self._second_reasons, self._last_reasons = 0, 0, 0
         self._steps = 0
         self._old: bool | None = None
         self._offset_ns = 0
@@ -64,7 +65,7 @@ class Watch:
     def accepted(self, reasons: int, offset_ns: int) -> bool:
         """Record an estimate; return true if it has reasons that are not shown yet."""
         self._steps += 1
-        self._offset_ns = offset_ns
+        self._offset_ns, self._last_reasons = offset_ns, reasons
         return self.note(reasons)
 
     def note(self, reasons: int) -> bool:
@@ -95,6 +96,10 @@ class Watch:
         new, self._last_counts = counts - self._last_counts, counts
         bad_stamp = np.array(reader.bad_stamp) - self._last_bad_stamp
         self._last_bad_stamp += bad_stamp
+        alone = np.array(reader.alone()) - self._last_alone
+        self._last_alone += alone
+        received = list(reader.received)
+        came, self._last_received = [now - then for now, then in zip(received, self._last_received, strict=True)], received
         dropped, before = list(reader.dropped), self._last_dropped
         lost = [(given.name, now - then) for given, now, then in zip(self._topics, dropped, before, strict=True)]
         self._overrun, self._last_dropped = [(name, number) for name, number in lost if number > 0], dropped
@@ -103,20 +108,24 @@ class Watch:
         for role, i in self._roles:
             channel = self._channel[role]
             messages = int(new[channel, MESSAGES].sum()) + int(bad_stamp[channel])
+            if role in reader.sums:
+                messages = came[i]
             refused = [(at.Count(c).name.lower(), int(new[channel, c])) for c in REFUSALS]
-            refused.append(("bad_stamp", int(bad_stamp[channel])))
+            refused += [("bad_stamp", int(bad_stamp[channel])), ("without_other_part", int(alone[channel]))]
             if sum(number for _, number in refused) > REFUSED_SHARE * messages:
                 self._refused[role] = [(name, number) for name, number in refused if number]
             seen = [(count.name.lower(), int(counts[channel, count])) for count in at.Count]
-            seen += [("bad_stamp", reader.bad_stamp[channel]), ("absent", reader.absent[channel]), ("dropped", dropped[i])]
+            seen += [("bad_stamp", reader.bad_stamp[channel]), ("without_other_part", int(self._last_alone[channel]))]
+            seen += [("absent", reader.absent[channel]), ("dropped", dropped[i])]
             value = float(session.memory.values[channel])
             shown = tuple((name, number) for name, number in seen if number)
             states.append(InputState(role, self._topics[i].name, messages / elapsed_s, math.nan, value, shown))
         self._inputs = tuple(states)
+        still = self._last_reasons if not (self._steps or self._old) else 0  # of a slow speed, until its next step
         self.steps_hz, self._steps = self._steps / elapsed_s, 0
         self._peers, self._looked_ns = peers, steady
         self._began_ns = steady if self._began_ns is None else self._began_ns
-        self._shown_reasons, self._second_reasons = self._second_reasons, 0
+        self._shown_reasons, self._second_reasons = self._second_reasons | still, 0
 
     def notices(self, age_s: float, max_age_s: float, clock_runs: bool) -> list[Notice]:
         """All present notices of inputs and estimate."""

@@ -14,7 +14,7 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.recording.roles import BRAKE_ON_PA, PASSENGER_KG
+from trackres_ros.recording.roles import BRAKE_ON_PA
 
 IN_DEGREES = "sensor_msgs/msg/NavSatFix"
 """The message type whose latitude and longitude are in degrees by its definition."""
@@ -51,11 +51,11 @@ class TopicBinding:
     offset: float = 0.0
     stamp: Literal["header", "log", ""] = ""  # ``header``, ``log``, or empty: the header's if the type has one, else log time
     max_age_s: float | None = None  # live: an older sample is not used [s]
-    sensor: Literal["surface", "mean"] = "surface"  # of a belt temperature: ``surface`` or ``mean``
-    std_k: float = 3.0  # standard deviation of a belt temperature [K]
+    sensor: Literal["surface", "mean", ""] = ""  # of a belt temperature: ``surface``, ``mean``, or empty if not given
+    std_k: float | None = None  # standard deviation of a belt temperature [K], if given
     delay_s: float = 0.0  # delay of a torque [s]: its value belongs to that much earlier than its stamp
     unit: str = ""  # unit of the raw numbers, if given: it is in scale and offset. Without it, the values of a position decide
-    kg_each: float = PASSENGER_KG  # of passengers: mass of one [kg]
+    kg_each: float | None = None  # of passengers: mass of one [kg], if given
     threshold: float | None = None  # of a brake: value from which it brakes; None if not given
     values: tuple[float, ...] = ()  # of an enable given as a mode: the modes with feed-forward; empty if it is 1 or 0
     decimal: Literal[".", ",", ""] = ""  # of a column in text: its decimal mark; empty if its cells decide

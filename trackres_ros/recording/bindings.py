@@ -19,7 +19,7 @@ from trackres_ros.files.resources import find_topics
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.recording.binding import IN_DEGREES, TopicBinding, field_steps, message_type
 from trackres_ros.recording.role_units import UNITS, Conversion, conversion
-from trackres_ros.recording.roles import PASSENGER_KG, POSITION, ROLES, base_role
+from trackres_ros.recording.roles import POSITION, ROLES, base_role
 
 KEYS = (
     "topic", "type", "field", "column", "channel", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s",
@@ -148,11 +148,11 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         offset=by_unit.scale * _number(line, "offset", 0.0, where) + by_unit.offset,
         stamp=_choice(line, "stamp", ("header", "log"), "", where),
         max_age_s=max_age_s,
-        sensor=_choice(line, "sensor", ("surface", "mean"), "surface", where),
-        std_k=_number(line, "std_k", 3.0, where),
+        sensor=_choice(line, "sensor", ("surface", "mean"), "", where),
+        std_k=_number(line, "std_k", 0.0, where) if "std_k" in line else None,
         delay_s=checks.number(line.get("delay_s", 0.0), f"{where}: delay_s", 0.0, MOST_DELAY_S, "s"),
         unit=unit,
-        kg_each=checks.number(line.get("kg_each", PASSENGER_KG), f"{where}: kg_each", 1.0, MOST_KG_EACH, "kg"),
+        kg_each=checks.number(line["kg_each"], f"{where}: kg_each", 1.0, MOST_KG_EACH, "kg") if "kg_each" in line else None,
         threshold=_number(line, "threshold", 0.0, where) if "threshold" in line else None,
         values=_values(line["values"], f"{where}: values") if "values" in line else (),
         decimal=_choice(line, "decimal", (".", ","), "", where),
