@@ -79,6 +79,8 @@ def test_other_columns_or_the_topics_file_decide_a_mark(tmp_path, reader):
     for mark, value in ((",", 1.234), (".", 1234.0)):
         given_mark = {"speed": {"column": "speed_mps", "decimal": mark}}
         assert tr.read(path, topics=given_mark).series["speed"].value[0] == value
+        shared = {**given_mark, "wheel_speed/front": {"column": "speed_mps"}}  # one line gives it for both
+        assert tr.read(path, topics=shared).series["wheel_speed/front"].value[0] == value
 
 
 def test_the_mark_may_show_late(tmp_path, reader):

@@ -8,7 +8,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -27,7 +29,7 @@ from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.role_units import UNITS, conversion
 from trackres_ros.recording.roles import ROLES
 
-for library in ("asammdf", "can", "cantools", "h5py", "openpyxl", "rosbags"):
+for library in ("asammdf", "can", "cantools", "h5py", "openpyxl", "pyarrow", "rosbags"):
     pytest.importorskip(library)
 
 LONGEST = 12
@@ -48,6 +50,18 @@ def test_one_drive_gives_the_same_replay(files, kind):
         np.testing.assert_allclose(found[name], wanted[name], rtol=1e-9, err_msg=name)
     # The residual holds the inertia: a stamp in seconds since 1970, as bus logging has it, moves an acceleration by 1e-5.
     np.testing.assert_allclose(found["residual_nm"], wanted["residual_nm"], rtol=0.0, atol=0.1)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "bag"])
+def test_one_channel_may_serve_several_roles(files, kind):
+    path, topics = files[kind]
+    load = topics["load"]
+    shares = {f"load/{axle}": replace(load, scale=scale * load.scale) for axle, scale in (("front", 0.25), ("rear", 0.75))}
+    shared = replace(topics, bindings=MappingProxyType({"speed": topics["speed"], **shares}))
+    (whole, parts) = (Recording.from_source(open_source([path], one)).series for one in (topics, shared))
+    for role, binding in shares.items():
+        np.testing.assert_array_equal(parts[role].stamp_ns, whole["load"].stamp_ns)
+        np.testing.assert_allclose(parts[role].value, binding.scale / load.scale * whole["load"].value, rtol=1e-15)
 
 
 @given(
