@@ -79,7 +79,7 @@ def test_other_columns_or_the_topics_file_decide_a_mark(tmp_path, reader):
     for mark, value in ((",", 1.234), (".", 1234.0)):
         given_mark = {"speed": {"column": "speed_mps", "decimal": mark}}
         assert tr.read(path, topics=given_mark).series["speed"].value[0] == value
-        shared = {**given_mark, "wheel_speed/front": {"column": "speed_mps"}}  # one line gives it for both
+        shared = {"speed": {"column": "speed_mps"}, "wheel_speed/front": given_mark["speed"]}  # one line gives it for both
         assert tr.read(path, topics=shared).series["wheel_speed/front"].value[0] == value
 
 

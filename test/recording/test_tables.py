@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gzip
 import sys
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -266,6 +267,43 @@ def test_parquet_of_other_types(tmp_path: Path) -> None:
     path.write_bytes(b"PAR1 no")
     with pytest.raises(InputError, match="Parquet that is readable to its end"):
         read(path)
+
+
+@with_pyarrow
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**50) | st.integers(2**53, 4 * 10**18), st.sampled_from(["int64", "uint64"]))
+def test_nanoseconds_of_parquet_are_exact(tmp_path_factory: pytest.TempPathFactory, start: int, kind: str) -> None:
+    stamps, path = [start, start + 1], tmp_path_factory.mktemp("t") / "run.parquet"
+    whole = pa.array(stamps, getattr(pa, kind)())
+    parquet.write_table(pa.table({"t": whole, "speed_mps": whole}), path)
+    (block,) = open_source([path], Topics.parse({"time": {"column": "t", "scale": 1e-9}}, "t.yaml")).blocks()
+    assert block.stamp_ns.tolist() == stamps
+    assert block.value.tolist() == list(map(float, stamps))
+
+
+@with_pyarrow
+def test_times_of_parquet_too_late_are_refused_with_their_row(tmp_path: Path) -> None:
+    for kind, late in ((pa.timestamp("us"), 10**16), (pa.timestamp("s"), 10**10), (pa.uint64(), 2**63)):
+        stamps = pa.array([0, late], kind)
+        parquet.write_table(pa.table({"t": stamps, "speed_mps": [1.0, 2.0]}), tmp_path / "run.parquet")
+        with pytest.raises(InputError, match=r"t, row 2 below the header.*a time in seconds"):
+            read(tmp_path / "run.parquet", Topics.parse({"time": {"column": "t"}}, "t.yaml"))
+
+
+@with_pyarrow
+@pytest.mark.parametrize(
+    ("column", "wanted"),
+    [
+        (lambda: pa.nulls(2), []),
+        (lambda: pa.array([True, None]), [1.0]),
+        (lambda: pa.array([Decimal("1.25"), None], pa.decimal128(5, 2)), [1.25]),
+        (lambda: pa.array([2**53 + 1, None]), [2.0**53]),
+    ],
+)
+def test_a_column_of_parquet_reads_like_its_cells_in_csv(tmp_path: Path, column: Any, wanted: list[float]) -> None:
+    path = tmp_path / "run.parquet"
+    parquet.write_table(pa.table({"time_s": [0, 1], "speed_mps": [1, 1], "brake_on": column()}), path)
+    assert [value for role, _, value in read(path) if role == "brake"] == wanted
 
 
 def test_parquet_needs_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
