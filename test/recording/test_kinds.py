@@ -230,6 +230,54 @@ def test_a_replay_as_mdf_holds_what_parquet_does(files, tmp_path):
     assert not [one for one in tmp_path.iterdir() if one.name.startswith(".")]
 
 
+def _saved(path, version, content):
+    """A MATLAB file of a struct `run` and its notation of matrices."""
+    import h5py
+    from scipy.io import savemat
+
+    if version == 5:
+        savemat(path, {"run": content})
+        return path
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, value in content.items():
+            file[f"run/{name}"] = np.atleast_2d(np.asarray(value)).T
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+    return path
+
+
+@pytest.mark.parametrize("version", [5, 7.3])
+def test_all_of_a_matlab_file_is_read_or_named(tmp_path, version):
+    t = np.arange(2000) / 10.0
+    others = {"belt_degc": np.ones((2000, 2)), "turning": t + 1j, "torque_nm": 1.0, "enable": True, "wheel_count": 7}
+    content = {"time_s": t, "speed_mps": 5.0 + np.sin(t), "weight_n": 340e3, "stood_s": 600.0, **others}
+    path = _saved(tmp_path / "run.mat", version, content)
+    found = tr.read(path)
+    named = {begin: set(rest.split(", ")) for begin, _, rest in (note.partition(": ") for note in found.notes)}
+    assert named["one number for the whole recording"] == {"run.weight_n", "run.stood_s"}
+    assert named["not read (no vectors)"] == {f"run.{name}" for name in others}
+    assert found.series["stood"].value[0] == 600.0
+    assert set(tr.replay(path, "xgd24d")["weight_n"]) == {340e3}
+    by_topics = tr.read(path, topics={"passengers": {"channel": "run.wheel_count"}})
+    assert set(by_topics.series["passengers"].value) == {7.0}
+
+
+@pytest.mark.parametrize("version", [5, 7.3])
+def test_a_number_for_a_role_with_a_vector_is_not_read(tmp_path, version):
+    t = np.arange(20) / 10.0
+    path = _saved(tmp_path / "run.mat", version, {"t": t, "speed_mps": t, "weight_n": 1e5 + t, "weight_kn": 340.0})
+    found = tr.read(path)
+    assert found.series["load"].value.tolist() == (1e5 + t).tolist()
+    assert "not read (no vectors): run.weight_kn" in found.notes
+
+
+def test_a_time_that_is_none_is_refused_as_given(tmp_path):
+    for first in (1764e9, np.nan, np.inf):
+        path = _saved(tmp_path / "run.mat", 5, {"time": [first, 1765e9], "speed_mps": [1.0, 2.0]})
+        with pytest.raises(InputError, match=rf"row 1 below the header: given {first!s}".replace("+", r"\+")):
+            tr.read(path)
+
+
 PEAK = """
 import sys
 from pathlib import Path

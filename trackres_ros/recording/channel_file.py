@@ -112,9 +112,10 @@ def rows_at(seconds: FloatArray, cells: FloatArray, start_ns: int = 0) -> Channe
 
     `seconds`: shape (n,); `cells`: shape (n, channels); `start_ns`: the time 0 [ns since 1970], if the file gives it.
     """
-    timed = np.abs(seconds) < MOST_TIME_S
-    stamps = np.rint(np.where(timed, seconds, 0.0) * 1e9).astype(np.int64) + start_ns
-    return ChannelRows(stamps, timed, cells, ~np.isnan(cells))
+    given, timed = ~np.isnan(cells), np.ones(len(seconds), np.bool_)
+    if not (np.abs(seconds) < MOST_TIME_S).all():  # refused as they are
+        return ChannelRows(seconds, timed, cells, given)
+    return ChannelRows(np.rint(seconds * 1e9).astype(np.int64) + start_ns, timed, cells, given)
 
 
 MOST_TIME_S = 4.6e9
