@@ -13,7 +13,7 @@ import yaml
 
 from trackres_ros.errors import InputError
 from trackres_ros.recording.binding import IN_DEGREES, TopicBinding
-from trackres_ros.recording.bindings import EXAMPLE, Topics
+from trackres_ros.recording.bindings import EXAMPLE, TIME, Topics
 from trackres_ros.recording.channel_file import Channel
 from trackres_ros.recording.role_units import UNITS as UNITS_OF_ROLES
 from trackres_ros.recording.role_units import conversion
@@ -141,8 +141,8 @@ def _may_be(channel: Channel, role: str, about: Role) -> bool:
 
 
 def topics_line(role: str, binding: TopicBinding) -> str:
-    """The line of a topics file for the source of a role, in the unit of the raw numbers if known."""
-    inside = ROLES[base_role(role)].unit
+    """The line of a topics file for the source of a role or the time, in the unit of the raw numbers if known."""
+    inside = "s" if role == TIME else ROLES[base_role(role)].unit
     keys = ("topic", "type", "field") if binding.topic else ("column",)
     line: dict[str, object] = {"channel" if key == "column" else key: getattr(binding, key) for key in keys}
     unit = next((name for name, one in UNITS_OF_ROLES[inside].items() if one == (binding.scale, binding.offset)), "")

@@ -91,7 +91,7 @@ class CsvTable(TableFile):
         self._places = [column.place for column in self._read]
         first = next((row[time.place] for row in self._whole_rows() if row[time.place].strip()), "")
         self._dates = DateTimes(first, time.binding.order) if is_date_time(first) else None
-        check_dates(time, self.name, self._dates is not None)
+        check_dates(time, self.name, self._dates is not None, "" if is_number(first) else first.strip())
         marks = marks_of((column.name, column.binding.decimal) for column in self._read[bool(self._dates) :])
         if self._separator != "," or (self._dates and self._dates.is_open) or self._has_quotes():
             rows = ([row[place].strip() for place in self._places] for row in self._whole_rows())

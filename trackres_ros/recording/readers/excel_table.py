@@ -85,7 +85,8 @@ class ExcelTable(TableFile):
         values = [value for value in cells[0] if value is not None]
         first = values[0] if values else 0.0
         in_text = isinstance(first, str) and is_date_time(first)
-        check_dates(time, self.name, in_text or isinstance(first, datetime))
+        numeric = is_number(first) if isinstance(first, str) else isinstance(first, int | float)
+        check_dates(time, self.name, in_text or isinstance(first, datetime), "" if numeric else str(first))
         notes = [f"sheet {one_line(self._sheet)}"]
         if isinstance(first, datetime):
             stamps = [self._stamp(value, number) for value, number in zip(cells[0], self._numbers, strict=True)]

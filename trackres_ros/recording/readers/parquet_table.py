@@ -58,7 +58,8 @@ class ParquetTable(TableFile):
         self._dates = pa.types.is_timestamp(kinds[0])
         for name, kind in list(zip(self._read, kinds, strict=True))[self._dates :]:
             if not (_is_number(kind) or pa.types.is_boolean(kind) or pa.types.is_null(kind)):
-                raise InputError(f"{self.name}: {name}", str(kind), "a column of numbers")
+                allowed = f"a column of {'timestamps' if time.dates_only else 'numbers or timestamps'}"
+                raise InputError(f"{self.name}: {name}", str(kind), allowed if name == time.name else "a column of numbers")
         check_dates(time, self.name, self._dates)
         self._scale = time.binding.scale
         if self._dates:
