@@ -102,8 +102,10 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
         raise InputError(
             "speed", listed, "a topic with a type that holds the vehicle's speed", f"give it in a topics file: {EXAMPLE}"
         )
+    of_vehicle = _namespace_of_vehicle(found)
     notes = []
     for role, options in found.items():
+        options.sort(key=lambda option: not option[0].topic.startswith(of_vehicle))
         binding, unit = options[0]
         others = ", ".join(other.topic for other, _ in options[1:])
         notes.append(
@@ -111,6 +113,22 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
             + (f"; also possible: {others}" if others else "")
         )
     return Topics(MappingProxyType({role: options[0][0] for role, options in found.items()}), "guessed"), notes
+
+
+def _namespace_of_vehicle(found: Mapping[str, Sequence[tuple[TopicBinding, str]]]) -> str:
+    """The namespace of the first speed, in a bag of several vehicles; else empty.
+
+    It is /truck1/ where /truck2/ has a speed of the same name, and topics of other roles too.
+    """
+    first, *others = (binding.topic.split("/") for binding, _ in found["speed"])
+    rest = [binding.topic for role, options in found.items() if role != "speed" for binding, _ in options]
+    for other in others:
+        differ = [place for place, (mine, theirs) in enumerate(zip(first, other, strict=False)) if mine != theirs]
+        if len(other) == len(first) and len(differ) == 1 and differ[0] < len(first) - 1:
+            mine, theirs = ("/".join([*parts[: differ[0] + 1], ""]) for parts in (first, other))
+            if any(topic.startswith(theirs) for topic in rest):
+                return mine
+    return ""
 
 
 def guess_channels(channels: Sequence[Channel], there: Collection[str]) -> tuple[dict[str, TopicBinding], dict[str, list[str]]]:
