@@ -179,6 +179,13 @@ def _write_csv(drive: Drive, path: Path) -> None:
     path.write_text("\n".join([f"time_s,{','.join(drive.channels)}", *lines, ""]))
 
 
+def _write_parquet(drive: Drive, path: Path) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    parquet.write_table(pa.table(dict(zip(("time_s", *drive.channels), zip(*drive.rows(), strict=True), strict=True))), path)
+
+
 def _write_bag(drive: Drive, path: Path) -> None:
     from trackres_ros.output.mcap import BagWriter
 
@@ -204,6 +211,7 @@ KINDS: dict[str, tuple[str, Callable[[Drive, Path], None]]] = {
     "MATLAB 5": ("old.mat", _write_mat),
     "MATLAB 7.3": ("new.mat", _write_mat_73),
     "Excel": ("drive.xlsx", _write_xlsx),
+    "Parquet": ("drive.parquet", _write_parquet),
 }
 """File and writer by kind."""
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 import zipfile
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, time, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +79,8 @@ def test_other_columns_or_the_topics_file_decide_a_mark(tmp_path, reader):
     for mark, value in ((",", 1.234), (".", 1234.0)):
         given_mark = {"speed": {"column": "speed_mps", "decimal": mark}}
         assert tr.read(path, topics=given_mark).series["speed"].value[0] == value
+        shared = {"speed": {"column": "speed_mps"}, "wheel_speed/front": given_mark["speed"]}  # one line gives it for both
+        assert tr.read(path, topics=shared).series["wheel_speed/front"].value[0] == value
 
 
 def test_the_mark_may_show_late(tmp_path, reader):
@@ -151,7 +153,6 @@ def test_a_time_is_read_as_written_or_refused(tmp_path_factory, begin, steps, fo
         (["2026-02-29T10:00:00;1"], "a time as in the rows before"),
         (["2026-11-23T24:00:01;1"], "a time as in the rows before"),
         (["13/11/2026 10:00;1", "11/14/2026 10:00;1"], "dates in one order"),
-        (["2026-11-23;1"], "numbers of an unknown unit"),
         (["0;1", "1;1"], "timestamp: given 'numbers of an unknown unit'"),
         (["2026-11-23T10:00:00;1", ";1"], "a time in seconds"),
     ],
@@ -160,6 +161,25 @@ def test_a_time_that_is_none_is_refused(tmp_path, reader, rows, says):
     with pytest.raises(InputError) as refused:
         tr.read(written(tmp_path, table("timestamp;speed_mps", *rows)))
     assert says in str(refused.value)
+
+
+NO_TIMES = (
+    "10/25/2026 02:59:59 PM", "25.10.26 02:59:59", "02:59:59", "2026-10-25", "2026-10-25 02:59:59:999", "2026-10-25 02:59:59 CET",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("topics", [None, {"time": {"column": "Time"}}])
+@pytest.mark.parametrize("cell", [*NO_TIMES, time(2, 59, 59), timedelta(seconds=3599)])
+def test_a_cell_that_is_no_time_is_shown_with_the_forms(tmp_path, cell, topics):
+    pytest.importorskip("openpyxl")
+    paths = [workbook(tmp_path / "run.xlsx", ("s", [["Time", "speed_mps"], [cell, 1.0]]))]
+    paths += [written(tmp_path, table("Time;speed_mps", f"{cell};1"))]
+    for path in paths:
+        with pytest.raises(InputError) as refused:
+            tr.read(path, topics=topics)
+        assert f"Time: given '{cell}'; allowed: " in str(refused.value)
+        assert ("numbers, or dates" in str(refused.value)) == bool(topics)
+        assert "write date and time in one column as 2026-11-23T10:00:00" in str(refused.value)
 
 
 def test_an_offset_moves_dates_and_a_scale_is_refused(tmp_path, reader):

@@ -8,7 +8,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -27,7 +29,7 @@ from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.role_units import UNITS, conversion
 from trackres_ros.recording.roles import ROLES
 
-for library in ("asammdf", "can", "cantools", "h5py", "openpyxl", "rosbags"):
+for library in ("asammdf", "can", "cantools", "h5py", "openpyxl", "pyarrow", "rosbags"):
     pytest.importorskip(library)
 
 LONGEST = 12
@@ -48,6 +50,18 @@ def test_one_drive_gives_the_same_replay(files, kind):
         np.testing.assert_allclose(found[name], wanted[name], rtol=1e-9, err_msg=name)
     # The residual holds the inertia: a stamp in seconds since 1970, as bus logging has it, moves an acceleration by 1e-5.
     np.testing.assert_allclose(found["residual_nm"], wanted["residual_nm"], rtol=0.0, atol=0.1)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "bag"])
+def test_one_channel_may_serve_several_roles(files, kind):
+    path, topics = files[kind]
+    load = topics["load"]
+    shares = {f"load/{axle}": replace(load, scale=scale * load.scale) for axle, scale in (("front", 0.25), ("rear", 0.75))}
+    shared = replace(topics, bindings=MappingProxyType({"speed": topics["speed"], **shares}))
+    (whole, parts) = (Recording.from_source(open_source([path], one)).series for one in (topics, shared))
+    for role, binding in shares.items():
+        np.testing.assert_array_equal(parts[role].stamp_ns, whole["load"].stamp_ns)
+        np.testing.assert_allclose(parts[role].value, binding.scale / load.scale * whole["load"].value, rtol=1e-15)
 
 
 @given(
@@ -214,6 +228,54 @@ def test_a_replay_as_mdf_holds_what_parquet_does(files, tmp_path):
             np.testing.assert_array_equal(signal.timestamps, wanted["time_s"].to_numpy())
     assert (units["resistance_torque_nm"], units["speed_mps"], units["belt_degc/rear_left"]) == ("N m", "m/s", "degC")
     assert not [one for one in tmp_path.iterdir() if one.name.startswith(".")]
+
+
+def _saved(path, version, content):
+    """A MATLAB file of a struct `run` and its notation of matrices."""
+    import h5py
+    from scipy.io import savemat
+
+    if version == 5:
+        savemat(path, {"run": content})
+        return path
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, value in content.items():
+            file[f"run/{name}"] = np.atleast_2d(np.asarray(value)).T
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+    return path
+
+
+@pytest.mark.parametrize("version", [5, 7.3])
+def test_all_of_a_matlab_file_is_read_or_named(tmp_path, version):
+    t = np.arange(2000) / 10.0
+    others = {"belt_degc": np.ones((2000, 2)), "turning": t + 1j, "torque_nm": 1.0, "enable": True, "wheel_count": 7}
+    content = {"time_s": t, "speed_mps": 5.0 + np.sin(t), "weight_n": 340e3, "stood_s": 600.0, **others}
+    path = _saved(tmp_path / "run.mat", version, content)
+    found = tr.read(path)
+    named = {begin: set(rest.split(", ")) for begin, _, rest in (note.partition(": ") for note in found.notes)}
+    assert named["one number for the whole recording"] == {"run.weight_n", "run.stood_s"}
+    assert named["not read (no vectors)"] == {f"run.{name}" for name in others}
+    assert found.series["stood"].value[0] == 600.0
+    assert set(tr.replay(path, "xgd24d")["weight_n"]) == {340e3}
+    by_topics = tr.read(path, topics={"passengers": {"channel": "run.wheel_count"}})
+    assert set(by_topics.series["passengers"].value) == {7.0}
+
+
+@pytest.mark.parametrize("version", [5, 7.3])
+def test_a_number_for_a_role_with_a_vector_is_not_read(tmp_path, version):
+    t = np.arange(20) / 10.0
+    path = _saved(tmp_path / "run.mat", version, {"t": t, "speed_mps": t, "weight_n": 1e5 + t, "weight_kn": 340.0})
+    found = tr.read(path)
+    assert found.series["load"].value.tolist() == (1e5 + t).tolist()
+    assert "not read (no vectors): run.weight_kn" in found.notes
+
+
+def test_a_time_that_is_none_is_refused_as_given(tmp_path):
+    for first in (1764e9, np.nan, np.inf):
+        path = _saved(tmp_path / "run.mat", 5, {"time": [first, 1765e9], "speed_mps": [1.0, 2.0]})
+        with pytest.raises(InputError, match=rf"row 1 below the header: given {first!s}".replace("+", r"\+")):
+            tr.read(path)
 
 
 PEAK = """

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gzip
 import sys
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -103,7 +104,10 @@ def test_every_column_by_name(tmp_path: Path, reader: str) -> None:
         ("", ["empty file"]),
         ("\n1,2\n", ["empty file or first line"]),
         ("speed_mps,grade\n1,2\n", ["speed_mps, grade", "a column time_s"]),
-        ("tine_s,speed_mps\n1,2\n", ["did you mean time_s?"]),
+        ("tine_s,speed_mps\n1,2\n", ["a column time_s", "time: {column: NAME, scale: 1.0}"]),
+        ("time_ms,speed_mps\n1,2\n", ["a column time_s", "time: {channel: time_ms, unit: ms}"]),
+        ("Time_s,speed_mps\n1,2\n", ["a column time_s", "time: {channel: Time_s, unit: s}"]),
+        ("Time [min],speed_mps\n1,2\n", ["a column time_s", "time: {channel: 'Time [min]', unit: min}"]),
         ("time_s,grade\n1,2\n", ["time_s, grade", "speed_mps or speed_kmh", "topics file"]),
         ("time_s,speed_mps,speed_kmh\n1,2,3\n", ["speed_mps and speed_kmh", "one column for speed"]),
         ("time_s,speed_mps,speed_mps\n1,2,3\n", ["2 columns speed_mps"]),
@@ -111,8 +115,6 @@ def test_every_column_by_name(tmp_path: Path, reader: str) -> None:
 )
 def test_refused_with_the_place(tmp_path: Path, reader: str, text: str, says: list[str]) -> None:
     path = table(tmp_path, text)
-    if "tine" in text:
-        says = ["a column time_s"]
     with pytest.raises(InputError) as caught:
         read(path)
     for part in [str(path), *says]:
@@ -263,9 +265,51 @@ def test_parquet_of_other_types(tmp_path: Path) -> None:
     parquet.write_table(pa.table({"time_s": [0.0], "speed_mps": ["fast"]}), path)
     with pytest.raises(InputError, match=r"speed_mps: given 'string'.*a column of numbers"):
         read(path)
+    for name, topics in (("time", None), ("t", Topics.parse({"time": {"column": "t"}}, "t.yaml"))):
+        parquet.write_table(pa.table({name: ["2026-11-23"], "speed_mps": [1.0]}), path)
+        allowed = "numbers or timestamps" if topics else "timestamps"
+        with pytest.raises(InputError, match=rf"{name}: given 'string'; allowed: a column of {allowed}"):
+            read(path, topics)
     path.write_bytes(b"PAR1 no")
     with pytest.raises(InputError, match="Parquet that is readable to its end"):
         read(path)
+
+
+@with_pyarrow
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**50) | st.integers(2**53, 4 * 10**18), st.sampled_from(["int64", "uint64"]))
+def test_nanoseconds_of_parquet_are_exact(tmp_path_factory: pytest.TempPathFactory, start: int, kind: str) -> None:
+    stamps, path = [start, start + 1], tmp_path_factory.mktemp("t") / "run.parquet"
+    whole = pa.array(stamps, getattr(pa, kind)())
+    parquet.write_table(pa.table({"t": whole, "speed_mps": whole}), path)
+    (block,) = open_source([path], Topics.parse({"time": {"column": "t", "scale": 1e-9}}, "t.yaml")).blocks()
+    assert block.stamp_ns.tolist() == stamps
+    assert block.value.tolist() == list(map(float, stamps))
+
+
+@with_pyarrow
+def test_times_of_parquet_too_late_are_refused_with_their_row(tmp_path: Path) -> None:
+    for kind, late in ((pa.timestamp("us"), 10**16), (pa.timestamp("s"), 10**10), (pa.uint64(), 2**63)):
+        stamps = pa.array([0, late], kind)
+        parquet.write_table(pa.table({"t": stamps, "speed_mps": [1.0, 2.0]}), tmp_path / "run.parquet")
+        with pytest.raises(InputError, match=r"t, row 2 below the header.*a time in seconds"):
+            read(tmp_path / "run.parquet", Topics.parse({"time": {"column": "t"}}, "t.yaml"))
+
+
+@with_pyarrow
+@pytest.mark.parametrize(
+    ("column", "wanted"),
+    [
+        (lambda: pa.nulls(2), []),
+        (lambda: pa.array([True, None]), [1.0]),
+        (lambda: pa.array([Decimal("1.25"), None], pa.decimal128(5, 2)), [1.25]),
+        (lambda: pa.array([2**53 + 1, None]), [2.0**53]),
+    ],
+)
+def test_a_column_of_parquet_reads_like_its_cells_in_csv(tmp_path: Path, column: Any, wanted: list[float]) -> None:
+    path = tmp_path / "run.parquet"
+    parquet.write_table(pa.table({"time_s": [0, 1], "speed_mps": [1, 1], "brake_on": column()}), path)
+    assert [value for role, _, value in read(path) if role == "brake"] == wanted
 
 
 def test_parquet_needs_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

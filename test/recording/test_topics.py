@@ -9,6 +9,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
 from trackres_ros.recording.binding import FieldStep, TopicBinding, field_steps
@@ -151,6 +153,33 @@ def test_guess_takes_the_unit_of_a_bare_number_from_its_name(topic: str, scale: 
     topics, said = guess({topic: "std_msgs/msg/Float64"})
     assert topics["speed"].scale == scale
     assert ("km/h" in said[0]) == (scale != 1.0)
+
+
+TORQUES = ("torque_nm", "torque_knm", "drive/torque", "axle/rear/torque_nm")
+
+
+@settings(max_examples=30)
+@given(
+    vehicles=st.lists(st.sampled_from(["truck1", "truck2", "rover", "fleet/a", "fleet/b"]), min_size=1, max_size=3, unique=True),
+    torques=st.permutations(TORQUES),
+    speed=st.sampled_from(["speed", "base/odom"]),
+)
+def test_all_guesses_are_of_one_vehicle(vehicles: list[str], torques: list[str], speed: str) -> None:
+    number, kind = "std_msgs/msg/Float64", SPEED["type"]
+    vehicles = [one for one in vehicles if len(one.split("/")) == len(vehicles[0].split("/"))]
+    bag = {f"/{one}/{speed}": kind for one in vehicles} | {
+        f"/{one}/{name}": number for one, torque in zip(vehicles, torques, strict=False) for name in (torque, "load_kn")
+    }
+    topics, _ = guess(bag)
+    of_vehicle = topics["speed"].topic.removesuffix(speed)
+    assert set(topics) == {"speed", "torque", "load"}
+    assert all(topics[role].topic.startswith(of_vehicle) for role in topics)
+
+
+def test_a_second_speed_alone_is_no_second_vehicle() -> None:
+    odometry, imu = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
+    topics, _ = guess({"/wheel/odom": odometry, "/visual/odom": odometry, "/wheel/imu_raw": imu, "/imu": imu})
+    assert (topics["speed"].topic, topics["yaw_rate"].topic) == ("/wheel/odom", "/imu")
 
 
 def test_nothing_tells_the_speed() -> None:

@@ -112,9 +112,10 @@ def rows_at(seconds: FloatArray, cells: FloatArray, start_ns: int = 0) -> Channe
 
     `seconds`: shape (n,); `cells`: shape (n, channels); `start_ns`: the time 0 [ns since 1970], if the file gives it.
     """
-    timed = np.abs(seconds) < MOST_TIME_S
-    stamps = np.rint(np.where(timed, seconds, 0.0) * 1e9).astype(np.int64) + start_ns
-    return ChannelRows(stamps, timed, cells, ~np.isnan(cells))
+    given, timed = ~np.isnan(cells), np.ones(len(seconds), np.bool_)
+    if not (np.abs(seconds) < MOST_TIME_S).all():  # refused as they are
+        return ChannelRows(seconds, timed, cells, given)
+    return ChannelRows(np.rint(seconds * 1e9).astype(np.int64) + start_ns, timed, cells, given)
 
 
 MOST_TIME_S = 4.6e9
@@ -127,10 +128,18 @@ def time_note(column: str, text: str) -> str:
     return f"time: column {column}, {text}"
 
 
-def check_dates(time: ChosenChannel, name: str, are_dates: bool) -> None:
-    """Refuse numbers with an unknown unit, and a scale of dates. Raises InputError with the line of the topics file."""
+def check_dates(time: ChosenChannel, name: str, are_dates: bool, first: str = "") -> None:
+    """Refuse what is no time, numbers with an unknown unit, and a scale of dates. Raises InputError with a remedy.
+
+    `first`: the first time, unless it is a number.
+    """
+    where = f"{name}: {time.name}"
+    if first and not are_dates:
+        allowed = "dates with times, such as 2026-11-23 10:00:00.5, 23.11.2026 10:00, 11/23/2026 10:00"
+        remedy = "write date and time in one column as 2026-11-23T10:00:00, or seconds in a column time_s"
+        raise InputError(where, first, allowed if time.dates_only else f"numbers, or {allowed}", remedy)
     if not are_dates and time.dates_only:
         remedy = f"give the unit in a topics file: time: {{column: {time.name}, scale: 1.0}}, or name the column time_s"
-        raise InputError(f"{name}: {time.name}", "numbers of an unknown unit", "dates with times", remedy)
+        raise InputError(where, "numbers of an unknown unit", "dates with times", remedy)
     if are_dates and time.binding.scale != 1.0:
-        raise InputError(f"{name}: {time.name}", f"scale {time.binding.scale:g}", "no scale for dates with times")
+        raise InputError(where, f"scale {time.binding.scale:g}", "no scale for dates with times")

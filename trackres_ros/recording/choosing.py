@@ -11,7 +11,7 @@ from trackres_ros.errors import InputError, nearest
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import TIME, Topics
 from trackres_ros.recording.channel_file import Channel, ChannelFile, ChosenChannel
-from trackres_ros.recording.guess import guess_channels, topics_line
+from trackres_ros.recording.guess import guess_channels, topics_line, words
 from trackres_ros.recording.role_units import UNITS, conversion
 from trackres_ros.recording.roles import ROLES, base_role
 
@@ -172,9 +172,18 @@ def _time(file: ChannelFile, topics: Topics | None, names: _Names, notes: list[s
         place, name = dated[0]
         chosen = names.chosen(TIME, TopicBinding(column=name), file.name, notes)
         return replace(chosen, dates_only=not conversion(file.channels[place].unit or "?", "s"))
-    name_it = "or give it in a topics file: time: {column: NAME, scale: 1.0}"
     allowed = f"a column {TIME_S}, in seconds, or timestamp, of dates with times"
-    raise InputError(file.name, f"columns {listed_names(names.all)}", allowed, nearest(TIME_S, names.all) or name_it)
+    line = next(_time_lines(names.all), "time: {column: NAME, scale: 1.0}")
+    raise InputError(file.name, f"columns {listed_names(names.all)}", allowed, f"or give it in a topics file: {line}")
+
+
+def _time_lines(names: Sequence[str]) -> Iterator[str]:
+    """Lines of a topics file for columns named as a time in a unit, such as time_ms."""
+    for name in names:
+        first, *rest = words(name).split() or [""]
+        unit = conversion(rest[-1], "s") if rest and first in ("t", *DATE_NAMES) else None
+        if unit:
+            yield topics_line(TIME, TopicBinding(column=name, scale=unit.scale))
 
 
 def listed_names(names: Sequence[str]) -> str:

@@ -13,7 +13,7 @@ import yaml
 
 from trackres_ros.errors import InputError
 from trackres_ros.recording.binding import IN_DEGREES, TopicBinding
-from trackres_ros.recording.bindings import EXAMPLE, Topics
+from trackres_ros.recording.bindings import EXAMPLE, TIME, Topics
 from trackres_ros.recording.channel_file import Channel
 from trackres_ros.recording.role_units import UNITS as UNITS_OF_ROLES
 from trackres_ros.recording.role_units import conversion
@@ -102,8 +102,10 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
         raise InputError(
             "speed", listed, "a topic with a type that holds the vehicle's speed", f"give it in a topics file: {EXAMPLE}"
         )
+    of_vehicle = _namespace_of_vehicle(found)
     notes = []
     for role, options in found.items():
+        options.sort(key=lambda option: not option[0].topic.startswith(of_vehicle))
         binding, unit = options[0]
         others = ", ".join(other.topic for other, _ in options[1:])
         notes.append(
@@ -111,6 +113,22 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
             + (f"; also possible: {others}" if others else "")
         )
     return Topics(MappingProxyType({role: options[0][0] for role, options in found.items()}), "guessed"), notes
+
+
+def _namespace_of_vehicle(found: Mapping[str, Sequence[tuple[TopicBinding, str]]]) -> str:
+    """The namespace of the first speed, in a bag of several vehicles; else empty.
+
+    It is /truck1/ where /truck2/ has a speed of the same name, and topics of other roles too.
+    """
+    first, *others = (binding.topic.split("/") for binding, _ in found["speed"])
+    rest = [binding.topic for role, options in found.items() if role != "speed" for binding, _ in options]
+    for other in others:
+        differ = [place for place, (mine, theirs) in enumerate(zip(first, other, strict=False)) if mine != theirs]
+        if len(other) == len(first) and len(differ) == 1 and differ[0] < len(first) - 1:
+            mine, theirs = ("/".join([*parts[: differ[0] + 1], ""]) for parts in (first, other))
+            if any(topic.startswith(theirs) for topic in rest):
+                return mine
+    return ""
 
 
 def guess_channels(channels: Sequence[Channel], there: Collection[str]) -> tuple[dict[str, TopicBinding], dict[str, list[str]]]:
@@ -141,8 +159,8 @@ def _may_be(channel: Channel, role: str, about: Role) -> bool:
 
 
 def topics_line(role: str, binding: TopicBinding) -> str:
-    """The line of a topics file for the source of a role, in the unit of the raw numbers if known."""
-    inside = ROLES[base_role(role)].unit
+    """The line of a topics file for the source of a role or the time, in the unit of the raw numbers if known."""
+    inside = "s" if role == TIME else ROLES[base_role(role)].unit
     keys = ("topic", "type", "field") if binding.topic else ("column",)
     line: dict[str, object] = {"channel" if key == "column" else key: getattr(binding, key) for key in keys}
     unit = next((name for name, one in UNITS_OF_ROLES[inside].items() if one == (binding.scale, binding.offset)), "")

@@ -4,7 +4,7 @@
 """Reads numbers in text. The whole column decides on the decimal mark; an ambiguous one is refused."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Literal
@@ -57,6 +57,15 @@ class ColumnMarks:
             for mark, pattern in patterns.items():
                 if mark not in found and self.marks and (match := pattern.search(text)):
                     found[mark] = match.group()
+
+
+def marks_of(lines: Iterable[tuple[str, Mark | Literal[""]]]) -> dict[str, ColumnMarks]:
+    """The evidence to collect, by column: of several lines for one column, any may give its decimal mark."""
+    marks: dict[str, ColumnMarks] = {}
+    for column, given in lines:
+        one = marks.setdefault(column, ColumnMarks())
+        one.given = one.given or given
+    return marks
 
 
 def decide(columns: Mapping[str, ColumnMarks], name: str, commas_separate: bool = False) -> dict[str, Mark]:

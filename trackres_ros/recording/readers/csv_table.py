@@ -23,7 +23,7 @@ from trackres_ros.files.arrow_columns import as_numpy
 from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
 from trackres_ros.recording.date_times import DateTimes, is_date_time
 from trackres_ros.recording.file_kind import FileKind
-from trackres_ros.recording.number_marks import COMMA, POINT, ColumnMarks, Mark, decide, is_number, number_of
+from trackres_ros.recording.number_marks import COMMA, POINT, Mark, decide, is_number, marks_of, number_of
 from trackres_ros.recording.samples import Finding
 
 MAX_ROW_BYTES = 2**24
@@ -91,8 +91,8 @@ class CsvTable(TableFile):
         self._places = [column.place for column in self._read]
         first = next((row[time.place] for row in self._whole_rows() if row[time.place].strip()), "")
         self._dates = DateTimes(first, time.binding.order) if is_date_time(first) else None
-        check_dates(time, self.name, self._dates is not None)
-        marks = {column.name: ColumnMarks(column.binding.decimal) for column in self._read[bool(self._dates) :]}
+        check_dates(time, self.name, self._dates is not None, "" if is_number(first) else first.strip())
+        marks = marks_of((column.name, column.binding.decimal) for column in self._read[bool(self._dates) :])
         if self._separator != "," or (self._dates and self._dates.is_open) or self._has_quotes():
             rows = ([row[place].strip() for place in self._places] for row in self._whole_rows())
             while chunk := list(itertools.islice(rows, SEEN_ROWS)):
@@ -163,7 +163,7 @@ class CsvTable(TableFile):
             types[wanted[0]] = pa.string()
         convert = arrow.ConvertOptions(
             column_types=types,
-            include_columns=wanted,
+            include_columns=list(types),
             null_values=[""],
             strings_can_be_null=True,
             quoted_strings_can_be_null=True,

@@ -21,7 +21,7 @@ from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
 from trackres_ros.recording.date_times import MOST_S, NO_ZONE, SECOND_NS, DateTimes, is_date_time
 from trackres_ros.recording.file_kind import FileKind
-from trackres_ros.recording.number_marks import COMMA, ColumnMarks, Mark, decide, is_number, number_of
+from trackres_ros.recording.number_marks import COMMA, Mark, decide, is_number, marks_of, number_of
 from trackres_ros.recording.role_units import UNITS, conversion
 from trackres_ros.recording.samples import Finding
 
@@ -85,7 +85,8 @@ class ExcelTable(TableFile):
         values = [value for value in cells[0] if value is not None]
         first = values[0] if values else 0.0
         in_text = isinstance(first, str) and is_date_time(first)
-        check_dates(time, self.name, in_text or isinstance(first, datetime))
+        numeric = is_number(first) if isinstance(first, str) else isinstance(first, int | float)
+        check_dates(time, self.name, in_text or isinstance(first, datetime), "" if numeric else str(first))
         notes = [f"sheet {one_line(self._sheet)}"]
         if isinstance(first, datetime):
             stamps = [self._stamp(value, number) for value, number in zip(cells[0], self._numbers, strict=True)]
@@ -97,7 +98,7 @@ class ExcelTable(TableFile):
             stamps = [self._text_stamp(value, dates, number) for value, number in zip(cells[0], self._numbers, strict=True)]
             notes.append(time_note(time.name, dates.text))
         dated = in_text or isinstance(first, datetime)
-        marks = {column.name: ColumnMarks(column.binding.decimal) for column in self._columns[dated:]}
+        marks = marks_of((column.name, column.binding.decimal) for column in self._columns[dated:])
         for column, found in zip(self._columns, cells, strict=True):
             if column.name in marks:
                 marks[column.name].see([value for value in found if isinstance(value, str)])

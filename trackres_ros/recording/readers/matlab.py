@@ -5,7 +5,9 @@
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,8 +16,9 @@ import numpy as np
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import Channel, ChannelFile, ChannelRows, rows_at
-from trackres_ros.recording.choosing import listed_names
+from trackres_ros.recording.choosing import COLUMNS, listed_names
 from trackres_ros.recording.file_kind import FileKind
+from trackres_ros.recording.roles import base_role
 from trackres_ros.recording.samples import FloatArray
 
 BLOCK_ROWS = 2**14
@@ -25,6 +28,8 @@ MOST_ROWS = 2**31
 """Of a vector: a year at 60 Hz."""
 TIMES = ("time_s", "time", "t", "timestamp", "timestamps", "tout")
 """Names of a vector of times, in any case, in the order of preference; so are the name of a channel with ``_time`` or ``_t``."""
+CONSTANT = ("load", "passengers", "ambient", "stood")
+"""Roles of which one number holds for the whole recording; of others it may be the first value, or a setting."""
 COMPRESSED, HEADER_BYTES, ENDIAN_AT = 15, 128, 126
 """Of version 5: the type of a packed element, the length of the header, and its position of the byte order."""
 
@@ -37,11 +42,20 @@ class _Vector(NamedTuple):
     part: Callable[[int, int], FloatArray]
 
 
-class MatlabFile(ChannelFile):
-    """The vectors of a MATLAB file that have times."""
+@dataclass(frozen=True, slots=True)
+class _Content:
+    """What a file holds, by name: vectors of numbers, single numbers, and the names of all else."""
 
-    def __init__(self, name: str, vectors: Mapping[str, _Vector], topics: Topics | None) -> None:
-        self.name, self._vectors = name, vectors
+    vectors: dict[str, _Vector] = field(default_factory=dict)
+    numbers: dict[str, _Vector] = field(default_factory=dict)
+    others: list[str] = field(default_factory=list)
+
+
+class MatlabFile(ChannelFile):
+    """The vectors of a MATLAB file that have times, and single numbers that hold for the whole recording."""
+
+    def __init__(self, name: str, content: _Content, topics: Topics | None) -> None:
+        self.name, vectors = name, content.vectors
         clock = topics.time if topics else None
         if clock and clock.column not in vectors:
             where = f"{topics.origin if topics else name}: time: column"
@@ -51,14 +65,20 @@ class MatlabFile(ChannelFile):
         self.channels = [Channel(name, "", time) for name, time in times.items() if time and time != name]
         alone = [name for name, time in times.items() if not time]
         unit = "" if clock else ", in seconds"
+        constants = _constants(content.numbers, self.channels, topics)
+        self._vectors = {**vectors, **{one: _constant(content.numbers[one]) for one in constants}}
+        unread = [*content.others, *(one for one in content.numbers if one not in constants)]
         self.notes = (
             *(f"time: vector {time}{unit}" for time in dict.fromkeys(one.group for one in self.channels)),
             *([f"vectors without times: {listed_names(alone)}"] if alone else []),
+            *([f"one number for the whole recording: {listed_names(list(constants))}"] if constants else []),
+            *([f"not read (no vectors): {listed_names(unread)}"] if unread else []),
         )
         if not self.channels:
             allowed = f"numeric vectors and one of the same length named {', '.join(TIMES)}"
             remedy = "give the times in a topics file: time: {channel: NAME}"
             raise InputError(name, f"the vectors {listed_names(list(vectors)) or 'none'}", allowed, remedy)
+        self.channels += [Channel(one, "", time) for one, time in constants.items()]
 
     def streams(self) -> Sequence[Iterator[ChannelRows]]:
         """The vectors by their times; those of the last one, the speed, last."""
@@ -92,18 +112,41 @@ def _time_of(name: str, vectors: Mapping[str, _Vector], named: str) -> str:
     return next((one for one in candidates if one in vectors and vectors[one].length == vectors[name].length), "")
 
 
+def _constants(numbers: Collection[str], channels: Sequence[Channel], topics: Topics | None) -> dict[str, str]:
+    """Names of numbers that hold for the whole recording, with the vector of times of each.
+
+    The topics file names them. Or they are columns known by name, each the only one of its role, in the struct of the times.
+    """
+    if not channels:
+        return {}
+    named = {part.column: base_role(role) for role, line in (topics.bindings if topics else {}).items() for part in line.sources}
+    times = {one.group.rpartition(".")[0]: one.group for one in reversed(channels)}
+    found = {one: channels[0].group for one in numbers if named.get(one) in CONSTANT}
+    known = [one for one in (*numbers, *(one.name for one in channels)) if one.rpartition(".")[2] in COLUMNS]
+    role_of = {one: COLUMNS[one.rpartition(".")[2]][0] for one in known}
+    alone = Counter(role_of.values())
+    for one, role in role_of.items():
+        if one in numbers and one not in found and role in CONSTANT and alone[role] == 1 and one.rpartition(".")[0] in times:
+            found[one] = times[one.rpartition(".")[0]]
+    return found
+
+
+def _constant(number: _Vector) -> _Vector:
+    return _Vector(1, 1, lambda start, end: np.repeat(number.part(0, 1), end - start))
+
+
 def _read(path: Path, name: str, topics: Topics | None) -> list[MatlabFile]:
     with path.open("rb") as file:
         is_old = file.read(10) == b"MATLAB 5.0"
     return [MatlabFile(name, _of_version_5(path) if is_old else _of_version_7_3(path), topics)]
 
 
-def _of_version_5(path: Path) -> dict[str, _Vector]:
-    """Vectors of a file that is read at once."""
+def _of_version_5(path: Path) -> _Content:
+    """Content of a file that is read at once."""
     from scipy.io import loadmat
 
     _check_size(path)
-    found: dict[str, _Vector] = {}
+    found = _Content()
 
     def visit(name: str, value: Any) -> None:
         if isinstance(value, Mapping):
@@ -112,8 +155,12 @@ def _of_version_5(path: Path) -> dict[str, _Vector]:
         elif isinstance(value, list):
             for number, inner in enumerate(value, 1):
                 visit(f"{name}({number})", inner)
+        elif isinstance(value, int | float):
+            found.numbers[name] = _Vector(1, 1, lambda *_: np.array([value], np.float64))
         elif isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "biuf" and value.size > 1:
-            found[name] = _Vector(len(value), BLOCK_ROWS, lambda start, end: value[start:end].astype(np.float64))
+            found.vectors[name] = _Vector(len(value), BLOCK_ROWS, lambda start, end: value[start:end].astype(np.float64))
+        else:
+            found.others.append(name)
 
     for name, value in loadmat(path, simplify_cells=True).items():
         if not name.startswith("__"):
@@ -145,23 +192,26 @@ def _check_size(path: Path) -> None:
         )
 
 
-def _of_version_7_3(path: Path) -> dict[str, _Vector]:
-    """Vectors of an HDF5 file."""
+def _of_version_7_3(path: Path) -> _Content:
+    """Content of an HDF5 file."""
     try:
         import h5py
     except ImportError:
         raise MissingExtraError("reading MATLAB files of version 7.3", "h5py", "matlab") from None
-    found: dict[str, _Vector] = {}
+    found = _Content()
 
     def visit(place: str | bytes, item: Any) -> None:
         if not isinstance(place, str) or "#refs#" in place:  # a damaged name is no text
             return
-        if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "biuf":
+        if not isinstance(item, h5py.Dataset):
             return
+        name = place.replace("/", ".")
         across = item.ndim == 2 and item.shape[0] == 1  # MATLAB's arrays are transposed there
-        if item.size in (None, 0, 1) or not (item.ndim == 1 or across or (item.ndim == 2 and item.shape[1] == 1)):
-            return
-        if item.attrs.get("MATLAB_class", b"double") in (b"char", b"cell") or item.size > MOST_ROWS:
+        is_vector = item.size not in (None, 0) and (item.ndim == 1 or across or (item.ndim == 2 and item.shape[1] == 1))
+        numeric = item.dtype.kind in "biuf" and item.attrs.get("MATLAB_class", b"double") not in (b"char", b"cell")
+        if not is_vector or not numeric or item.size > MOST_ROWS:
+            if "#" not in place:  # MATLAB's own
+                found.others.append(name)
             return
         at_once = max(BLOCK_ROWS, *(item.chunks or (0,)))
         if at_once * item.dtype.itemsize > MOST_BYTES:
@@ -172,7 +222,7 @@ def _of_version_7_3(path: Path) -> dict[str, _Vector]:
                 data = file[place][0, start:end] if across else file[place][start:end]
             return np.asarray(data, np.float64).reshape(end - start)
 
-        found[place.replace("/", ".")] = _Vector(item.size, at_once, part)
+        (found.numbers if item.size == 1 else found.vectors)[name] = _Vector(item.size, at_once, part)
 
     with h5py.File(path, "r") as file:
         file.visititems(visit)  # follows no link to another file

@@ -4,6 +4,7 @@
 """Reads Parquet tables in blocks."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,9 @@ from trackres_ros.recording.samples import Finding
 
 BUFFER_BYTES = 2**20
 """Read at once of a column; without it, and with buffering ahead, pyarrow holds a whole row group: possibly the whole file."""
+NANOSECOND = 1e-9
+TICKS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+"""Of timestamps [s]: those that do not fit in 64 bits as nanoseconds are refused as seconds, with their row."""
 
 
 class ParquetTable(TableFile):
@@ -39,11 +43,8 @@ class ParquetTable(TableFile):
 
     def is_number(self, place: int) -> bool:
         """Whether a column is one of numbers."""
-        import pyarrow as pa
-
         with self._file() as file:
-            kind = file.schema_arrow.field(place).type
-        return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind))
+            return _is_number(file.schema_arrow.field(place).type)
 
     def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
         """Choose the columns to read; their types give the notation."""
@@ -56,9 +57,11 @@ class ParquetTable(TableFile):
         kinds = [schema.field(column.place).type for column in (time, *channels)]
         self._dates = pa.types.is_timestamp(kinds[0])
         for name, kind in list(zip(self._read, kinds, strict=True))[self._dates :]:
-            if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
-                raise InputError(f"{self.name}: {name}", str(kind), "a column of numbers")
+            if not (_is_number(kind) or pa.types.is_boolean(kind) or pa.types.is_null(kind)):
+                allowed = f"a column of {'timestamps' if time.dates_only else 'numbers or timestamps'}"
+                raise InputError(f"{self.name}: {name}", str(kind), allowed if name == time.name else "a column of numbers")
         check_dates(time, self.name, self._dates)
+        self._scale = time.binding.scale
         if self._dates:
             self.notes = (time_note(time.name, f"timestamps {'with a time zone' if kinds[0].tz else NO_ZONE}"),)
 
@@ -71,21 +74,40 @@ class ParquetTable(TableFile):
         with self._file() as file:
             count, empty = 0, np.zeros(len(self._read), np.int64)
             for batch in file.iter_batches(batch_size=CHUNK_ROWS, columns=self._read, use_threads=False):
-                rows = _rows_of(batch, self._read, self._dates)
+                rows = _rows_of(batch, self._read, self._scale)
                 count += len(rows.time)
                 empty += [np.count_nonzero(~rows.timed), *np.count_nonzero(~rows.given, axis=0)]
                 yield rows
             self.findings = tuple(_look_at_counts(file.metadata, self._read, count, empty))
 
 
-def _rows_of(batch: Any, names: Sequence[str], dates: bool) -> ChannelRows:
+def _is_number(kind: Any) -> bool:
+    import pyarrow as pa
+
+    return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_decimal(kind))
+
+
+def _rows_of(batch: Any, names: Sequence[str], scale: float) -> ChannelRows:
     """Rows of an Arrow batch, time first."""
     import pyarrow as pa
 
     first, *others = (batch.column(name) for name in names)
-    time, timed = as_numpy(first.cast(pa.timestamp("ns", "UTC")).cast(pa.int64()) if dates else first.cast(pa.float64()))
-    cells, given = zip(*(as_numpy(column.cast(pa.float64())) for column in others), strict=True)
-    return ChannelRows(time, timed, np.stack(cells, axis=1), np.stack(given, axis=1))
+    cells, given = zip(*(as_numpy(column.cast(pa.float64(), safe=False)) for column in others), strict=True)
+    return ChannelRows(*_times(first, scale), np.stack(cells, axis=1), np.stack(given, axis=1))
+
+
+def _times(column: Any, scale: float) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Times as `ChannelRows` has them, and which are given; whole nanoseconds stay exact where float64 would round them."""
+    import pyarrow as pa
+
+    dates = pa.types.is_timestamp(column.type)
+    with suppress(pa.ArrowInvalid):
+        return as_numpy(column.cast(pa.timestamp("ns", "UTC")).cast(pa.int64()) if dates else column.cast(pa.float64()))
+    with suppress(pa.ArrowInvalid):
+        if scale == NANOSECOND and pa.types.is_integer(column.type):
+            return as_numpy(column.cast(pa.int64()))
+    times, given = as_numpy((column.cast(pa.int64()) if dates else column).cast(pa.float64(), safe=False))
+    return (times * TICKS_S[column.type.unit] if dates else times), given
 
 
 def _look_at_counts(metadata: Any, names: Sequence[str], rows: int, empty: NDArray[np.int64]) -> Iterator[Finding]:
