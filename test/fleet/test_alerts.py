@@ -159,6 +159,27 @@ def test_recordings_without_load_do_not_set_a_months_colour(dataset):
     assert "50.0 % without load" in (dataset.folder / "vehicles" / "steady.html").read_text()
 
 
+def test_a_recording_without_a_day_alters_no_search_for_changes(dataset):
+    before = trends(dataset, {})
+    for vehicle in ("steady", "worn", "timeless"):
+        dataset.put({**row(vehicle, RECORDINGS), "start_s": 0.0, "day": "none"}, None)
+    found = trends(dataset, {})
+    assert found["vehicle_years"] == before["vehicle_years"]
+    for name, was in before["vehicles"].items():
+        now = found["vehicles"][name]
+        assert all(now[key] == was[key] for key in ("first_day", "last_day", "years"))
+        assert now["recordings"] == was["recordings"] + 1
+        assert now["least_gain"] == pytest.approx(was["least_gain"], rel=0.1)
+        assert [c["since"] for c in now["changes"]] == [c["since"] for c in was["changes"]]
+        assert all(min(times) > 1e9 for times, *_ in now["levels"].values())
+    timeless = found["vehicles"]["timeless"]
+    assert (timeless["first_day"], timeless["years"], timeless["changes"], timeless["levels"]) == (None, 0.0, [], {})
+    assert [one["vehicle"] for one in found["undated"]] == ["steady", "timeless", "worn"]
+    assert "3 recordings not searched for changes" in "\n".join(sentences(found))
+    page = write_pages(dataset.folder, found, dataset).read_text()
+    assert all(f"{one['url']}: its clock gives no day" in page for one in found["undated"])
+
+
 def test_a_row_says_whether_a_load_was_recorded(tmp_path):
     vehicle = one_vehicle("xgd24d", None).vehicles["xgd24d"]
     (truck,) = draw_fleet(1, 1, 1.0, 3.0, (), seed=1)

@@ -14,13 +14,18 @@ from trackres_ros.errors import InputError, nearest
 from trackres_ros.fleet.changes import DAY_S, FALSE_ALARMS, RAMP, YEAR_S, VehicleChange, levels, vehicle_changes
 from trackres_ros.fleet.dataset import LOAD_RECORDED, FleetDataset
 from trackres_ros.fleet.pooling import Pooled, Vehicles, pool
-from trackres_ros.fleet.task import NO_DAY
+from trackres_ros.fleet.task import FIRST_DAY_S, NO_DAY
 from trackres_ros.text.numbers import figures
 
 TWO_SIDED_95 = 1.96
 SHOWN = "bearing_friction", "loss_modulus_scale"  # over time, changed or not
 OVERLAP_S = 1.0  # allowed overlap of two recordings: their clocks differ
 MOST_NAMES = 8  # in a message
+LEFT_OUT = {
+    "overlapping": "not used because their clocks overlap",
+    "undated": "not searched for changes because their clocks give no day",
+}
+UNDATED = "its clock gives no day: it is used for the values of vehicle and type, not for changes"
 FARTHEST_YEARS = 20.0  # limit of a forecast
 TEXTS = ("url", "vehicle", "day", "status", "reason", "names", "units", "findings")
 NUMBERS = (
@@ -38,6 +43,10 @@ def some_of(names: Sequence[str]) -> str:
     """Names in a row, of many the first few."""
     more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
     return f"{', '.join(names[:MOST_NAMES])}{more}"
+
+
+def _dated(row: Mapping[str, Any]) -> bool:
+    return bool(row["start_s"] > FIRST_DAY_S)
 
 
 def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
@@ -94,6 +103,7 @@ def trends(
         "compared": len(good),
         "broken": [{"url": row["url"], "vehicle": row["vehicle"], "reason": row["reason"]} for row in bad],
         "overlapping": overlapping,
+        "undated": [{"url": row["url"], "vehicle": row["vehicle"], "reason": UNDATED} for row in good if not _dated(row)],
         "false_alarms_per_vehicle_year": rate,
         "vehicle_years": years,
         "types": [_type(of) for of in types],
@@ -129,13 +139,13 @@ def _vehicle(
         unusual = float((of.by_vehicle[name][0][i] - of.mean[i]) / max(float(of.between[i, i] ** 0.5), 1e-9))
         values[parameter] = {"value": value, "std": std, "beyond_type": value - typical, "in_stds_of_type": unusual}
     changes, least = vehicle_changes(of, name, rate)
-    starts = [row["start_s"] for row in rows]
-    watched = sorted({*(c.parameter for c in changes), *limits, *SHOWN} & set(of.of.names))
+    starts = [row["start_s"] for row in rows if _dated(row)]
+    watched = sorted({*(c.parameter for c in changes), *limits, *SHOWN} & set(of.of.names)) if starts else []
     return {
         "recordings": len(rows),
-        "first_day": day_of(min(starts)),
-        "last_day": day_of(max(starts)),
-        "years": (max(starts) - min(starts)) / YEAR_S,
+        "first_day": day_of(min(starts)) if starts else None,
+        "last_day": day_of(max(starts)) if starts else None,
+        "years": (max(starts) - min(starts)) / YEAR_S if starts else 0.0,
         "distance_km": sum(row["distance_m"] or 0.0 for row in rows) / 1000.0,
         "without_load": sum(map(without_load, rows)),
         "mismatch": _mean_mismatch(rows, False),
@@ -248,10 +258,9 @@ def sentences(found: Mapping[str, Any]) -> list[str]:
     unloaded = sum(v["without_load"] for v in found["vehicles"].values())
     if unloaded:
         lines.append(f"{unloaded} recordings have no load: their mismatch may come from the payload, and has no colour")
-    if found["overlapping"]:
-        lines.append(
-            f"{len(found['overlapping'])} recordings not used because their clocks overlap: {found['overlapping'][0]['url']}"
-        )
+    for kind, why in LEFT_OUT.items():
+        if found[kind]:
+            lines.append(f"{len(found[kind])} recordings {why}: {found[kind][0]['url']}")
     if found["broken"]:
         lines.append(f"{len(found['broken'])} unusable recordings, the first: {found['broken'][0]['reason']}")
     return lines
