@@ -26,7 +26,7 @@ from trackres_ros.fleet.changes import DAY_S
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.page.write import write_pages
 from trackres_ros.fleet.recordings import FoundRecording
-from trackres_ros.fleet.run import alone
+from trackres_ros.fleet.run import alone, keep_limits, limits_of
 from trackres_ros.fleet.task import Task, analyse, broken
 from trackres_ros.fleet.trends import day_of, sentences, trends
 from trackres_ros.fleet.vehicles import one_vehicle, read_fleet
@@ -138,6 +138,28 @@ def test_a_limit_is_finite_and_not_negative(trackres, limit, dataset, tmp_path):
     (tmp_path / "fleet.yaml").write_text(f"vehicles: {{a: {{file: xgd24d, limits: {{bearing_friction: {limit or 'x'}}}}}}}")
     with pytest.raises(InputError, match="limits"):
         read_fleet(tmp_path / "fleet.yaml")
+
+
+def test_a_limit_is_its_vehicles_own_and_a_given_one_of_all(dataset, tmp_path):
+    of_both = "{worn: {file: xgd24d, limits: {bearing_friction: 0.012}}, b: {file: xgd24d, limits: {bearing_friction: 0.03}}}"
+    (tmp_path / "fleet.yaml").write_text(f"vehicles: {of_both}")
+    fleet = read_fleet(tmp_path / "fleet.yaml")
+    keep_limits(dataset.folder, fleet)
+    kept = limits_of(dataset.folder, {})
+    assert {name: of for name, of in kept.items() if of} == {name: v.limits for name, v in fleet.vehicles.items()}
+    other = {None: {"film_scale": 1.0}}
+    for where, wrong in (("--limit", other), ("limits of b", {"b": other[None]})):
+        with pytest.raises(InputError, match=where):
+            trends(dataset, wrong)
+    for number in range(RECORDINGS):
+        dataset.put(row("worn", number, moved=0.3 * max(0, number - 4)), None)
+    given = limits_of(dataset.folder, {"bearing_friction": 0.02})
+    for limits, limit in (({}, None), ({"b": kept["b"]}, None), (kept, 0.012), (given, 0.02)):
+        (change,) = trends(dataset, limits, vehicle="worn")["vehicles"]["worn"]["changes"]
+        assert change["kind"] == "ramp"
+        assert (change["forecast"] and change["forecast"]["limit"]) == limit
+    (dataset.folder / "fleet.json").write_text('{"limits": {"bearing_friction": 0.012}}')  # of version 0.1.0
+    assert limits_of(dataset.folder, {}) == {None: {"bearing_friction": 0.012}}
 
 
 def test_recordings_without_load_do_not_set_a_months_colour(dataset):

@@ -65,11 +65,15 @@ def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[st
 
 
 def trends(
-    dataset: FleetDataset, limits: Mapping[str, float], rate: float = FALSE_ALARMS, vehicle: str | None = None
+    dataset: FleetDataset,
+    limits: Mapping[str | None, Mapping[str, float]],
+    rate: float = FALSE_ALARMS,
+    vehicle: str | None = None,
 ) -> dict[str, Any]:
     """All findings in a dataset.
 
-    `limits`: by parameter, value for maintenance: for forecasts; `rate`: of false alarms, per vehicle and year; `vehicle`: the
+    `limits`: by vehicle and parameter, value for maintenance: for forecasts; those by None are of all vehicles, in place of their
+    own; `rate`: of false alarms, per vehicle and year; `vehicle`: the
     only one to check for changes; by default all. Raises InputError if there is nothing to compare, a limit of an unknown
     parameter, or no such vehicle.
     """
@@ -84,14 +88,16 @@ def trends(
         raise InputError("--name", vehicle, f"one of {some_of(named)}", nearest(vehicle, named))
     types = [pool(data) for data in Vehicles.of(good)]
     known = sorted({name for of in types for name in of.of.names})
-    for name in limits:
-        if name not in known:
-            raise InputError("--limit", name, f"one of {', '.join(known)}", nearest(name, known))
+    for owner, of_owner in limits.items():
+        for name in of_owner:
+            if name not in known:
+                where = "--limit" if owner is None else f"limits of {owner}"
+                raise InputError(where, name, f"one of {', '.join(known)}", nearest(name, known))
     by_vehicle: dict[str, list[Mapping[str, Any]]] = {}
     for row in good:
         by_vehicle.setdefault(row["vehicle"], []).append(row)
     vehicles = {
-        name: _vehicle(of, name, by_vehicle[name], limits, rate)
+        name: _vehicle(of, name, by_vehicle[name], {**limits.get(name, {}), **limits.get(None, {})}, rate)
         for of in types
         for name in of.by_vehicle
         if vehicle in (None, name)
@@ -139,6 +145,7 @@ def _vehicle(
         unusual = float((of.by_vehicle[name][0][i] - of.mean[i]) / max(float(of.between[i, i] ** 0.5), 1e-9))
         values[parameter] = {"value": value, "std": std, "beyond_type": value - typical, "in_stds_of_type": unusual}
     changes, least = vehicle_changes(of, name, rate)
+    in_file = dict(zip(of.of.names, of.of.nominal.tolist(), strict=True))
     starts = [row["start_s"] for row in rows if _dated(row)]
     watched = sorted({*(c.parameter for c in changes), *limits, *SHOWN} & set(of.of.names)) if starts else []
     return {
@@ -150,13 +157,13 @@ def _vehicle(
         "without_load": sum(map(without_load, rows)),
         "mismatch": _mean_mismatch(rows, False),
         "values": values,
-        "changes": [_change(c, max(starts), limits.get(c.parameter)) for c in changes],
+        "changes": [_change(c, max(starts), limits.get(c.parameter), in_file[c.parameter]) for c in changes],
         "least_gain": least if np.isfinite(least) else None,
         "levels": {parameter: [[float(x) for x in series] for series in levels(of, name, parameter)] for parameter in watched},
     }
 
 
-def _change(found: VehicleChange, last_s: float, limit: float | None) -> dict[str, Any]:
+def _change(found: VehicleChange, last_s: float, limit: float | None, in_file: float) -> dict[str, Any]:
     content = {
         "parameter": found.parameter,
         "alike": list(found.alike),
@@ -172,21 +179,22 @@ def _change(found: VehicleChange, last_s: float, limit: float | None) -> dict[st
         "relative": found.relative if np.isfinite(found.relative) else None,
         "gain": found.gain,
     }
-    return content | {"forecast": forecast(found, last_s, limit)}
+    return content | {"forecast": forecast(found, last_s, limit, in_file)}
 
 
-def forecast(found: VehicleChange, last_s: float, limit: float | None) -> dict[str, Any] | None:
+def forecast(found: VehicleChange, last_s: float, limit: float | None, in_file: float) -> dict[str, Any] | None:
     """When a trend reaches its limit: the day, and its 95 % interval; None without a limit,
     or without a trend towards it.
 
-    The remaining time has the relative uncertainty of the change so far, which is assumed to continue.
+    It has reached the limit if that is between its present value and the one before, or the vehicle file's, `in_file`: it may
+    begin beyond. The remaining time has the relative uncertainty of the change so far, which is assumed to continue.
     """
     if limit is None or found.kind != RAMP or last_s <= found.since_s:
         return None
     now, days = found.before + found.size, (last_s - found.since_s) / DAY_S
     slopes = [found.size / days, *((found.size + sign * TWO_SIDED_95 * found.size_std) / days for sign in (1.0, -1.0))]
     if (limit - now) * found.size <= 0.0:
-        reached = (now - limit) * np.sign(found.size) >= 0.0
+        reached = any((limit - begin) * found.size > 0.0 for begin in (found.before, in_file))
         return {"limit": limit, "reached": True, "day": None, "from": None, "to": None} if reached else None
     ends = [(limit - now) / slope if slope * found.size > 0.0 else np.inf for slope in slopes]
     first, last = min(ends), max(ends)
