@@ -23,6 +23,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.evaluation.fleet.draw import draw_fleet, write_recording
 from trackres_ros.fleet.alerts import COLUMNS, checked_url
 from trackres_ros.fleet.changes import DAY_S
+from trackres_ros.fleet.compare import compare
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.page.write import write_pages
 from trackres_ros.fleet.recordings import FoundRecording
@@ -200,6 +201,31 @@ def test_a_recording_without_a_day_alters_no_search_for_changes(dataset):
     assert "3 recordings not searched for changes" in "\n".join(sentences(found))
     page = write_pages(dataset.folder, found, dataset).read_text()
     assert all(f"{one['url']}: its clock gives no day" in page for one in found["undated"])
+
+
+@pytest.mark.parametrize("vehicle", ["first", "worn"])  # before and after another vehicle of the present type
+def test_recordings_of_an_older_vehicle_file_are_only_listed(dataset, vehicle):
+    for number in range(RECORDINGS // 2, RECORDINGS):
+        dataset.put(row(vehicle, number), None)
+    for path in dataset.folder.glob(f"rows/vehicle={vehicle}/*/*"):
+        if path.parent.name < f"day={row(vehicle, RECORDINGS // 2)['day']}":
+            path.unlink()
+    alone, one = trends(dataset, {}), f"{dataset.folder}:{vehicle}"
+    compared = compare(one, one)
+    for number in range(RECORDINGS // 2):
+        dataset.put({**row(vehicle, number), "nominal": [0.009, 1.0]}, None)
+    found = trends(dataset, {})
+    outdated = [f"/data/{vehicle}/{number}.csv" for number in range(RECORDINGS // 2)]
+    assert [one["url"] for one in found["outdated"]] == outdated
+    assert found == {**alone, "outdated": found["outdated"], "recordings": alone["recordings"] + len(outdated)}
+    assert f"{len(outdated)} recordings not used because their vehicle's file has changed" in "\n".join(sentences(found))
+    page = write_pages(dataset.folder, found, dataset).read_text()
+    assert all(f"{url}: its vehicle file has other values" in page for url in outdated)
+    again = compare(one, f"{one}@{row(vehicle, 0)['day']}")  # of the older file alone
+    assert [q["one"] for q in again["parameters"]] == [q["one"] for q in compared["parameters"]]
+    assert [one["url"] for one in again["outdated"]] == outdated
+    assert again["one"].endswith("(6 recordings, without 6 of an older vehicle file)")
+    assert again["other"].endswith("(1 recordings)")
 
 
 def test_a_row_says_whether_a_load_was_recorded(tmp_path):

@@ -13,7 +13,7 @@ import numpy as np
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.fleet.changes import DAY_S, FALSE_ALARMS, RAMP, YEAR_S, VehicleChange, levels, vehicle_changes
 from trackres_ros.fleet.dataset import LOAD_RECORDED, FleetDataset
-from trackres_ros.fleet.pooling import Pooled, Vehicles, pool
+from trackres_ros.fleet.pooling import Pooled, Vehicles, pool, type_of
 from trackres_ros.fleet.task import FIRST_DAY_S, NO_DAY
 from trackres_ros.text.numbers import figures
 
@@ -23,6 +23,7 @@ OVERLAP_S = 1.0  # allowed overlap of two recordings: their clocks differ
 MOST_NAMES = 8  # in a message
 LEFT_OUT = {
     "overlapping": "not used because their clocks overlap",
+    "outdated": "not used because their vehicle's file has changed since",
     "undated": "not searched for changes because their clocks give no day",
 }
 UNDATED = "its clock gives no day: it is used for the values of vehicle and type, not for changes"
@@ -64,6 +65,25 @@ def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[st
     return kept, left_out
 
 
+def of_present_files(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
+    """Rows with the values of the vehicle file that the vehicle's latest recording has, and the excluded ones, with the reason.
+
+    `rows`: good ones, of each vehicle in the order of time, as `without_overlaps` returns them.
+    """
+    rows = list(rows)
+    latest = {row["vehicle"]: row for row in rows}
+    kept: list[Mapping[str, Any]] = []
+    left_out: list[dict[str, str]] = []
+    for row in rows:
+        last = latest[row["vehicle"]]
+        if type_of(row) == type_of(last):
+            kept.append(row)
+        else:
+            reason = f"its vehicle file has other values than that of {last['url']}, the latest: analyse it again to compare it"
+            left_out.append({"url": row["url"], "vehicle": row["vehicle"], "reason": reason})
+    return kept, left_out
+
+
 def trends(
     dataset: FleetDataset,
     limits: Mapping[str | None, Mapping[str, float]],
@@ -79,7 +99,7 @@ def trends(
     """
     rows = dataset.rows([*TEXTS, *NUMBERS])
     kept, overlapping = without_overlaps(rows)
-    good = [row for row in kept if row["status"] == "good"]
+    good, outdated = of_present_files(row for row in kept if row["status"] == "good")
     if not good:
         broken = Counter(row["reason"] for row in rows).most_common(1)
         raise InputError(str(dataset.folder), "no comparable recording", "one at least", broken[0][0] if broken else "")
@@ -109,6 +129,7 @@ def trends(
         "compared": len(good),
         "broken": [{"url": row["url"], "vehicle": row["vehicle"], "reason": row["reason"]} for row in bad],
         "overlapping": overlapping,
+        "outdated": outdated,
         "undated": [{"url": row["url"], "vehicle": row["vehicle"], "reason": UNDATED} for row in good if not _dated(row)],
         "false_alarms_per_vehicle_year": rate,
         "vehicle_years": years,
