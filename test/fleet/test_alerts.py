@@ -23,10 +23,11 @@ from trackres_ros.errors import InputError
 from trackres_ros.evaluation.fleet.draw import draw_fleet, write_recording
 from trackres_ros.fleet.alerts import COLUMNS, checked_url
 from trackres_ros.fleet.changes import DAY_S
+from trackres_ros.fleet.compare import compare
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.page.write import write_pages
 from trackres_ros.fleet.recordings import FoundRecording
-from trackres_ros.fleet.run import alone
+from trackres_ros.fleet.run import alone, keep_limits, limits_of
 from trackres_ros.fleet.task import Task, analyse, broken
 from trackres_ros.fleet.trends import day_of, sentences, trends
 from trackres_ros.fleet.vehicles import one_vehicle, read_fleet
@@ -140,6 +141,28 @@ def test_a_limit_is_finite_and_not_negative(trackres, limit, dataset, tmp_path):
         read_fleet(tmp_path / "fleet.yaml")
 
 
+def test_a_limit_is_its_vehicles_own_and_a_given_one_of_all(dataset, tmp_path):
+    of_both = "{worn: {file: xgd24d, limits: {bearing_friction: 0.012}}, b: {file: xgd24d, limits: {bearing_friction: 0.03}}}"
+    (tmp_path / "fleet.yaml").write_text(f"vehicles: {of_both}")
+    fleet = read_fleet(tmp_path / "fleet.yaml")
+    keep_limits(dataset.folder, fleet)
+    kept = limits_of(dataset.folder, {})
+    assert {name: of for name, of in kept.items() if of} == {name: v.limits for name, v in fleet.vehicles.items()}
+    other = {None: {"film_scale": 1.0}}
+    for where, wrong in (("--limit", other), ("limits of b", {"b": other[None]})):
+        with pytest.raises(InputError, match=where):
+            trends(dataset, wrong)
+    for number in range(RECORDINGS):
+        dataset.put(row("worn", number, moved=0.3 * max(0, number - 4)), None)
+    given = limits_of(dataset.folder, {"bearing_friction": 0.02})
+    for limits, limit in (({}, None), ({"b": kept["b"]}, None), (kept, 0.012), (given, 0.02)):
+        (change,) = trends(dataset, limits, vehicle="worn")["vehicles"]["worn"]["changes"]
+        assert change["kind"] == "ramp"
+        assert (change["forecast"] and change["forecast"]["limit"]) == limit
+    (dataset.folder / "fleet.json").write_text('{"limits": {"bearing_friction": 0.012}}')  # of version 0.1.0
+    assert limits_of(dataset.folder, {}) == {None: {"bearing_friction": 0.012}}
+
+
 def test_recordings_without_load_do_not_set_a_months_colour(dataset):
     dataset.put(row("steady", RECORDINGS, mismatch=0.5, load=False), None)
     dataset.put(row("unloaded", 0, mismatch=0.5, load=False), None)
@@ -157,6 +180,52 @@ def test_recordings_without_load_do_not_set_a_months_colour(dataset):
     assert "1 without load" in page
     assert 'class="cell s5"' in page  # of 4 %, the worst that is known
     assert "50.0 % without load" in (dataset.folder / "vehicles" / "steady.html").read_text()
+
+
+def test_a_recording_without_a_day_alters_no_search_for_changes(dataset):
+    before = trends(dataset, {})
+    for vehicle in ("steady", "worn", "timeless"):
+        dataset.put({**row(vehicle, RECORDINGS), "start_s": 0.0, "day": "none"}, None)
+    found = trends(dataset, {})
+    assert found["vehicle_years"] == before["vehicle_years"]
+    for name, was in before["vehicles"].items():
+        now = found["vehicles"][name]
+        assert all(now[key] == was[key] for key in ("first_day", "last_day", "years"))
+        assert now["recordings"] == was["recordings"] + 1
+        assert now["least_gain"] == pytest.approx(was["least_gain"], rel=0.1)
+        assert [c["since"] for c in now["changes"]] == [c["since"] for c in was["changes"]]
+        assert all(min(times) > 1e9 for times, *_ in now["levels"].values())
+    timeless = found["vehicles"]["timeless"]
+    assert (timeless["first_day"], timeless["years"], timeless["changes"], timeless["levels"]) == (None, 0.0, [], {})
+    assert [one["vehicle"] for one in found["undated"]] == ["steady", "timeless", "worn"]
+    assert "3 recordings not searched for changes" in "\n".join(sentences(found))
+    page = write_pages(dataset.folder, found, dataset).read_text()
+    assert all(f"{one['url']}: its clock gives no day" in page for one in found["undated"])
+
+
+@pytest.mark.parametrize("vehicle", ["first", "worn"])  # before and after another vehicle of the present type
+def test_recordings_of_an_older_vehicle_file_are_only_listed(dataset, vehicle):
+    for number in range(RECORDINGS // 2, RECORDINGS):
+        dataset.put(row(vehicle, number), None)
+    for path in dataset.folder.glob(f"rows/vehicle={vehicle}/*/*"):
+        if path.parent.name < f"day={row(vehicle, RECORDINGS // 2)['day']}":
+            path.unlink()
+    alone, one = trends(dataset, {}), f"{dataset.folder}:{vehicle}"
+    compared = compare(one, one)
+    for number in range(RECORDINGS // 2):
+        dataset.put({**row(vehicle, number), "nominal": [0.009, 1.0]}, None)
+    found = trends(dataset, {})
+    outdated = [f"/data/{vehicle}/{number}.csv" for number in range(RECORDINGS // 2)]
+    assert [one["url"] for one in found["outdated"]] == outdated
+    assert found == {**alone, "outdated": found["outdated"], "recordings": alone["recordings"] + len(outdated)}
+    assert f"{len(outdated)} recordings not used because their vehicle's file has changed" in "\n".join(sentences(found))
+    page = write_pages(dataset.folder, found, dataset).read_text()
+    assert all(f"{url}: its vehicle file has other values" in page for url in outdated)
+    again = compare(one, f"{one}@{row(vehicle, 0)['day']}")  # of the older file alone
+    assert [q["one"] for q in again["parameters"]] == [q["one"] for q in compared["parameters"]]
+    assert [one["url"] for one in again["outdated"]] == outdated
+    assert again["one"].endswith("(6 recordings, without 6 of an older vehicle file)")
+    assert again["other"].endswith("(1 recordings)")
 
 
 def test_a_row_says_whether_a_load_was_recorded(tmp_path):

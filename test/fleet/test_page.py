@@ -53,7 +53,7 @@ def pages(driven, tmp_path_factory):
             linear = np.array(row["linear"]) + precision @ moved
             more = {"url": url, "vehicle": name, "start_s": start, "day": day_of(start), "content": content}
             dataset.put({**row, **more, "linear": linear.tolist()}, None)
-    write_pages(folder, trends(dataset, {"bearing_friction": 0.012}), dataset)
+    write_pages(folder, trends(dataset, {None: {"bearing_friction": 0.012}}), dataset)
     return folder
 
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.fleet.changes import DAY_S, RAMP, STEP, exceeded, shapes, vehicle_changes
+from trackres_ros.fleet.changes import DAY_S, RAMP, STEP, VehicleChange, exceeded, shapes, vehicle_changes
 from trackres_ros.fleet.pooling import Vehicles, pool, softened
 from trackres_ros.fleet.trends import forecast
 
@@ -151,15 +151,29 @@ def test_what_rises_more_and_more_is_a_ramp_with_a_forecast():
     assert change.parameter == "bearing_friction"
     last = 1.7e9 + 46.0 * DAY_S
     now = change.before + change.size
-    told = forecast(change, last, now + change.size)
+    told = forecast(change, last, now + change.size, 1.0)
     days = (last - change.since_s) / DAY_S
     assert told is not None
     assert told["from"] <= told["day"] <= (told["to"] or "9999")
     expected = np.datetime64("1970-01-01") + np.timedelta64(int((last + days * DAY_S) // DAY_S), "D")
     assert told["day"] == str(expected)
-    assert forecast(change, last, change.before - 1.0)["reached"]
-    assert forecast(change, last, None) is None
-    assert forecast(replace(change, kind=STEP), last, now + 1.0) is None
+    assert forecast(change, last, None, 1.0) is None
+    assert forecast(replace(change, kind=STEP), last, now + 1.0, 1.0) is None
+
+
+@given(st.sampled_from([1.0, -1.0]), st.floats(0.1, 10.0), st.floats(-10.0, 10.0), st.floats(0.1, 10.0))
+def test_a_limit_is_reached_only_on_the_way_of_the_trend(sign, size, before, far):
+    change = VehicleChange("x", (), RAMP, 0.0, DAY_S, 8, sign * before, sign * size, 0.1 * size, 0.1, 20.0)
+
+    def told(limit, in_file):  # both along the trend, which goes up or down
+        return forecast(change, 100.0 * DAY_S, sign * limit, sign * in_file)
+
+    behind, passed, ahead = before - far, before + 0.5 * size, before + size + far
+    assert told(behind, before) is None  # it leads away, with the vehicle file's value on the same side of the limit
+    assert told(behind, behind - far)["reached"]  # it began beyond
+    for in_file in (behind, before, ahead):
+        assert told(passed, in_file)["reached"]
+        assert told(ahead, in_file)["reached"] is False
 
 
 def test_a_ramp_begins_with_the_recording_before_its_first():

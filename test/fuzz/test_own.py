@@ -47,7 +47,7 @@ def results(tmp_path):
     dataset = FleetDataset(tmp_path / "results")
     for number in range(6):
         dataset.put(row(number), None)
-    (tmp_path / "results" / "fleet.json").write_text(json.dumps({"limits": {"bearing_friction": 0.012}}))
+    (tmp_path / "results" / "fleet.json").write_text(json.dumps({"limits": {"truck-01": {"bearing_friction": 0.012}}}))
     period = tmp_path / "results" / DIAGNOSES / "truck-01" / "2026-03"
     period.mkdir(parents=True)
     (period / INPUTS).write_text("x")

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.fleet.pooling import Pooled, softened
+from trackres_ros.fleet.task import FIRST_DAY_S
 
 Array = NDArray[np.float64]
 
@@ -80,8 +81,8 @@ class Best:
 
 
 def course(pooled: Pooled, vehicle: str) -> VehicleHistory:
-    """Of one vehicle of the pool."""
-    own = pooled.of.vehicle == vehicle
+    """Of one vehicle of the pool, without the recordings whose day is unknown: they have no place in it."""
+    own = (pooled.of.vehicle == vehicle) & (pooled.of.time_s > FIRST_DAY_S)
     of = pooled.of.some(own)
     linear = of.linear - np.einsum("nij,j,n->ni", of.precision, pooled.follows, of.air)
     precision, linear = softened(of.precision, np.asarray(linear), pooled.scatter(own))

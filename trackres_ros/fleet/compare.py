@@ -18,7 +18,7 @@ from trackres_ros.files.own_files import read
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.fleet.dataset import ROWS, FleetDataset
 from trackres_ros.fleet.pooling import Vehicles, pool, softened
-from trackres_ros.fleet.trends import NUMBERS, TEXTS, some_of, without_overlaps
+from trackres_ros.fleet.trends import NUMBERS, TEXTS, of_present_files, some_of, without_overlaps
 from trackres_ros.output.style import write_figure
 from trackres_ros.text.numbers import alike, figures
 from trackres_ros.text.table import table
@@ -42,6 +42,7 @@ class Side:
     value: Array
     covariance: Array
     design: bool = False  # a vehicle file
+    outdated: tuple[dict[str, str], ...] = ()  # recordings of a fleet that are not used, see `trends.of_present_files`
 
 
 def compare(one: str, other: str) -> dict[str, Any]:
@@ -79,7 +80,10 @@ def compare(one: str, other: str) -> dict[str, Any]:
         scaled = covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
         apart = change[known] / std[known]
         chance = float(chdtrc(int(known.sum()), apart @ np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) @ apart))
-    return {"one": sides[0].title, "other": sides[1].title, "parameters": listed, "chance_of_all": chance}
+    return {
+        "one": sides[0].title, "other": sides[1].title, "parameters": listed, "chance_of_all": chance,
+        "outdated": [row for s in sides for row in s.outdated],
+    }  # fmt: skip
 
 
 def compare_text(found: Mapping[str, Any]) -> str:
@@ -147,11 +151,12 @@ def _of_fleet(folder: Path, vehicle: str, day: str, given: str) -> Side:
             day or "no recording",
             f"a day or month from {days[0]} to {days[-1]}" if days else "a recording that is compared",
         )
-    types = [data for data in Vehicles.of(good) if {row["vehicle"] for row in chosen} <= set(data.vehicle.tolist())]
+    chosen, outdated = of_present_files(chosen)
+    wanted = {row["url"] for row in chosen}
+    types = [data for data in Vehicles.of(good) if wanted <= set(data.urls)]
     if not types:
         raise InputError(given, "vehicles of several types", "those of one", "name a vehicle: DIR:VEHICLE")
     whole = pool(types[0])
-    wanted = {row["url"] for row in chosen}
     own = np.array([url in wanted for url in whole.of.urls])
     of = whole.of.some(own)
     # The scatter of recordings is estimated from all, the parameters from those chosen alone, with the vehicle file's ranges.
@@ -160,7 +165,9 @@ def _of_fleet(folder: Path, vehicle: str, day: str, given: str) -> Side:
     covariance = np.linalg.inv(np.eye(len(of.names)) + precision.sum(axis=0))
     mean = covariance @ linear.sum(axis=0)
     scale = np.outer(of.std, of.std)
-    return Side(f"{given} ({len(of)} recordings)", of.names, of.units, of.nominal + of.std * mean, scale * covariance)
+    title = f"{given} ({len(of)} recordings{f', without {len(outdated)} of an older vehicle file' if outdated else ''})"
+    value, covariance = of.nominal + of.std * mean, scale * covariance
+    return Side(title, of.names, of.units, value, covariance, outdated=tuple(outdated))
 
 
 def _of_report(path: Path) -> Side:

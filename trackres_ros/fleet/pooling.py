@@ -10,7 +10,7 @@ values, over its standard deviations. Their dependence on the air temperature is
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -29,6 +29,11 @@ ROUNDS, SETTLED = 100, 1e-3  # of learning how they differ; relative change of a
 DEGREES = 4.0  # of freedom: weather scatters as Student's t, most days little and some a lot
 TURNS = 10  # of weights and means, given the covariances
 MOST_ROWS = 5_000  # used for the covariances; means use all
+
+
+def type_of(row: Mapping[str, Any]) -> Hashable:
+    """Key of a good row's type: the vehicle file's values."""
+    return tuple(row["names"]), tuple(row["nominal"]), tuple(row["std"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +57,10 @@ class Vehicles:
     @classmethod
     def of(cls, rows: Iterable[Mapping[str, Any]]) -> list[Vehicles]:
         """Those of each type among good rows; vehicles with equal file values are of one type."""
-        types: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
+        types: dict[Hashable, list[Mapping[str, Any]]] = {}
         for row in rows:
             if row["status"] == "good":
-                types.setdefault((tuple(row["names"]), tuple(row["nominal"]), tuple(row["std"])), []).append(row)
+                types.setdefault(type_of(row), []).append(row)
         return [cls._of_type(of) for of in types.values()]
 
     @classmethod

@@ -174,17 +174,22 @@ def alone(folder: Path) -> Iterator[None]:
 
 
 def keep_limits(folder: Path, fleet: Fleet) -> None:
-    """Write the limits of a fleet."""
-    limits: dict[str, float] = {}
-    for vehicle in fleet.vehicles.values():
-        limits |= vehicle.limits
+    """Write the limits of a fleet, by vehicle."""
+    limits = {name: dict(vehicle.limits) for name, vehicle in fleet.vehicles.items() if vehicle.limits}
     write(folder / LIMITS, (json.dumps({"limits": limits}, indent=2) + "\n").encode())
 
 
-def limits_of(folder: Path, given: Mapping[str, float]) -> dict[str, float]:
-    """Limits of the last run, and the given ones in their place."""
+def limits_of(folder: Path, given: Mapping[str, float]) -> dict[str | None, dict[str, float]]:
+    """Limits of the last run by vehicle, and the given ones, which are those of all vehicles, by None; see `trends.trends`."""
     try:
-        kept = {str(name): float(of) for name, of in parse_json(read(folder / LIMITS, MOST_LIMITS_BYTES))["limits"].items()}
-        return {**{name: limit for name, limit in kept.items() if 0.0 <= limit <= HIGHEST_LIMIT}, **given}
+        kept = parse_json(read(folder / LIMITS, MOST_LIMITS_BYTES))["limits"]
+        # Version 0.1.0 wrote a number by parameter for all vehicles, instead of a mapping by vehicle.
+        every = _usable({name: of for name, of in kept.items() if not isinstance(of, dict)})
+        own: dict[str | None, dict[str, float]] = {name: _usable(of) for name, of in kept.items() if isinstance(of, dict)}
+        return {**own, None: {**every, **given}}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return dict(given)
+        return {None: dict(given)}
+
+
+def _usable(limits: Mapping[str, Any]) -> dict[str, float]:
+    return {str(name): float(limit) for name, limit in limits.items() if 0.0 <= float(limit) <= HIGHEST_LIMIT}

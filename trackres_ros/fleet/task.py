@@ -25,6 +25,7 @@ ROW_VERSION = 2  # raised with any change of a row's content or computation: old
 GOOD, BROKEN, SAME = "good", "broken", "same"
 AGAIN = "again"  # instead of a digest of a row's inputs: a failure may not repeat
 NO_VEHICLE = NO_DAY = "none"
+FIRST_DAY_S = 365.0 * 86400.0  # a clock that shows less begins at 0: its day is unknown
 END_OF_DAYS_S = 253402300800.0  # the year 10000, which dates do not reach
 ENERGIES = ("resistance", "hysteresis", "bearing", "wind", "effects", "drive")
 MEGA = 1e-6
@@ -136,7 +137,7 @@ def _column(part: str) -> str:
 
 def _day(start_s: float) -> str:
     """The day it began [UTC]; `NO_DAY` without a valid clock."""
-    return datetime.fromtimestamp(start_s, UTC).strftime("%Y-%m-%d") if 86400.0 * 365.0 < start_s < END_OF_DAYS_S else NO_DAY
+    return datetime.fromtimestamp(start_s, UTC).strftime("%Y-%m-%d") if FIRST_DAY_S < start_s < END_OF_DAYS_S else NO_DAY
 
 
 @contextmanager

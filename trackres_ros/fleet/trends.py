@@ -13,14 +13,20 @@ import numpy as np
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.fleet.changes import DAY_S, FALSE_ALARMS, RAMP, YEAR_S, VehicleChange, levels, vehicle_changes
 from trackres_ros.fleet.dataset import LOAD_RECORDED, FleetDataset
-from trackres_ros.fleet.pooling import Pooled, Vehicles, pool
-from trackres_ros.fleet.task import NO_DAY
+from trackres_ros.fleet.pooling import Pooled, Vehicles, pool, type_of
+from trackres_ros.fleet.task import FIRST_DAY_S, NO_DAY
 from trackres_ros.text.numbers import figures
 
 TWO_SIDED_95 = 1.96
 SHOWN = "bearing_friction", "loss_modulus_scale"  # over time, changed or not
 OVERLAP_S = 1.0  # allowed overlap of two recordings: their clocks differ
 MOST_NAMES = 8  # in a message
+LEFT_OUT = {
+    "overlapping": "not used because their clocks overlap",
+    "outdated": "not used because their vehicle's file has changed since",
+    "undated": "not searched for changes because their clocks give no day",
+}
+UNDATED = "its clock gives no day: it is used for the values of vehicle and type, not for changes"
 FARTHEST_YEARS = 20.0  # limit of a forecast
 TEXTS = ("url", "vehicle", "day", "status", "reason", "names", "units", "findings")
 NUMBERS = (
@@ -40,6 +46,10 @@ def some_of(names: Sequence[str]) -> str:
     return f"{', '.join(names[:MOST_NAMES])}{more}"
 
 
+def _dated(row: Mapping[str, Any]) -> bool:
+    return bool(row["start_s"] > FIRST_DAY_S)
+
+
 def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
     """Rows without overlapping times of a vehicle, and the excluded ones, with the reason."""
     kept: list[Mapping[str, Any]] = []
@@ -55,18 +65,41 @@ def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[st
     return kept, left_out
 
 
+def of_present_files(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
+    """Rows with the values of the vehicle file that the vehicle's latest recording has, and the excluded ones, with the reason.
+
+    `rows`: good ones, of each vehicle in the order of time, as `without_overlaps` returns them.
+    """
+    rows = list(rows)
+    latest = {row["vehicle"]: row for row in rows}
+    kept: list[Mapping[str, Any]] = []
+    left_out: list[dict[str, str]] = []
+    for row in rows:
+        last = latest[row["vehicle"]]
+        if type_of(row) == type_of(last):
+            kept.append(row)
+        else:
+            reason = f"its vehicle file has other values than that of {last['url']}, the latest: analyse it again to compare it"
+            left_out.append({"url": row["url"], "vehicle": row["vehicle"], "reason": reason})
+    return kept, left_out
+
+
 def trends(
-    dataset: FleetDataset, limits: Mapping[str, float], rate: float = FALSE_ALARMS, vehicle: str | None = None
+    dataset: FleetDataset,
+    limits: Mapping[str | None, Mapping[str, float]],
+    rate: float = FALSE_ALARMS,
+    vehicle: str | None = None,
 ) -> dict[str, Any]:
     """All findings in a dataset.
 
-    `limits`: by parameter, value for maintenance: for forecasts; `rate`: of false alarms, per vehicle and year; `vehicle`: the
+    `limits`: by vehicle and parameter, value for maintenance: for forecasts; those by None are of all vehicles, in place of their
+    own; `rate`: of false alarms, per vehicle and year; `vehicle`: the
     only one to check for changes; by default all. Raises InputError if there is nothing to compare, a limit of an unknown
     parameter, or no such vehicle.
     """
     rows = dataset.rows([*TEXTS, *NUMBERS])
     kept, overlapping = without_overlaps(rows)
-    good = [row for row in kept if row["status"] == "good"]
+    good, outdated = of_present_files(row for row in kept if row["status"] == "good")
     if not good:
         broken = Counter(row["reason"] for row in rows).most_common(1)
         raise InputError(str(dataset.folder), "no comparable recording", "one at least", broken[0][0] if broken else "")
@@ -75,14 +108,16 @@ def trends(
         raise InputError("--name", vehicle, f"one of {some_of(named)}", nearest(vehicle, named))
     types = [pool(data) for data in Vehicles.of(good)]
     known = sorted({name for of in types for name in of.of.names})
-    for name in limits:
-        if name not in known:
-            raise InputError("--limit", name, f"one of {', '.join(known)}", nearest(name, known))
+    for owner, of_owner in limits.items():
+        for name in of_owner:
+            if name not in known:
+                where = "--limit" if owner is None else f"limits of {owner}"
+                raise InputError(where, name, f"one of {', '.join(known)}", nearest(name, known))
     by_vehicle: dict[str, list[Mapping[str, Any]]] = {}
     for row in good:
         by_vehicle.setdefault(row["vehicle"], []).append(row)
     vehicles = {
-        name: _vehicle(of, name, by_vehicle[name], limits, rate)
+        name: _vehicle(of, name, by_vehicle[name], {**limits.get(name, {}), **limits.get(None, {})}, rate)
         for of in types
         for name in of.by_vehicle
         if vehicle in (None, name)
@@ -94,6 +129,8 @@ def trends(
         "compared": len(good),
         "broken": [{"url": row["url"], "vehicle": row["vehicle"], "reason": row["reason"]} for row in bad],
         "overlapping": overlapping,
+        "outdated": outdated,
+        "undated": [{"url": row["url"], "vehicle": row["vehicle"], "reason": UNDATED} for row in good if not _dated(row)],
         "false_alarms_per_vehicle_year": rate,
         "vehicle_years": years,
         "types": [_type(of) for of in types],
@@ -129,24 +166,25 @@ def _vehicle(
         unusual = float((of.by_vehicle[name][0][i] - of.mean[i]) / max(float(of.between[i, i] ** 0.5), 1e-9))
         values[parameter] = {"value": value, "std": std, "beyond_type": value - typical, "in_stds_of_type": unusual}
     changes, least = vehicle_changes(of, name, rate)
-    starts = [row["start_s"] for row in rows]
-    watched = sorted({*(c.parameter for c in changes), *limits, *SHOWN} & set(of.of.names))
+    in_file = dict(zip(of.of.names, of.of.nominal.tolist(), strict=True))
+    starts = [row["start_s"] for row in rows if _dated(row)]
+    watched = sorted({*(c.parameter for c in changes), *limits, *SHOWN} & set(of.of.names)) if starts else []
     return {
         "recordings": len(rows),
-        "first_day": day_of(min(starts)),
-        "last_day": day_of(max(starts)),
-        "years": (max(starts) - min(starts)) / YEAR_S,
+        "first_day": day_of(min(starts)) if starts else None,
+        "last_day": day_of(max(starts)) if starts else None,
+        "years": (max(starts) - min(starts)) / YEAR_S if starts else 0.0,
         "distance_km": sum(row["distance_m"] or 0.0 for row in rows) / 1000.0,
         "without_load": sum(map(without_load, rows)),
         "mismatch": _mean_mismatch(rows, False),
         "values": values,
-        "changes": [_change(c, max(starts), limits.get(c.parameter)) for c in changes],
+        "changes": [_change(c, max(starts), limits.get(c.parameter), in_file[c.parameter]) for c in changes],
         "least_gain": least if np.isfinite(least) else None,
         "levels": {parameter: [[float(x) for x in series] for series in levels(of, name, parameter)] for parameter in watched},
     }
 
 
-def _change(found: VehicleChange, last_s: float, limit: float | None) -> dict[str, Any]:
+def _change(found: VehicleChange, last_s: float, limit: float | None, in_file: float) -> dict[str, Any]:
     content = {
         "parameter": found.parameter,
         "alike": list(found.alike),
@@ -162,21 +200,22 @@ def _change(found: VehicleChange, last_s: float, limit: float | None) -> dict[st
         "relative": found.relative if np.isfinite(found.relative) else None,
         "gain": found.gain,
     }
-    return content | {"forecast": forecast(found, last_s, limit)}
+    return content | {"forecast": forecast(found, last_s, limit, in_file)}
 
 
-def forecast(found: VehicleChange, last_s: float, limit: float | None) -> dict[str, Any] | None:
+def forecast(found: VehicleChange, last_s: float, limit: float | None, in_file: float) -> dict[str, Any] | None:
     """When a trend reaches its limit: the day, and its 95 % interval; None without a limit,
     or without a trend towards it.
 
-    The remaining time has the relative uncertainty of the change so far, which is assumed to continue.
+    It has reached the limit if that is between its present value and the one before, or the vehicle file's, `in_file`: it may
+    begin beyond. The remaining time has the relative uncertainty of the change so far, which is assumed to continue.
     """
     if limit is None or found.kind != RAMP or last_s <= found.since_s:
         return None
     now, days = found.before + found.size, (last_s - found.since_s) / DAY_S
     slopes = [found.size / days, *((found.size + sign * TWO_SIDED_95 * found.size_std) / days for sign in (1.0, -1.0))]
     if (limit - now) * found.size <= 0.0:
-        reached = (now - limit) * np.sign(found.size) >= 0.0
+        reached = any((limit - begin) * found.size > 0.0 for begin in (found.before, in_file))
         return {"limit": limit, "reached": True, "day": None, "from": None, "to": None} if reached else None
     ends = [(limit - now) / slope if slope * found.size > 0.0 else np.inf for slope in slopes]
     first, last = min(ends), max(ends)
@@ -248,10 +287,9 @@ def sentences(found: Mapping[str, Any]) -> list[str]:
     unloaded = sum(v["without_load"] for v in found["vehicles"].values())
     if unloaded:
         lines.append(f"{unloaded} recordings have no load: their mismatch may come from the payload, and has no colour")
-    if found["overlapping"]:
-        lines.append(
-            f"{len(found['overlapping'])} recordings not used because their clocks overlap: {found['overlapping'][0]['url']}"
-        )
+    for kind, why in LEFT_OUT.items():
+        if found[kind]:
+            lines.append(f"{len(found[kind])} recordings {why}: {found[kind][0]['url']}")
     if found["broken"]:
         lines.append(f"{len(found['broken'])} unusable recordings, the first: {found['broken'][0]['reason']}")
     return lines
