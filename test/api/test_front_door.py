@@ -46,6 +46,7 @@ STARTED_BY = {  # commands that start an application of their own, and import it
     "design.py": {
         "trackres_ros.design", "trackres_ros.files.output_files", "trackres_ros.output.table", "trackres_ros.vehicle",
     },
+    "diagnose.py": {"trackres_ros.files.output_files", "trackres_ros.results.diagnosis"},
     "entry.py": {"trackres_ros.node.signals"},
     "export.py": {"trackres_ros.export"},
     "fleet.py": {"trackres_ros.fleet", "trackres_ros.evaluation.fleet", "trackres_ros.files.output_files"},

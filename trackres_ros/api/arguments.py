@@ -68,6 +68,12 @@ def paths_of(recordings: Sequence[Recording]) -> list[Path]:
     return [path for one in recordings for path in (one.paths or (Path(one.name),))]
 
 
+def input_files(topics: Topics | None, *others: object) -> list[Path]:
+    """The files of topics, and all paths among other arguments: no output may replace them."""
+    of_topics = [] if topics is None else [Path(topics.origin), *(file for _, file in topics.dbc)]
+    return [*of_topics, *(Path(one) for one in others if isinstance(one, str | PathLike))]
+
+
 def as_topics(topics: TopicsGiven | None) -> Topics | None:
     """A topics file, its content as a mapping, or None."""
     if topics is None:

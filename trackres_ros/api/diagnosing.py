@@ -11,7 +11,16 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_recordings, as_topics, paths_of
+from trackres_ros.api.arguments import (
+    StrPath,
+    TopicsGiven,
+    VehicleGiven,
+    as_paths,
+    as_recordings,
+    as_topics,
+    input_files,
+    paths_of,
+)
 from trackres_ros.api.recordings import read
 from trackres_ros.errors import InputError
 
@@ -118,7 +127,8 @@ def diagnose(
     found = diagnose(sessions, loaded, options)
     used = {session.name for session in found.sessions}
     paths = paths_of([session for session in sessions if session.name in used])
-    return DiagnosisResult(found, loaded, paths, sessions[0].bindings, time.monotonic() - begun)
+    inputs = input_files(mapping, *paths, loaded.source, surroundings)
+    return DiagnosisResult(found, loaded, paths, sessions[0].bindings, time.monotonic() - begun, inputs)
 
 
 def _name(recording: StrPath | Recording) -> str:

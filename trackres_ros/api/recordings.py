@@ -142,7 +142,7 @@ def recover(recording: StrPath, *, output: StrPath) -> Recovered:
     >>> tr.recover("cut.mcap", output="again.mcap").messages
     15934
     """
-    from trackres_ros.files.output_files import BAG_SUFFIX, output_file
+    from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
     from trackres_ros.recording.reading import check_file
     from trackres_ros.recording.unfinished import Recovered, UnfinishedBag, is_unfinished
 
@@ -150,8 +150,7 @@ def recover(recording: StrPath, *, output: StrPath) -> Recovered:
     check_file(path)
     if not is_unfinished(path):
         raise InputError("recording", str(path), "an MCAP file that was not finished", "a finished file needs no recovery")
-    if file.resolve() == path.resolve():
-        raise InputError("output", str(file), "another file than the unfinished one")
+    not_an_input(file, [path], "output")
     bag = UnfinishedBag(path)
     bag.write(file)
     return Recovered(file, bag.messages, bag.duration_s, bag.lost_bytes)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from trackres_ros.api.arguments import StrPath, VehicleGiven, as_vehicle
+from trackres_ros.api.arguments import StrPath, VehicleGiven, as_paths, as_vehicle, input_files
 from trackres_ros.errors import InputError
 from trackres_ros.units import KMH_PER_MPS
 
@@ -79,12 +79,14 @@ def simulate(
 
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.estimator.warm_up import SERIES, first_run
-    from trackres_ros.files.output_files import output_file
+    from trackres_ros.files.output_files import not_an_input, output_file
     from trackres_ros.model.coverage import check_speed
     from trackres_ros.offline.profile import conditions, read_profile
     from trackres_ros.offline.simulate import ramp_and_hold, run_drive, through_points
+    from trackres_ros.recording.recording import Recording
     from trackres_ros.recording.roles import POSITION
     from trackres_ros.results.simulation import SimulationResult
+    from trackres_ros.vehicle import files_of
 
     if (speed_kmh is None) == (profile is None):
         raise InputError("speed_kmh, profile", "neither" if profile is None else "both", "one of the two")
@@ -92,6 +94,9 @@ def simulate(
         raise InputError("duration_s", duration_s, "only with speed_kmh; a profile has its own duration")
     file = None if output is None else output_file(output)
     described = as_vehicle(vehicle)
+    paths = profile.paths if isinstance(profile, Recording) else () if profile is None else as_paths(profile)
+    inputs = input_files(None, *paths, *files_of(described))
+    not_an_input(file, inputs, "output")
     known = (("load", None if weight_kn is None else weight_kn * 1e3), ("ambient", ambient_degc))
     given: dict[str, Any] = {role: value for role, value in known if value is not None}
     if initial_degc is not None and not described.assemblies:
@@ -113,7 +118,7 @@ def simulate(
         estimator = Estimator(described, entries=warm_up.first)
         ground = estimator.along_route(drive.time_s, drive.speed, *position) if len(position) == len(POSITION) else None
         rows = run_drive(estimator, drive, given.get("load"), given.get("ambient"), initial_degc, grade, ground)
-    result = SimulationResult(estimator, drive, rows, "grade" in given or ground is not None, notes)
+    result = SimulationResult(estimator, drive, rows, "grade" in given or ground is not None, notes, inputs)
     if file is not None:
         result.save(file)
     return result
