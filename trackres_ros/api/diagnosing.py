@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from trackres_ros.recording.recording import Recording
     from trackres_ros.results.diagnosis import DiagnosisResult
 
+MOST_HELD_OUT = 1_000_000
+
 
 def diagnose(
     recordings: StrPath | Recording | Sequence[StrPath | Recording],
@@ -111,6 +113,8 @@ def diagnose(
     for channel in hide:
         checks.one_of(base_role(channel), "hide", ROLES)
     checks.seed(seed)
+    if holdout is not None and not isinstance(holdout, Sequence):
+        checks.whole(holdout, "holdout", 0, MOST_HELD_OUT)
     listed = as_recordings(recordings)
     mapping = as_topics(topics)
     if mapping is None:  # belt temperatures are those of the vehicle: one recording decides for all
