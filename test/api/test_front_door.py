@@ -506,3 +506,34 @@ def test_a_weight_that_a_profile_refuses_is_refused(vehicle, tmp_path, share):
     for given in ({"profile": file}, {"speed_kmh": 3.6, "duration_s": 1.0, "weight_kn": weight / 1e3}):
         with pytest.raises(tr.InputError, match=r"load|weight_kn"):
             tr.simulate(vehicle, **given)
+
+
+@pytest.mark.parametrize(("duration_s", "dt"), [(15.0, 10.0), (14.9, 10.0), (0.5, 0.3), (1.0, 0.1), (2.0, 0.4), (7.0, 0.7)])
+def test_a_simulation_lasts_as_long_as_was_asked(vehicle, duration_s, dt):
+    time_s = tr.simulate(vehicle, speed_kmh=5.0, duration_s=duration_s, dt=dt)["time_s"]
+    assert duration_s - dt < time_s[-1] <= duration_s * (1.0 + 1e-9)
+    assert len(time_s) == math.floor(duration_s / dt + 1e-9) + 1
+
+
+def test_a_profile_takes_no_ramp(vehicle, drive):
+    for name in ("ramp_s", "duration_s"):
+        with pytest.raises(tr.InputError, match=name):
+            tr.simulate(vehicle, profile=drive, **{name: 5.0})
+
+
+@pytest.mark.parametrize("name", ["x.pdf", "x.csv", "x", "", "x.svg", "new/x.PNG", "new/x.SVG"])
+def test_a_picture_is_of_the_kind_that_its_name_says(replayed, tmp_path, name):
+    pytest.importorskip("matplotlib")
+    (tmp_path / "x").mkdir()
+    if not name.lower().endswith(("png", "svg")):
+        with pytest.raises(tr.InputError, match=r"\.png"):
+            replayed.plot(tmp_path / name)
+        return
+    replayed.plot(tmp_path / name)
+    assert (tmp_path / name).read_bytes().startswith(b"<?xml" if "svg" in name.lower() else b"\x89PNG")
+
+
+def test_a_missing_state_is_not_to_be_deleted(vehicle, drive):
+    with pytest.raises(tr.InputError, match="missing") as refused:
+        tr.replay(drive, vehicle, resume="missing.json")
+    assert not refused.value.remedy

@@ -75,8 +75,11 @@ def state_file(path: str | PathLike[str], where: str) -> Path:
     if not file.parent.is_dir() or (file.exists() and not file.is_file()):
         raise InputError(where, str(file), "a file in a folder that exists")
     if file.exists():
-        with file.open("rb") as now:
-            head = now.read(len(HEAD))
+        try:
+            with file.open("rb") as now:
+                head = now.read(len(HEAD))
+        except OSError as error:
+            raise InputError(where, f"{file}: {error.strerror}", "a new file, or a state file to replace") from error
         if head and head != HEAD:  # a damaged one is replaced too, and so is an empty file
             raise InputError(where, f"{file}, which is another kind of file", "a new file, or a state file to replace")
     return file
@@ -226,7 +229,8 @@ def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
     try:
         data = own_files.read(path, LARGEST)
     except OSError as error:
-        raise InputError(where, error.strerror or str(error), "a file written by this program", REMEDY) from error
+        remedy = "" if isinstance(error, FileNotFoundError) else REMEDY
+        raise InputError(where, error.strerror or str(error), "a file written by this program", remedy) from error
     found = SEAL.search(data)
     intact = found is not None and hashlib.sha256(data[: found.start()]).hexdigest().encode() == found.group(1)
     try:

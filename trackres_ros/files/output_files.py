@@ -11,6 +11,7 @@ from pathlib import Path
 from trackres_ros.errors import InputError, MissingExtraError
 
 BAG_SUFFIX = ".mcap"
+PICTURE_SUFFIXES = (".png", ".svg")
 BAG_FILES = (BAG_SUFFIX, ".db3", "metadata.yaml")  # in the folder of a bag
 TABLE_SUFFIXES = (".csv", ".csv.gz", ".parquet", ".mf4")
 OUTPUT_SUFFIXES = (*TABLE_SUFFIXES, BAG_SUFFIX)
@@ -38,6 +39,17 @@ def output_file(path: str | PathLike[str], suffixes: Sequence[str] = OUTPUT_SUFF
         if find_spec(module) is None:
             raise MissingExtraError(feature, module, extra)
     return file
+
+
+def picture_file(path: str | PathLike[str]) -> Path:
+    """The path, if its suffix is a known format of pictures; its folder is created. Raises InputError otherwise."""
+    file = Path(path)
+    try:
+        if file.name.lower().endswith(PICTURE_SUFFIXES):
+            file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError("path", str(file), f"a file in a folder that can be created: {error.strerror}") from error
+    return output_file(file, PICTURE_SUFFIXES, "path")
 
 
 def output_folder(path: str | PathLike[str], where: str = "output") -> Path:

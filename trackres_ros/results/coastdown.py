@@ -13,7 +13,7 @@ from typing import Any
 
 from trackres_ros.diagnosis.coastdown.fitted import Coastdown, rollouts_of
 from trackres_ros.errors import InputError, one_line
-from trackres_ros.files.output_files import not_an_input, output_file
+from trackres_ros.files.output_files import not_an_input, output_file, picture_file
 from trackres_ros.text.numbers import alike, figures
 from trackres_ros.units import KMH_PER_MPS
 
@@ -157,12 +157,14 @@ class CoastdownResult:
 
         Raises
         ------
+        InputError
+            Another suffix, or a folder of that name.
         MissingExtraError
             Matplotlib is not installed.
         """
         from trackres_ros.output.style import BLACK, BLUE, VERMILION, picture, shortened
 
-        file = Path(path)
+        file = picture_file(path)
         looks: tuple[tuple[str, str, str], ...] = (
             ("measured", BLACK, "-"), ("by the vehicle file", VERMILION, "--"), ("as found", BLUE, "-"),
         )  # fmt: skip
