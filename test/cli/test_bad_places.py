@@ -128,6 +128,8 @@ def test_no_saved_result_replaces_an_input(inputs, monkeypatch):
     for result in (tr.replay("d.csv", "agri3t"), tr.simulate("agri3t", profile="d.csv")):
         with pytest.raises(tr.InputError, match="overwrite"):
             result.save(inputs / "link.csv")
+    with pytest.raises(tr.InputError, match="overwrite"):
+        tr.CoastdownResult(None, (), [inputs / "vehicle.yaml"]).save_vehicle(inputs / "vehicle.yaml")
     assert (inputs / "d.csv").read_bytes() == before
 
 
