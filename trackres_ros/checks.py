@@ -7,6 +7,7 @@ allowed ones.
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Iterable
 
 from trackres_ros.errors import InputError, nearest
@@ -17,6 +18,7 @@ LARGEST_SEED = 2**32 - 1
 def number(given: object, where: str, low: float, high: float, unit: str = "", if_outside: str = "") -> float:
     """A number from `low` to `high`; nan, true and false are refused. `if_outside`: the remedy for one out of the range."""
     allowed = f"a number from {low:g} to {high:g} {unit}".rstrip()
+    given = _plain(given)
     if isinstance(given, bool) or not isinstance(given, int | float):
         raise InputError(where, given, allowed)
     if not low <= given <= high:
@@ -27,11 +29,19 @@ def number(given: object, where: str, low: float, high: float, unit: str = "", i
 def whole(given: object, where: str, low: int, high: int, unit: str = "") -> int:
     """An integer from `low` to `high`; 3.0 is accepted, 2.5, true and false are refused."""
     allowed = f"a whole number from {low} to {high} {unit}".rstrip()
+    given = _plain(given)
     if isinstance(given, float) and given.is_integer():
         given = int(given)
     if isinstance(given, bool) or not isinstance(given, int) or not low <= given <= high:
         raise InputError(where, given, allowed)
     return given
+
+
+def _plain(given: object) -> object:
+    """A number of numpy as one of Python; anything else as it is."""
+    if isinstance(given, bool) or not isinstance(given, numbers.Real):
+        return given
+    return int(given) if isinstance(given, numbers.Integral) else float(given)
 
 
 def seed(given: object) -> int:

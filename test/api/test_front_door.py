@@ -5,6 +5,7 @@
 
 import ast
 import importlib
+import inspect
 import json
 import math
 import pkgutil
@@ -17,6 +18,7 @@ import pytest
 from click.testing import CliRunner
 
 import trackres_ros as tr
+from trackres_ros.api.arguments import LIMITS
 from trackres_ros.cli.main import cli
 from trackres_ros.files.resources import shipped_road_vehicles
 
@@ -46,6 +48,7 @@ STARTED_BY = {  # commands that start an application of their own, and import it
     "design.py": {
         "trackres_ros.design", "trackres_ros.files.output_files", "trackres_ros.output.table", "trackres_ros.vehicle",
     },
+    "diagnose.py": {"trackres_ros.files.output_files", "trackres_ros.results.diagnosis"},
     "entry.py": {"trackres_ros.node.signals"},
     "export.py": {"trackres_ros.export"},
     "fleet.py": {"trackres_ros.fleet", "trackres_ros.evaluation.fleet", "trackres_ros.files.output_files"},
@@ -56,7 +59,7 @@ STARTED_BY = {  # commands that start an application of their own, and import it
     },
     "live_json.py": {"trackres_ros.node.report"},
     "live_table.py": {"trackres_ros.node.transport", "trackres_ros.node.report", "trackres_ros.recording.roles"},
-    "options.py": {"trackres_ros.recording.bindings"},
+    "options.py": {"trackres_ros.api.arguments", "trackres_ros.recording.bindings"},
     "play.py": {"trackres_ros.node.dds.player"},
     "prove.py": {"trackres_ros.evaluation"},
     "reproduce.py": {"trackres_ros.evaluation.reproduce"},
@@ -372,7 +375,7 @@ def test_explain_and_check_are_the_commands():
     ("call", "where"),
     [
         (lambda d, f: tr.simulate("agri3t"), "speed_kmh, profile"),
-        (lambda d, f: tr.simulate("agri3t", speed_kmh=math.nan), "speed"),
+        (lambda d, f: tr.simulate("agri3t", speed_kmh=math.nan), "speed_kmh"),
         (lambda d, f: tr.simulate("agri3t", profile=d, duration_s=5), "duration_s"),
         (lambda d, f: tr.simulate("xgd24d", profile=d, ambient_degc=5), "ambient_degc"),
         (lambda d, f: tr.simulate("agri3t", speed_kmh=5, output=f / "x.txt"), "output"),
@@ -452,3 +455,85 @@ def test_a_library_that_is_missing_says_how_to_install_itself(replayed, monkeypa
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(tr.MissingExtraError, match=f"pip install {module}"):
         getattr(replayed, ask)()
+
+
+USABLE = {
+    "simulate": {"vehicle": "agri3t", "speed_kmh": 5.0, "duration_s": 1.0},
+    "explain": {"vehicle": "agri3t", "speed_kmh": 5.0, "belt_degc": 20.0},
+    "record_sample": {"path": "x.mcap"},
+    "check_vehicle": {"vehicle": "agri3t"},
+    "coastdown": {"recordings": "drive.csv", "vehicle": "agri3t"},
+    "diagnose": {"recordings": "drive.csv", "vehicle": "agri3t"},
+}
+NUMERIC = [
+    (function, name)
+    for function in sorted(name for name in EXPORTED if inspect.isfunction(getattr(tr, name)))
+    for name, about in inspect.signature(getattr(tr, function)).parameters.items()
+    if {"int", "float"} & set(str(about.annotation).split(" | "))
+]
+
+
+@pytest.mark.parametrize(("function", "name"), NUMERIC)
+def test_a_numeric_argument_refuses_what_is_no_such_number(tmp_path, monkeypatch, function, name):
+    monkeypatch.chdir(tmp_path)
+    no_numbers = () if name == "holdout" else ("30", "", [1.0])  # which takes names too
+    for bad in (math.nan, math.inf, -math.inf, True, 1e300, 10**400, np.float32("nan"), np.int64(-(2**60)), *no_numbers):
+        with pytest.raises(tr.InputError) as refused:
+            getattr(tr, function)(**{**USABLE[function], name: bad})
+        assert name == refused.value.where
+    assert not list(tmp_path.iterdir())
+
+
+def test_numeric_arguments_and_options_have_the_same_limits():
+    assert {pair for pair in NUMERIC if pair[0] not in ("coastdown", "diagnose")} == {(f, n) for f in LIMITS for n in LIMITS[f]}
+    commands = {"check_vehicle": cli.commands["vehicle"].commands["check"]}
+    for function, limits in LIMITS.items():
+        command = commands.get(function) or cli.commands[function.replace("_", "-")]
+        of_options = {option.name: (option.type.min, option.type.max) for option in command.params if option.name in limits}
+        assert of_options == {name: (low, high) for name, (low, high, _) in limits.items()}
+
+
+def test_numbers_of_numpy_are_numbers():
+    plain = tr.simulate("agri3t", speed_kmh=5, duration_s=2, dt=0.5)
+    other = tr.simulate("agri3t", speed_kmh=np.int64(5), duration_s=np.float32(2.0), dt=np.float64(0.5))
+    assert all(np.array_equal(plain[name], other[name]) for name in plain)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.09, 2.6, 300.0])
+def test_a_weight_that_a_profile_refuses_is_refused(vehicle, tmp_path, share):
+    file, weight = tmp_path / "profile.csv", share * vehicle.weight
+    file.write_text(f"time_s,speed_mps,weight_n\n0,1,{weight}\n1,1,{weight}\n")
+    for given in ({"profile": file}, {"speed_kmh": 3.6, "duration_s": 1.0, "weight_kn": weight / 1e3}):
+        with pytest.raises(tr.InputError, match=r"load|weight_kn"):
+            tr.simulate(vehicle, **given)
+
+
+@pytest.mark.parametrize(("duration_s", "dt"), [(15.0, 10.0), (14.9, 10.0), (0.5, 0.3), (1.0, 0.1), (2.0, 0.4), (7.0, 0.7)])
+def test_a_simulation_lasts_as_long_as_was_asked(vehicle, duration_s, dt):
+    time_s = tr.simulate(vehicle, speed_kmh=5.0, duration_s=duration_s, dt=dt)["time_s"]
+    assert duration_s - dt < time_s[-1] <= duration_s * (1.0 + 1e-9)
+    assert len(time_s) == math.floor(duration_s / dt + 1e-9) + 1
+
+
+def test_a_profile_takes_no_ramp(vehicle, drive):
+    for name in ("ramp_s", "duration_s"):
+        with pytest.raises(tr.InputError, match=name):
+            tr.simulate(vehicle, profile=drive, **{name: 5.0})
+
+
+@pytest.mark.parametrize("name", ["x.pdf", "x.csv", "x", "", "x.svg", "new/x.PNG", "new/x.SVG"])
+def test_a_picture_is_of_the_kind_that_its_name_says(replayed, tmp_path, name):
+    pytest.importorskip("matplotlib")
+    (tmp_path / "x").mkdir()
+    if not name.lower().endswith(("png", "svg")):
+        with pytest.raises(tr.InputError, match=r"\.png"):
+            replayed.plot(tmp_path / name)
+        return
+    replayed.plot(tmp_path / name)
+    assert (tmp_path / name).read_bytes().startswith(b"<?xml" if "svg" in name.lower() else b"\x89PNG")
+
+
+def test_a_missing_state_is_not_to_be_deleted(vehicle, drive):
+    with pytest.raises(tr.InputError, match="missing") as refused:
+        tr.replay(drive, vehicle, resume="missing.json")
+    assert not refused.value.remedy

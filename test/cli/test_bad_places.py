@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 import pytest
 
+import trackres_ros as tr
 from trackres_ros.cli.main import cli
 
 SECRET = "root:x:0:0"
@@ -74,6 +75,70 @@ def test_a_full_disk_is_one_line_with_the_file(trackres, little_room, tmp_path, 
     assert done.returncode == 2
     assert str(tmp_path) in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+@pytest.fixture(scope="module")
+def inputs(good, tmp_path_factory):
+    """A folder with the inputs of commands."""
+    folder = tmp_path_factory.mktemp("inputs")
+    good("vehicle", "new", "vehicle", "-o", folder)
+    (folder / "d.csv").write_text("time_s,speed_mps\n0,1\n1,2\n9,2\n")
+    (folder / "link.csv").symlink_to("d.csv")
+    (folder / "vehicle.csv").write_text("of an instrument\n")
+    (folder / "topics.yaml").write_text("speed: {column: speed_mps}\n")
+    (folder / "params.yaml").write_text("gap_s: 2.0\n")
+    (folder / "around.yaml").write_text("schema: 1\nvehicle: vehicle\neffects: {}\n")
+    return folder
+
+
+OF_REPLAY = (
+    "replay d.csv --vehicle vehicle.yaml --surroundings around.yaml --topics topics.yaml --params params.yaml --learning watch"
+)
+OF_SWEEP = "sweep vehicle.yaml --vary loss_modulus_scale=1 --cycle d.csv"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "simulate --vehicle vehicle.yaml --profile d.csv -o d.csv",
+        "simulate --vehicle vehicle.yaml --profile d.csv -o link.csv",
+        "simulate --vehicle vehicle.yaml --speed-kmh 5 -o rubber/nr_sbr_10hz.csv",
+        f"{OF_SWEEP} -o d.csv",
+        f"{OF_SWEEP} -o rubber/nr_sbr_10hz.csv",
+        f"{OF_REPLAY} -o d.csv",
+        *(f"{OF_REPLAY} -o x.csv --save-vehicle {one}.yaml" for one in ("vehicle", "around", "topics", "params")),
+        *(f"{OF_REPLAY} -o x.csv --save-state {one}" for one in ("d.csv", "vehicle.yaml", "topics.yaml", "vehicle.csv")),
+        "compound fit vehicle.csv --vehicle vehicle.yaml -o .",
+        "compound fit rubber/nr_sbr_10hz.csv --vehicle vehicle.yaml -o .",
+        "diagnose d.csv --vehicle vehicle.yaml -o .",
+    ],
+)
+def test_no_output_replaces_an_input(trackres, inputs, words):
+    before = {path: path.read_bytes() for path in inputs.rglob("*") if path.is_file()}
+    done = trackres(*words.split(), cwd=inputs)
+    assert done.returncode == 2
+    assert ("which it would overwrite" in done.stderr) or ("which is another kind of file" in done.stderr)
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert {path: path.read_bytes() for path in inputs.rglob("*") if path.is_file()} == before
+
+
+def test_no_saved_result_replaces_an_input(inputs, monkeypatch):
+    monkeypatch.chdir(inputs)
+    before = (inputs / "d.csv").read_bytes()
+    for result in (tr.replay("d.csv", "agri3t"), tr.simulate("agri3t", profile="d.csv")):
+        with pytest.raises(tr.InputError, match="overwrite"):
+            result.save(inputs / "link.csv")
+    with pytest.raises(tr.InputError, match="overwrite"):
+        tr.CoastdownResult(None, (), [inputs / "vehicle.yaml"]).save_vehicle(inputs / "vehicle.yaml")
+    assert (inputs / "d.csv").read_bytes() == before
+
+
+def test_a_saved_state_replaces_only_a_state(good, inputs, tmp_path):
+    state, out = tmp_path / "state", tmp_path / "x.csv"
+    state.touch()  # an empty file is no loss
+    for resumed in ((), ("--resume", state)):
+        good("replay", inputs / "d.csv", "--vehicle", "agri3t", *resumed, "--save-state", state, "-o", out)
+    assert state.read_bytes().startswith(b'{"format"')
 
 
 @pytest.mark.parametrize("content", [f"{SECRET}:root:/root:/bin/bash\n" * 9, f"T_degC,{SECRET}\n" + "1,2\n" * 9, f"{SECRET}\n"])

@@ -45,6 +45,18 @@ def test_one_that_is_there_is_not_written_over(good, trackres, tmp_path):
     assert (tmp_path / "truck7.yaml").read_text() == "mine"
 
 
+def test_a_new_vehicle_leaves_an_edited_rubber_file_as_it_is(good, tmp_path):
+    rubber = tmp_path / "rubber" / "nr_sbr_10hz.csv"
+    good("vehicle", "new", "mine", "-o", tmp_path)
+    edited = rubber.read_text() + "# edited\n"
+    rubber.write_text(edited)
+    for name in ("other", "third"):  # which share a rubber file
+        _, copy = json.loads(good("vehicle", "new", name, "-o", tmp_path, "--json"))["written"]
+        assert copy == str(tmp_path / "rubber" / "nr_sbr_10hz_2.csv")
+        assert str(tr.load_vehicle(tmp_path / f"{name}.yaml").rubber_source) == copy
+    assert rubber.read_text() == edited
+
+
 @pytest.mark.parametrize(
     ("words", "part"),
     [

@@ -72,7 +72,7 @@ def test_the_reference_compound_comes_out_as_it_went_in(good, repository, tmp_pa
             ("sweep.csv", "--frequency-hz", "5"),
             "--frequency-hz: given '5'; allowed: nothing, as sweep.csv: line 1 says the frequency",
         ),
-        (("out/rubber/sweep.csv", "-o", "out"), "not overwritten"),
+        (("out/rubber/sweep.csv", "-o", "out"), "would overwrite"),
         (("sweep.csv", "-o", "diagnosis"), "a folder of its own"),
     ],
 )

@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 import trackres_ros as tr
+from trackres_ros.design.compare import ComparisonOptions, asked_of
 from trackres_ros.design.compare_text import designs_text
 from trackres_ros.design.steady import held, steady
 from trackres_ros.design.uncertain import difference_std, moved, slopes_of
@@ -52,6 +53,17 @@ def test_half_the_loss_modulus_is_half_the_hysteresis_everywhere(good, softer):
     assert drives[1]["kwh_per_km"] < drives[0]["kwh_per_km"]
     assert {row["outcome"] for row in found["steady"]} == {"cold_nm", "warm_nm", "belt_degc", "kwh_per_km"}
     assert all(0.0 < row["std"] < row["std_with_changed"] for row in (*found["steady"], *found["drives"]))
+
+
+@pytest.mark.parametrize("max_speed", [0.5, 1.0, 5.0 / 3.6, 1.5, 10.0])
+def test_without_speeds_those_of_any_vehicle_are_compared(softer, max_speed):
+    content = yaml.safe_load(softer.read_text())
+    content["chassis"]["max_speed"].update(value=max_speed, range=[0.5, 20.0])
+    slow = softer.with_name("slow.yaml")
+    slow.write_text(yaml.safe_dump(content))
+    speeds = asked_of((str(softer), str(slow)), ComparisonOptions()).speeds_kmh
+    assert speeds[-1] == pytest.approx(3.6 * max_speed, abs=1e-4)
+    assert speeds[0] == (5.0 if max_speed > 1.4 else pytest.approx(0.36 * max_speed, abs=1e-4))
 
 
 def test_the_tables_and_the_picture(good, softer, tmp_path):

@@ -20,12 +20,12 @@ from hypothesis import strategies as st
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.files.resources import config_dir
-from trackres_ros.model.coverage import DESTROYED_DEGC, balance_degc, beyond_data, check_heat, coverage
+from trackres_ros.files.resources import config_dir, shipped_road_vehicles, shipped_vehicles
+from trackres_ros.model.coverage import DESTROYED_DEGC, OVERSPEED, balance_degc, beyond_data, check_heat, check_speed, coverage
 from trackres_ros.model.loss_table import loss_table, reverse_share
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.track import load_range, track_model, with_methods
-from trackres_ros.vehicle import Vehicle, load
+from trackres_ros.vehicle import Vehicle, load, load_any
 
 
 def cut(vehicle: Vehicle, low: float, high: float) -> Vehicle:
@@ -209,3 +209,12 @@ def test_commands_say_that_they_extrapolate(short: Path, good: Any, tmp_path: Pa
     assert said in good(*replayed, tmp_path / "hot.csv")
     assert json.loads(good(*replayed, tmp_path / "hot.csv", "--json"))["remarks"]
     assert said not in good(*replayed, tmp_path / "drive.csv")
+
+
+@pytest.mark.parametrize("name", [*shipped_vehicles(), *shipped_road_vehicles()])
+def test_a_refused_speed_is_above_the_limit_that_is_shown(name: str) -> None:
+    vehicle = load_any(name)
+    with pytest.raises(InputError) as refused:
+        check_speed(vehicle, 1.001 * OVERSPEED * vehicle.chassis.max_speed)
+    limit = refused.value.allowed.partition("max_speed, ")[2]
+    assert float(refused.value.given.split()[0]) > float(limit.split()[0])

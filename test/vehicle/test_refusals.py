@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir
+from trackres_ros.recording.bindings import Topics
 from trackres_ros.vehicle import load
 from trackres_ros.vehicle.loading import build
 
@@ -200,6 +201,25 @@ def test_a_choice_that_is_none(folder: Path, shipped: Content) -> None:
         assert key.replace(".0", "") in error.where.replace("[0]", "")
         assert error.given == value
         assert allowed == error.allowed
+
+
+@pytest.mark.parametrize("name", ["front-left", "1", "a b", "vorne_ä", "a.b", "a/b", "a\n", "_a"])
+def test_a_name_that_topics_cannot_have_is_refused(folder: Path, content: Content, name: str) -> None:
+    content["assemblies"][0]["name"] = name
+    assert refusal(folder, content).where.endswith("assemblies[0].name")
+
+
+@pytest.mark.parametrize("name", ["front-left", "1", "a b", "vorne_ä", "a.b", "a/b", "a\n", "_a"])
+def test_an_axle_is_named_as_a_topics_file_can_name_it(folder: Path, content: Content, name: str) -> None:
+    content["chassis"]["axles"][0]["name"] = content["assemblies"][0]["axle"] = content["assemblies"][1]["axle"] = name
+    try:
+        Topics.parse({f"load/{name}": {"column": "load_n"}})
+    except InputError:
+        assert refusal(folder, content).where.endswith("chassis.axles[0].name")
+    else:
+        path = folder / "given.yaml"
+        path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        assert load(path).axles[0].name == name
 
 
 def test_a_number_that_yaml_reads_as_text_is_a_number(folder: Path, content: Content) -> None:

@@ -15,10 +15,15 @@ import numpy as np
 import pytest
 import yaml
 
+from trackres_ros.effects import catalogue
+from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir, shipped_vehicles
-from trackres_ros.vehicle import load, variants
+from trackres_ros.route.learned import SLOPE, RouteMap
+from trackres_ros.vehicle import load, variants, with_surroundings
 from trackres_ros.vehicle.loading import read_rubber_sweep
+from trackres_ros.vehicle.writing.changes import FileChanges
+from trackres_ros.vehicle.writing.vehicle_file import write_track_vehicle
 
 THICKNESS = "tracks.triangular.belt.thickness"
 
@@ -233,3 +238,25 @@ def test_a_sweep_is_read_in_pascal_beside_its_vehicle_file(folder: Path, content
     content["rubber"]["file"] = str(folder / "own.csv")
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     assert load(path).rubber.loss_pa == pytest.approx(rubber.loss_pa)
+
+
+# Written files
+
+
+@pytest.mark.parametrize("there", ["rubber/nr_sbr_10hz.csv", "effects/squeak.py", "surroundings.yaml", "route.csv"])
+def test_a_written_vehicle_changes_no_other_file(tmp_path: Path, own: Path, there: str) -> None:
+    effects = catalogue(own)
+    added = tuple(Active(effects[name], {q.name: q.start for q in effects[name].parameters}) for name in ("squeak", "grade"))
+    places = np.array([0.9]), np.array([0.1]), np.zeros(1), np.full((1, 2), 0.01), np.full((1, 2), 0.001), np.ones(1, np.int64)
+    changes, file = FileChanges(None, added, {}, route=(RouteMap(SLOPE, *places),)), tmp_path / "new.yaml"
+    (tmp_path / there).parent.mkdir(exist_ok=True)
+    (tmp_path / there).write_text("edited by hand\n", encoding="utf-8")
+    for _ in range(2):  # the second time into the files of the first
+        _, around, _ = write_track_vehicle(load("xgd24d"), file, changes, "Written by trackres diagnose.")
+        assert (tmp_path / there).read_text(encoding="utf-8") == "edited by hand\n"
+        again = with_surroundings(load(file), around)
+        assert np.array_equal(again.rubber.loss_pa, load("xgd24d").rubber.loss_pa)
+        assert [active.effect.name for active in again.active] == ["squeak", "grade"]
+        assert len(again.route) == 1
+    written = sorted(path for path in tmp_path.rglob("*") if path.is_file() and path.parent != own and "__" not in str(path))
+    assert len(written) == 6

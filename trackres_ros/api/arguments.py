@@ -10,6 +10,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Union
 
+from trackres_ros import checks
 from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,6 +22,28 @@ if TYPE_CHECKING:
 StrPath: TypeAlias = str | PathLike[str]
 VehicleGiven: TypeAlias = Union["Vehicle", "RoadVehicle", StrPath]
 TopicsGiven: TypeAlias = Union["Topics", Mapping[str, Mapping[str, Any]], StrPath]
+
+AMBIENT, BELT, SPEED, WEIGHT = (-60.0, 60.0, "degC"), (-60.0, 150.0, "degC"), (-200.0, 200.0, "km/h"), (0.1, 1e5, "kN")
+LIMITS: dict[str, dict[str, tuple[float, float, str]]] = {
+    "simulate": {
+        "speed_kmh": SPEED, "ramp_s": (0.0, 1e5, "s"), "duration_s": (1e-3, 1e7, "s"), "ambient_degc": AMBIENT,
+        "initial_degc": BELT, "weight_kn": WEIGHT, "dt": (1e-4, 10.0, "s"),
+    },
+    "explain": {"speed_kmh": SPEED, "belt_degc": BELT, "ambient_degc": AMBIENT, "weight_kn": WEIGHT},
+    "record_sample": {"speed_kmh": (1.0, 50.0, "km/h"), "laps": (1, 1000, ""), "ambient_degc": AMBIENT},
+    "check_vehicle": {"points": (10, 100_000, "")},
+}  # fmt: skip
+"""Least and greatest value of numeric arguments, by function; of whole numbers the limits are whole. Options have the same."""
+
+
+def check_numbers(function: str, **given: object) -> None:
+    """Check numeric arguments of a public function by their names; None is not given."""
+    for name, value in given.items():
+        low, high, unit = LIMITS[function][name]
+        if value is not None and isinstance(low, int) and isinstance(high, int):
+            checks.whole(value, name, low, high, unit)
+        elif value is not None:
+            checks.number(value, name, low, high, unit)
 
 
 def as_vehicle(vehicle: VehicleGiven) -> AnyVehicle:
@@ -66,6 +89,12 @@ def as_recordings(recordings: Any) -> list[Any]:
 def paths_of(recordings: Sequence[Recording]) -> list[Path]:
     """Paths of recordings, or their names where they were made in memory."""
     return [path for one in recordings for path in (one.paths or (Path(one.name),))]
+
+
+def input_files(topics: Topics | None, *others: object) -> list[Path]:
+    """The files of topics, and all paths among other arguments: no output may replace them."""
+    of_topics = [] if topics is None else [Path(topics.origin), *(file for _, file in topics.dbc)]
+    return [*of_topics, *(Path(one) for one in others if isinstance(one, str | PathLike))]
 
 
 def as_topics(topics: TopicsGiven | None) -> Topics | None:

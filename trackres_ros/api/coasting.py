@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from trackres_ros.api.arguments import StrPath, TopicsGiven, as_recordings, as_topics, paths_of
+from trackres_ros.api.arguments import StrPath, TopicsGiven, as_recordings, as_topics, input_files, paths_of
 from trackres_ros.api.recordings import read
 
 if TYPE_CHECKING:
@@ -78,4 +78,5 @@ def coastdown(
     mapping = as_topics(topics)
     loaded = load_base(vehicle, method, thermal, mapping, surroundings)
     read_in = in_order([r if isinstance(r, Recording) else read(r, topics=mapping) for r in listed])
-    return CoastdownResult(run(read_in, loaded, seed), paths_of(read_in))
+    inputs = input_files(mapping, loaded.source, surroundings)
+    return CoastdownResult(run(read_in, loaded, seed), paths_of(read_in), inputs)

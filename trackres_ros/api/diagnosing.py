@@ -11,7 +11,16 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_recordings, as_topics, paths_of
+from trackres_ros.api.arguments import (
+    StrPath,
+    TopicsGiven,
+    VehicleGiven,
+    as_paths,
+    as_recordings,
+    as_topics,
+    input_files,
+    paths_of,
+)
 from trackres_ros.api.recordings import read
 from trackres_ros.errors import InputError
 
@@ -19,6 +28,8 @@ if TYPE_CHECKING:
     from trackres_ros.diagnosis.base.own import OwnModel
     from trackres_ros.recording.recording import Recording
     from trackres_ros.results.diagnosis import DiagnosisResult
+
+MOST_HELD_OUT = 1_000_000
 
 
 def diagnose(
@@ -102,6 +113,8 @@ def diagnose(
     for channel in hide:
         checks.one_of(base_role(channel), "hide", ROLES)
     checks.seed(seed)
+    if holdout is not None and not isinstance(holdout, Sequence):
+        checks.whole(holdout, "holdout", 0, MOST_HELD_OUT)
     listed = as_recordings(recordings)
     mapping = as_topics(topics)
     if mapping is None:  # belt temperatures are those of the vehicle: one recording decides for all
@@ -118,7 +131,8 @@ def diagnose(
     found = diagnose(sessions, loaded, options)
     used = {session.name for session in found.sessions}
     paths = paths_of([session for session in sessions if session.name in used])
-    return DiagnosisResult(found, loaded, paths, sessions[0].bindings, time.monotonic() - begun)
+    inputs = input_files(mapping, *paths, loaded.source, surroundings)
+    return DiagnosisResult(found, loaded, paths, sessions[0].bindings, time.monotonic() - begun, inputs)
 
 
 def _name(recording: StrPath | Recording) -> str:

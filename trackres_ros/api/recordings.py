@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics, as_track_vehicle
+from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics, as_track_vehicle, check_numbers
 from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def record_sample(
     Raises
     ------
     InputError
-        Another suffix, or no such folder.
+        Another suffix, no such folder, or a number out of its range.
 
     Examples
     --------
@@ -59,6 +59,7 @@ def record_sample(
     from trackres_ros.files.resources import find_topics
     from trackres_ros.offline.sample import Sample, write_sample
 
+    check_numbers("record_sample", speed_kmh=speed_kmh, laps=laps, ambient_degc=ambient_degc)
     file = output_file(path, (BAG_SUFFIX,), "path")
     drive = write_sample(file, as_track_vehicle(vehicle), speed_kmh, laps, ambient_degc)
     distance = float((drive.speed[1:] * (drive.time_s[1] - drive.time_s[0])).sum())
@@ -142,7 +143,7 @@ def recover(recording: StrPath, *, output: StrPath) -> Recovered:
     >>> tr.recover("cut.mcap", output="again.mcap").messages
     15934
     """
-    from trackres_ros.files.output_files import BAG_SUFFIX, output_file
+    from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
     from trackres_ros.recording.reading import check_file
     from trackres_ros.recording.unfinished import Recovered, UnfinishedBag, is_unfinished
 
@@ -150,8 +151,7 @@ def recover(recording: StrPath, *, output: StrPath) -> Recovered:
     check_file(path)
     if not is_unfinished(path):
         raise InputError("recording", str(path), "an MCAP file that was not finished", "a finished file needs no recovery")
-    if file.resolve() == path.resolve():
-        raise InputError("output", str(file), "another file than the unfinished one")
+    not_an_input(file, [path], "output")
     bag = UnfinishedBag(path)
     bag.write(file)
     return Recovered(file, bag.messages, bag.duration_s, bag.lost_bytes)

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics, as_vehicle
+from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics, as_vehicle, input_files
 from trackres_ros.errors import InputError, one_line
 
 if TYPE_CHECKING:
@@ -86,11 +86,11 @@ def replay(
     from trackres_ros.estimator import columns as at
     from trackres_ros.estimator.estimate import Steps
     from trackres_ros.estimator.estimator import Estimator
-    from trackres_ros.estimator.snapshot import read_learning, save
+    from trackres_ros.estimator.snapshot import read_learning, save, state_file
     from trackres_ros.estimator.snapshot import resume as resumed
     from trackres_ros.estimator.topic_settings import settings_for
     from trackres_ros.estimator.warm_up import BLOCKS, LIVE, first_run
-    from trackres_ros.files.output_files import BAG_SUFFIX, output_file, state_file
+    from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
     from trackres_ros.learning.learner import MODES, Learner
     from trackres_ros.learning.store import stored, take_learned
     from trackres_ros.learning.vehicle_file import write_learned
@@ -102,24 +102,27 @@ def replay(
     from trackres_ros.recording.recording import Recording
     from trackres_ros.results.replay import ReplayResult
     from trackres_ros.units import NANOSECOND
+    from trackres_ros.vehicle import files_of
 
     file = None if output is None else output_file(output)
     state = None if save_state is None else state_file(save_state, "save_state")
     in_memory = recording if isinstance(recording, Recording) else None
     paths = in_memory.paths if in_memory else as_paths(recording)
-    if file is not None and any(file.exists() and file.resolve() == given.resolve() for given in paths):
-        raise InputError("output", str(file), "a file other than the recording, which it would overwrite")
     if in_memory and topics is not None:
         raise InputError("topics", "with a recording that is read", "topics with a path", "pass them to read")
     mapping = in_memory.topics if in_memory else as_topics(topics)
     given = params if isinstance(params, Mapping) else read_parameters(None if params is None else Path(params))
     source = in_memory or KeptSource(open_source(paths, mapping), keep=file is None or file.suffix.lower() != BAG_SUFFIX)
     settings = settings_for(make_parameters(given).settings(), mapping, source.roles)
+    described = as_vehicle(vehicle)
     learned_file = None if save_vehicle is None else output_file(save_vehicle, (".yaml",), "save_vehicle")
+    inputs = input_files(mapping, *paths, *files_of(described), params)
+    not_an_input(state, inputs, "save_state")  # it may replace the state to resume
+    for where, place in (("output", file), ("save_vehicle", learned_file)):
+        not_an_input(place, [*inputs, resume], where)
     learns = one_of(learning, "learning", MODES) != "off"
     if learned_file is not None and not learns:
         raise InputError("save_vehicle", str(save_vehicle), "a replay that learns", "give learning='watch' too")
-    described = as_vehicle(vehicle)
     kept: list[Steps] = []
     with ExitStack() as stack:
         warm_up = stack.enter_context(first_run(LIVE if learns else BLOCKS, described))
@@ -137,4 +140,4 @@ def replay(
         write_learned(learner, estimator.vehicle, learned_file)
     title = one_line(f"{', '.join(path.name for path in paths) or source.name}: {estimator.vehicle.title}")
     findings = source.all_findings() if isinstance(source, KeptSource) else source.findings
-    return ReplayResult(done, kept if file is None else None, title, source.name, source.notes, findings, file)
+    return ReplayResult(done, kept if file is None else None, title, source.name, source.notes, findings, file, [*inputs, resume])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from trackres_ros.api.arguments import StrPath, VehicleGiven, as_vehicle
+from trackres_ros.api.arguments import StrPath, VehicleGiven, as_paths, as_vehicle, check_numbers, input_files
 from trackres_ros.errors import InputError
 from trackres_ros.units import KMH_PER_MPS
 
@@ -15,13 +15,17 @@ if TYPE_CHECKING:
     from trackres_ros.recording.recording import Recording
     from trackres_ros.results.operating_point import OperatingPoint
     from trackres_ros.results.simulation import SimulationResult
+    from trackres_ros.vehicle import AnyVehicle
+
+USUAL_RAMP_S, USUAL_DURATION_S = 50.0, 2500.0
+LEAST_EXPLAINED_SHARE, LARGEST_EXPLAINED_SHARE = 0.05, 20.0  # of the nominal weight; a single point may be an unusual one
 
 
 def simulate(
     vehicle: VehicleGiven,
     *,
     speed_kmh: float | None = None,
-    ramp_s: float = 50.0,
+    ramp_s: float | None = None,
     duration_s: float | None = None,
     profile: StrPath | Recording | None = None,
     ambient_degc: float | None = None,
@@ -37,7 +41,7 @@ def simulate(
     vehicle
         A vehicle, the path of its file, or the name of a shipped one.
     speed_kmh, ramp_s, duration_s
-        Speed after a linear ramp from rest [km/h], ramp time [s], and simulated time [s]; 2500 s by default.
+        Speed after a linear ramp from rest [km/h], ramp time [s], by default 50 s, and simulated time [s], by default 2500 s.
     profile
         Instead a CSV or Parquet table with ``time_s`` and ``speed_mps`` or ``speed_kmh``, and ``weight_n``,
         ``ambient_degc`` and ``grade`` if need be. Positions (``latitude_deg``, ``longitude_deg``) are for surroundings with
@@ -60,7 +64,7 @@ def simulate(
     Raises
     ------
     InputError
-        A speed above the vehicle's maximum, an unusable profile, or both profile and speed.
+        A speed above the vehicle's maximum, a number out of its range, an unusable profile, or both profile and speed.
 
     Examples
     --------
@@ -77,21 +81,33 @@ def simulate(
     """
     import numpy as np
 
+    from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.estimator.warm_up import SERIES, first_run
-    from trackres_ros.files.output_files import output_file
+    from trackres_ros.files.output_files import not_an_input, output_file
     from trackres_ros.model.coverage import check_speed
     from trackres_ros.offline.profile import conditions, read_profile
     from trackres_ros.offline.simulate import ramp_and_hold, run_drive, through_points
+    from trackres_ros.recording.recording import Recording
     from trackres_ros.recording.roles import POSITION
     from trackres_ros.results.simulation import SimulationResult
+    from trackres_ros.vehicle import files_of
 
+    check_numbers(
+        "simulate", speed_kmh=speed_kmh, ramp_s=ramp_s, duration_s=duration_s, ambient_degc=ambient_degc,
+        initial_degc=initial_degc, weight_kn=weight_kn, dt=dt,
+    )  # fmt: skip
     if (speed_kmh is None) == (profile is None):
         raise InputError("speed_kmh, profile", "neither" if profile is None else "both", "one of the two")
-    if profile is not None and duration_s is not None:
-        raise InputError("duration_s", duration_s, "only with speed_kmh; a profile has its own duration")
+    for name, seconds in (("duration_s", duration_s), ("ramp_s", ramp_s)):
+        if profile is not None and seconds is not None:
+            raise InputError(name, seconds, "only with speed_kmh; a profile has its own duration and ramps")
     file = None if output is None else output_file(output)
     described = as_vehicle(vehicle)
+    _check_weight(described, weight_kn, LEAST_LOAD_SHARE, LARGEST_LOAD_SHARE)
+    paths = profile.paths if isinstance(profile, Recording) else () if profile is None else as_paths(profile)
+    inputs = input_files(None, *paths, *files_of(described))
+    not_an_input(file, inputs, "output")
     known = (("load", None if weight_kn is None else weight_kn * 1e3), ("ambient", ambient_degc))
     given: dict[str, Any] = {role: value for role, value in known if value is not None}
     if initial_degc is not None and not described.assemblies:
@@ -99,7 +115,9 @@ def simulate(
     notes: tuple[str, ...] = ()
     if speed_kmh is not None:
         check_speed(described, speed_kmh / KMH_PER_MPS)
-        drive = ramp_and_hold(speed_kmh / KMH_PER_MPS, ramp_s, 2500.0 if duration_s is None else duration_s, dt)
+        ramp_s = USUAL_RAMP_S if ramp_s is None else ramp_s
+        duration_s = USUAL_DURATION_S if duration_s is None else duration_s
+        drive = ramp_and_hold(speed_kmh / KMH_PER_MPS, ramp_s, duration_s, dt)
     else:
         assert profile is not None
         recording = read_profile(profile, bool(described.route))
@@ -113,7 +131,7 @@ def simulate(
         estimator = Estimator(described, entries=warm_up.first)
         ground = estimator.along_route(drive.time_s, drive.speed, *position) if len(position) == len(POSITION) else None
         rows = run_drive(estimator, drive, given.get("load"), given.get("ambient"), initial_degc, grade, ground)
-    result = SimulationResult(estimator, drive, rows, "grade" in given or ground is not None, notes)
+    result = SimulationResult(estimator, drive, rows, "grade" in given or ground is not None, notes, inputs)
     if file is not None:
         result.save(file)
     return result
@@ -160,17 +178,11 @@ def explain(
     """
     from trackres_ros.model.operating_point import explain, explain_road
     from trackres_ros.results.operating_point import OperatingPoint
-    from trackres_ros.text.numbers import figures
     from trackres_ros.vehicle import RoadVehicle
 
+    check_numbers("explain", speed_kmh=speed_kmh, belt_degc=belt_degc, ambient_degc=ambient_degc, weight_kn=weight_kn)
     described = as_vehicle(vehicle)
-    if weight_kn is not None and not 0.05 * described.weight <= weight_kn * 1e3 <= 20 * described.weight:
-        raise InputError(
-            "weight_kn",
-            weight_kn,
-            f"{figures(0.05 * described.weight / 1e3)} to {figures(20 * described.weight / 1e3)} kN for "
-            f"a vehicle of {figures(described.weight / 1e3)} kN",
-        )
+    _check_weight(described, weight_kn, LEAST_EXPLAINED_SHARE, LARGEST_EXPLAINED_SHARE)
     weight = None if weight_kn is None else weight_kn * 1e3
     speed = speed_kmh / KMH_PER_MPS
     if isinstance(described, RoadVehicle):
@@ -180,3 +192,12 @@ def explain(
     if belt_degc is None:
         raise InputError("belt_degc", "nothing", "the mean temperature of the belts [degC]")
     return OperatingPoint(explain(described, speed, belt_degc, ambient_degc, weight))
+
+
+def _check_weight(vehicle: AnyVehicle, weight_kn: float | None, least: float, largest: float) -> None:
+    """Check a weight [kN] by shares of the vehicle's own."""
+    from trackres_ros.text.numbers import figures
+
+    low, own, high = (share * vehicle.weight / 1e3 for share in (least, 1.0, largest))
+    if weight_kn is not None and not low <= weight_kn <= high:
+        raise InputError("weight_kn", weight_kn, f"{figures(low)} to {figures(high)} kN for a vehicle of {figures(own)} kN")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from trackres_ros.api.arguments import StrPath, VehicleGiven, as_vehicle
+from trackres_ros.api.arguments import StrPath, VehicleGiven, as_vehicle, check_numbers
 from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -91,4 +91,5 @@ def check_vehicle(vehicle: VehicleGiven, *, points: int = 400) -> VehicleCheck:
     from trackres_ros.offline.vehicle_check import check_vehicle
     from trackres_ros.results.vehicle_check import VehicleCheck
 
+    check_numbers("check_vehicle", points=points)
     return VehicleCheck(check_vehicle(as_vehicle(vehicle), points))

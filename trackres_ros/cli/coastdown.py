@@ -20,7 +20,7 @@ from trackres_ros.cli.partial_output import watch
 @options.surroundings
 @options.topics("which topic or column feeds which role.")
 @options.methods
-@options.of(tr.coastdown, "seed", options.SEEDS, "Seed of all random draws.")
+@options.of(tr.coastdown, "seed", "Seed of all random draws.", options.SEEDS)
 @click.option(
     "--save-vehicle",
     type=options.PATH,

@@ -18,7 +18,9 @@ A_NUMBER = "A|A:B|A,B,C"
 @click.command("compare", cls=Command)
 @click.argument("one")
 @click.argument("other")
-@click.option("--speed-kmh", metavar=A_NUMBER, help="Two designs: speeds; default 30, and 5 to the maximum of the slower one.")
+@click.option(
+    "--speed-kmh", metavar=A_NUMBER, help="Two designs: speeds; default 30, and 5 (or a tenth) to the maximum of the slower one."
+)
 @click.option("--belt-degc", metavar=A_NUMBER, help="Two designs: belt temperatures of the table; default -20:80.")
 @click.option("--ambient-degc", metavar=A_NUMBER, help="Two designs: air temperatures; default that of the file ONE.")
 @click.option("--weight-kn", metavar=A_NUMBER, help="Two designs: weights of the whole vehicle; default each file's own.")

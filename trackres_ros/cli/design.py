@@ -15,7 +15,7 @@ import click
 from trackres_ros.cli import options
 from trackres_ros.cli.common import Command, emit, needs, picture_beside, progress, with_written
 from trackres_ros.cli.partial_output import watch
-from trackres_ros.files.output_files import output_file
+from trackres_ros.files.output_files import not_an_input, output_file
 from trackres_ros.units import KMH_PER_MPS
 
 if TYPE_CHECKING:
@@ -78,12 +78,13 @@ def sweep_command(
     from trackres_ros.design.values import varied
     from trackres_ros.files.resources import find_vehicle
     from trackres_ros.output.table import write_table
-    from trackres_ros.vehicle import load
+    from trackres_ros.vehicle import files_of, load
 
     file = None if output is None else output_file(output, TABLES)
     picture = None if file is None else picture_beside(file)
     watch(file, picture)
     described = load(find_vehicle(vehicle))
+    not_an_input(file, [cycle, *files_of(described)], "output")
     air = described.chassis.ambient if ambient_degc is None else ambient_degc
     asked = SweepRequest(vehicle, tuple(varied(described, one) for one in vary), _held(described, speed_kmh), air, cycle)
     with progress("points", len(asked.points)) as advance:

@@ -26,7 +26,7 @@ from trackres_ros.cli.partial_output import watch
     help="How many of the last recordings or laps to hold out, or names of recordings or laps (day2.mcap: 5) with commas.",
 )
 @options.methods
-@options.of(tr.diagnose, "seed", options.SEEDS, "Seed of all random draws.")
+@options.of(tr.diagnose, "seed", "Seed of all random draws.", options.SEEDS)
 @click.option("--quick", is_flag=True, help="Fewer draws for thresholds.")
 @click.option("--keep-suspected", is_flag=True, help="Also write effects that fit but that the hold-out laps do not confirm.")
 @click.option("--effects", type=options.PATH, metavar="DIR", help="Folder with your own effects, one Python file each.")
@@ -48,6 +48,11 @@ def diagnose_command(
     the weather or the ground go to surroundings.yaml instead; sensor corrections are printed as lines for the topics file.
     The exit code is 0 for any verdict.
     """
+    from trackres_ros.files.output_files import not_an_input
+    from trackres_ros.results.diagnosis import DATA_FILES
+
+    for name in DATA_FILES:  # before hours of work
+        not_an_input(output / name, [*recordings, asked["vehicle"], asked["surroundings"]], "output")
     watch(output)
     held = None if holdout is None else int(holdout) if holdout.isdecimal() else [name.strip() for name in holdout.split(",")]
     with stages() as on_stage:

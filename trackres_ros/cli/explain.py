@@ -14,10 +14,10 @@ from trackres_ros.cli.common import Command, emit
 
 @click.command("explain", cls=Command)
 @options.vehicle
-@click.option("--speed-kmh", type=options.Number(-200, 200), required=True, help="Speed [km/h]; negative in reverse.")
-@click.option("--belt-degc", type=options.Number(-60, 150), help="Belt temperature [degC]; of a vehicle without belts none.")
-@options.ambient
-@options.weight
+@options.of(tr.explain, "speed_kmh", "Speed [km/h]; negative in reverse.")
+@options.of(tr.explain, "belt_degc", "Belt temperature [degC]; of a vehicle without belts none.")
+@options.of(tr.explain, "ambient_degc", options.AMBIENT)
+@options.of(tr.explain, "weight_kn", options.WEIGHT)
 @click.option("--method", type=options.METHODS, help="Way from strain to heat; default the vehicle file's.")
 @options.json
 def explain_command(vehicle: str, method: str | None, as_json: bool, **point: Any) -> None:

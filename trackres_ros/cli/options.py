@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
+from trackres_ros.api.arguments import LIMITS
 from trackres_ros.files.resources import shipped_road_vehicles, shipped_topics, shipped_vehicles
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ METHODS = click.Choice(["rainflow", "spectral"])
 PATH, FOLDER = click.Path(path_type=Path), click.Path(path_type=Path, file_okay=False)
 SEEDS, WORKERS = click.IntRange(0, 2**32 - 1), click.IntRange(1, 1024)
 SHIPPED_TOPICS = shipped_topics()
+AMBIENT = "Ambient temperature [degC]; default the vehicle file's."
+WEIGHT = "Weight of the whole vehicle [kN]; default the vehicle file's."
 DBC = f"{__name__}.dbc"
 """Key of a command's context under which the CAN databases are stored."""
 
@@ -54,11 +57,16 @@ def _to_complete(names: Iterable[str], begun: str) -> list[CompletionItem]:
 
 
 def of(
-    function: Callable[..., Any], argument: str, kind: Any, text: str, metavar: str | None = None
+    function: Callable[..., Any], argument: str, text: str, kind: Any = None, metavar: str | None = None
 ) -> Callable[[Decorated], Decorated]:
-    """The option of a function's argument, with its default."""
+    """The option of a function's argument, with its default; without a kind, a number within its limits."""
+    if kind is None:
+        low, high, _ = LIMITS[function.__name__][argument]
+        kind = click.IntRange(low, high) if isinstance(low, int) and isinstance(high, int) else Number(low, high)
     default = inspect.signature(function).parameters[argument].default
-    return click.option(f"--{argument.replace('_', '-')}", type=kind, default=default, metavar=metavar, help=text)
+    needed = default is inspect.Parameter.empty
+    name = f"--{argument.replace('_', '-')}"
+    return click.option(name, type=kind, default=None if needed else default, required=needed, metavar=metavar, help=text)
 
 
 def folder(text: str) -> Callable[[Decorated], Decorated]:
@@ -119,8 +127,6 @@ surroundings = click.option(
     metavar="S.yaml",
     help="Current effects of site, weather and ground, as trackres diagnose writes them; never fed forward.",
 )
-ambient = click.option("--ambient-degc", type=Number(-60, 60), help="Ambient temperature [degC]; default the vehicle file's.")
-weight = click.option("--weight-kn", type=Number(0.1, 1e5), help="Weight of the whole vehicle [kN]; default the vehicle file's.")
 json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
 
 

@@ -17,9 +17,9 @@ from trackres_ros.cli.partial_output import watch
 @click.command("simulate", cls=Command)
 @options.vehicle
 @options.surroundings
-@click.option("--speed-kmh", type=options.Number(-100, 100), help="Speed after the ramp [km/h].")
-@options.of(tr.simulate, "ramp_s", options.Number(0, 1e5), "Time from rest to that speed [s].")
-@click.option("--duration-s", type=options.Number(1e-3, 1e7), help="How long to simulate [s]; 2500 with --speed-kmh.")
+@options.of(tr.simulate, "speed_kmh", "Speed after the ramp [km/h].")
+@options.of(tr.simulate, "ramp_s", "Time from rest to that speed [s]; 50 with --speed-kmh.")
+@options.of(tr.simulate, "duration_s", "How long to simulate [s]; 2500 with --speed-kmh.")
 @click.option(
     "--profile",
     type=options.PATH,
@@ -27,13 +27,11 @@ from trackres_ros.cli.partial_output import watch
     help="CSV or Parquet with time_s and speed_mps or speed_kmh instead of --speed-kmh, optionally with weight_n, "
     "ambient_degc and grade; linear interpolation between rows.",
 )
-@options.ambient
-@click.option(
-    "--initial-degc", type=options.Number(-60, 150), help="Belt temperature at the start [degC]; default the ambient temperature."
-)
-@options.weight
+@options.of(tr.simulate, "ambient_degc", options.AMBIENT)
+@options.of(tr.simulate, "initial_degc", "Belt temperature at the start [degC]; default the ambient temperature.")
+@options.of(tr.simulate, "weight_kn", options.WEIGHT)
 @options.methods
-@options.of(tr.simulate, "dt", options.Number(1e-4, 10), "Time step [s].")
+@options.of(tr.simulate, "dt", "Time step [s].")
 @click.option("-o", "--output", type=options.PATH, required=True, help="Result: .csv, .csv.gz, .parquet, .mf4 or .mcap.")
 @options.json
 def simulate_command(

@@ -22,7 +22,6 @@ def vehicle_group() -> None:
 @options.of(
     tr.check_vehicle,
     "points",
-    click.IntRange(10, 100_000),
     "Number of random points for comparing the loss table with the exact method.",
 )
 @options.json

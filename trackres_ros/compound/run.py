@@ -21,6 +21,7 @@ from trackres_ros.model.loss_table import loss_table
 from trackres_ros.text.numbers import alike, decimals, figures
 from trackres_ros.text.table import table
 from trackres_ros.vehicle import Vehicle, load
+from trackres_ros.vehicle import files_of as inputs_of
 from trackres_ros.vehicle.schema import RUBBER
 
 BADLY_APART = 0.1  # of a Prony series from either modulus: a tenth of both is more than instruments are off
@@ -34,8 +35,8 @@ def fit_and_write(sweep_file: Path, vehicle_given: str, folder: Path, frequency_
     if frequency_hz is not None:
         number(frequency_hz, "frequency_hz", FREQUENCIES.low, FREQUENCIES.high, "Hz")
     before = load(vehicle_given)
+    files = files_of(sweep_file, folder, inputs_of(before))
     sweep = read_sweep(sweep_file, frequency_hz)
-    files = files_of(sweep_file, folder)
     fit = fit_compound(sweep, before)
     with TemporaryDirectory() as trial:
         _check_belts(write_compound(fit, before, files_of(sweep_file, Path(trial))), sweep_file)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.compound.fitting import ARRHENIUS, KEPT, CompoundFit
 from trackres_ros.errors import InputError, one_line
+from trackres_ros.files.output_files import not_an_input
 from trackres_ros.files.own_files import write
 from trackres_ros.text.numbers import figures
 from trackres_ros.vehicle import Vehicle, load
@@ -43,8 +44,8 @@ def stem_of(path: Path) -> str:
     return stem if stem[:1].isalpha() else f"compound_{stem}".rstrip("_")
 
 
-def files_of(sweep: Path, folder: Path) -> dict[str, Path]:
-    """The files of a sweep, by kind. Raises InputError if one of them is the sweep itself, or the folder is a diagnosis'."""
+def files_of(sweep: Path, folder: Path, inputs: Iterable[Path] = ()) -> dict[str, Path]:
+    """The files of a sweep, by kind. Raises InputError if one is the sweep or another input, or the folder is a diagnosis'."""
     stem = stem_of(sweep)
     found = {
         "vehicle": folder / f"{stem}.yaml",
@@ -52,8 +53,8 @@ def files_of(sweep: Path, folder: Path) -> dict[str, Path]:
         "prony": folder / f"{stem}_prony.csv",
         "picture": folder / f"{stem}.png",
     }
-    if any(path.exists() and path.samefile(sweep) for path in found.values()):
-        raise InputError("output", str(folder), "a folder in which the sweep itself is not overwritten")
+    for path in found.values():
+        not_an_input(path, (sweep, *inputs), "output")
     if (folder / SURROUNDINGS_FILE).exists():
         raise InputError("output", f"{folder}, which has a {SURROUNDINGS_FILE}", "a folder of its own")
     return found

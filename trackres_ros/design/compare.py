@@ -35,7 +35,7 @@ from trackres_ros.vehicle.road import SECTION
 Array = NDArray[np.float64]
 
 POINTS, MOST_VALUES, MOST_CONDITIONS = 5, 25, 200
-SLOWEST_SHARE = 0.1  # of the maximum speed, of vehicles without belts
+SLOWEST_SHARE = 0.1  # of the maximum speed, of vehicles without belts, and of slow ones on tracks
 SLOWEST_KMH, USUAL_KMH, COLDEST_DEGC, WARMEST_DEGC = 5.0, 30.0, -20.0, 80.0
 BELTS_DEGC, AIR_DEGC = (-60.0, 150.0), (-60.0, 60.0)  # limits of belt and air temperature
 STEADY = {
@@ -102,7 +102,7 @@ def asked_of(given: Sequence[str], options: ComparisonOptions) -> ComparisonRequ
     vehicles = one, other
     fastest = min(v.chassis.max_speed for v in vehicles)
     fastest_kmh = KMH_PER_MPS * fastest
-    usual = (SLOWEST_KMH, fastest_kmh)
+    usual = (SLOWEST_KMH if fastest_kmh > SLOWEST_KMH else SLOWEST_SHARE * fastest_kmh, fastest_kmh)
     speeds = numbers("--speed-kmh", options.speed_kmh or ":".join(map(str, usual)), (0.1, OVERSPEED * fastest_kmh))
     belts = numbers("--belt-degc", options.belt_degc or f"{COLDEST_DEGC}:{WARMEST_DEGC}", BELTS_DEGC)
     steady_kmh = speeds if options.speed_kmh else (min(USUAL_KMH, fastest_kmh),)

@@ -15,6 +15,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import asdict
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from trackres_ros.vehicle import Vehicle
 
 FORMAT = "trackres-state"
 VERSION = 9
+HEAD = json.dumps({"format": FORMAT}).encode()[:-1]  # first bytes of each state file
 REMEDY = "delete the file to start cold"
 LARGEST = 4 << 20  # bytes; a vehicle with four assemblies has 10 thousand
 FARTHEST_SAVED_AT = 1e10  # s: the year 2286, and as far before 1970
@@ -62,6 +64,25 @@ def key(estimator: Estimator) -> str:
         hashlib.sha256(estimator.constants.route_places.tobytes()).hexdigest(),
     ]
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=lambda a: a.tolist()).encode()).hexdigest()[:32]
+
+
+def state_file(path: str | PathLike[str], where: str) -> Path:
+    """The path, if a state can be saved there.
+
+    Raises InputError for no such folder, or something in its place that is not a state file; `where` names the argument.
+    """
+    file = Path(path)
+    if not file.parent.is_dir() or (file.exists() and not file.is_file()):
+        raise InputError(where, str(file), "a file in a folder that exists")
+    if file.exists():
+        try:
+            with file.open("rb") as now:
+                head = now.read(len(HEAD))
+        except OSError as error:
+            raise InputError(where, f"{file}: {error.strerror}", "a new file, or a state file to replace") from error
+        if head and head != HEAD:  # a damaged one is replaced too, and so is an empty file
+            raise InputError(where, f"{file}, which is another kind of file", "a new file, or a state file to replace")
+    return file
 
 
 def save(session: Session, path: Path, saved_at: float, learning: Mapping[str, Any] | None = None) -> None:
@@ -208,7 +229,8 @@ def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
     try:
         data = own_files.read(path, LARGEST)
     except OSError as error:
-        raise InputError(where, error.strerror or str(error), "a file written by this program", REMEDY) from error
+        remedy = "" if isinstance(error, FileNotFoundError) else REMEDY
+        raise InputError(where, error.strerror or str(error), "a file written by this program", remedy) from error
     found = SEAL.search(data)
     intact = found is not None and hashlib.sha256(data[: found.start()]).hexdigest().encode() == found.group(1)
     try:

@@ -3,7 +3,7 @@
 
 """Checks the places of results before any work is done for them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
@@ -11,6 +11,8 @@ from pathlib import Path
 from trackres_ros.errors import InputError, MissingExtraError
 
 BAG_SUFFIX = ".mcap"
+PICTURE_SUFFIXES = (".png", ".svg")
+BAG_FILES = (BAG_SUFFIX, ".db3", "metadata.yaml")  # in the folder of a bag
 TABLE_SUFFIXES = (".csv", ".csv.gz", ".parquet", ".mf4")
 OUTPUT_SUFFIXES = (*TABLE_SUFFIXES, BAG_SUFFIX)
 WRITTEN_WITH = {
@@ -39,6 +41,17 @@ def output_file(path: str | PathLike[str], suffixes: Sequence[str] = OUTPUT_SUFF
     return file
 
 
+def picture_file(path: str | PathLike[str]) -> Path:
+    """The path, if its suffix is a known format of pictures; its folder is created. Raises InputError otherwise."""
+    file = Path(path)
+    try:
+        if file.name.lower().endswith(PICTURE_SUFFIXES):
+            file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError("path", str(file), f"a file in a folder that can be created: {error.strerror}") from error
+    return output_file(file, PICTURE_SUFFIXES, "path")
+
+
 def output_folder(path: str | PathLike[str], where: str = "output") -> Path:
     """The path, if it is a folder or can be created. Raises InputError if it is a file."""
     folder = Path(path)
@@ -47,12 +60,15 @@ def output_folder(path: str | PathLike[str], where: str = "output") -> Path:
     return folder
 
 
-def state_file(path: str | PathLike[str], where: str) -> Path:
-    """The path, if a state can be saved there.
+def not_an_input(file: Path | None, inputs: Iterable[str | PathLike[str] | None], where: str) -> None:
+    """Check that an output replaces no input, and no part of an input bag that is a folder.
 
-    Raises InputError for no such folder, or something in its place that is no file.
+    Raises InputError for the same file, under any name; `where` names the argument of the output.
     """
-    file = Path(path)
-    if not file.parent.is_dir() or (file.exists() and not file.is_file()):
-        raise InputError(where, str(file), "a file in a folder that exists")
-    return file
+    if file is None or not file.is_file():
+        return
+    for given in (Path(one) for one in inputs if one is not None):
+        if given.is_dir():
+            given /= file.name if file.name.endswith(BAG_FILES) else ""
+        if given.is_file() and file.samefile(given):
+            raise InputError(where, str(file), f"a file other than the input {given}, which it would overwrite")

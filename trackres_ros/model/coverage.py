@@ -119,7 +119,7 @@ def check_speed(vehicle: AnyVehicle, speed: float) -> None:
     """
     most = OVERSPEED * vehicle.chassis.max_speed
     if not abs(speed) <= most:
-        allowed = f"up to {OVERSPEED:g} times the vehicle file's max_speed, {most * KMH_PER_MPS:.0f} km/h"
+        allowed = f"up to {OVERSPEED:g} times the vehicle file's max_speed, {most * KMH_PER_MPS:g} km/h"
         raise InputError("speed", f"{abs(speed) * KMH_PER_MPS:g} km/h", allowed)
 
 

@@ -20,6 +20,7 @@ from trackres_ros.model.resistance import resistance_parts
 Array = NDArray[np.float64]
 
 MOST_SAMPLES = 50_000_000
+ROUNDING = 1e-9  # of a time: less is no longer one
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +33,16 @@ class SimulatedDrive:
 
 
 def ramp_and_hold(speed: float, ramp_s: float, duration_s: float, dt: float) -> SimulatedDrive:
-    """From rest to a speed [m/s] in a straight ramp [s], then held; the paper's section 4.2. A ramp of 0 s starts at speed."""
+    """From rest to a speed [m/s] in a straight ramp [s], then held; the paper's section 4.2. A ramp of 0 s starts at speed.
+
+    Its last step ends with the duration, or less than a step before.
+    """
     if not 0.0 < dt <= duration_s or duration_s / dt > MOST_SAMPLES:
         raise InputError("dt, duration", (dt, duration_s), f"0 < dt <= duration [s] and at most {MOST_SAMPLES} steps")
-    time: Array = np.arange(int(round(duration_s / dt)) + 1, dtype=np.float64) * dt
+    steps = round(duration_s / dt)
+    if steps * dt > duration_s * (1.0 + ROUNDING):
+        steps -= 1
+    time: Array = np.arange(steps + 1, dtype=np.float64) * dt
     if ramp_s <= 0.0:
         return SimulatedDrive(time, np.full_like(time, speed), np.zeros_like(time))
     return SimulatedDrive(time, speed * np.minimum(time / ramp_s, 1.0), np.where(time < ramp_s, speed / ramp_s, 0.0))

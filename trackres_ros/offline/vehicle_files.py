@@ -66,7 +66,10 @@ def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
     written = [target]
     rubber = content.get("rubber", {}).get("file")
     if rubber:
-        written.append(folder / copied(source.parent / rubber, folder, Path(rubber)))
+        place = copied(source.parent / rubber, folder, Path(rubber))
+        written.append(folder / place)
+        if place != rubber:
+            document.set(("rubber", "file"), place)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write(target, (document.text() or document.plain()).encode())

@@ -135,7 +135,7 @@ def svg_of(figure: Figure) -> bytes:
 def write_figure(figure: Figure, path: Path) -> None:
     """Write a figure as SVG or PNG, by the suffix of the path; create its folder if needed."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(svg_of(figure) if path.suffix == ".svg" else png_of(figure))
+    path.write_bytes(svg_of(figure) if path.suffix.lower() == ".svg" else png_of(figure))
 
 
 @contextmanager

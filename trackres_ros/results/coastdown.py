@@ -13,7 +13,7 @@ from typing import Any
 
 from trackres_ros.diagnosis.coastdown.fitted import Coastdown, rollouts_of
 from trackres_ros.errors import InputError, one_line
-from trackres_ros.files.output_files import output_file
+from trackres_ros.files.output_files import not_an_input, output_file, picture_file
 from trackres_ros.text.numbers import alike, figures
 from trackres_ros.units import KMH_PER_MPS
 
@@ -29,8 +29,8 @@ class CoastdownResult:
         All intermediate results, step by step.
     """
 
-    def __init__(self, found: Coastdown, recordings: Sequence[Path]) -> None:
-        self.coastdown, self.recordings = found, tuple(recordings)
+    def __init__(self, found: Coastdown, recordings: Sequence[Path], inputs: Sequence[Path] = ()) -> None:
+        self.coastdown, self.recordings, self._inputs = found, tuple(recordings), inputs
 
     @property
     def better(self) -> bool:
@@ -132,9 +132,10 @@ class CoastdownResult:
         Raises
         ------
         InputError
-            If they are not better than the file's on the hold-out coast-downs.
+            If they are not better than the file's on the hold-out coast-downs, or the path is an input.
         """
         file = output_file(path, (".yaml",), "save_vehicle")
+        not_an_input(file, self._inputs, "save_vehicle")
         if not self.better:
             raise InputError("save_vehicle", str(path), "values that are better than the file's", self.why_not)
         names = ", ".join(one_line(each.name) for each in self.recordings)
@@ -156,12 +157,14 @@ class CoastdownResult:
 
         Raises
         ------
+        InputError
+            Another suffix, or a folder of that name.
         MissingExtraError
             Matplotlib is not installed.
         """
         from trackres_ros.output.style import BLACK, BLUE, VERMILION, picture, shortened
 
-        file = Path(path)
+        file = picture_file(path)
         looks: tuple[tuple[str, str, str], ...] = (
             ("measured", BLACK, "-"), ("by the vehicle file", VERMILION, "--"), ("as found", BLUE, "-"),
         )  # fmt: skip

@@ -26,16 +26,18 @@ from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.diagnosis.report.series import stages
 from trackres_ros.errors import MissingExtraError
-from trackres_ros.files.output_files import output_folder
+from trackres_ros.files.output_files import not_an_input, output_folder
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.text.html import listed, panel, paragraph, table
 from trackres_ros.text.numbers import alike, figures
 from trackres_ros.vehicle import AnyVehicle, load_any
+from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
 
 if TYPE_CHECKING:
     from trackres_ros.diagnosis.report.interactive import Interactive
 
-VEHICLE_FILE = "vehicle.yaml"
+REPORT_FILE, VEHICLE_FILE = "report.json", "vehicle.yaml"
+DATA_FILES = (REPORT_FILE, VEHICLE_FILE, SURROUNDINGS_FILE)
 
 
 class DiagnosisResult:
@@ -58,12 +60,14 @@ class DiagnosisResult:
         recordings: Sequence[Path],
         bindings: Mapping[str, TopicBinding],
         seconds: float | None = None,
+        inputs: Sequence[Path] = (),
     ) -> None:
         self.diagnosis = found
         self.recordings = tuple(recordings)
         self.written: tuple[Path, ...] = ()
         self._loaded = loaded
         self._seconds = seconds
+        self._inputs = inputs
         self._content = report(found, self.recordings, bindings)
 
     @property
@@ -133,10 +137,17 @@ class DiagnosisResult:
         -------
         Path
             The folder.
+
+        Raises
+        ------
+        InputError
+            If a file of that folder is an input of the diagnosis.
         """
         place = output_folder(folder, where="folder")
+        for name in DATA_FILES:
+            not_an_input(place / name, self._inputs, "folder")
         place.mkdir(parents=True, exist_ok=True)
-        file = place / "report.json"
+        file = place / REPORT_FILE
         file.write_text(json.dumps(self._content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         self.written = (file, *self._write_vehicle(place))
         if page:

@@ -16,7 +16,7 @@ import numpy as np
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.files.output_files import output_file
+from trackres_ros.files.output_files import not_an_input, output_file
 from trackres_ros.learning.columns import column_names
 from trackres_ros.learning.learner import Learner
 from trackres_ros.offline.disturbance import DisturbanceColumns
@@ -58,11 +58,12 @@ class ReplayResult(SeriesResult):
         notes: Sequence[str],
         findings: Sequence[Finding],
         output: Path | None = None,
+        inputs: Sequence[str | PathLike[str] | None] = (),
     ) -> None:
         self.title, self.name, self.notes, self.findings, self.output = title, name, tuple(notes), tuple(findings), output
         self.session: Session = replayed.session
         self.messages, self.steps, self.duration_s = replayed.messages, replayed.steps, replayed.duration_s
-        self._replayed, self._kept = replayed, kept
+        self._replayed, self._kept, self._inputs = replayed, kept, inputs
 
     @property
     def estimator(self) -> Estimator:
@@ -143,9 +144,10 @@ class ReplayResult(SeriesResult):
         Raises
         ------
         InputError
-            Another suffix, no such folder, or rows that were not kept, as they went into an `output`.
+            Another suffix, no such folder, an input of the replay, or rows that were not kept, as they went into an `output`.
         """
         file = output_file(path, where="path")
+        not_an_input(file, self._inputs, "path")
         blocks = self._blocks()
         with result_writer(file, self.estimator, self.learner) as write:
             for steps in blocks:

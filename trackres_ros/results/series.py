@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import MissingExtraError
+from trackres_ros.files.output_files import picture_file
 from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.output.table import unit_of
 from trackres_ros.text.html import table
@@ -136,7 +137,7 @@ class SeriesResult(Mapping[str, Array]):
         Parameters
         ----------
         path
-            PNG file to write too.
+            `.png` or `.svg` file to write too.
 
         Returns
         -------
@@ -145,6 +146,8 @@ class SeriesResult(Mapping[str, Array]):
 
         Raises
         ------
+        InputError
+            Another suffix, or a folder of that name.
         MissingExtraError
             Without matplotlib.
         """
@@ -152,7 +155,7 @@ class SeriesResult(Mapping[str, Array]):
 
         drawn = self._drawn()
         columns = {name: drawn[name] for name in drawn if name not in ("time_s", "stamp_ns")}
-        picture = None if path is None else Path(path)
+        picture = None if path is None else picture_file(path)
         return estimate_figure(drawn["time_s"], columns, self.title, self._coverage(), picture)
 
     def _table(self) -> str:

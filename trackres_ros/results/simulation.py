@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import numpy as np
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.files.output_files import BAG_SUFFIX, output_file
+from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
 from trackres_ros.model.coverage import beyond_data
 from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.model.vehicle_constants import vehicle_constants
@@ -49,11 +49,17 @@ class SimulationResult(SeriesResult):
     """
 
     def __init__(
-        self, estimator: Estimator, drive: SimulatedDrive, rows: Array, with_grade: bool, notes: tuple[str, ...]
+        self,
+        estimator: Estimator,
+        drive: SimulatedDrive,
+        rows: Array,
+        with_grade: bool,
+        notes: tuple[str, ...],
+        inputs: Sequence[str | PathLike[str] | None] = (),
     ) -> None:
         self.estimator, self.notes = estimator, notes
         self.title = f"Simulated: {estimator.vehicle.title}"
-        self._rows, self._drive = rows, drive
+        self._rows, self._drive, self._inputs = rows, drive, inputs
         self._series: dict[str, Array] = dict(series_of(estimator, drive, rows))
         if with_grade:
             self._series["grade_nm"] = rows[:, estimator.column_index["grade_nm"]]
@@ -100,9 +106,10 @@ class SimulationResult(SeriesResult):
         Raises
         ------
         InputError
-            Another suffix, or no such folder.
+            Another suffix, no such folder, or an input of the simulation.
         """
         file = output_file(path, where="path")
+        not_an_input(file, self._inputs, "path")
         if file.suffix.lower() == BAG_SUFFIX:
             stamps = np.round((self._drive.time_s - self._drive.time_s[0]) * 1e9).astype(np.int64)
             with OutputBag(file, self.estimator) as bag:

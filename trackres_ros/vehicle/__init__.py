@@ -20,10 +20,10 @@ from trackres_ros.vehicle.description import (
     WrappedWheel,
 )
 from trackres_ros.vehicle.loading import load, variants
-from trackres_ros.vehicle.road import AnyVehicle, RoadVehicle, load_any
+from trackres_ros.vehicle.road import AnyVehicle, RoadVehicle, files_of, load_any
 from trackres_ros.vehicle.surroundings import with_surroundings
 
 __all__ = [
     "AnyVehicle", "Assembly", "Axle", "Beam", "Belt", "Chassis", "Disturbance", "Drift", "Quantity", "RoadVehicle", "RoadWheels",
-    "Rubber", "Spells", "Track", "Vehicle", "WrappedWheel", "load", "load_any", "variants", "with_surroundings",
+    "Rubber", "Spells", "Track", "Vehicle", "WrappedWheel", "files_of", "load", "load_any", "variants", "with_surroundings",
 ]  # fmt: skip

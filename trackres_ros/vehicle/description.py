@@ -214,6 +214,8 @@ class Vehicle:
         Every quantity by its path in the file, with range and provenance.
     effects, surroundings
         Effects that the vehicle file switches on, and those of site, weather and ground from the surroundings file.
+    surroundings_source
+        The surroundings file, if one was given.
     route
         Slope and torque by place, from the surroundings; empty without either.
     disturbance
@@ -236,6 +238,7 @@ class Vehicle:
     surroundings: tuple[Active, ...] = ()
     route: tuple[RouteMap, ...] = ()
     disturbance: Disturbance | None = None
+    surroundings_source: Path | None = None
 
     def __repr__(self) -> str:
         with_effects = f", with {', '.join(active.effect.name for active in self.active)}" if self.active else ""

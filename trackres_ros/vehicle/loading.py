@@ -47,6 +47,8 @@ DISTURBANCE = "disturbance"
 RUBBER_COLUMNS = ("T_degC", "E_storage_MPa", "E_loss_MPa")
 AT_10_HZ = "_10Hz"  # possible endings of the moduli's names, as in the shipped file; the frequency is in the vehicle file
 MOST_RUBBER_BYTES = 1 << 20  # a sweep has some tens of rows
+OF_AXLE = r"[A-Za-z0-9_-]+", "letters a to z or A to Z, digits, _ and -"  # as in a role of a topics file
+OF_ASSEMBLY = r"[A-Za-z][A-Za-z0-9_]*", "a letter a to z or A to Z, then such letters, digits and _"  # part of names of topics
 CLOSED_LOOP_TOLERANCE_RAD = 0.05
 
 
@@ -224,7 +226,7 @@ def _chassis(reader: ValueReader, given: Any) -> tuple[Chassis, tuple[Axle, ...]
     axles = []
     for i, entry in enumerate(reader.items(given["axles"], "chassis.axles")):
         reader.keys(entry, f"chassis.axles[{i}]", ("name", "load"))
-        name = reader.text(entry["name"], f"chassis.axles[{i}].name")
+        name = reader.name(entry["name"], f"chassis.axles[{i}].name", OF_AXLE)
         axles.append(Axle(name, reader.quantity(entry["load"], f"chassis.axles.{name}.load", schema.AXLE_LOAD)))
     _refuse_repeats(reader, "chassis.axles", [axle.name for axle in axles])
     return Chassis(**values), tuple(axles)
@@ -238,7 +240,7 @@ def _assemblies(reader: ValueReader, given: Any, axles: tuple[Axle, ...], tracks
         reader.keys(entry, key, ("name", "axle", "track"))
         assemblies.append(
             Assembly(
-                reader.text(entry["name"], f"{key}.name"),
+                reader.name(entry["name"], f"{key}.name", OF_ASSEMBLY),
                 reader.text(entry["axle"], f"{key}.axle", names),
                 reader.text(entry["track"], f"{key}.track", tuple(tracks)),
             )

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,13 @@ class ValueReader:
         if not isinstance(value, str) or not value.strip():
             raise InputError(self.where(key), value, "a text")
         return value
+
+    def name(self, value: Any, key: str, form: tuple[str, str]) -> str:
+        """A name of a form: a regular expression, and the same in words."""
+        pattern, allowed = form
+        if not re.fullmatch(pattern, self.text(value, key)):
+            raise InputError(self.where(key), value, allowed)
+        return str(value)
 
     def items(self, value: Any, key: str) -> list[Any]:
         """A non-empty list."""

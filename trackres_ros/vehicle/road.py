@@ -41,7 +41,7 @@ class RoadVehicle:
 
     Attributes
     ----------
-    name, title, source, parameters, effects, surroundings, route, disturbance
+    name, title, source, parameters, effects, surroundings, surroundings_source, route, disturbance
         As of a `Vehicle`.
     values
         The quantities of the section `road_load`, by name; see `schema.ROAD_LOAD` for the units.
@@ -59,6 +59,7 @@ class RoadVehicle:
     surroundings: tuple[Active, ...] = ()
     route: tuple[RouteMap, ...] = ()
     disturbance: Disturbance | None = None
+    surroundings_source: Path | None = None
 
     hysteresis = thermal = SECTION
     axles: tuple[Axle, ...] = ()
@@ -144,6 +145,13 @@ def load_any(path_or_name: str | os.PathLike[str]) -> AnyVehicle:
     path = find_vehicle(path_or_name)
     content = read_yaml(path)
     return build_road(path, content) if isinstance(content.get(SECTION), dict) else build(path, content)
+
+
+def files_of(vehicle: AnyVehicle) -> list[Path]:
+    """The vehicle file and all files that it was read with."""
+    rubber = vehicle.rubber_source if isinstance(vehicle, Vehicle) else None
+    found = (vehicle.source, rubber, vehicle.surroundings_source, *(active.effect.source for active in vehicle.active))
+    return [path for path in found if path is not None]
 
 
 def build_road(path: Path, content: Mapping[str, Any]) -> RoadVehicle:

@@ -42,7 +42,7 @@ def with_surroundings(vehicle: Kind, file: str | os.PathLike[str] | None) -> Kin
         return vehicle
     path, size = Path(file), vehicle.size
     around = load_surroundings(path, vehicle.name, size, isinstance(vehicle, RoadVehicle))
-    return replace(vehicle, surroundings=around, route=load_route(path, size))
+    return replace(vehicle, surroundings=around, surroundings_source=path, route=load_route(path, size))
 
 
 def load_surroundings(path: Path, vehicle: str, size: float, on_tyres: bool) -> tuple[Active, ...]:

@@ -8,6 +8,7 @@ The rubber's file and those of a user's own effects are copied to the same folde
 
 from __future__ import annotations
 
+import itertools
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -31,7 +32,8 @@ from trackres_ros.vehicle.writing.yaml_edit import Document, flow
 
 REFITTED = "re-fitted by"
 FOUND = "found by trackres diagnose"
-WRITTEN = "# Written by trackres diagnose", "# Written by trackres coastdown"
+BY_US = "# Written by trackres "
+WRITTEN = f"{BY_US}diagnose", f"{BY_US}coastdown"
 SURROUNDINGS_FILE = "surroundings.yaml"
 ROUTE_FILE = "route.csv"
 FIGURES = 6
@@ -170,24 +172,46 @@ def finish(
     edited = document.text()
     note = "" if edited is not None else "Its comments could not be kept: they stand in the file it was made from.\n"
     path.write_text(_comment(note + text) + (edited or document.plain()), encoding="utf-8")
-    site_file = path.with_name(SURROUNDINGS_FILE)
+    site_file, route_file = _free_places(path)
     learned = {one.kind for one in kept.route}
     route = [*kept.route, *(one for one in route if one.kind not in learned)]
     if not around and not route:
-        if site_file.is_file() and any(line in site_file.read_text(encoding="utf-8") for line in WRITTEN):
+        earlier = _text(site_file)
+        if any(line in earlier for line in WRITTEN):
             site_file.unlink()  # of an earlier diagnosis: it would look like this one's
+            if f"route: {route_file.name}\n" in earlier:
+                route_file.unlink(missing_ok=True)
         return [path]
     lines = [f"schema: {SCHEMA}", f"vehicle: {flow(name)}"]
     files = _files_of(around, copied)
     lines += [f"effect_files: {flow(files)}"] if files else []
-    lines += [f"route: {ROUTE_FILE}"] if route else []
+    lines += [f"route: {route_file.name}"] if route else []
     lines += ["effects:" if around else "effects: {}"]
     lines += [f"  {active.effect.name}: {flow(_values(active))}" for active in around]
     site_file.write_text(_comment(text) + "\n".join(lines) + "\n", encoding="utf-8")
     if not route:
         return [path, site_file]
-    write_route(path.with_name(ROUTE_FILE), route)
-    return [path, site_file, path.with_name(ROUTE_FILE)]
+    write_route(route_file, route)
+    return [path, site_file, route_file]
+
+
+def _free_places(path: Path) -> tuple[Path, Path]:
+    """Where surroundings and route go beside a vehicle file: into those of an earlier run, but into no other file."""
+    for count in itertools.count(1):
+        site, route = (path.with_name(_numbered(Path(name), count).name) for name in (SURROUNDINGS_FILE, ROUTE_FILE))
+        earlier = _text(site)
+        if (BY_US in earlier or not site.exists()) and (f"route: {route.name}\n" in earlier or not route.exists()):
+            break
+    return site, route
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+
+
+def _numbered(path: Path, count: int) -> Path:
+    """The path with a number in its name, from 2 on."""
+    return path if count == 1 else path.with_stem(f"{path.stem}_{count}")
 
 
 def _comment(text: str) -> str:
@@ -217,14 +241,8 @@ def _figures(value: float) -> float:
 
 def _copied_effects(effects: Iterable[Active], folder: Path) -> dict[Path, str]:
     """Copies the files of effects of the user's own; the name of each copy, relative to the folder."""
-    copies: dict[str, Path] = {}
-    for source in dict.fromkeys(active.effect.source for active in effects if active.effect.source is not None):
-        name, count = source.name, 1
-        while name in copies:
-            count += 1
-            name = f"{source.stem}_{count}{source.suffix}"
-        copies[name] = source
-    return {source: copied(source, folder, Path("effects") / name) for name, source in copies.items()}
+    sources = dict.fromkeys(active.effect.source for active in effects if active.effect.source is not None)
+    return {source: copied(source, folder, Path("effects") / source.name) for source in sources}
 
 
 def _files_of(effects: Iterable[Active], copied: Mapping[Path, str]) -> list[str]:
@@ -232,12 +250,19 @@ def _files_of(effects: Iterable[Active], copied: Mapping[Path, str]) -> list[str
 
 
 def copied(source: Path, folder: Path, relative: Path) -> str:
-    """Copy a file into a folder; return its place for the vehicle file."""
-    target = folder / relative
-    if not (target.exists() and target.samefile(source)):
-        try:
+    """Copy a file into a folder; return its place for the vehicle file.
+
+    Another file of that name stays: the copy then has a number in its name.
+    """
+    place, count = relative, 1
+    try:
+        content = source.read_bytes()
+        while (target := folder / place).exists() and not (target.is_file() and target.read_bytes() == content):
+            count += 1
+            place = _numbered(relative, count)
+        if not target.exists():
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, target)
-        except OSError as error:
-            raise InputError(str(target), error.strerror or str(error), f"a place for a copy of {source}") from error
-    return relative.as_posix()
+    except OSError as error:
+        raise InputError(str(folder / place), error.strerror or str(error), f"a place for a copy of {source}") from error
+    return place.as_posix()
