@@ -26,10 +26,9 @@ from trackres_ros.diagnosis.coastdown.stretches import Rollouts, rollouts
 from trackres_ros.diagnosis.inference.blas_threads import one_blas_thread
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
-from trackres_ros.diagnosis.inference.noise import MOST_LAGS, whole_past
 from trackres_ros.diagnosis.prepare.refuse import check_speed
 from trackres_ros.diagnosis.prepare.resample import step_for
-from trackres_ros.diagnosis.prepare.session import Array
+from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, whole_past
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals, lap_std
 from trackres_ros.errors import InputError
