@@ -20,6 +20,7 @@ from trackres_ros.diagnosis.inference.fitting import BELT_EVERY, Problem, fit
 from trackres_ros.diagnosis.inference.noise import Noise, autoregression, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.gate import SHORTEST_MOVING_S, gate
 from trackres_ros.diagnosis.prepare.refuse import SHORTEST_S
+from trackres_ros.diagnosis.prepare.sampling import TEMPERATURE_HOLD_S, held, held_while_sent, middles
 from trackres_ros.diagnosis.prepare.session import FEWEST_FITTED, MOST_LAGS, Cumulative
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S
 from trackres_ros.diagnosis.prepare.split import split
@@ -32,6 +33,7 @@ from trackres_ros.diagnosis.selection.visibility import separability
 from trackres_ros.effects import Active
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.synthetic import drives
+from trackres_ros.recording.samples import Series
 
 
 @pytest.fixture(scope="module")
@@ -113,6 +115,30 @@ def test_means_of_a_course_keep_its_integral():
     begin_s = np.arange(5.0, 45.0)
     whole = np.interp(45.0, course.at, course.integral) - np.interp(5.0, course.at, course.integral)
     assert course.means(begin_s, 1.0).sum() == pytest.approx(whole)
+
+
+@pytest.mark.parametrize("spacing_s", [0.2, 5.0, 30.0, "by change"])
+def test_a_temperature_is_held_while_sent_and_unknown_while_silent(spacing_s):
+    rng, edges = np.random.default_rng(3), np.arange(0.0, 1801.0)
+    at = np.cumsum(rng.uniform(5.0, 40.0, 400)) if spacing_s == "by change" else np.arange(0.0, 1800.0, spacing_s)
+    at = at[at < 1800.0]
+
+    def series(sent):
+        stamp = np.round(1e9 * at[sent]).astype(np.int64)
+        return Series(stamp, stamp, 20.0 + 0.01 * at[sent])
+
+    whole = series(at >= 0.0)
+    np.testing.assert_array_equal(held_while_sent(whole, 0, edges), held(whole, 0, edges, np.nan))
+    for first_s, last_s in ((0.0, 500.0), (700.0, 1200.0), (1300.0, 1800.0)):
+        silent = (at >= first_s) & (at < last_s)
+        known = np.isfinite(held_while_sent(series(~silent), 0, edges))
+        inside = (middles(edges) > first_s + TEMPERATURE_HOLD_S[1] + 40.0) & (
+            middles(edges) < last_s - TEMPERATURE_HOLD_S[1] - 40.0
+        )
+        sent = (middles(edges) < first_s) | (middles(edges) > last_s + 40.0)
+        assert inside.any()
+        assert not known[inside].any()
+        assert known[sent].all()
 
 
 def test_the_gate_loses_no_sample_without_saying_so(gated):
