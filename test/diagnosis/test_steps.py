@@ -167,18 +167,18 @@ def test_blocks_count_through_and_the_split_takes_all(gated):
             split(gated.sessions, [wrong] if isinstance(wrong, str) else wrong)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_held_out_are_the_last_laps_that_are_compared(gated, seed):
-    rng = np.random.default_rng(seed)
-    parked = rng.choice(np.unique(gated.sessions[1].block), 4, replace=False)  # of ten or more
-    sessions = [replace(s, used=s.used & ~np.isin(s.block, parked)) for s in gated.sessions]
-    chosen = split(sessions)
-    assert (*chosen.training, *chosen.held_out) == tuple(np.unique(np.concatenate([s.block for s in sessions])).tolist())
-    held, every = (np.unique(np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)])) for masks in (
-        [chosen.held_out_mask(s) for s in sessions], [s.used for s in sessions],
-    ))  # fmt: skip
-    assert len(held) == round(0.25 * len(every))
-    assert "with a comparable torque" in chosen.text
+@pytest.mark.parametrize("parked", range(0, 15, 3))
+def test_held_out_laps_are_compared_however_long_it_parks_at_the_end(gated, parked):
+    laps = np.unique(np.concatenate([s.block for s in gated.sessions]))
+    sessions = [replace(s, used=s.used & (s.block < len(laps) - parked)) for s in gated.sessions]
+    chosen, usual = split(sessions), split(gated.sessions)
+    assert (*chosen.training, *chosen.held_out) == tuple(laps.tolist())
+    assert any(chosen.held_out_mask(s).any() for s in sessions)
+    if parked < len(usual.held_out):
+        assert (chosen.training, chosen.held_out, chosen.text) == (usual.training, usual.held_out, usual.text)
+    else:
+        assert len(chosen.held_out) == parked + max(1, round(0.25 * (len(laps) - parked)))
+        assert f"before {parked} without a comparable torque" in chosen.text
 
 
 @pytest.mark.parametrize("piece", [1, MOST_LAGS, MOST_LAGS + 1])

@@ -57,16 +57,7 @@ def _chosen(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | No
         count = held_out if isinstance(held_out, int) else max(1, round(HELD_OUT_SHARE * len(sessions)))
         chosen = set(range(len(sessions) - count, len(sessions)))
     else:
-        every = [b for of in blocks for b in of]
-        compared = set(np.concatenate([s.block[s.used] for s in sessions]).tolist())
-        used = [b for b in every if b in compared]  # not those of a vehicle that is parked
-        count = held_out if isinstance(held_out, int) else max(1, round(HELD_OUT_SHARE * len(used)))
-        if not 0 < count < len(used):
-            raise InputError("--holdout", count, f"1 to {len(used) - 1} of the {len(used)} laps or pieces")
-        first = every.index(used[-count])
-        with_torque = " with a comparable torque" if len(used) < len(every) else ""
-        text = f"the last {count} of {len(used)} laps or pieces{with_torque} are held out"
-        return Split(tuple(every[:first]), tuple(every[first:]), text)
+        return _last_laps(sessions, [b for of in blocks for b in of], held_out)
     training = tuple(b for i, of in enumerate(blocks) if i not in chosen for b in of)
     if not training or not chosen:
         raise InputError("--holdout", held_out, f"some, but not all, of the {len(sessions)} recordings")
@@ -77,6 +68,21 @@ def _chosen(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | No
 def lap_name(session: DriveSession, block: int) -> str:
     """A lap as in a report: the recording, and its number there."""
     return f"{session.name}: {block - session.block[0] + 1}"
+
+
+def _last_laps(sessions: Sequence[DriveSession], laps: Sequence[int], held_out: int | None) -> Split:
+    """Hold out so many of the last laps, by default a quarter; the last driven ones if the vehicle is parked in all of these."""
+    compared = set(np.concatenate([s.block[s.used] for s in sessions]).tolist())
+    end, parked = len(laps), ""
+    count = max(1, round(HELD_OUT_SHARE * end)) if held_out is None else held_out
+    if 0 < count < end and compared.isdisjoint(laps[-count:]):
+        end = 1 + max((i for i, lap in enumerate(laps) if lap in compared), default=-1)
+        count = max(1, round(HELD_OUT_SHARE * end)) if held_out is None else held_out
+        parked = f", before {len(laps) - end} without a comparable torque"
+    if not 0 < count < end:
+        raise InputError("--holdout", count, f"1 to {end - 1} of the {end} laps or pieces")
+    first = end - count
+    return Split(tuple(laps[:first]), tuple(laps[first:]), f"the last {count} of {end} laps or pieces are held out{parked}")
 
 
 def _by_laps(sessions: Sequence[DriveSession], blocks: Sequence[Sequence[int]], held_out: set[int]) -> Split:
