@@ -118,7 +118,7 @@ def test_means_of_a_course_keep_its_integral():
 
 
 @pytest.mark.parametrize("spacing_s", [0.2, 5.0, 30.0, "by change"])
-def test_a_temperature_is_held_while_sent_and_unknown_while_silent(spacing_s):
+def test_a_temperature_is_held_while_sent_else_unknown(spacing_s):
     rng, edges = np.random.default_rng(3), np.arange(0.0, 1801.0)
     at = np.cumsum(rng.uniform(5.0, 40.0, 400)) if spacing_s == "by change" else np.arange(0.0, 1800.0, spacing_s)
     at = at[at < 1800.0]
@@ -168,7 +168,7 @@ def test_blocks_count_through_and_the_split_takes_all(gated):
 
 
 @pytest.mark.parametrize("parked", range(0, 15, 3))
-def test_held_out_laps_are_compared_however_long_it_parks_at_the_end(gated, parked):
+def test_held_out_laps_are_compared_if_a_drive_ends_parked(gated, parked):
     laps = np.unique(np.concatenate([s.block for s in gated.sessions]))
     sessions = [replace(s, used=s.used & (s.block < len(laps) - parked)) for s in gated.sessions]
     chosen, usual = split(sessions), split(gated.sessions)
