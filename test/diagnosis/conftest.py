@@ -77,8 +77,17 @@ def check_form():
 
 
 def check_report(report):
-    schema = Path(trackres_ros.diagnosis.report.__file__).parent / "report.schema.json"
-    jsonschema.Draft202012Validator(json.loads(schema.read_text())).validate(report)
+    jsonschema.Draft202012Validator(report_schema()).validate(report)
+
+
+def report_schema():
+    return json.loads((Path(trackres_ros.diagnosis.report.__file__).parent / "report.schema.json").read_text())
+
+
+@pytest.fixture(scope="session")
+def forms_in_schema():
+    """The forms of unnamed terms that report.json may have."""
+    return report_schema()["properties"]["described"]["items"]["properties"]["form"]["enum"]
 
 
 @pytest.fixture(scope="session")

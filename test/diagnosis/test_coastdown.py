@@ -95,6 +95,16 @@ def test_what_resists_is_found_within_its_ranges(tmp_path, reference_vehicle, ro
     assert found.coastdown.improvement.after < 0.1 * found.coastdown.improvement.before
 
 
+@pytest.mark.parametrize("times", [1, 2])
+def test_fewer_than_three_coast_downs_confirm_nothing(tmp_path, rolled, times):
+    begins = np.flatnonzero((rolled[1:, 2] > 0.0) & (rolled[:-1, 2] <= 0.0)) + 1  # of the later drives
+    found = tr.coastdown(written(tmp_path / "roll.csv", rolled[: begins[times - 1]], "time_s,speed_mps"), "xgd24d")
+    assert len(found.coastdown.rolled.stretches) == times
+    assert any(p.determined for p in found.coastdown.parameters)
+    assert not found.better
+    assert "record three or more" in found.why_not
+
+
 def test_what_the_file_says_already_is_not_written_anew(tmp_path, reference_vehicle):
     found = tr.coastdown(written(tmp_path / "roll.csv", drive(reference_vehicle)), "xgd24d")
     for speed_kmh in (10.0, 40.0):

@@ -5,12 +5,14 @@
 
 import re
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
 import trackres_ros as tr
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, read_recordings
+from trackres_ros.diagnosis.empirical.terms import Form
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.diagnosis.report.term_pictures import draw_term
 from trackres_ros.estimator.disturbance import BLOCK_S
@@ -34,6 +36,10 @@ def with_added(recordings, adds):
 
 def at(r, role, times):
     return np.interp(times, r.time_s(role), r.series[role].value)
+
+
+def test_report_json_may_have_each_form_of_a_term(forms_in_schema):
+    assert sorted(forms_in_schema) == sorted(get_args(Form))
 
 
 def described(recordings, loaded):

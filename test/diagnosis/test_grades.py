@@ -60,6 +60,11 @@ def test_what_cancels_another_term_is_at_best_suspected():
     assert Graded("x", SURE, ()).confirmed
 
 
+def test_a_term_of_an_unconfirmed_whole_is_at_best_suspected():
+    graded = [Graded("x", improvement, (), of_unconfirmed=True).grade for improvement in (SURE, UNSURE, WORSE)]
+    assert graded == [SUSPECTED, SUSPECTED, REFUTED]
+
+
 def test_what_displaces_is_refuted_whatever_it_improves():
     for improvement in (SURE, UNSURE, WORSE):
         graded = Graded("x", improvement, (), ("rolling",))

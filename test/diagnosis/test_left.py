@@ -282,6 +282,22 @@ def test_with_the_line_that_is_printed_a_sensor_shows_what_is_so(wrong, loaded, 
     np.testing.assert_allclose(corrected, right, rtol=1e-4, atol=15.0)  # the noise came behind the sensor's error
 
 
+@pytest.mark.parametrize("wrong", [w for w in SENSORS if "speed_scale" not in w], ids=lambda wrong: "+".join(wrong))
+def test_lines_of_two_sides_correct_the_sum_of_their_torques(wrong):
+    known, raw = catalogue(), {"torque/left": 700.0, "torque/right": -90.0}
+    active = [Active(known[name], {known[name].parameters[0].name: value}) for name, value in wrong.items()]
+    given = {"torque/left": {"column": "l", "scale": 2.0, "offset": 5.0}, "torque/right": {"column": "r", "delay_s": 0.1}}
+    before = Topics.parse(given)
+    lines = sensor_lines(active, {role: before[role] for role in given}, 1.0)
+    assert lines.keys() == given.keys()
+    after = Topics.parse(yaml.safe_load("\n".join(lines.values())))
+    measured, corrected = (sum(of[role].scale * x + of[role].offset for role, x in raw.items()) for of in (before, after))
+    gain, offset = 1.0 + wrong.get("torque_gain", 0.0), wrong.get("torque_offset", 0.0)
+    assert corrected == pytest.approx((measured - offset) / gain, rel=1e-5)
+    for role in given:
+        assert after[role].delay_s == pytest.approx(before[role].delay_s + wrong.get("delay", 0.0))
+
+
 @pytest.mark.parametrize("says", ["at.direction / 0", "at.direction * float('nan')", "p.nothing"])
 def test_a_failing_user_effect_ends_the_fit_with_its_name(says, loaded, own):
     own_file = own / "squeak.py"

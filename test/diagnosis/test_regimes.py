@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import kstest
 
 from trackres_ros.diagnosis.findings.residual_bins import BINS, FEWEST_IN_BIN, Bin, RegimeMap, cumulative_periodogram, regime_map
 from trackres_ros.diagnosis.prepare.session import DriveSession
@@ -143,6 +144,18 @@ def test_the_clearest_bins_come_first_and_a_range_has_its_least():
     assert found.likeliest("speed", 0.5, 2.5) == 0.01
     assert found.likeliest("speed", 3.0, 9.0) == 1.0
     assert found.likeliest("heading", 0.0, 9.0) == 1.0
+
+
+@pytest.mark.parametrize("lengths", [(400,), (300, 300, 300), (600, 120), (150, 300, 450, 150)])
+@pytest.mark.parametrize("held_out", [0.0, 0.3, 1.0])
+def test_whiteness_of_white_residuals_is_uniform(lengths, held_out):
+    """Of recordings of any lengths, the last of which, as far as there are others, is held out in part or wholly."""
+    rng, found = np.random.default_rng(4), []
+    for _ in range(200):
+        white = [rng.standard_normal(n) for n in (*lengths, 300)]
+        white[-1][: int(held_out * 300)] = np.nan
+        found.append(cumulative_periodogram(SimpleNamespace(white=white, problem=SimpleNamespace(sessions=white))))
+    assert kstest(found, "uniform").pvalue > 1e-3
 
 
 def test_white_noise_has_a_flat_spectrum_and_a_slow_one_has_not():

@@ -232,6 +232,14 @@ def test_a_confirmed_explanation_has_only_confirmed_terms(both):
     assert both.chosen.graded.keys() == both.chosen.explanation.key
 
 
+def test_no_term_of_an_unconfirmed_explanation_is_confirmed(both, monkeypatch):
+    monkeypatch.setattr(both.choice, "_is_confirmed", lambda _: False)
+    graded = both.choice.best(keep_suspected=True).graded
+    assert graded
+    assert not any(g.confirmed for g in graded.values())
+    assert any(g.improvement.confirmed for g in graded.values())
+
+
 def test_each_class_has_what_was_chosen_and_weights_of_one(both):
     assert both.chosen.steps.keys() == both.chosen.explanation.key
     for name, step in both.chosen.steps.items():

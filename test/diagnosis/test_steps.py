@@ -4,7 +4,7 @@
 """The steps of the diagnosis by themselves: laws first."""
 
 import pickle
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import chain, combinations, pairwise
 
 import numpy as np
@@ -16,13 +16,15 @@ from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.findings import change_points as level_changes
 from trackres_ros.diagnosis.findings.change_points import SHORTEST_PIECES, changes, segments
 from trackres_ros.diagnosis.findings.next_drives import menu
-from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, autoregression, estimate_noise, whitened
+from trackres_ros.diagnosis.inference.fitting import BELT_EVERY, Problem, fit
+from trackres_ros.diagnosis.inference.noise import Noise, autoregression, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.gate import SHORTEST_MOVING_S, gate
 from trackres_ros.diagnosis.prepare.refuse import SHORTEST_S
-from trackres_ros.diagnosis.prepare.session import Cumulative
+from trackres_ros.diagnosis.prepare.sampling import TEMPERATURE_HOLD_S, held, held_while_sent, middles
+from trackres_ros.diagnosis.prepare.session import FEWEST_FITTED, MOST_LAGS, Cumulative
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S
 from trackres_ros.diagnosis.prepare.split import split
+from trackres_ros.diagnosis.prepare.torque_checks import aligned_clock
 from trackres_ros.diagnosis.selection import screening
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR, other_forms
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals
@@ -31,6 +33,7 @@ from trackres_ros.diagnosis.selection.visibility import separability
 from trackres_ros.effects import Active
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.synthetic import drives
+from trackres_ros.recording.samples import Series
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +117,30 @@ def test_means_of_a_course_keep_its_integral():
     assert course.means(begin_s, 1.0).sum() == pytest.approx(whole)
 
 
+@pytest.mark.parametrize("spacing_s", [0.2, 5.0, 30.0, "by change"])
+def test_a_temperature_is_held_while_sent_else_unknown(spacing_s):
+    rng, edges = np.random.default_rng(3), np.arange(0.0, 1801.0)
+    at = np.cumsum(rng.uniform(5.0, 40.0, 400)) if spacing_s == "by change" else np.arange(0.0, 1800.0, spacing_s)
+    at = at[at < 1800.0]
+
+    def series(sent):
+        stamp = np.round(1e9 * at[sent]).astype(np.int64)
+        return Series(stamp, stamp, 20.0 + 0.01 * at[sent])
+
+    whole = series(at >= 0.0)
+    np.testing.assert_array_equal(held_while_sent(whole, 0, edges), held(whole, 0, edges, np.nan))
+    for first_s, last_s in ((0.0, 500.0), (700.0, 1200.0), (1300.0, 1800.0)):
+        silent = (at >= first_s) & (at < last_s)
+        known = np.isfinite(held_while_sent(series(~silent), 0, edges))
+        inside = (middles(edges) > first_s + TEMPERATURE_HOLD_S[1] + 40.0) & (
+            middles(edges) < last_s - TEMPERATURE_HOLD_S[1] - 40.0
+        )
+        sent = (middles(edges) < first_s) | (middles(edges) > last_s + 40.0)
+        assert inside.any()
+        assert not known[inside].any()
+        assert known[sent].all()
+
+
 def test_the_gate_loses_no_sample_without_saying_so(gated):
     samples = sum(len(s) for s in gated.sessions)
     assert sum(int(s.used.sum()) for s in gated.sessions) + sum(gated.excluded.values()) == samples
@@ -138,6 +165,59 @@ def test_blocks_count_through_and_the_split_takes_all(gated):
     for wrong in ("nothing", 0, 10_000):
         with pytest.raises(InputError, match="holdout"):
             split(gated.sessions, [wrong] if isinstance(wrong, str) else wrong)
+
+
+@pytest.mark.parametrize("parked", range(0, 15, 3))
+def test_held_out_laps_are_compared_if_a_drive_ends_parked(gated, parked):
+    laps = np.unique(np.concatenate([s.block for s in gated.sessions]))
+    sessions = [replace(s, used=s.used & (s.block < len(laps) - parked)) for s in gated.sessions]
+    chosen, usual = split(sessions), split(gated.sessions)
+    assert (*chosen.training, *chosen.held_out) == tuple(laps.tolist())
+    assert any(chosen.held_out_mask(s).any() for s in sessions)
+    if parked < len(usual.held_out):
+        assert (chosen.training, chosen.held_out, chosen.text) == (usual.training, usual.held_out, usual.text)
+    else:
+        assert len(chosen.held_out) == parked + max(1, round(0.25 * (len(laps) - parked)))
+        assert f"before {parked} without a comparable torque" in chosen.text
+
+
+@pytest.mark.parametrize("piece", [1, MOST_LAGS, MOST_LAGS + 1])
+def test_laps_to_fit_on_have_rows_or_are_refused(gated, piece):
+    sessions = [replace(s, used=s.used & (np.arange(len(s)) % 7 < piece)) for s in gated.sessions]
+    if piece > MOST_LAGS:
+        chosen = split(sessions)
+        assert estimate_noise([s.torque for s in sessions], [chosen.training_mask(s) for s in sessions]).std > 0.0
+    else:
+        with pytest.raises(InputError, match="without a gap"):
+            split(sessions)
+
+
+def test_a_torque_in_pieces_too_short_for_a_fit_is_refused(recorded, loaded):
+    (recording, *_) = read_recordings(recorded(), None)
+    torque = recording.series["torque"]
+    of_cycle = (torque.stamp_ns - recording.start_ns) % 6_000_000_000
+    gappy = replace(torque, value=np.where(of_cycle < 3_200_000_000, torque.value, np.nan))
+    with pytest.raises(InputError, match="too many gaps"):
+        gate([replace(recording, series={**recording.series, "torque": gappy})], loaded.known)
+
+
+@pytest.mark.parametrize("steps", [1, 8, 29, 30, 31, 61])
+def test_a_clock_is_corrected_in_sessions_of_any_length(gated, steps):
+    (session, *_) = gated.sessions
+    arrays = {f.name: getattr(session, f.name) for f in fields(session)}
+    short = replace(session, **{name: x[:steps] for name, x in arrays.items() if isinstance(x, np.ndarray)})
+    found, note = aligned_clock(short, short.torque)
+    assert (len(found.torque), len(found.used), note) == (steps, steps, "")
+
+
+@pytest.mark.parametrize("rows", [0, 1, FEWEST_FITTED - 1, FEWEST_FITTED])
+def test_belt_temperatures_are_fitted_if_they_have_rows(problem, rows):
+    one, other = problem.sessions
+    known = np.arange(len(one)) < BELT_EVERY * (MOST_LAGS + rows)
+    sessions = replace(one, belt=np.where(known, one.belt, np.nan)), replace(other, belt=np.nan * other.belt)
+    few = replace(problem, sessions=sessions)
+    residuals = [g.measured - 20.0 for g in few.segments]
+    assert ("belt" in few.noises(residuals)) == (rows >= FEWEST_FITTED)
 
 
 def test_a_fit_finds_the_parameters_that_made_the_data(loaded):

@@ -12,7 +12,7 @@ import yaml
 
 from trackres_ros.diagnosis import load_base
 from trackres_ros.diagnosis.empirical.spells import Blocks, expected_level, find_drifting_level
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED, SUSPECTED
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED
 from trackres_ros.diagnosis.stages.conclude import may_be_kept
 from trackres_ros.estimator.disturbance import BLOCK_S, MOST_DRIFT, DisturbanceWatch
 from trackres_ros.vehicle import Drift, Spells, load, load_any
@@ -82,6 +82,8 @@ def test_a_vehicle_without_belts_is_watched_too(tmp_path):
         (SUSPECTED, True, False, False),
         (CONFIRMED, False, False, False),
         (SUSPECTED, False, True, True),
+        (REFUTED, False, True, False),
+        (REFUTED, True, True, False),
     ],
 )
 def test_a_suspected_disturbance_is_kept_only_on_request(grade, names, keep_suspected, expected):

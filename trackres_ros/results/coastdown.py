@@ -48,7 +48,7 @@ class CoastdownResult:
         if not any(p.determined for p in found.parameters):
             return f"the coast-downs add nothing to the vehicle file{remedy}"
         if found.improvement is None:
-            return "too few coast-downs for a hold-out set: record two or more, in both directions if the slope is unknown"
+            return "too few coast-downs for a hold-out set: record three or more, in both directions if the slope is unknown"
         before, after = figures(found.improvement.before, 3), figures(found.improvement.after, 3)
         error = f"the mean error is {after} Nm with them and {before} Nm with the vehicle file as it is"
         return f"on the hold-out coast-downs {error}{remedy}"

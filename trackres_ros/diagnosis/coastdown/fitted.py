@@ -26,10 +26,9 @@ from trackres_ros.diagnosis.coastdown.stretches import Rollouts, rollouts
 from trackres_ros.diagnosis.inference.blas_threads import one_blas_thread
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
-from trackres_ros.diagnosis.inference.noise import MOST_LAGS, whole_past
 from trackres_ros.diagnosis.prepare.refuse import check_speed
 from trackres_ros.diagnosis.prepare.resample import step_for
-from trackres_ros.diagnosis.prepare.session import Array
+from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, whole_past
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals, lap_std
 from trackres_ros.errors import InputError
@@ -75,7 +74,7 @@ class Coastdown:
     fitted: tuple[Array, ...]  # and with the fitted values [Nm]
     parameters: tuple[FittedValue, ...]  # fitted, and undetermined ones, which stay
     mass_std: float  # relative standard deviation of mass and rotating masses, in all intervals
-    improvement: Improvement | None  # of the hold-out error over coast-downs; None for a single one
+    improvement: Improvement | None  # of the hold-out error over coast-downs; None for too few to know their scatter
 
     @property
     def better(self) -> bool:
@@ -138,7 +137,7 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
         nominal if found is None else tuple(p.torque for p in found.predicted),
         _parameters(base, all_free, found, scatter, mass_std),
         mass_std,
-        _improvement(problem, rolled, nominal, rng) if determined else None,
+        _improvement(problem, rolled, nominal, rng) if determined and scatter else None,
     )
 
 
@@ -162,7 +161,10 @@ def _mass_std(base: Base, rolled: Rollouts) -> float:
 
 
 def _scatter(all_free: Fit, rolled: Rollouts) -> dict[tuple[str, str], float]:
-    """Standard deviations from leaving out coast-downs, thus with unmeasured slopes and winds, wider for few of them."""
+    """Standard deviations from leaving out coast-downs, thus with unmeasured slopes and winds, wider for few of them.
+
+    Empty for fewer than `FEWEST_GROUPS`: an unmeasured slope of one of two then looks like another resistance.
+    """
     together = _together(rolled, FEWEST_GROUPS)
     groups = math.ceil(len(rolled.stretches) / together)
     wider = float(stdtrit(groups - 1, 0.975)) / NORMAL_95 if groups > 1 else 1.0

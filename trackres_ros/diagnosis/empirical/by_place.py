@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
-from trackres_ros.diagnosis.inference.noise import Noise, autoregression, whole_past
+from trackres_ros.diagnosis.inference.noise import Noise, autoregression
+from trackres_ros.diagnosis.prepare.session import whole_past
 from trackres_ros.route.lookup import SPACING_M
 from trackres_ros.route.matching import Matched
 

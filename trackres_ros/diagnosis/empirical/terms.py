@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,18 +85,18 @@ OF_RECORDINGS = ("a load, ground or wind that differs from the recorded one", "a
 OF_DRIFT = ("a torque sensor with a drifting zero", "an unrecorded slope, wind or ground")
 
 DIFFERING = {"load": "weight", "ambient temperature": "ambient"}
+Form = Literal[
+    "curve", "gated_curve", "step", "hinge", "latch", "sided_gain", "build_up", "spells", "wave", "place", "payload",
+    "level_change", "recordings", "drift", "spread",
+]  # fmt: skip
 LEAST_DIFFERENCE = 0.02  # of its size: recordings with a smaller difference are alike
 
 
 @dataclass(frozen=True, eq=False)
 class Described:
-    """An unnamed term.
+    """An unnamed term."""
 
-    Its form is `curve`, `gated_curve`, `step`, `hinge`, `latch`, `sided_gain`, `build_up`, `spells`, `wave`, `place`,
-    `payload`, `level_change`, `recordings`, `drift` or `spread`.
-    """
-
-    form: str
+    form: Form
     name: str  # of the effect in the fit; empty for a live disturbance
     sentence: str
     mechanisms: tuple[str, ...]  # parts to check
@@ -155,6 +156,7 @@ def _of_build_up(effect: BuildUp, values: Mapping[str, float]) -> Described:
 def _of_threshold(effect: Corner | Latch, values: Mapping[str, float]) -> Described:
     """Describe a step, a hinge or a latch."""
     follows, level, scale = learned.VARIABLES[effect.variable], values["y1"], values["x2"] - values["x1"]
+    form: Form
 
     def at(name: str) -> str:
         return f"{on_scale(values[name], scale)} {follows.unit}"

@@ -91,10 +91,14 @@ def regime_map(fit: Fit, rng: np.random.Generator, replicates: int = REPLICATES)
 
 
 def cumulative_periodogram(fit: Fit) -> float:
-    """Probability that white noise deviates as far from a flat spectrum as the whitened residual (Bartlett's test)."""
-    rows = fit.white[: len(fit.problem.sessions)]
-    power = [np.abs(np.fft.rfft(np.nan_to_num(white))[1:-1]) ** 2 for white in rows]
-    cumulative = np.cumsum(np.concatenate([p / p.sum() for p in power if p.sum() > 0]))[:-1] / max(1, len(power))
+    """Probability that white noise deviates as far from a flat spectrum as the whitened residual (Bartlett's test).
+
+    Each recording has its own scale, and all are cumulated together from the lowest frequency on.
+    """
+    rows = [white[np.isfinite(white)] for white in fit.white[: len(fit.problem.sessions)]]
+    spectra = [(np.fft.rfftfreq(len(e))[1:-1], np.abs(np.fft.rfft(e)[1:-1]) ** 2) for e in rows if len(e)]  # of those fitted on
+    frequency, power = np.concatenate([(f, p / p.mean()) for f, p in spectra if p.sum() > 0.0], axis=1)
+    cumulative = np.cumsum(power[np.argsort(frequency, kind="stable")])[:-1] / len(power)
     count = len(cumulative)
     steps = np.arange(count + 1) / count
     distance = max(np.max(steps[1:] - cumulative), np.max(cumulative - steps[:-1]))

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import stdtr
 
-from trackres_ros.diagnosis.empirical.terms import Described
+from trackres_ros.diagnosis.empirical.terms import Described, Form
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.diagnosis.prepare.speed_smoothing import SECOND_DIFFERENCE
@@ -30,7 +30,7 @@ from trackres_ros.units import MAD_TO_STD
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FORM = "spread"
+FORM: Form = "spread"
 WITHIN = 5  # parts of a step: shows periods between two parts and two steps
 OVER = 3  # steps of the median
 PULLS_MPS, PULLS_MPS2, SPEEDS_UP_MPS2 = 2.5, 0.1, 0.3  # assumed

@@ -15,8 +15,8 @@ from scipy.optimize import least_squares
 
 from trackres_ros.diagnosis.base.base import Base, BaseParameter, Predicted
 from trackres_ros.diagnosis.base.instrument import instrument
-from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, MOST_LAGS, Noise, estimate_noise, whitened_at, whole_past
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
+from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, Noise, estimate_noise, whitened_at
+from trackres_ros.diagnosis.prepare.session import FEWEST_FITTED, MOST_LAGS, Array, DriveSession, Mask, whole_past
 from trackres_ros.effects.effect import Active, Effect
 
 ROUNDS, MOST_ROUNDS = 3, 10  # of fit and noise
@@ -71,17 +71,18 @@ class Problem:
 
     @cached_property
     def segments(self) -> tuple[Segment, ...]:
-        """Torques of all sessions, then belt temperatures of those that have them."""
-        found = [
+        """Torques of all sessions, then belt temperatures of those that have them, unless too few have a whole past."""
+        torques = [
             Segment("torque", i, s.torque, mask, s.block)
             for i, (s, mask) in enumerate(zip(self.sessions, self.masks, strict=True))
         ]
+        belts = []
         for i, (s, mask) in enumerate(zip(self.sessions, self.masks, strict=True)):
             if self.base.has_belt and "belt" in s.given:
                 blocks = np.unique(s.block[mask])
                 at = slice(None, None, BELT_EVERY)
-                found.append(Segment("belt", i, s.belt[at], (np.isfinite(s.belt) & np.isin(s.block, blocks))[at], s.block[at]))
-        return tuple(found)
+                belts.append(Segment("belt", i, s.belt[at], (np.isfinite(s.belt) & np.isin(s.block, blocks))[at], s.block[at]))
+        return (*torques, *(belts if sum(int(g.valid.sum()) for g in belts) >= FEWEST_FITTED else ()))
 
     def expected(self, predicted: Sequence[Predicted]) -> list[Array]:
         """Simulated values of each segment."""

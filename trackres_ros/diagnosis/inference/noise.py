@@ -17,11 +17,10 @@ import numpy as np
 from scipy.linalg.lapack import dposv, dtbtrs
 from scipy.special import gammaln
 
-from trackres_ros.diagnosis.prepare.session import Array, Mask
+from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, Mask, whole_past
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import MAD_TO_STD
 
-MOST_LAGS = 4
 LARGEST_ROOT = 0.995  # of the autoregression: a larger one would treat a constant as noise
 SHORT_ROOT = 0.7  # of a noise that is certainly no random walk
 OUTLIER = 4.0  # standard deviations
@@ -116,15 +115,6 @@ def autoregression(shocks: Array, phi: Array) -> Array:
     """The series that shocks drive from rest, shape (n,): the inverse of whitening."""
     bands = np.tile(np.concatenate(([1.0], -phi))[:, np.newaxis], len(shocks))
     return np.asarray(dtbtrs(bands, shocks[:, np.newaxis], uplo="L")[0][:, 0])
-
-
-def whole_past(mask: Mask, lags: int) -> Mask:
-    """Whether a sample and the `lags` before it can be used."""
-    valid = mask.copy()
-    for lag in range(1, lags + 1):
-        valid[lag:] &= mask[:-lag]
-        valid[:lag] = False
-    return valid
 
 
 def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask], largest_root: float = LARGEST_ROOT) -> Noise:

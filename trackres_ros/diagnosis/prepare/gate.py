@@ -25,9 +25,10 @@ from trackres_ros.diagnosis.prepare.refuse import (
     each_usable,
     nothing_left,
     refuse_overlaps,
+    too_short_pieces,
 )
 from trackres_ros.diagnosis.prepare.resample import BRAKES_ON, resample, step_for
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
+from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, DriveSession, Mask, whole_past
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S, GateSettings, pace
 from trackres_ros.diagnosis.prepare.split import lap_numbers
 from trackres_ros.errors import InputError
@@ -186,6 +187,8 @@ def _enough(one: _Resampled) -> _Resampled:
         given = f"{one.compared_s:.0f} s of driving with a torque; not used: {excluded or 'nothing'}"
         remedy = "give a longer recording, or check units and topics"
         raise InputError(one.name, given, f"at least {shortest:.3g} s", remedy)
+    if not whole_past(one.session.used, MOST_LAGS).any():
+        raise too_short_pieces(one.name, one.session.step)
     return one
 
 

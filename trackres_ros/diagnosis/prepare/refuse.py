@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.prepare.session import MOST_LAGS, DriveSession
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, SLOWEST_SHARE, STEP_S
 from trackres_ros.diagnosis.prepare.unit_checks import Conversion
 from trackres_ros.errors import InputError, MissingExtraError, one_line
@@ -82,6 +82,13 @@ def nothing_left(refused: Sequence[Refusal]) -> InputError:
         return errors[0]
     reasons = "; ".join(f"{error.where}: {error.given}, {error.remedy or error.allowed}" for error in errors)
     return InputError("recordings", f"{len(refused)}, all unusable", "at least one usable recording", reasons)
+
+
+def too_short_pieces(where: str, step: float) -> InputError:
+    """Error if the samples to fit on come in pieces too short for a fit, in steps of `step` [s]."""
+    given = "a torque of the fitted laps that is too short, or has too many gaps"
+    allowed = f"driving for more than {MOST_LAGS * step:.3g} s without a gap"
+    return InputError(where, given, allowed, "record the torque without gaps, or give a longer recording")
 
 
 def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:

@@ -13,7 +13,17 @@ import numpy as np
 
 from trackres_ros.diagnosis.prepare.gaps import filled_steps, steps_without_value
 from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, SHORTEST_S, check_compared
-from trackres_ros.diagnosis.prepare.sampling import LONGEST_HOLD_S, any_from, carried, held, means, middles, ordered, read_off
+from trackres_ros.diagnosis.prepare.sampling import (
+    LONGEST_HOLD_S,
+    any_from,
+    carried,
+    held,
+    held_while_sent,
+    means,
+    middles,
+    ordered,
+    read_off,
+)
 from trackres_ros.diagnosis.prepare.session import Array, Cumulative, DriveSession, Mask, Way
 from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, SLOWEST_MPS, STEP_S, GateSettings, pace
 from trackres_ros.diagnosis.prepare.speed_smoothing import noise_of_means, smooth_speed
@@ -166,7 +176,7 @@ def resample(
     speed, torque = _speed(grid), _torque(grid)
     weight, payload, passengers = _load(grid)
     latitude, longitude, altitude = _place(grid)
-    belts = [grid.held(role, np.nan) for role in series if role.partition("/")[0] == "belt"]
+    belts = [held_while_sent(series[role], grid.start, edges) for role in series if role.partition("/")[0] == "belt"]
     belt = grid.known("belt", np.mean(belts, axis=0) if belts else grid.nan)
     steering_angle = _steering(grid)
     yaw_rate, heading = _turning(grid, speed)

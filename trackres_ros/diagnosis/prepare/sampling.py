@@ -12,6 +12,7 @@ from trackres_ros.diagnosis.prepare.settings import pace
 from trackres_ros.recording.samples import Series
 
 LONGEST_HOLD_S = 2.0  # for channels that change while driving, over a gap
+TEMPERATURE_HOLD_S = (10.0, 120.0)  # least and most: a belt changes by some kelvin within minutes
 SLOWEST_SPACING = 3.0  # usual spacings without a sample: a gap, for receivers at one sample in a second or in five
 
 
@@ -37,6 +38,17 @@ def held(series: Series, start: int, edges: Array, default: float) -> Array:
     if not len(at):
         return np.full(len(edges) - 1, default)
     return value[np.maximum(np.searchsorted(at, middles(edges), side="right") - 1, 0)]
+
+
+def held_while_sent(series: Series, start: int, edges: Array) -> Array:
+    """The same for a temperature; nan where the sensor is silent for longer than usual: then it has failed, or was not there."""
+    at, value = ordered(series, start)
+    if not len(at):
+        return np.full(len(edges) - 1, np.nan)
+    usual = float(np.percentile(np.diff(at), 90.0)) if len(at) > 1 else 0.0  # of a sensor that sends changes, a long one
+    last = np.maximum(np.searchsorted(at, middles(edges), side="right") - 1, 0)
+    silent = np.abs(middles(edges) - at[last]) > np.clip(SLOWEST_SPACING * usual, *TEMPERATURE_HOLD_S)
+    return np.where(silent, np.nan, value[last])
 
 
 def carried(series: Series, start: int, edges: Array) -> Array:

@@ -19,6 +19,8 @@ Mask = NDArray[np.bool_]
 
 AROUND = 5  # steps, odd
 MOST_KEPT = 8  # cached shifts
+MOST_LAGS = 4  # steps before a step that the whitening of its residual needs; a fit uses steps with all of these
+FEWEST_FITTED = MOST_LAGS + 1  # such steps: fewer ones fit the noise exactly
 NOT_RECORDED = dict.fromkeys(("latitude", "longitude", "altitude", "steering_angle", "passengers"), np.nan) | {
     "payload": 0.0, "torque_by_place": 0.0,
 }  # fmt: skip
@@ -129,6 +131,15 @@ class DriveSession:
         """Mean acceleration over `AROUND` steps [m/s^2], in which errors of the speed at the edges of a step cancel."""
         inside = np.convolve(np.ones(len(self)), np.ones(AROUND), mode="same")
         return np.asarray(np.convolve(self.accel, np.ones(AROUND), mode="same") / inside)
+
+
+def whole_past(mask: Mask, lags: int) -> Mask:
+    """Whether a sample and the `lags` before it can be used."""
+    valid = mask.copy()
+    for lag in range(1, lags + 1):
+        valid[lag:] &= mask[:-lag]
+        valid[:lag] = False
+    return valid
 
 
 def with_unseen(sessions: Sequence[DriveSession]) -> Iterator[tuple[DriveSession, bool]]:

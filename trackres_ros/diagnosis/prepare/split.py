@@ -10,7 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.prepare.session import DriveSession, Split
+from trackres_ros.diagnosis.prepare.refuse import too_short_pieces
+from trackres_ros.diagnosis.prepare.session import FEWEST_FITTED, MOST_LAGS, DriveSession, Split, whole_past
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
 from trackres_ros.errors import InputError
 
@@ -30,8 +31,16 @@ def split(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None
     Raises
     ------
     InputError
-        If nothing would remain to fit on, or a name is not among the recordings.
+        If nothing, or too little, would remain to fit on, or a name is not among the recordings.
     """
+    chosen = _chosen(sessions, held_out)
+    rows = sum(int(whole_past(chosen.training_mask(s), MOST_LAGS).sum()) for s in sessions)
+    if rows < FEWEST_FITTED:
+        raise too_short_pieces(", ".join(s.name for s in sessions), sessions[0].step)
+    return chosen
+
+
+def _chosen(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None) -> Split:
     blocks = [sorted(set(s.block.tolist())) for s in sessions]
     by_session = len(sessions) >= FEWEST_SESSIONS or (isinstance(held_out, int) and held_out < len(sessions) > 1)
     if held_out is not None and not isinstance(held_out, int):
@@ -48,12 +57,7 @@ def split(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None
         count = held_out if isinstance(held_out, int) else max(1, round(HELD_OUT_SHARE * len(sessions)))
         chosen = set(range(len(sessions) - count, len(sessions)))
     else:
-        every = [b for of in blocks for b in of]
-        count = held_out if isinstance(held_out, int) else max(1, round(HELD_OUT_SHARE * len(every)))
-        if not 0 < count < len(every):
-            raise InputError("--holdout", count, f"1 to {len(every) - 1} of the {len(every)} laps or pieces")
-        text = f"the last {count} of {len(every)} laps or pieces are held out"
-        return Split(tuple(every[:-count]), tuple(every[-count:]), text)
+        return _last_laps(sessions, [b for of in blocks for b in of], held_out)
     training = tuple(b for i, of in enumerate(blocks) if i not in chosen for b in of)
     if not training or not chosen:
         raise InputError("--holdout", held_out, f"some, but not all, of the {len(sessions)} recordings")
@@ -64,6 +68,21 @@ def split(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None
 def lap_name(session: DriveSession, block: int) -> str:
     """A lap as in a report: the recording, and its number there."""
     return f"{session.name}: {block - session.block[0] + 1}"
+
+
+def _last_laps(sessions: Sequence[DriveSession], laps: Sequence[int], held_out: int | None) -> Split:
+    """Hold out so many of the last laps, by default a quarter; the last driven ones if the vehicle is parked in all of these."""
+    compared = set(np.concatenate([s.block[s.used] for s in sessions]).tolist())
+    end, parked = len(laps), ""
+    count = max(1, round(HELD_OUT_SHARE * end)) if held_out is None else held_out
+    if 0 < count < end and compared.isdisjoint(laps[-count:]):
+        end = 1 + max((i for i, lap in enumerate(laps) if lap in compared), default=-1)
+        count = max(1, round(HELD_OUT_SHARE * end)) if held_out is None else held_out
+        parked = f", before {len(laps) - end} without a comparable torque"
+    if not 0 < count < end:
+        raise InputError("--holdout", count, f"1 to {end - 1} of the {end} laps or pieces")
+    first = end - count
+    return Split(tuple(laps[:first]), tuple(laps[first:]), f"the last {count} of {end} laps or pieces are held out{parked}")
 
 
 def _by_laps(sessions: Sequence[DriveSession], blocks: Sequence[Sequence[int]], held_out: set[int]) -> Split:

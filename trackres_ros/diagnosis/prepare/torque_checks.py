@@ -26,6 +26,7 @@ NEAR = 1.35  # either way of a factor
 ROBUST_TURNS, OUTLIER = 5, 2.0
 SMALL_ERROR = 0.3  # of the torque
 LARGEST_SHIFT_S = 30
+FEWEST_COMPARED = 30  # steps, for a correlation; at least the largest shift
 LEAST_SHIFT_S = 2
 UNLIKE = 1.8  # times the torque: more than load, ground and weather change between two drives of one vehicle
 CLEARLY_BETTER = 0.05  # in correlation
@@ -36,6 +37,8 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
 
     Shifts only by whole steps from `LEAST_SHIFT_S` on: a shorter delay is physical, or a sensor's.
     """
+    if session.used.sum() < FEWEST_COMPARED:
+        return session, ""
     shifts = range(-LARGEST_SHIFT_S, LARGEST_SHIFT_S + 1)
     used = {s: _moved(session.used, -s, unknown=False) & session.used for s in shifts}
     there = [_correlation(_moved(session.torque, -s), expected, used[s]) for s in shifts]
@@ -175,7 +178,7 @@ def inconsistent_scale_notes(sessions: Sequence[DriveSession], expected: Sequenc
 
 
 def _correlation(a: Array, b: Array, used: Mask) -> float:
-    if used.sum() < 30 or np.ptp(a[used]) == 0.0 or np.ptp(b[used]) == 0.0:
+    if used.sum() < FEWEST_COMPARED or np.ptp(a[used]) == 0.0 or np.ptp(b[used]) == 0.0:
         return 0.0
     return float(np.corrcoef(a[used], b[used])[0, 1])
 

@@ -150,12 +150,14 @@ class Choice:
         shares = self._shares(confirmed or [self._nothing, *(j for j in counted if self._kept(j).after <= self._by_file)])
         first = counted[0] if counted else self._nothing
         doubted = tuple(g for g in self._all_graded(first).values() if not g.confirmed and g.name not in best.key)
+        graded = self._all_graded(best)
         if keep_suspected and not best.key:
             best, doubted = first, ()
+            graded = {name: replace(g, of_unconfirmed=True) for name, g in self._all_graded(first).items()}
         steps = {name: self._round_of(best, name) for name in best.explanation.candidates}
         last = self._search.expand(best.explanation)
         alone = self._search.rounds[frozenset()]
-        return Chosen(best.explanation, best.final, self._all_graded(best), alone, steps, last, doubted, shares)
+        return Chosen(best.explanation, best.final, graded, alone, steps, last, doubted, shares)
 
     def _counts(self, judged: ScoredExplanation) -> bool:
         """Whether each term gains more than noise would, given the others. A small improvement must also exceed the model's

@@ -33,13 +33,16 @@ class Graded:
     on_bounds: tuple[str, ...]  # parameters on a bound other than the value without effect
     displaces: tuple[str, ...] = ()
     cancels: bool = False  # far too small an improvement for its size, as of a term that cancels another one
+    of_unconfirmed: bool = False  # of an explanation that is not confirmed as a whole
 
     @property
     def grade(self) -> str:
-        """`confirmed`, `suspected` or `refuted`. On a bound or cancelling: at best suspected. Displacing: refuted."""
+        """`confirmed`, `suspected` or `refuted`. On a bound, cancelling or of an unconfirmed explanation: at best suspected.
+        Displacing: refuted.
+        """
         if self.displaces:
             return REFUTED
-        unsure = bool(self.on_bounds) or self.cancels
+        unsure = bool(self.on_bounds) or self.cancels or self.of_unconfirmed
         return SUSPECTED if unsure and self.improvement.grade == CONFIRMED else self.improvement.grade
 
     @property

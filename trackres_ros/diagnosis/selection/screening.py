@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from trackres_ros.diagnosis.inference.fitting import LARGE, Fit
-from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, autoregression, improved, shortened, solved, whole_past
-from trackres_ros.diagnosis.prepare.session import Array
+from trackres_ros.diagnosis.inference.noise import Noise, autoregression, improved, shortened, solved
+from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, whole_past
 from trackres_ros.diagnosis.selection.form_error import other_forms
 from trackres_ros.diagnosis.selection.visibility import EffectSensitivity, base_columns
 from trackres_ros.progress import counted

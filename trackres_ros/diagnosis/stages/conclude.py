@@ -13,7 +13,7 @@ from trackres_ros.diagnosis.findings.next_drives import Advice, advise
 from trackres_ros.diagnosis.findings.verdict import Verdict
 from trackres_ros.diagnosis.search.choice import Chosen
 from trackres_ros.diagnosis.selection.as_used import choose_written
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED
 from trackres_ros.diagnosis.stages.judge import Judgement
 from trackres_ros.diagnosis.stages.options import DiagnosisOptions
 from trackres_ros.diagnosis.stages.prepare import PreparedSessions
@@ -36,7 +36,7 @@ def conclude(
     expected = base.use.expected(kept.values, kept.effects, alone=False)
     watched = [chosen.term(t.described.name) for t in judged.described if may_be_kept(t, judged.verdict, keep_suspected)]
     tracked = judged.tracked
-    drifts = tracked is not None and (keep_suspected or tracked.confirmed)
+    drifts = tracked is not None and (tracked.confirmed or (keep_suspected and tracked.grade != REFUTED))
     spells = next((term for term in watched if term.chain is not None), None)
     disturbance: LearnedDisturbance | None = None
     if spells is not None:
@@ -51,7 +51,7 @@ def believed_in(
 ) -> list[str]:
     """Names of the effects that may be written: accepted by the verdict, confirmed on hold-out laps, and with
     all alternatives of the same kind, by the `kinds` of the catalogue. An unnamed term must depend on inputs known at the time.
-    With `keep_suspected`, all found effects.
+    With `keep_suspected`, all found effects except refuted ones.
     """
 
     def settled(f: NamedEffect) -> bool:
@@ -66,4 +66,6 @@ def believed_in(
 
 def may_be_kept(f: NamedEffect | UnnamedTerm, verdict: Verdict, keep_suspected: bool) -> bool:
     """Whether the verdict accepts the term and hold-out laps confirm it, or suspected ones are kept."""
-    return keep_suspected or (verdict.names and f.graded.grade == CONFIRMED)
+    if keep_suspected:
+        return f.graded.grade != REFUTED
+    return verdict.names and f.graded.grade == CONFIRMED
