@@ -97,9 +97,12 @@ def cumulative_periodogram(fit: Fit) -> float:
     """
     rows = [white[np.isfinite(white)] for white in fit.white[: len(fit.problem.sessions)]]
     spectra = [(np.fft.rfftfreq(len(e))[1:-1], np.abs(np.fft.rfft(e)[1:-1]) ** 2) for e in rows if len(e)]  # of those fitted on
-    frequency, power = np.concatenate([(f, p / p.mean()) for f, p in spectra if p.sum() > 0.0], axis=1)
-    cumulative = np.cumsum(power[np.argsort(frequency, kind="stable")])[:-1] / len(power)
+    flat = [(f, p / p.mean()) for f, p in spectra if p.sum() > 0.0]
+    frequency, power = np.concatenate(flat, axis=1) if flat else np.empty((2, 0))
+    cumulative = np.cumsum(power[np.argsort(frequency, kind="stable")])[:-1] / max(len(power), 1)
     count = len(cumulative)
+    if not count:  # too short to show a shape
+        return 1.0
     steps = np.arange(count + 1) / count
     distance = max(np.max(steps[1:] - cumulative), np.max(cumulative - steps[:-1]))
     return float(kolmogorov(distance * (math.sqrt(count) + 0.12 + 0.11 / math.sqrt(count))))  # Stephens (1970), of finite samples
