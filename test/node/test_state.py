@@ -113,6 +113,26 @@ def test_a_file_of_no_use_is_a_cold_start_that_says_why(desk, warm, said):
         assert str(path) in notice.text
 
 
+@pytest.mark.parametrize("content", [b"name: my truck", b"[1, 2]", b'{"format": 3}', b"time_s,speed_mps"])
+def test_a_file_of_another_kind_is_never_replaced(desk, tmp_path, content):
+    (tmp_path / "mine").write_bytes(content)
+    d = desk(state_file=str(tmp_path / "mine"))
+    d.drive(40.0, dt=0.1)
+    assert "STATE_NOT_SAVED" in d.names()
+    d.app.close()
+    assert (tmp_path / "mine").read_bytes() == content
+
+
+@pytest.mark.parametrize("left", [lambda data: b"", lambda data: bytes(len(data)), lambda data: data[:200]])
+def test_what_a_power_cut_leaves_of_a_state_is_replaced(desk, warm, left):
+    path, _ = warm
+    path.write_bytes(left(path.read_bytes()))
+    d = desk(state_file=str(path))
+    d.drive(1.0, dt=0.1)
+    assert "saved" in d.app.close()
+    assert first_belt(desk(state_file=str(path))) == pytest.approx(15.0, abs=0.5)
+
+
 def test_the_reason_of_a_cold_start_is_given_once(desk, warm):
     path, _ = warm
     path.write_text("spoilt")

@@ -74,15 +74,23 @@ def state_file(path: str | PathLike[str], where: str) -> Path:
     file = Path(path)
     if not file.parent.is_dir() or (file.exists() and not file.is_file()):
         raise InputError(where, str(file), "a file in a folder that exists")
-    if file.exists():
-        try:
-            with file.open("rb") as now:
-                head = now.read(len(HEAD))
-        except OSError as error:
-            raise InputError(where, f"{file}: {error.strerror}", "a new file, or a state file to replace") from error
-        if head and head != HEAD:  # a damaged one is replaced too, and so is an empty file
+    try:
+        if file.exists() and is_other_kind(file):
             raise InputError(where, f"{file}, which is another kind of file", "a new file, or a state file to replace")
+    except OSError as error:
+        raise InputError(where, f"{file}: {error.strerror}", "a new file, or a state file to replace") from error
     return file
+
+
+def is_other_kind(file: Path) -> bool:
+    """Whether a file is none that a state may replace. A damaged state is one, and so is what a power cut leaves: nothing, or
+    zeros.
+
+    Raises OSError if it cannot be read.
+    """
+    with file.open("rb") as now:
+        head = now.read(len(HEAD))
+    return head not in (HEAD, bytes(len(head)))
 
 
 def save(session: Session, path: Path, saved_at: float, learning: Mapping[str, Any] | None = None) -> None:

@@ -10,11 +10,12 @@ import json
 import os
 import re
 import time
+from contextlib import suppress
 from pathlib import Path
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.estimator.snapshot import after_time_off, content, leftovers, read_learning
+from trackres_ros.estimator.snapshot import after_time_off, content, is_other_kind, leftovers, read_learning
 from trackres_ros.files import own_files
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.store import stored, take
@@ -81,6 +82,9 @@ class StateKeeper:
             session, off_s = after_time_off(estimator, self.path, time.time())
         except InputError as error:
             self.unused = f"cold start: the state file cannot be used: {error}"
+            with suppress(OSError):
+                if self.path.is_file() and is_other_kind(self.path):
+                    self.error, self.path = f"{self.path} is another kind of file, which is not replaced", None
             return estimator.session(), self.unused
         what = "belts" if estimator.assemblies else "temperatures of the effects"
         text = f"{what} restored from {self.path} and cooled for {off_s / 60.0:.1f} min"
