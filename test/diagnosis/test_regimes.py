@@ -149,7 +149,7 @@ def test_the_clearest_bins_come_first_and_a_range_has_its_least():
 @pytest.mark.parametrize("lengths", [(400,), (300, 300, 300), (600, 120), (150, 300, 450, 150)])
 @pytest.mark.parametrize("held_out", [0.0, 0.3, 1.0])
 def test_whiteness_of_white_residuals_is_uniform(lengths, held_out):
-    """Of recordings of any lengths, the last of which, as far as there are others, is held out in part or wholly."""
+    """A last recording is held out: none of it, a part, or all."""
     rng, found = np.random.default_rng(4), []
     for _ in range(200):
         white = [rng.standard_normal(n) for n in (*lengths, 300)]

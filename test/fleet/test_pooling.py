@@ -169,7 +169,7 @@ def test_a_limit_is_reached_only_on_the_way_of_the_trend(sign, size, before, far
         return forecast(change, 100.0 * DAY_S, sign * limit, sign * in_file)
 
     behind, passed, ahead = before - far, before + 0.5 * size, before + size + far
-    assert told(behind, before) is None  # it leads away, with the vehicle file's value on the same side of the limit
+    assert told(behind, before) is None  # the trend leads away, and the vehicle file is on the same side
     assert told(behind, behind - far)["reached"]  # it began beyond
     for in_file in (behind, before, ahead):
         assert told(passed, in_file)["reached"]

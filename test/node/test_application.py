@@ -4,7 +4,6 @@
 """The application without a middleware: its outputs and statuses for given inputs."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Count
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.node.notices import KINDS
-from trackres_ros.node.parameters import make_parameters
 from trackres_ros.node.transport import Level, Peer
 from trackres_ros.output.topics import output_topics, values_of
 from trackres_ros.vehicle import load
@@ -296,51 +294,6 @@ def test_a_change_of_settings_builds_no_table_again(desk):
     table = d.app.estimator.constants.loss
     d.app.change({"speed_std_mps": 0.05})
     assert d.app.estimator.constants.loss is table
-
-
-BELT = "belt: {topic: belt, type: sensor_msgs/msg/Temperature, field: temperature"
-ENABLE = "enable: {topic: enable, type: std_msgs/msg/Float64, field: data"
-
-
-@pytest.mark.parametrize(
-    ("line", "name", "value", "fixed"),
-    [
-        (f"{BELT}}}", "belt_sensor", "mean", False),
-        (f"{BELT}, sensor: surface}}", "belt_sensor", "mean", True),
-        (f"{BELT}}}", "belt_measured_std_k", 0.5, False),
-        (f"{BELT}, std_k: 2.0}}", "belt_measured_std_k", 0.5, True),
-        (f"{ENABLE}}}", "enable_hold_s", 0.2, False),
-        (f"{ENABLE}, max_age_s: 0.3}}", "enable_hold_s", 0.2, True),
-    ],
-)
-def test_a_parameter_acts_where_the_topics_file_gives_no_other(desk, tmp_path, line, name, value, fixed):
-    speed = "speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}"
-    (tmp_path / "topics.yaml").write_text(f"{speed}\n{line}\n")
-    given = {"topics": str(tmp_path / "topics.yaml")}
-    at_start, changed = desk(**given, **{name: value}), desk(**given)
-    before = getattr(changed.app.estimator.settings, name)
-    assert (getattr(at_start.app.estimator.settings, name) == value) is not fixed
-    if fixed:
-        field = line.rpartition(", ")[2].partition(":")[0]
-        with pytest.raises(InputError, match=f"set by the topics file; change {field} in"):
-            changed.app.change({name: value})
-    else:
-        changed.app.change({name: value})
-        changed.app.change({name: make_parameters({}).values[name]})
-        assert getattr(changed.app.estimator.settings, name) == before
-
-
-def test_parts_of_a_sum_without_the_other_are_said_and_counted(desk, tmp_path):
-    part = "{{topic: {0}, type: std_msgs/msg/Float64, field: data}}"
-    (tmp_path / "topics.yaml").write_text(f"speed: {{sum: [{part.format('left')}, {part.format('right')}]}}\n")
-    d = desk(topics=str(tmp_path / "topics.yaml"))
-    left = next(i for i, given in enumerate(d.app.inputs) if given.name == "left")
-    for _ in range(150):
-        d.forward(0.02)
-        d.app.receive(left, SimpleNamespace(data=4.0))
-    assert any("without_other_part" in notice.text for notice in d.app.notices() if notice.name == "REFUSED")
-    rates = {state.topic: state.rate_hz for state in d.app.overview().inputs}
-    assert rates == {"/left": pytest.approx(50.0, abs=2.0), "/right": 0.0}
 
 
 def test_all_unstamped_messages_between_sim_clock_ticks_count(desk, tmp_path):

@@ -95,3 +95,16 @@ def test_the_torque_delay_shifts_its_stamp_but_not_a_zero_stamp():
     for header, shifted in ((5 * 10**9, 5 * 10**9 - 250_000_000), (0, 0)):
         (_, torque_stamp, _), (_, speed_stamp, _) = samples(taken, joint_state(header, a=3.0), 9 * 10**9)
         assert (torque_stamp, speed_stamp) == (shifted, header)
+
+
+def test_parts_of_a_sum_without_the_other_are_said_and_counted(desk, tmp_path):
+    part = "{{topic: {0}, type: std_msgs/msg/Float64, field: data}}"
+    (tmp_path / "topics.yaml").write_text(f"speed: {{sum: [{part.format('left')}, {part.format('right')}]}}\n")
+    d = desk(topics=str(tmp_path / "topics.yaml"))
+    left = next(i for i, given in enumerate(d.app.inputs) if given.name == "left")
+    for _ in range(150):
+        d.forward(0.02)
+        d.app.receive(left, SimpleNamespace(data=4.0))
+    assert any("without_other_part" in notice.text for notice in d.app.notices() if notice.name == "REFUSED")
+    rates = {state.topic: state.rate_hz for state in d.app.overview().inputs}
+    assert rates == {"/left": pytest.approx(50.0, abs=2.0), "/right": 0.0}

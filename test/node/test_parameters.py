@@ -158,3 +158,35 @@ def test_age_limits_of_a_topics_file_become_settings():
         settings_for(Settings(), Topics.parse({"yaw_rate": {**line, "max_age_s": 3.0}}))
     with pytest.raises(InputError, match="max_age_s"):
         settings_for(Settings(), Topics.parse({"speed": {**line, "max_age_s": 3000.0}}))
+
+
+BELT = "belt: {topic: belt, type: sensor_msgs/msg/Temperature, field: temperature"
+ENABLE = "enable: {topic: enable, type: std_msgs/msg/Float64, field: data"
+
+
+@pytest.mark.parametrize(
+    ("line", "name", "value", "fixed"),
+    [
+        (f"{BELT}}}", "belt_sensor", "mean", False),
+        (f"{BELT}, sensor: surface}}", "belt_sensor", "mean", True),
+        (f"{BELT}}}", "belt_measured_std_k", 0.5, False),
+        (f"{BELT}, std_k: 2.0}}", "belt_measured_std_k", 0.5, True),
+        (f"{ENABLE}}}", "enable_hold_s", 0.2, False),
+        (f"{ENABLE}, max_age_s: 0.3}}", "enable_hold_s", 0.2, True),
+    ],
+)
+def test_a_parameter_acts_where_the_topics_file_gives_no_other(desk, tmp_path, line, name, value, fixed):
+    speed = "speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}"
+    (tmp_path / "topics.yaml").write_text(f"{speed}\n{line}\n")
+    given = {"topics": str(tmp_path / "topics.yaml")}
+    at_start, changed = desk(**given, **{name: value}), desk(**given)
+    before = getattr(changed.app.estimator.settings, name)
+    assert (getattr(at_start.app.estimator.settings, name) == value) is not fixed
+    if fixed:
+        field = line.rpartition(", ")[2].partition(":")[0]
+        with pytest.raises(InputError, match=f"set by the topics file; change {field} in"):
+            changed.app.change({name: value})
+    else:
+        changed.app.change({name: value})
+        changed.app.change({name: make_parameters({}).values[name]})
+        assert getattr(changed.app.estimator.settings, name) == before

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from trackres_ros.api.arguments import StrPath, VehicleGiven, as_paths, as_vehicle, check_numbers, input_files
+from trackres_ros.api.arguments import StrPath, VehicleGiven, as_vehicle, check_numbers, input_files
 from trackres_ros.errors import InputError
 from trackres_ros.units import KMH_PER_MPS
 
@@ -105,7 +105,7 @@ def simulate(
     file = None if output is None else output_file(output)
     described = as_vehicle(vehicle)
     _check_weight(described, weight_kn, LEAST_LOAD_SHARE, LARGEST_LOAD_SHARE)
-    paths = profile.paths if isinstance(profile, Recording) else () if profile is None else as_paths(profile)
+    paths = profile.paths if isinstance(profile, Recording) else [profile]
     inputs = input_files(None, *paths, *files_of(described))
     not_an_input(file, inputs, "output")
     known = (("load", None if weight_kn is None else weight_kn * 1e3), ("ambient", ambient_degc))

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
@@ -17,6 +18,8 @@ from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.input_reader import InputReader
 from trackres_ros.node.notices import KINDS, Notice, level_of, of_reasons
 from trackres_ros.node.transport import Level, Peer
+
+IntArray = NDArray[np.int64]
 
 REFUSED_SHARE = 0.1  # of the messages of a second: more is not the odd late one
 CLOCK_OFFSET_NS = 1_000_000_000
@@ -48,10 +51,7 @@ class Watch:
         self._channel = {role: estimator.channels.index(role) for role, _ in self._roles}
         self._topics = inputs
         self._peers: Sequence[Sequence[Peer]] = [()] * len(inputs)
-        self._last_counts = np.zeros((len(estimator.channels), len(at.Count)), dtype=np.int64)
-        self._last_bad_stamp = np.zeros(len(estimator.channels), dtype=np.int64)
-        self._last_dropped, self._last_received = [0] * len(inputs), [0] * len(inputs)
-        self._last_alone = np.zeros(len(estimator.channels), dtype=np.int64)
+        self._last: dict[str, IntArray] = {}  # counters at the last look, by name
         self._overrun: list[tuple[str, int]] = []
         self._refused: dict[str, list[tuple[str, int]]] = {}
         self._looked_ns: int | None = None
@@ -92,31 +92,22 @@ class Watch:
     def every_second(self, session: Session, reader: InputReader, peers: Sequence[Sequence[Peer]], steady: int) -> None:
         """Work out rates and refusals since the last call, and begin a new second."""
         elapsed_s = math.nan if self._looked_ns is None else max((steady - self._looked_ns) * 1e-9, 1e-9)
-        counts = session.memory.counters.copy()
-        new, self._last_counts = counts - self._last_counts, counts
-        bad_stamp = np.array(reader.bad_stamp) - self._last_bad_stamp
-        self._last_bad_stamp += bad_stamp
-        alone = np.array(reader.alone()) - self._last_alone
-        self._last_alone += alone
-        received = list(reader.received)
-        came, self._last_received = [now - then for now, then in zip(received, self._last_received, strict=True)], received
-        dropped, before = list(reader.dropped), self._last_dropped
-        lost = [(given.name, now - then) for given, now, then in zip(self._topics, dropped, before, strict=True)]
-        self._overrun, self._last_dropped = [(name, number) for name, number in lost if number > 0], dropped
+        new = self._since("counts", session.memory.counters)
+        bad_stamp, alone = self._since("bad_stamp", reader.bad_stamp), self._since("alone", reader.alone())
+        received, dropped = self._since("received", reader.received), self._since("dropped", reader.dropped)
+        self._overrun = [(given.name, int(n)) for given, n in zip(self._topics, dropped, strict=True) if n]
         self._refused.clear()
         states = []
         for role, i in self._roles:
             channel = self._channel[role]
-            messages = int(new[channel, MESSAGES].sum()) + int(bad_stamp[channel])
-            if role in reader.sums:
-                messages = came[i]
+            messages = int(received[i] if role in reader.sums else new[channel, MESSAGES].sum() + bad_stamp[channel])
             refused = [(at.Count(c).name.lower(), int(new[channel, c])) for c in REFUSALS]
             refused += [("bad_stamp", int(bad_stamp[channel])), ("without_other_part", int(alone[channel]))]
             if sum(number for _, number in refused) > REFUSED_SHARE * messages:
                 self._refused[role] = [(name, number) for name, number in refused if number]
-            seen = [(count.name.lower(), int(counts[channel, count])) for count in at.Count]
-            seen += [("bad_stamp", reader.bad_stamp[channel]), ("without_other_part", int(self._last_alone[channel]))]
-            seen += [("absent", reader.absent[channel]), ("dropped", dropped[i])]
+            seen = [(count.name.lower(), int(self._last["counts"][channel, count])) for count in at.Count]
+            seen += [("bad_stamp", reader.bad_stamp[channel]), ("without_other_part", int(self._last["alone"][channel]))]
+            seen += [("absent", reader.absent[channel]), ("dropped", reader.dropped[i])]
             value = float(session.memory.values[channel])
             shown = tuple((name, number) for name, number in seen if number)
             states.append(InputState(role, self._topics[i].name, messages / elapsed_s, math.nan, value, shown))
@@ -126,6 +117,12 @@ class Watch:
         self._peers, self._looked_ns = peers, steady
         self._began_ns = steady if self._began_ns is None else self._began_ns
         self._shown_reasons, self._second_reasons = self._second_reasons | still, 0
+
+    def _since(self, name: str, counters: Sequence[int] | IntArray) -> IntArray:
+        """What was added to counters since the last look at them."""
+        now = np.array(counters, dtype=np.int64)
+        before, self._last[name] = self._last.get(name, np.zeros_like(now)), now
+        return now - before
 
     def notices(self, age_s: float, max_age_s: float, clock_runs: bool) -> list[Notice]:
         """All present notices of inputs and estimate."""

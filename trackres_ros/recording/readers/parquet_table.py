@@ -17,10 +17,10 @@ from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelRows
 from trackres_ros.recording.date_times import NO_ZONE
 from trackres_ros.recording.file_kind import FileKind
 from trackres_ros.recording.samples import Finding
+from trackres_ros.units import NANOSECOND
 
 BUFFER_BYTES = 2**20
 """Read at once of a column; without it, and with buffering ahead, pyarrow holds a whole row group: possibly the whole file."""
-NANOSECOND = 1e-9
 TICKS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 """Of timestamps [s]: those that do not fit in 64 bits as nanoseconds are refused as seconds, with their row."""
 
