@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -148,6 +149,39 @@ def test_marked_and_unfinished_records_of_mdf(tmp_path):
     path.write_bytes(data)
     assert len(tr.read(path).series["speed"]) == np.count_nonzero(~invalid)
     assert path.read_bytes() == data
+
+
+TEXT = {"val_0": 3, "text_0": "zu hoch", "val_1": 2, "text_1": "Signal_SNA"}
+SCALED = {"a": 2.0, "b": 1.0}
+TABLES = {
+    ("Nm", "only texts"): (TEXT, [0.0, 1.0]),
+    ("Nm", "the rest is scaled"): ({**TEXT, "default_addr": SCALED}, [1.0, 3.0]),
+    ("Nm", "the rest is in another table"): ({"val_0": 0, "text_0": SCALED, "default_addr": TEXT}, [1.0]),
+    ("", "a part is scaled"): ({"lower_0": 0, "upper_0": 1, "text_0": SCALED, "lower_1": 2, "upper_1": 3, "text_1": "5"}, [1, 3]),
+    ("", "an enumeration"): (TEXT, [0.0, 1.0, 3.0]),
+    ("", "an enumeration of a bus"): ({**TEXT, "default_addr": {"a": 1.0, "b": 0.0}}, [0.0, 1.0, 3.0]),
+    ("Nm", "an enumeration of all values"): ({**TEXT, "default_addr": "invalid"}, [3.0]),
+}
+"""By unit and what it is: a conversion of the raw values 0 to 3, and the values that are numbers."""
+
+
+@pytest.mark.parametrize("count", [20, 400])  # asammdf converts many values in another way than few
+def test_a_text_of_mdf_is_a_number_only_in_an_enumeration(tmp_path, count):
+    from asammdf import MDF, Signal
+
+    path, t, raw = tmp_path / "run.mf4", np.arange(count) / 10.0, np.arange(count, dtype=np.uint8) % 4
+    with MDF() as mdf:
+        for place, ((unit, _), (table, _)) in enumerate(TABLES.items()):
+            mdf.append([Signal(raw, t, name=f"t{place}", unit=unit, conversion=deepcopy(table))])
+        mdf.append([Signal(t, t, name="speed_mps")])
+        mdf.save(path)
+    found = tr.read(path, topics={f"torque/t{place}": {"channel": f"t{place}", "unit": "Nm"} for place in range(len(TABLES))})
+    for place, (what, (_, wanted)) in enumerate(TABLES.items()):
+        values = found.series[f"torque/t{place}"].value
+        assert sorted(set(values)) == wanted, what
+        assert len(values) == count // 4 * len(wanted), what
+    lost = sum(count // 4 * (4 - len(wanted)) for _, wanted in TABLES.values())
+    assert sum(one.count for one in found.findings if one.kind == "absent") == lost
 
 
 @pytest.mark.parametrize("kind", ["MF4", "MF4 of a bus"])
