@@ -22,8 +22,9 @@ from hypothesis import strategies as st
 import trackres_ros as tr
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.channel_file import Channel
+from trackres_ros.recording.channel_file import Channel, ChannelFile
 from trackres_ros.recording.channel_source import _in_order
+from trackres_ros.recording.choosing import choose
 from trackres_ros.recording.guess import guess_channels
 from trackres_ros.recording.opening import open_source, shipped_kinds, suffixes
 from trackres_ros.recording.recording import Recording
@@ -117,6 +118,38 @@ def test_the_topics_file_wins_over_the_unit_of_the_file(files):
     assert any("the topics file uses another conversion" in note for note in by_scale.notes)
     speeds = [one.series["speed"].value[0] for one in (by_file, by_topics, by_scale)]
     assert speeds == pytest.approx([10.0 / 3.6, 10.0, 5.0])
+
+
+class _Channels(ChannelFile):
+    """A file of channels of which nothing is read."""
+
+    name = "file"
+
+    def __init__(self, *channels: Channel) -> None:
+        self.channels = channels
+
+
+SAID = st.fixed_dictionaries(
+    {}, optional={"scale": st.sampled_from([1.0, 0.5]), "offset": st.sampled_from([2.0, -273.15]), "unit": st.just("")}
+)
+
+
+@given(role=st.sampled_from(["speed", "ambient", "time"]), said=SAID, data=st.data())
+def test_a_value_is_scale_and_offset_then_the_unit(role, said, data):
+    inside = "s" if role == "time" else ROLES[role].unit
+    of_file, of_line = (data.draw(st.sampled_from(list(UNITS[inside]))) for _ in range(2))
+    line = {"column": "X", **said} | ({"unit": of_line} if "unit" in said else {})
+    file = _Channels(Channel("X", of_file), *([] if role == "speed" else [Channel("speed_mps")]))
+    file.has_times = role != "time"
+    choice = choose(file, Topics.parse({role: line}))
+    binding = next(one for one in (choice.time, *choice.channels) if one and one.role == role).binding
+    unit = UNITS[inside][line.get("unit", inside if "scale" in line else of_file)]
+    if line.keys() == {"column", "offset"} and line["offset"] == unit.offset:
+        unit = UNITS[inside][inside]  # it is the conversion of kelvin
+    value = unit.scale * (line.get("scale", 1.0) * 7.0 + line.get("offset", 0.0)) + unit.offset
+    assert binding.scale * 7.0 + binding.offset == pytest.approx(value)
+    differs = {"scale", "unit"} & set(line) and (binding.scale, binding.offset) != UNITS[inside][of_file]
+    assert any("uses another conversion" in note for note in choice.notes) == bool(differs)
 
 
 def test_parts_with_other_times_are_added_between_samples(tmp_path):
@@ -317,7 +350,7 @@ import sys
 from pathlib import Path
 from drive_files import TOPICS, topics_of
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.channel_file import Channel
+from trackres_ros.recording.channel_file import Channel, ChannelFile
 from trackres_ros.recording.opening import open_source
 path, kind = Path(sys.argv[1]), sys.argv[2]
 rows = sum(map(len, open_source([path], Topics.parse(topics_of(kind), "t.yaml", path.parent)).blocks()))

@@ -123,9 +123,10 @@ def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, no
     of_file = conversion(channel.unit, inside)
     if role == TIME and of_file is None:  # dates have none
         return binding
-    said = (binding.scale, binding.offset) != (1.0, 0.0) or bool(binding.unit)
-    if said:
-        if of_file is None or tuple(of_file) != (binding.scale, binding.offset):
+    of_line = (binding.scale, binding.offset)
+    by_offset = binding.offset != 0.0 and of_file in (None, of_line)  # an offset alone, which may convert all there is: K
+    if binding.converts or by_offset:
+        if of_file != of_line:
             notes.append(
                 f"{role}: {channel.name} is in {channel.unit} according to the file, but the topics file uses another conversion"
             )
@@ -136,7 +137,7 @@ def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, no
     unit = next(name for name, one in UNITS[inside].items() if one == of_file)
     if unit != inside:
         notes.append(f"{role}: {channel.name} is in {unit} according to the file")
-    return replace(binding, scale=of_file.scale, offset=of_file.offset, unit=unit)
+    return replace(binding, scale=of_file.scale, offset=of_file.scale * binding.offset + of_file.offset, unit=unit)
 
 
 def _known(file: ChannelFile, by_file: frozenset[str], names: _Names) -> list[ChosenChannel]:
