@@ -21,10 +21,10 @@ from hypothesis import strategies as st
 
 import trackres_ros as tr
 from trackres_ros.errors import InputError, MissingExtraError
-from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.bindings import TIME, Topics
 from trackres_ros.recording.channel_file import Channel, ChannelFile
 from trackres_ros.recording.channel_source import _in_order
-from trackres_ros.recording.choosing import choose
+from trackres_ros.recording.choosing import COLUMNS, TIME_S, choose
 from trackres_ros.recording.guess import guess_channels
 from trackres_ros.recording.opening import open_source, shipped_kinds, suffixes
 from trackres_ros.recording.recording import Recording
@@ -150,6 +150,33 @@ def test_a_value_is_scale_and_offset_then_the_unit(role, said, data):
     assert binding.scale * 7.0 + binding.offset == pytest.approx(value)
     differs = {"scale", "unit"} & set(line) and (binding.scale, binding.offset) != UNITS[inside][of_file]
     assert any("uses another conversion" in note for note in choice.notes) == bool(differs)
+
+
+@pytest.mark.parametrize("name", [*COLUMNS, TIME_S])
+def test_the_unit_of_a_file_fits_a_known_name_or_is_refused(name):
+    role, unit = COLUMNS.get(name, (TIME, "s"))
+    inside = "s" if role == TIME else ROLES[role].unit
+
+    def bound(of_file, topics=None):
+        file = _Channels(Channel(name, of_file), *([] if role == "speed" else [Channel("speed_mps", "m/s")]))
+        file.has_times = role != TIME
+        choice = choose(file, topics)
+        return next(one.binding for one in (choice.time, *choice.channels) if one and one.role == role), choice.notes
+
+    wanted = bound("")
+    assert all(bound(spelled) == wanted for spelled in (unit, f"[{unit}]", "-", "bool"))
+    known, notes = bound("on/off")
+    assert known == wanted[0]
+    assert role == TIME or notes == [f"{role}: {name} is in on/off according to the file: no known unit, so its name decides"]
+    for other in {other for units in UNITS.values() for other in units} - {unit, "1"}:
+        if unit == "1" and other == "%":
+            assert (bound(other)[0].scale, bound(other)[1]) == (0.01, [f"{role}: {name} is in % according to the file"])
+            continue
+        with pytest.raises(InputError, match=f"unit of {name}: given '{other}'; allowed: {unit}; .*{role}: {{channel: {name}"):
+            bound(other)
+        if other in UNITS[inside]:  # the line that the error shows
+            found, _ = bound(other, Topics.parse({role: {"channel": name, "unit": other}}))
+            assert (found.scale, found.offset) == UNITS[inside][other]
 
 
 def test_parts_with_other_times_are_added_between_samples(tmp_path):
@@ -349,7 +376,7 @@ PEAK = """
 import sys
 from pathlib import Path
 from drive_files import TOPICS, topics_of
-from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.bindings import TIME, Topics
 from trackres_ros.recording.channel_file import Channel, ChannelFile
 from trackres_ros.recording.opening import open_source
 path, kind = Path(sys.argv[1]), sys.argv[2]

@@ -12,7 +12,7 @@ from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import TIME, Topics
 from trackres_ros.recording.channel_file import Channel, ChannelFile, ChosenChannel
 from trackres_ros.recording.guess import guess_channels, topics_line, words
-from trackres_ros.recording.role_units import UNITS, conversion
+from trackres_ros.recording.role_units import UNITS, conversion, is_quantity
 from trackres_ros.recording.roles import ROLES, base_role
 
 TIME_S = "time_s"
@@ -48,7 +48,7 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     of_file = [
         names.chosen(role, part, origin, notes) for role, binding in listed if not binding.of_topics for part in binding.sources
     ]
-    known = _known(file, frozenset(one.role for one in of_file), names)
+    known = _known(file, frozenset(one.role for one in of_file), names, notes)
     time = None if file.has_times else _time(file, topics, names, notes)
     chosen = [*of_file, *known]
     there, guessed = {base_role(one.role) for one in chosen}, dict[str, TopicBinding]()
@@ -115,11 +115,15 @@ class _Names:
         return self._places[name][0] if name in self._places else None
 
 
+def _unit_inside(role: str) -> str:
+    return "s" if role == TIME else ROLES[base_role(role)].unit
+
+
 def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> TopicBinding:
     """The binding with the unit of the file, if the line gives neither unit nor scale."""
     if not channel.unit or binding.values:
         return binding
-    inside = "s" if role == TIME else ROLES[base_role(role)].unit
+    inside = _unit_inside(role)
     of_file = conversion(channel.unit, inside)
     if role == TIME and of_file is None:  # dates have none
         return binding
@@ -140,7 +144,7 @@ def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, no
     return replace(binding, scale=of_file.scale, offset=of_file.scale * binding.offset + of_file.offset, unit=unit)
 
 
-def _known(file: ChannelFile, by_file: frozenset[str], names: _Names) -> list[ChosenChannel]:
+def _known(file: ChannelFile, by_file: frozenset[str], names: _Names, notes: list[str]) -> list[ChosenChannel]:
     """The columns known by name, of roles that the topics file does not name."""
     columns: dict[str, ChosenChannel] = {}
     for place, name in names.known():
@@ -154,11 +158,30 @@ def _known(file: ChannelFile, by_file: frozenset[str], names: _Names) -> list[Ch
         if role in columns:
             given = f"columns {columns[role].name} and {name}"
             raise InputError(file.name, given, f"one column for {role}", "give the right one in a topics file")
-        by_unit = conversion(unit, about.unit)
-        assert by_unit is not None
-        binding = TopicBinding(column=name, scale=by_unit.scale, unit=unit)
-        columns[role] = ChosenChannel(place, name, role, binding)
+        columns[role] = ChosenChannel(place, name, role, _by_name(file.channels[place], role, unit, file.name, notes))
     return list(columns.values())
+
+
+def _by_name(channel: Channel, role: str, unit: str, origin: str, notes: list[str]) -> TopicBinding:
+    """The binding of a column known by name, in the unit of that name; without one (`grade`) in that of the file.
+
+    Raises InputError if the file gives another unit; a text that is no known unit is only noted.
+    """
+    inside = _unit_inside(role)
+    by_name, of_file, share = (conversion(*one) for one in ((unit, inside), (channel.unit, inside), (channel.unit, "1")))
+    assert by_name is not None
+    binding = TopicBinding(column=channel.name, scale=by_name.scale, unit=unit)
+    if of_file == by_name or share == (1.0, 0.0):  # the same, or none
+        return binding
+    if of_file and unit == "1":
+        return _in_unit(channel, role, TopicBinding(column=channel.name), origin, notes)
+    if of_file or share or is_quantity(channel.unit):
+        right = of_file or by_name
+        line = topics_line(role, replace(binding, scale=right.scale, offset=right.offset))
+        raise InputError(f"{origin}: unit of {channel.name}", channel.unit, unit, f"give it in a topics file: {line}")
+    if role != TIME:  # dates have none
+        notes.append(f"{role}: {channel.name} is in {channel.unit} according to the file: no known unit, so its name decides")
+    return binding
 
 
 def _time(file: ChannelFile, topics: Topics | None, names: _Names, notes: list[str]) -> ChosenChannel:
@@ -167,7 +190,7 @@ def _time(file: ChannelFile, topics: Topics | None, names: _Names, notes: list[s
         return names.chosen(TIME, topics.time, topics.origin, notes)
     place = names.place(TIME_S)
     if place is not None:
-        return ChosenChannel(place, TIME_S, TIME, TopicBinding(column=TIME_S))
+        return ChosenChannel(place, TIME_S, TIME, _by_name(file.channels[place], TIME, "s", file.name, notes))
     dated = [(place, name) for place, name in names.known() if name.lower() in DATE_NAMES]
     if len(dated) == 1:
         place, name = dated[0]
