@@ -3,6 +3,7 @@
 
 """Chooses the channels of a file to read: those that the topics file names, those known by name, else those guessed."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -13,7 +14,7 @@ from trackres_ros.recording.bindings import TIME, Topics
 from trackres_ros.recording.channel_file import Channel, ChannelFile, ChosenChannel
 from trackres_ros.recording.guess import guess_channels, topics_line, words
 from trackres_ros.recording.role_units import UNITS, conversion, is_quantity
-from trackres_ros.recording.roles import ROLES, base_role
+from trackres_ros.recording.roles import POSITION, ROLES, base_role
 
 TIME_S = "time_s"
 DATE_NAMES = ("time", "timestamp", "datetime")
@@ -22,6 +23,8 @@ COLUMNS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {name: (role, unit) for role, about in ROLES.items() for name, unit in about.columns.items()}
 )
 """Columns known by name: role, and unit. ``weight_n/front`` is the load of the axle or assembly front."""
+UNIT_IN_BRACKETS, UNIT_AT_THE_END = re.compile(r"[\[(]([^\[\]()]+)[\])]$"), re.compile(r"[_ ]([^_ ]{2,})$")
+"""In the name of a column: ``Geschw [km/h]``, ``time_ms``; one letter at the end may be anything."""
 NAMES_SHOWN = 20
 
 
@@ -50,6 +53,8 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     ]
     known = _known(file, frozenset(one.role for one in of_file), names, notes)
     time = None if file.has_times else _time(file, topics, names, notes)
+    if topics:
+        notes += _units_in_names(file, topics, [*of_file, *([time] if time and topics.time else [])])
     chosen = [*of_file, *known]
     there, guessed = {base_role(one.role) for one in chosen}, dict[str, TopicBinding]()
     if file.has_times and not listed and "speed" not in there:
@@ -142,6 +147,22 @@ def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, no
     if unit != inside:
         notes.append(f"{role}: {channel.name} is in {unit} according to the file")
     return replace(binding, scale=of_file.scale, offset=of_file.scale * binding.offset + of_file.offset, unit=unit)
+
+
+def _units_in_names(file: ChannelFile, topics: Topics, chosen: Sequence[ChosenChannel]) -> Iterator[str]:
+    """Note where the name of a column has a unit, but its line and the file have none and it is read in another one."""
+    for one in chosen:
+        line = topics.time if one.role == TIME and topics.time else topics[one.role]
+        found = UNIT_IN_BRACKETS.search(one.name) or UNIT_AT_THE_END.search(one.name)
+        given = file.channels[one.place].unit or line.converts or one.binding.converts or line.values
+        if not found or given or one.role in POSITION:  # the values of a position decide
+            continue
+        inside = "m" if line.derivative else _unit_inside(one.role)
+        of_name = conversion(found[1], inside)
+        foreign = of_name is None and found.re is UNIT_IN_BRACKETS and is_quantity(found[1])
+        if foreign or of_name not in (None, (1.0, 0.0), (one.binding.scale, one.binding.offset)):
+            read = f"but is read in {inside}, as its line has neither unit nor scale"
+            yield f"{one.role}: {one.name} is in {found[1]} according to its name, {read}"
 
 
 def _known(file: ChannelFile, by_file: frozenset[str], names: _Names, notes: list[str]) -> list[ChosenChannel]:
