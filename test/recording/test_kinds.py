@@ -244,6 +244,35 @@ def test_a_text_of_mdf_is_a_number_only_in_an_enumeration(tmp_path, count):
     assert sum(one.count for one in found.findings if one.kind == "absent") == lost
 
 
+@pytest.mark.parametrize(("sync", "what"), [(1, ""), (2, "an angle"), (3, "a distance"), (4, "an index"), (None, "no master")])
+def test_channels_of_mdf_without_times_are_not_read(tmp_path, sync, what):
+    from asammdf import MDF, Signal
+
+    path, t = tmp_path / "run.mf4", np.arange(50) / 10.0
+    with MDF(version="4.20") as mdf:
+        for name, kind in (("Spd", 1), ("Trq", sync or 1), ("speed_mps", 1)):
+            mdf.append([Signal(t, 2.0 * t, name=name, unit="Nm" * (name == "Trq"), master_metadata=("x", kind))], acq_name=name)
+        third = mdf.groups[2].channel_group  # its master is that of the second group
+        third.flags, third.cg_master_index, third.cg_master_addr = 1 << 3, 1, 0
+        third.block_len, third.links_nr = third.block_len + 8, third.links_nr + 1
+        for group in mdf.groups[1 + (sync is not None) :]:
+            group.channels[0].channel_type = group.channels[0].sync_type = 0
+        mdf.save(path)
+    speed = {"speed": {"channel": "Spd", "unit": "m/s"}}
+    if sync == 1:
+        found = tr.read(path, topics={"torque": {"channel": "Trq"}})
+        assert all(found.time_s(role).tolist() == pytest.approx((2.0 * t).tolist()) for role in ("speed", "torque"))
+        return
+    with pytest.raises(InputError, match=rf"'columns Spd; not read, as .*{what}: .*Trq, .*speed_mps'"):
+        tr.read(path)
+    found = tr.read(path, topics=speed)
+    assert list(found.series) == ["speed"]
+    assert any(note.startswith("not read, as ") and what in note for note in found.notes)
+    for name in ("Trq", "Trq/Trq"):
+        with pytest.raises(InputError, match=rf"torque: column: given '{name}'; allowed: a channel that can be read; .*{what}"):
+            tr.read(path, topics={**speed, "torque": {"channel": name}})
+
+
 @pytest.mark.parametrize("kind", ["MF4", "MF4 of a bus"])
 @pytest.mark.parametrize("listed", [b"##DG", b"##CG", b"##CN"])
 def test_a_list_of_mdf_that_never_ends_is_refused(files, tmp_path, kind, listed):

@@ -47,7 +47,7 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     names = _Names(file)
     listed = topics.bindings.items() if topics else ()
     origin = topics.origin if topics else file.name
-    notes: list[str] = []
+    notes = _left_out(file)
     of_file = [
         names.chosen(role, part, origin, notes) for role, binding in listed if not binding.of_topics for part in binding.sources
     ]
@@ -71,10 +71,19 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
                 f"{allowed}, or a speed with a unit",
                 "or give it in a topics file: speed: {channel: NAME, unit: km/h}",
             )
-        raise InputError(file.name, f"columns {listed_names(names.all)}", allowed, remedy)
+        given = "; ".join([f"columns {listed_names(names.all) or 'none'}", *_left_out(file)])
+        raise InputError(file.name, given, allowed, remedy)
     for name in ((time.name,) if time else ()) + tuple(one.name for one in chosen):
         names.check_single(name)
     return Choice(time, chosen, notes, frozenset(guessed))
+
+
+def _left_out(file: ChannelFile) -> list[str]:
+    """The channels that cannot be read, by reason."""
+    return [
+        f"not read, as {why}: {listed_names([one.name for one in file.left_out if file.left_out[one] == why])}"
+        for why in dict.fromkeys(file.left_out.values())
+    ]
 
 
 class _Names:
@@ -105,9 +114,11 @@ class _Names:
     def chosen(self, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> ChosenChannel:
         """A channel that a line names, in the unit of its role."""
         if binding.column not in self._places:
-            raise InputError(
-                f"{origin}: {role}: column", binding.column, listed_names(self.all), nearest(binding.column, self._places)
-            )
+            where = f"{origin}: {role}: column"
+            for one, why in self._file.left_out.items():
+                if binding.column in (one.name, f"{one.group}/{one.name}"):
+                    raise InputError(where, binding.column, "a channel that can be read", why)
+            raise InputError(where, binding.column, listed_names(self.all), nearest(binding.column, self._places))
         place = self._places[binding.column][0]
         return ChosenChannel(place, binding.column, role, _in_unit(self._file.channels[place], role, binding, origin, notes))
 

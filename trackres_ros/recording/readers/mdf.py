@@ -46,6 +46,8 @@ OF_A_FRAME = {"ID": 1, "DataBytes": 2, "DataLength": 1, "IDE": 1, "BusChannel": 
 """Parts of a frame to read, and the dimensions of their samples: ASAM MDF, bus logging."""
 SAME, LINEAR, TABLES_OF_TEXTS, REST = 0, 1, (7, 8), "default_addr"
 """Types of conversions: ASAM MDF 4; and in asammdf the part of a table for all other values."""
+REMOTE_MASTER, OTHER_MASTERS = 1 << 3, {2: "an angle", 3: "a distance", 4: "an index"}
+"""Flag of a group whose master is in another one, and masters that are no time: ASAM MDF 4."""
 EXTENDED, IDENTIFIER, STANDARD = 1 << 31, (1 << 29) - 1, 0x7FF
 
 
@@ -116,6 +118,15 @@ class _Groups:
         """How many records a group has."""
         return int(self.mdf.groups[group].channel_group.cycles_nr)
 
+    def lacks_times(self, group: int) -> str:
+        """Why the records of a group have no times; empty if they have."""
+        described = self.mdf.groups[group].channel_group
+        group = described.cg_master_index if described.flags & REMOTE_MASTER else group
+        if group not in self.mdf.masters_db:
+            return "its group has no master"
+        master = self.mdf.groups[group].channels[self.mdf.masters_db[group]]
+        return f"the master of its group is {OTHER_MASTERS[master.sync_type]}" if master.sync_type in OTHER_MASTERS else ""
+
     def part(self, group: int, index: int, start: int) -> Any:
         """A part of a channel as a signal, including samples marked as invalid.
 
@@ -140,14 +151,20 @@ class MdfChannels(ChannelFile):
         self.name, self._groups = name, groups
         self._places: list[tuple[int, int]] = []
         self.channels: list[Channel] = []
+        self.left_out: dict[Channel, str] = {}
         names = Counter(self._name_of(number) for number in range(len(groups.mdf.groups)))
         for number, group in enumerate(groups.mdf.groups):
             label = self._name_of(number)
             label = label if names[label] == 1 else f"{label} {number}"
+            lacks = groups.lacks_times(number)
             for index, channel in enumerate(group.channels):
                 if index != groups.mdf.masters_db.get(number) and number not in groups.of_a_bus and _is_numeric(group, index):
+                    one = Channel(channel.name, _unit(channel), label)
+                    if lacks:
+                        self.left_out[one] = lacks
+                        continue
                     self._places.append((number, index))
-                    self.channels.append(Channel(channel.name, _unit(channel), label))
+                    self.channels.append(one)
 
     def _name_of(self, number: int) -> str:
         group = self._groups.mdf.groups[number].channel_group
