@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -53,6 +54,37 @@ def test_a_german_export_reads_as_its_author_means_it(tmp_path, reader):
         "decimal comma in Drehmoment [Nm], Geschw [km/h]",
         "time: column Zeit, dd.mm.yyyy hh:mm:ss, without a time zone: treated as UTC",
     )
+
+
+@pytest.mark.parametrize(
+    ("line", "unit"),
+    [
+        ("speed: {column: 'v [km/h]'}", "km/h"),
+        ("speed: {column: v_kmh, offset: 1.0}", "kmh"),
+        ("speed: {column: 'v (mph)'}", "mph"),
+        ("speed: {column: 's [km]', derivative: true}", "km"),
+        ("torque: {column: 'Kraft [N]'}", "N"),
+        ("torque: {sum: [{column: 'a [kNm]'}, {column: 'b [Nm]'}]}", "kNm"),
+        ("time: {column: time_ms}", "ms"),
+        ("speed: {column: 'v [km/h]', unit: km/h}", ""),
+        ("speed: {column: 'v [km/h]', scale: 1.0}", ""),
+        ("speed: {column: 'v [m/s]', offset: 1.0}", ""),
+        ("belt: {column: 'T [K]', offset: -273.15}", ""),
+        ("torque: {sum: [{column: 'a [kNm]'}, {column: 'b [kNm]'}], scale: 1000.0}", ""),
+        ("enable: {column: 'mode [h]', values: [1]}", ""),
+        ("latitude: {column: lat_deg}", ""),
+        ("belt: {column: front_f}", ""),
+        ("torque: {column: left_kmh}", ""),
+    ],
+)
+def test_a_unit_in_a_name_that_is_not_used_is_noted(tmp_path, line, unit):
+    topics = yaml.safe_load(line)
+    ((role, source),) = topics.items()
+    names = [part["column"] for part in source.get("sum", [source])]
+    names += [name for name, other in (("time_s", "time"), ("speed_mps", "speed")) if role != other]
+    path = written(tmp_path, table(",".join(names), *(",".join([str(i)] * len(names)) for i in range(3))))
+    said = [note.partition(" according to its name")[0] for note in tr.read(path, topics=topics).notes if "its name" in note]
+    assert said == ([f"{role}: {names[0]} is in {unit}"] if unit else [])
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -20,9 +21,10 @@ from hypothesis import strategies as st
 
 import trackres_ros as tr
 from trackres_ros.errors import InputError, MissingExtraError
-from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.channel_file import Channel
+from trackres_ros.recording.bindings import TIME, Topics
+from trackres_ros.recording.channel_file import Channel, ChannelFile
 from trackres_ros.recording.channel_source import _in_order
+from trackres_ros.recording.choosing import COLUMNS, TIME_S, choose
 from trackres_ros.recording.guess import guess_channels
 from trackres_ros.recording.opening import open_source, shipped_kinds, suffixes
 from trackres_ros.recording.recording import Recording
@@ -118,6 +120,65 @@ def test_the_topics_file_wins_over_the_unit_of_the_file(files):
     assert speeds == pytest.approx([10.0 / 3.6, 10.0, 5.0])
 
 
+class _Channels(ChannelFile):
+    """A file of channels of which nothing is read."""
+
+    name = "file"
+
+    def __init__(self, *channels: Channel) -> None:
+        self.channels = channels
+
+
+SAID = st.fixed_dictionaries(
+    {}, optional={"scale": st.sampled_from([1.0, 0.5]), "offset": st.sampled_from([2.0, -273.15]), "unit": st.just("")}
+)
+
+
+@given(role=st.sampled_from(["speed", "ambient", "time"]), said=SAID, data=st.data())
+def test_a_value_is_scale_and_offset_then_the_unit(role, said, data):
+    inside = "s" if role == "time" else ROLES[role].unit
+    of_file, of_line = (data.draw(st.sampled_from(list(UNITS[inside]))) for _ in range(2))
+    line = {"column": "X", **said} | ({"unit": of_line} if "unit" in said else {})
+    file = _Channels(Channel("X", of_file), *([] if role == "speed" else [Channel("speed_mps")]))
+    file.has_times = role != "time"
+    choice = choose(file, Topics.parse({role: line}))
+    binding = next(one for one in (choice.time, *choice.channels) if one and one.role == role).binding
+    unit = UNITS[inside][line.get("unit", inside if "scale" in line else of_file)]
+    if line.keys() == {"column", "offset"} and line["offset"] == unit.offset:
+        unit = UNITS[inside][inside]  # it is the conversion of kelvin
+    value = unit.scale * (line.get("scale", 1.0) * 7.0 + line.get("offset", 0.0)) + unit.offset
+    assert binding.scale * 7.0 + binding.offset == pytest.approx(value)
+    differs = {"scale", "unit"} & set(line) and (binding.scale, binding.offset) != UNITS[inside][of_file]
+    assert any("uses another conversion" in note for note in choice.notes) == bool(differs)
+
+
+@pytest.mark.parametrize("name", [*COLUMNS, TIME_S])
+def test_the_unit_of_a_file_fits_a_known_name_or_is_refused(name):
+    role, unit = COLUMNS.get(name, (TIME, "s"))
+    inside = "s" if role == TIME else ROLES[role].unit
+
+    def bound(of_file, topics=None):
+        file = _Channels(Channel(name, of_file), *([] if role == "speed" else [Channel("speed_mps", "m/s")]))
+        file.has_times = role != TIME
+        choice = choose(file, topics)
+        return next(one.binding for one in (choice.time, *choice.channels) if one and one.role == role), choice.notes
+
+    wanted = bound("")
+    assert all(bound(spelled) == wanted for spelled in (unit, f"[{unit}]", "-", "bool"))
+    known, notes = bound("on/off")
+    assert known == wanted[0]
+    assert role == TIME or notes == [f"{role}: {name} is in on/off according to the file: no known unit, so its name decides"]
+    for other in {other for units in UNITS.values() for other in units} - {unit, "1"}:
+        if unit == "1" and other == "%":
+            assert (bound(other)[0].scale, bound(other)[1]) == (0.01, [f"{role}: {name} is in % according to the file"])
+            continue
+        with pytest.raises(InputError, match=f"unit of {name}: given '{other}'; allowed: {unit}; .*{role}: {{channel: {name}"):
+            bound(other)
+        if other in UNITS[inside]:  # the line that the error shows
+            found, _ = bound(other, Topics.parse({role: {"channel": name, "unit": other}}))
+            assert (found.scale, found.offset) == UNITS[inside][other]
+
+
 def test_parts_with_other_times_are_added_between_samples(tmp_path):
     from asammdf import MDF, Signal
 
@@ -148,6 +209,68 @@ def test_marked_and_unfinished_records_of_mdf(tmp_path):
     path.write_bytes(data)
     assert len(tr.read(path).series["speed"]) == np.count_nonzero(~invalid)
     assert path.read_bytes() == data
+
+
+TEXT = {"val_0": 3, "text_0": "zu hoch", "val_1": 2, "text_1": "Signal_SNA"}
+SCALED = {"a": 2.0, "b": 1.0}
+TABLES = {
+    ("Nm", "only texts"): (TEXT, [0.0, 1.0]),
+    ("Nm", "the rest is scaled"): ({**TEXT, "default_addr": SCALED}, [1.0, 3.0]),
+    ("Nm", "the rest is in another table"): ({"val_0": 0, "text_0": SCALED, "default_addr": TEXT}, [1.0]),
+    ("", "a part is scaled"): ({"lower_0": 0, "upper_0": 1, "text_0": SCALED, "lower_1": 2, "upper_1": 3, "text_1": "5"}, [1, 3]),
+    ("", "an enumeration"): (TEXT, [0.0, 1.0, 3.0]),
+    ("", "an enumeration of a bus"): ({**TEXT, "default_addr": {"a": 1.0, "b": 0.0}}, [0.0, 1.0, 3.0]),
+    ("Nm", "an enumeration of all values"): ({**TEXT, "default_addr": "invalid"}, [3.0]),
+}
+"""By unit and what it is: a conversion of the raw values 0 to 3, and the values that are numbers."""
+
+
+@pytest.mark.parametrize("count", [20, 400])  # asammdf converts many values in another way than few
+def test_a_text_of_mdf_is_a_number_only_in_an_enumeration(tmp_path, count):
+    from asammdf import MDF, Signal
+
+    path, t, raw = tmp_path / "run.mf4", np.arange(count) / 10.0, np.arange(count, dtype=np.uint8) % 4
+    with MDF() as mdf:
+        for place, ((unit, _), (table, _)) in enumerate(TABLES.items()):
+            mdf.append([Signal(raw, t, name=f"t{place}", unit=unit, conversion=deepcopy(table))])
+        mdf.append([Signal(t, t, name="speed_mps")])
+        mdf.save(path)
+    found = tr.read(path, topics={f"torque/t{place}": {"channel": f"t{place}", "unit": "Nm"} for place in range(len(TABLES))})
+    for place, (what, (_, wanted)) in enumerate(TABLES.items()):
+        values = found.series[f"torque/t{place}"].value
+        assert sorted(set(values)) == wanted, what
+        assert len(values) == count // 4 * len(wanted), what
+    lost = sum(count // 4 * (4 - len(wanted)) for _, wanted in TABLES.values())
+    assert sum(one.count for one in found.findings if one.kind == "absent") == lost
+
+
+@pytest.mark.parametrize(("sync", "what"), [(1, ""), (2, "an angle"), (3, "a distance"), (4, "an index"), (None, "no master")])
+def test_channels_of_mdf_without_times_are_not_read(tmp_path, sync, what):
+    from asammdf import MDF, Signal
+
+    path, t = tmp_path / "run.mf4", np.arange(50) / 10.0
+    with MDF(version="4.20") as mdf:
+        for name, kind in (("Spd", 1), ("Trq", sync or 1), ("speed_mps", 1)):
+            mdf.append([Signal(t, 2.0 * t, name=name, unit="Nm" * (name == "Trq"), master_metadata=("x", kind))], acq_name=name)
+        third = mdf.groups[2].channel_group  # its master is that of the second group
+        third.flags, third.cg_master_index, third.cg_master_addr = 1 << 3, 1, 0
+        third.block_len, third.links_nr = third.block_len + 8, third.links_nr + 1
+        for group in mdf.groups[1 + (sync is not None) :]:
+            group.channels[0].channel_type = group.channels[0].sync_type = 0
+        mdf.save(path)
+    speed = {"speed": {"channel": "Spd", "unit": "m/s"}}
+    if sync == 1:
+        found = tr.read(path, topics={"torque": {"channel": "Trq"}})
+        assert all(found.time_s(role).tolist() == pytest.approx((2.0 * t).tolist()) for role in ("speed", "torque"))
+        return
+    with pytest.raises(InputError, match=rf"'columns Spd; not read, as .*{what}: .*Trq, .*speed_mps'"):
+        tr.read(path)
+    found = tr.read(path, topics=speed)
+    assert list(found.series) == ["speed"]
+    assert any(note.startswith("not read, as ") and what in note for note in found.notes)
+    for name in ("Trq", "Trq/Trq"):
+        with pytest.raises(InputError, match=rf"torque: column: given '{name}'; allowed: a channel that can be read; .*{what}"):
+            tr.read(path, topics={**speed, "torque": {"channel": name}})
 
 
 @pytest.mark.parametrize("kind", ["MF4", "MF4 of a bus"])
@@ -282,8 +405,8 @@ PEAK = """
 import sys
 from pathlib import Path
 from drive_files import TOPICS, topics_of
-from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.channel_file import Channel
+from trackres_ros.recording.bindings import TIME, Topics
+from trackres_ros.recording.channel_file import Channel, ChannelFile
 from trackres_ros.recording.opening import open_source
 path, kind = Path(sys.argv[1]), sys.argv[2]
 rows = sum(map(len, open_source([path], Topics.parse(topics_of(kind), "t.yaml", path.parent)).blocks()))

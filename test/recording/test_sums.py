@@ -139,6 +139,8 @@ def test_a_bag_without_torque_names_the_topics_that_may_hold_it(tmp_path, trackr
 def test_the_line_a_diagnosis_writes_for_a_sum_parses_back():
     line = yaml.safe_load(yaml.safe_dump(_said(TWO["torque"])))
     assert Topics.parse({"torque": line})["torque"] == TWO["torque"]
+    shifted = Topics.parse({"torque": {"column": "a", "scale": 1.0, "offset": 5.0}})["torque"]
+    assert Topics.parse({"torque": _said(shifted)})["torque"] == shifted  # without its scale it would be in the file's unit
 
 
 PART = {"column": "a"}

@@ -38,7 +38,7 @@ torque: {column: "Torque [kNm]", scale: 1000}
     )
     assert list(topics) == ["speed", "load/front", "belt/rear_left", "torque"]
     assert topics["speed"] == TopicBinding(
-        "/vehicle/speed", "geometry_msgs/msg/TwistStamped", "twist.linear.x", scale=1e-3, offset=2.0
+        "/vehicle/speed", "geometry_msgs/msg/TwistStamped", "twist.linear.x", scale=1e-3, offset=2.0, converts=True
     )
     assert topics["load/front"].stamp == "log"
     assert topics["load/front"].max_age_s == 0.5

@@ -55,6 +55,7 @@ class TopicBinding:
     std_k: float | None = None  # standard deviation of a belt temperature [K], if given
     delay_s: float = 0.0  # delay of a torque [s]: its value belongs to that much earlier than its stamp
     unit: str = ""  # unit of the raw numbers, if given: it is in scale and offset. Without it, the values of a position decide
+    converts: bool = False  # whether the line of a topics file gives a unit or a scale: then the unit of the file is not used
     kg_each: float | None = None  # of passengers: mass of one [kg], if given
     threshold: float | None = None  # of a brake: value from which it brakes; None if not given
     values: tuple[float, ...] = ()  # of an enable given as a mode: the modes with feed-forward; empty if it is 1 or 0

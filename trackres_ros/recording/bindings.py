@@ -152,6 +152,7 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         std_k=_number(line, "std_k", 0.0, where) if "std_k" in line else None,
         delay_s=checks.number(line.get("delay_s", 0.0), f"{where}: delay_s", 0.0, MOST_DELAY_S, "s"),
         unit=unit,
+        converts=_converts(line),
         kg_each=checks.number(line["kg_each"], f"{where}: kg_each", 1.0, MOST_KG_EACH, "kg") if "kg_each" in line else None,
         threshold=_number(line, "threshold", 0.0, where) if "threshold" in line else None,
         values=_values(line["values"], f"{where}: values") if "values" in line else (),
@@ -235,6 +236,7 @@ def _time(line: object, where: str) -> TopicBinding:
         column=_text(line, "column", where),
         scale=scale,
         offset=by_unit * _number(line, "offset", 0.0, where),
+        converts=_converts(line),
         decimal=_choice(line, "decimal", (".", ","), "", where),
         order=_choice(line, "order", ("dmy", "mdy"), "", where),
     )
@@ -257,6 +259,10 @@ def _unit(line: Mapping[object, object], inside: str, default: str, where: str) 
         remedy = f"or give scale and offset: value [{inside}] = scale x raw + offset"
         raise InputError(f"{where}: unit", given, ", ".join(UNITS[inside]), remedy)
     return next((name for name, one in UNITS[inside].items() if given and one == found), ""), found
+
+
+def _converts(line: Mapping[object, object]) -> bool:
+    return "unit" in line or "scale" in line
 
 
 def _databases(given: object, where: str, folder: Path) -> tuple[tuple[int | None, Path], ...]:

@@ -25,7 +25,7 @@ MOST_DATABASE_BYTES = 2**26
 MOST_IDENTIFIERS = 2**14
 """Kept messages; a bus has some hundreds, but a malicious file any number."""
 NOT_AVAILABLE = re.compile(r"\b(sna|n/?a|not ?(available|avail|valid)|invalid|error|fault|init|undefined)\b", re.IGNORECASE)
-"""In a database's name for a value: the signal is not available."""
+"""In the name of a value, of a database or of an MDF file: the signal is not available."""
 J1939_LAST_VALID = 0xFA
 """SAE J1939-71: a signal of 8 bits or more with a first byte above it is in error, not available, or a special code."""
 J1939_ANY_SOURCE = (0xFE, 0xFF)
@@ -198,10 +198,15 @@ def _pgn(number: int) -> int:
     return group if group >> 8 & 0xFF >= PDU2 else group & 0x3FF00
 
 
+def is_unavailable(name: str) -> bool:
+    """Whether the name of a value says that there is none."""
+    return bool(NOT_AVAILABLE.search(name.replace("_", " ")))
+
+
 def _signal(column: int, signal: Any, j1939: bool) -> _Signal:
     """How a signal is read."""
     named = {raw: str(name) for raw, name in (signal.choices or {}).items()}
-    missing = frozenset(raw for raw, name in named.items() if NOT_AVAILABLE.search(name.replace("_", " ")))
+    missing = frozenset(raw for raw, name in named.items() if is_unavailable(name))
     last = float("inf")
     if j1939 and not signal.is_signed and not signal.is_float:
         if signal.length >= 8:

@@ -3,8 +3,9 @@
 
 """Defines the interface of a reader: the channels of a file with their units, and their samples in blocks."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -63,7 +64,7 @@ class ChannelRows(NamedTuple):
 class ChannelFile:
     """A file of channels: a recording of channels, a table, a sheet of a workbook. Base class of readers.
 
-    A reader sets `name`, `channels`, optionally `notes` and `findings`, and implements `streams`.
+    A reader sets `name`, `channels`, optionally `left_out`, `notes` and `findings`, and implements `streams`.
 
     Attributes
     ----------
@@ -71,6 +72,8 @@ class ChannelFile:
         The file, and the sheet of a workbook, for messages.
     channels : sequence of Channel
         All channels.
+    left_out : mapping of Channel to str
+        Channels of the file that cannot be read, and why.
     notes : sequence of str
         Assumptions about the file.
     findings : sequence of Finding
@@ -81,6 +84,7 @@ class ChannelFile:
 
     name: str
     channels: Sequence[Channel]
+    left_out: Mapping[Channel, str] = MappingProxyType({})
     notes: Sequence[str] = ()
     findings: Sequence[Finding] = ()
     has_times = True

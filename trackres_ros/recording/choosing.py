@@ -3,6 +3,7 @@
 
 """Chooses the channels of a file to read: those that the topics file names, those known by name, else those guessed."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -12,8 +13,8 @@ from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import TIME, Topics
 from trackres_ros.recording.channel_file import Channel, ChannelFile, ChosenChannel
 from trackres_ros.recording.guess import guess_channels, topics_line, words
-from trackres_ros.recording.role_units import UNITS, conversion
-from trackres_ros.recording.roles import ROLES, base_role
+from trackres_ros.recording.role_units import UNITS, conversion, is_quantity
+from trackres_ros.recording.roles import POSITION, ROLES, base_role
 
 TIME_S = "time_s"
 DATE_NAMES = ("time", "timestamp", "datetime")
@@ -22,6 +23,8 @@ COLUMNS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {name: (role, unit) for role, about in ROLES.items() for name, unit in about.columns.items()}
 )
 """Columns known by name: role, and unit. ``weight_n/front`` is the load of the axle or assembly front."""
+UNIT_IN_BRACKETS, UNIT_AT_THE_END = re.compile(r"[\[(]([^\[\]()]+)[\])]$"), re.compile(r"[_ ]([^_ ]{2,})$")
+"""In the name of a column: ``Geschw [km/h]``, ``time_ms``; one letter at the end may be anything."""
 NAMES_SHOWN = 20
 
 
@@ -44,12 +47,14 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     names = _Names(file)
     listed = topics.bindings.items() if topics else ()
     origin = topics.origin if topics else file.name
-    notes: list[str] = []
+    notes = _left_out(file)
     of_file = [
         names.chosen(role, part, origin, notes) for role, binding in listed if not binding.of_topics for part in binding.sources
     ]
-    known = _known(file, frozenset(one.role for one in of_file), names)
+    known = _known(file, frozenset(one.role for one in of_file), names, notes)
     time = None if file.has_times else _time(file, topics, names, notes)
+    if topics:
+        notes += _units_in_names(file, topics, [*of_file, *([time] if time and topics.time else [])])
     chosen = [*of_file, *known]
     there, guessed = {base_role(one.role) for one in chosen}, dict[str, TopicBinding]()
     if file.has_times and not listed and "speed" not in there:
@@ -66,10 +71,19 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
                 f"{allowed}, or a speed with a unit",
                 "or give it in a topics file: speed: {channel: NAME, unit: km/h}",
             )
-        raise InputError(file.name, f"columns {listed_names(names.all)}", allowed, remedy)
+        given = "; ".join([f"columns {listed_names(names.all) or 'none'}", *_left_out(file)])
+        raise InputError(file.name, given, allowed, remedy)
     for name in ((time.name,) if time else ()) + tuple(one.name for one in chosen):
         names.check_single(name)
     return Choice(time, chosen, notes, frozenset(guessed))
+
+
+def _left_out(file: ChannelFile) -> list[str]:
+    """The channels that cannot be read, by reason."""
+    return [
+        f"not read, as {why}: {listed_names([one.name for one in file.left_out if file.left_out[one] == why])}"
+        for why in dict.fromkeys(file.left_out.values())
+    ]
 
 
 class _Names:
@@ -100,9 +114,11 @@ class _Names:
     def chosen(self, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> ChosenChannel:
         """A channel that a line names, in the unit of its role."""
         if binding.column not in self._places:
-            raise InputError(
-                f"{origin}: {role}: column", binding.column, listed_names(self.all), nearest(binding.column, self._places)
-            )
+            where = f"{origin}: {role}: column"
+            for one, why in self._file.left_out.items():
+                if binding.column in (one.name, f"{one.group}/{one.name}"):
+                    raise InputError(where, binding.column, "a channel that can be read", why)
+            raise InputError(where, binding.column, listed_names(self.all), nearest(binding.column, self._places))
         place = self._places[binding.column][0]
         return ChosenChannel(place, binding.column, role, _in_unit(self._file.channels[place], role, binding, origin, notes))
 
@@ -115,17 +131,22 @@ class _Names:
         return self._places[name][0] if name in self._places else None
 
 
+def _unit_inside(role: str) -> str:
+    return "s" if role == TIME else ROLES[base_role(role)].unit
+
+
 def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> TopicBinding:
     """The binding with the unit of the file, if the line gives neither unit nor scale."""
     if not channel.unit or binding.values:
         return binding
-    inside = "s" if role == TIME else ROLES[base_role(role)].unit
+    inside = _unit_inside(role)
     of_file = conversion(channel.unit, inside)
     if role == TIME and of_file is None:  # dates have none
         return binding
-    said = (binding.scale, binding.offset) != (1.0, 0.0) or bool(binding.unit)
-    if said:
-        if of_file is None or tuple(of_file) != (binding.scale, binding.offset):
+    of_line = (binding.scale, binding.offset)
+    by_offset = binding.offset != 0.0 and of_file in (None, of_line)  # an offset alone, which may convert all there is: K
+    if binding.converts or by_offset:
+        if of_file != of_line:
             notes.append(
                 f"{role}: {channel.name} is in {channel.unit} according to the file, but the topics file uses another conversion"
             )
@@ -136,10 +157,26 @@ def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, no
     unit = next(name for name, one in UNITS[inside].items() if one == of_file)
     if unit != inside:
         notes.append(f"{role}: {channel.name} is in {unit} according to the file")
-    return replace(binding, scale=of_file.scale, offset=of_file.offset, unit=unit)
+    return replace(binding, scale=of_file.scale, offset=of_file.scale * binding.offset + of_file.offset, unit=unit)
 
 
-def _known(file: ChannelFile, by_file: frozenset[str], names: _Names) -> list[ChosenChannel]:
+def _units_in_names(file: ChannelFile, topics: Topics, chosen: Sequence[ChosenChannel]) -> Iterator[str]:
+    """Note where the name of a column has a unit, but its line and the file have none and it is read in another one."""
+    for one in chosen:
+        line = topics.time if one.role == TIME and topics.time else topics[one.role]
+        found = UNIT_IN_BRACKETS.search(one.name) or UNIT_AT_THE_END.search(one.name)
+        given = file.channels[one.place].unit or line.converts or one.binding.converts or line.values
+        if not found or given or one.role in POSITION:  # the values of a position decide
+            continue
+        inside = "m" if line.derivative else _unit_inside(one.role)
+        of_name = conversion(found[1], inside)
+        foreign = of_name is None and found.re is UNIT_IN_BRACKETS and is_quantity(found[1])
+        if foreign or of_name not in (None, (1.0, 0.0), (one.binding.scale, one.binding.offset)):
+            read = f"but is read in {inside}, as its line has neither unit nor scale"
+            yield f"{one.role}: {one.name} is in {found[1]} according to its name, {read}"
+
+
+def _known(file: ChannelFile, by_file: frozenset[str], names: _Names, notes: list[str]) -> list[ChosenChannel]:
     """The columns known by name, of roles that the topics file does not name."""
     columns: dict[str, ChosenChannel] = {}
     for place, name in names.known():
@@ -153,11 +190,30 @@ def _known(file: ChannelFile, by_file: frozenset[str], names: _Names) -> list[Ch
         if role in columns:
             given = f"columns {columns[role].name} and {name}"
             raise InputError(file.name, given, f"one column for {role}", "give the right one in a topics file")
-        by_unit = conversion(unit, about.unit)
-        assert by_unit is not None
-        binding = TopicBinding(column=name, scale=by_unit.scale, unit=unit)
-        columns[role] = ChosenChannel(place, name, role, binding)
+        columns[role] = ChosenChannel(place, name, role, _by_name(file.channels[place], role, unit, file.name, notes))
     return list(columns.values())
+
+
+def _by_name(channel: Channel, role: str, unit: str, origin: str, notes: list[str]) -> TopicBinding:
+    """The binding of a column known by name, in the unit of that name; without one (`grade`) in that of the file.
+
+    Raises InputError if the file gives another unit; a text that is no known unit is only noted.
+    """
+    inside = _unit_inside(role)
+    by_name, of_file, share = (conversion(*one) for one in ((unit, inside), (channel.unit, inside), (channel.unit, "1")))
+    assert by_name is not None
+    binding = TopicBinding(column=channel.name, scale=by_name.scale, unit=unit)
+    if of_file == by_name or share == (1.0, 0.0):  # the same, or none
+        return binding
+    if of_file and unit == "1":
+        return _in_unit(channel, role, TopicBinding(column=channel.name), origin, notes)
+    if of_file or share or is_quantity(channel.unit):
+        right = of_file or by_name
+        line = topics_line(role, replace(binding, scale=right.scale, offset=right.offset))
+        raise InputError(f"{origin}: unit of {channel.name}", channel.unit, unit, f"give it in a topics file: {line}")
+    if role != TIME:  # dates have none
+        notes.append(f"{role}: {channel.name} is in {channel.unit} according to the file: no known unit, so its name decides")
+    return binding
 
 
 def _time(file: ChannelFile, topics: Topics | None, names: _Names, notes: list[str]) -> ChosenChannel:
@@ -166,7 +222,7 @@ def _time(file: ChannelFile, topics: Topics | None, names: _Names, notes: list[s
         return names.chosen(TIME, topics.time, topics.origin, notes)
     place = names.place(TIME_S)
     if place is not None:
-        return ChosenChannel(place, TIME_S, TIME, TopicBinding(column=TIME_S))
+        return ChosenChannel(place, TIME_S, TIME, _by_name(file.channels[place], TIME, "s", file.name, notes))
     dated = [(place, name) for place, name in names.known() if name.lower() in DATE_NAMES]
     if len(dated) == 1:
         place, name = dated[0]

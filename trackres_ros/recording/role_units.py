@@ -64,3 +64,8 @@ def conversion(text: str, inside: str) -> Conversion | None:
     given = _plain(SPELLINGS.get(given.lower(), given))
     folded = [one for name, one in names.items() if name.lower() == given.lower()]
     return names.get(given) or (folded[0] if len(folded) == 1 else None)
+
+
+def is_quantity(text: str) -> bool:
+    """Whether a text is the unit of a quantity: not of a share or a count."""
+    return any(conversion(text, inside) for inside in UNITS if inside != "1")

@@ -22,7 +22,7 @@ from trackres_ros.recording.channel_file import Channel, ChannelRows, ChosenChan
 from trackres_ros.recording.date_times import MOST_S, NO_ZONE, SECOND_NS, DateTimes, is_date_time
 from trackres_ros.recording.file_kind import FileKind
 from trackres_ros.recording.number_marks import COMMA, Mark, decide, is_number, marks_of, number_of
-from trackres_ros.recording.role_units import UNITS, conversion
+from trackres_ros.recording.role_units import is_quantity
 from trackres_ros.recording.samples import Finding
 
 if TYPE_CHECKING:
@@ -218,7 +218,7 @@ def _are_units(cells: Sequence[Any]) -> bool:
     texts = [value for value in cells if value is not None]
     if not all(isinstance(value, str) and not is_number(value) and not is_date_time(value) for value in texts):
         return False
-    return any(conversion(text, inside) for text in texts for inside in UNITS if inside != "1")
+    return any(map(is_quantity, texts))
 
 
 def _filled(value: Any) -> Any:

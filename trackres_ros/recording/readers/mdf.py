@@ -3,9 +3,12 @@
 
 """Reads measurement data in the format MDF: channels, and the frames of buses that were logged."""
 
+import copy
+import functools
 import heapq
 import io
 import logging
+import math
 import shutil
 import tempfile
 import weakref
@@ -20,10 +23,11 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.can_signals import CanSignals
+from trackres_ros.recording.can_signals import CanSignals, is_unavailable
 from trackres_ros.recording.channel_file import MOST_TIME_S, Channel, ChannelFile, ChannelRows, rows_at
 from trackres_ros.recording.file_kind import FileKind
 from trackres_ros.recording.j1939_transport import Frame
+from trackres_ros.recording.role_units import is_quantity
 from trackres_ros.recording.samples import Finding, FloatArray
 from trackres_ros.recording.unpacking import set_mdf_ceilings
 
@@ -40,6 +44,10 @@ FRAMES = "CAN_DataFrame"
 OF_A_BUS = (FRAMES, "CAN_ErrorFrame", "CAN_RemoteFrame")
 OF_A_FRAME = {"ID": 1, "DataBytes": 2, "DataLength": 1, "IDE": 1, "BusChannel": 1}
 """Parts of a frame to read, and the dimensions of their samples: ASAM MDF, bus logging."""
+SAME, LINEAR, TABLES_OF_TEXTS, REST = 0, 1, (7, 8), "default_addr"
+"""Types of conversions: ASAM MDF 4; and in asammdf the part of a table for all other values."""
+REMOTE_MASTER, OTHER_MASTERS = 1 << 3, {2: "an angle", 3: "a distance", 4: "an index"}
+"""Flag of a group whose master is in another one, and masters that are no time: ASAM MDF 4."""
 EXTENDED, IDENTIFIER, STANDARD = 1 << 31, (1 << 29) - 1, 0x7FF
 
 
@@ -110,6 +118,15 @@ class _Groups:
         """How many records a group has."""
         return int(self.mdf.groups[group].channel_group.cycles_nr)
 
+    def lacks_times(self, group: int) -> str:
+        """Why the records of a group have no times; empty if they have."""
+        described = self.mdf.groups[group].channel_group
+        group = described.cg_master_index if described.flags & REMOTE_MASTER else group
+        if group not in self.mdf.masters_db:
+            return "its group has no master"
+        master = self.mdf.groups[group].channels[self.mdf.masters_db[group]]
+        return f"the master of its group is {OTHER_MASTERS[master.sync_type]}" if master.sync_type in OTHER_MASTERS else ""
+
     def part(self, group: int, index: int, start: int) -> Any:
         """A part of a channel as a signal, including samples marked as invalid.
 
@@ -134,15 +151,20 @@ class MdfChannels(ChannelFile):
         self.name, self._groups = name, groups
         self._places: list[tuple[int, int]] = []
         self.channels: list[Channel] = []
+        self.left_out: dict[Channel, str] = {}
         names = Counter(self._name_of(number) for number in range(len(groups.mdf.groups)))
         for number, group in enumerate(groups.mdf.groups):
             label = self._name_of(number)
             label = label if names[label] == 1 else f"{label} {number}"
+            lacks = groups.lacks_times(number)
             for index, channel in enumerate(group.channels):
                 if index != groups.mdf.masters_db.get(number) and number not in groups.of_a_bus and _is_numeric(group, index):
-                    unit = (channel.conversion and channel.conversion.unit) or channel.unit or ""
+                    one = Channel(channel.name, _unit(channel), label)
+                    if lacks:
+                        self.left_out[one] = lacks
+                        continue
                     self._places.append((number, index))
-                    self.channels.append(Channel(channel.name, unit, label))
+                    self.channels.append(one)
 
     def _name_of(self, number: int) -> str:
         group = self._groups.mdf.groups[number].channel_group
@@ -158,6 +180,8 @@ class MdfChannels(ChannelFile):
     def _rows(self, number: int) -> Iterator[ChannelRows]:
         columns = [(column, self._places[one.place]) for column, one in enumerate(self.wanted)]
         mine = [(column, index) for column, (group, index) in columns if group == number]
+        described = [self._groups.mdf.groups[number].channels[index] for _, index in mine]
+        conversions = [_without_texts(channel.conversion, _unit(channel)) for channel in described]
         records, read, absent = self._groups.records(number), 0, 0
         if not records and self._groups.mdf.groups[number].data_group.data_block_addr:
             text = f"{self._name_of(number)} has no records by its header, but has data"
@@ -166,8 +190,8 @@ class MdfChannels(ChannelFile):
             signals = [self._groups.part(number, index, start) for _, index in mine]
             seconds = np.asarray(signals[0].timestamps, np.float64)
             cells = np.full((len(seconds), len(self.wanted)), np.nan)
-            for (column, _), signal in zip(mine, signals, strict=True):
-                cells[:, column] = _numbers(signal, len(seconds))
+            for (column, _), signal, conversion in zip(mine, signals, conversions, strict=True):
+                cells[:, column] = _numbers(signal, conversion, len(seconds))
                 absent += int(np.count_nonzero(np.isnan(cells[:, column])))
             read += len(seconds)
             yield rows_at(seconds, cells, self._groups.start_ns)
@@ -181,6 +205,10 @@ class MdfChannels(ChannelFile):
             self.findings = (*self.findings, Finding("", "missing", records - read, float("nan"), text))
 
 
+def _unit(channel: Any) -> str:
+    return (channel.conversion and channel.conversion.unit) or channel.unit or ""
+
+
 def _is_numeric(group: Any, index: int) -> bool:
     """Whether a channel has one number per record."""
     from asammdf.blocks.v4_constants import CHANNEL_TYPE_VALUE, CHANNEL_TYPE_VIRTUAL, DATA_TYPE_STRING_LATIN_1
@@ -192,11 +220,58 @@ def _is_numeric(group: Any, index: int) -> bool:
     )
 
 
-def _numbers(signal: Any, count: int) -> FloatArray:
+def _without_texts(conversion: Any, unit: str) -> Any:
+    """A conversion with nan for values that mean a text.
+
+    In an enumeration all values mean texts, so their raw numbers stay, except where the text says that there is no value.
+    """
+    if conversion is None or conversion.conversion_type not in TABLES_OF_TEXTS:
+        return conversion
+    parts = dict(conversion.referenced_blocks)
+    rest = parts.pop(REST)
+    stays = rest == b"" or (not isinstance(rest, bytes) and _is_identity(rest))  # other values are their raw numbers
+    scaled = any(map(_gives_numbers, parts.values() if stays else (*parts.values(), rest)))
+    cleared = _cleared(conversion, scaled or (stays and is_quantity(unit)))
+    if stays and not scaled:
+        cleared.referenced_blocks[REST] = rest
+    return cleared
+
+
+def _is_identity(conversion: Any) -> bool:
+    kind = conversion.conversion_type
+    return bool(kind == SAME or (kind == LINEAR and (conversion.a, conversion.b) == (1.0, 0.0)))
+
+
+def _gives_numbers(part: Any) -> bool:
+    """Whether a part of a table is a conversion to numbers: a text is none, nor is a table of texts."""
+    if isinstance(part, bytes):
+        return False
+    return part.conversion_type not in TABLES_OF_TEXTS or any(map(_gives_numbers, part.referenced_blocks.values()))
+
+
+def _cleared(part: Any, all_texts: bool) -> Any:
+    """A part of a table, with a conversion to nan for its texts: for all, or for those that say that there is no value."""
+    if isinstance(part, bytes):
+        return _to_nan() if all_texts or is_unavailable(part.decode("utf-8", "replace")) else part
+    if part.conversion_type in TABLES_OF_TEXTS:
+        part = copy.copy(part)
+        part.referenced_blocks = {key: _cleared(one, all_texts) for key, one in part.referenced_blocks.items()}
+    return part
+
+
+@functools.cache
+def _to_nan() -> Any:
+    """One conversion for all texts: asammdf compares those of equal keys."""
+    from asammdf.blocks.v4_blocks import ChannelConversion
+
+    return ChannelConversion(conversion_type=LINEAR, a=math.nan, b=0.0)
+
+
+def _numbers(signal: Any, conversion: Any, count: int) -> FloatArray:
     """Physical values; nan where the record marks them as invalid, or where a value means a text."""
     samples = signal.samples
-    if signal.conversion is not None:
-        samples = signal.conversion.convert(samples, ignore_value2text_conversions=True)
+    if conversion is not None:
+        samples = conversion.convert(samples, ignore_value2text_conversions=True)
     if samples.dtype.kind not in "biuf" or samples.ndim != 1 or len(samples) != count:
         return np.full(count, np.nan)
     numbers: FloatArray = samples.astype(np.float64)

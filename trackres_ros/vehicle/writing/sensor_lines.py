@@ -42,10 +42,11 @@ def sensor_lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding]
 
 
 def _said(binding: TopicBinding) -> dict[str, Any]:
-    """Keys of a line: all that differ from the default, with the unit in the scale."""
+    """Keys of a line: all that differ from the default, with the unit in the scale, which also replaces that of the file."""
     found: dict[str, Any] = {"sum": [_said(part) for part in binding.parts]} if binding.parts else {}
     for item in fields(TopicBinding):
         value = getattr(binding, item.name)
-        if value != item.default and item.name not in ("parts", "unit"):
+        given = value != item.default or (item.name == "scale" and binding.converts)
+        if given and item.name not in ("parts", "unit", "converts"):
             found[item.name] = float(f"{value:.{FIGURES}g}") if isinstance(value, float) else value
     return found
