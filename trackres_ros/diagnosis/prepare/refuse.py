@@ -1,12 +1,13 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Refuses recordings without comparable data: too short, overlapping in time, without torque or speed, too fast or too slow."""
+"""Refuses recordings without comparable data: too short, given twice, without torque or speed, too fast or too slow."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from operator import attrgetter
 from typing import TypeVar
 
@@ -24,6 +25,7 @@ from trackres_ros.units import KMH_PER_MPS
 SHORTEST_S = 120.0
 EARLIEST_CLOCK_S = 6e8  # 1989: an earlier time is relative to the recording's own start
 MOST_OVERLAP = 0.1  # of the shorter: too much for a small clock error
+SAME_NS, SAME_MPS = 1_000_000, 1e-3  # finer than any sensor shows: a table rounds so, and a time since 1970
 
 Given = TypeVar("Given")
 Used = TypeVar("Used")
@@ -91,8 +93,30 @@ def too_short_pieces(where: str, step: float) -> InputError:
     return InputError(where, given, allowed, "record the torque without gaps, or give a longer recording")
 
 
+def refuse_repeated(recordings: Sequence[Recording]) -> None:
+    """Refuse two recordings of the same file or of the same speeds: they show the same drive twice."""
+    for one, other in combinations(recordings, 2):
+        shared = {path.resolve() for path in one.paths} & {path.resolve() for path in other.paths}
+        if shared or _same_speeds(one, other):
+            raise InputError(
+                f"{one.name}, {other.name}",
+                f"{', '.join(map(str, sorted(shared)))} in both" if shared else "the same speeds at the same times in both",
+                "each drive once: a second copy would count as independent evidence",
+                "give one of them",
+            )
+
+
+def _same_speeds(one: Recording, other: Recording) -> bool:
+    """Whether two recordings have equal speeds at equal times since their starts, but for rounding."""
+    a, b = one.series.get("speed"), other.series.get("speed")
+    if a is None or b is None or not 0 < len(a) == len(b):
+        return False
+    apart_ns = (a.stamp_ns - one.start_ns) - (b.stamp_ns - other.start_ns)
+    return bool((np.abs(apart_ns) <= SAME_NS).all()) and np.allclose(a.value, b.value, 0.0, SAME_MPS, equal_nan=True)
+
+
 def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
-    """Refuse two recordings of the same time: they show the same drive twice. Without a clock of the day none is refused."""
+    """Refuse two recordings of the same time of day: they show the same drive twice. Without such a clock none is refused."""
     clocked = [(r.start_ns * 1e-9, r) for r in recordings if r.start_ns * 1e-9 > EARLIEST_CLOCK_S]
     spans = sorted((begin, begin + duration_s(r.series), r.name) for begin, r in clocked)
     for i, (begin, end, name) in enumerate(spans):
