@@ -10,6 +10,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from decimal import Decimal
 from pathlib import Path
 from types import MappingProxyType
 
@@ -218,6 +219,24 @@ def test_a_message_that_hides_another_one_is_named(files, tmp_path):
     lines |= {"load": {"channel": "Motion/AxleLoad"}}
     found = Recording.from_source(open_source([files["BLF"][0]], Topics.parse(lines, "t.yaml", tmp_path)))
     assert [finding.kind for finding in found.findings if re.match(reason, finding.text)] == ["empty"]
+
+
+def test_times_since_the_line_before_give_the_same_stamps(files, tmp_path):
+    path, topics = files["ASC"]
+    lines = path.read_text().replace("timestamps absolute", "timestamps relative").splitlines(keepends=True)
+    last = Decimal()
+    for place, line in enumerate(lines):
+        at = line.split()[0] if line.strip() else ""
+        if re.fullmatch(r"\d+\.\d+", at):
+            lines[place], last = line.replace(at, str(Decimal(at) - last), 1), Decimal(at)
+    frames = [place for place, line in enumerate(lines) if " Rx " in line]
+    half = lines[frames[100]].split()[0]  # another event shares the time until the frame
+    lines[frames[100]] = f"  {half} 1  Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 0.2%\n" + lines[frames[100]].replace(half, "0.0", 1)
+    relative = tmp_path / "relative.asc"
+    relative.write_text("".join(lines))
+    wanted, found = (tr.read(one, topics=topics).series for one in (path, relative))
+    for role, series in wanted.items():
+        np.testing.assert_array_equal(found[role].stamp_ns, series.stamp_ns)
 
 
 def test_guessed_lines_are_a_topics_file(files, good, tmp_path):
