@@ -198,7 +198,7 @@ def from_zero(columns):
 
 def rounded(columns):
     from_zero(columns)
-    columns["speed_mps"] = np.round(columns["speed_mps"], 3)
+    columns["speed_mps"] = np.round(columns["speed_mps"], 4)
 
 
 def days_later(columns):
