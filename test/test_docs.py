@@ -11,6 +11,7 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.estimator.columns import REASON_TEXT, Count
+from trackres_ros.estimator.constants import PLAUSIBLE
 from trackres_ros.node.notices import LIVE_KINDS
 from trackres_ros.node.report import COMPARISON_KEYS, ESTIMATE_KEYS, INPUT_KEYS, STATE_KEYS
 
@@ -54,6 +55,13 @@ def test_every_remark_of_the_live_node_is_explained(repository):
     page = (repository / "docs" / "robustness.md").read_text()
     for name, kind in LIVE_KINDS.items():
         assert f"| `{name}` | {kind.level.name.lower()} | {kind.meaning} |" in page
+
+
+def test_every_input_with_limits_is_listed(repository):
+    page = (repository / "docs" / "robustness.md").read_text()
+    limits = page.partition("### Limits of the inputs")[2].partition("\n## ")[0].lower()
+    for role in ("speed", "load", "wheel_speed", *PLAUSIBLE):
+        assert ("acceleration" if role == "accel" else role.replace("_", " ")) in limits
 
 
 def test_every_key_of_the_diagnostics_is_explained(repository):

@@ -108,8 +108,8 @@ def files(tmp_path_factory):
     time = np.arange(0.0, 400.0, 0.1)
     speed = 3.0 + 2.0 * np.sin(time / 15.0)
     torque = 1500.0 + 30.0 * np.random.default_rng(1).standard_normal(len(time))
-    rows = "".join(f"{t:.1f},{v:.4f},{q:.1f}\n" for t, v, q in zip(time, speed, torque, strict=True))
-    for name in ("drive.csv", "roll_1.csv", "roll_2.csv"):
+    for name, driven in (("drive.csv", speed), ("roll_1.csv", speed), ("roll_2.csv", speed[::-1])):
+        rows = "".join(f"{t:.1f},{v:.4f},{q:.1f}\n" for t, v, q in zip(time, driven, torque, strict=True))
         (folder / name).write_text("time_s,speed_mps,torque_nm\n" + rows)
     columns = [b["column"] for b in yaml.safe_load((config_dir() / "topics" / "ztbus.yaml").read_text(encoding="utf-8")).values()]
     bus = np.full((len(time), len(columns)), 0.8)

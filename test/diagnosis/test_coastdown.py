@@ -183,6 +183,15 @@ def test_each_rolling_out_may_be_a_recording_of_its_own(tmp_path, reference_vehi
     assert resistance(reference_vehicle, found, 25.0) == pytest.approx(true, rel=0.05)  # how warm it was before is not known
 
 
+def test_a_coast_down_given_twice_is_refused(tmp_path, rolled):
+    one = written(tmp_path / "roll.csv", rolled)
+    again = written(tmp_path / "again.csv", rolled, "time_s,speed_mps")
+    for files in ([one, one], [one, again]):
+        with pytest.raises(tr.InputError, match="each drive once") as error:
+            tr.coastdown(files, "xgd24d")
+        assert sorted(error.value.where.split(", ")) == sorted(map(str, files))
+
+
 def test_what_is_driven_or_braked_is_not_taken(tmp_path, reference_vehicle, rolled):
     driven = rolled.copy()
     driven[:, 2] += 3.0 * NO_TORQUE_SHARE * reference_vehicle.weight * 0.4  # somebody keeps his foot on it

@@ -178,23 +178,59 @@ def test_a_last_value_that_is_repeated_is_left_out_and_counted(recorded, loaded,
     assert not found.sessions[0].used[201:239].any()
 
 
+def since(path, seconds):
+    """A change: the recording begins so long after another one."""
+    begin = columns_of(path)["time_s"][0] + seconds
+    return lambda c: c.update(time_s=c["time_s"] - c["time_s"][0] + begin)
+
+
 def test_two_recordings_of_one_time_are_refused_by_name(loaded, recorded, tmp_path):
-    one = recorded()[0]
-    copy = rewritten(one, tmp_path, lambda c: c.update(time_s=c["time_s"] + 60.0), "again.csv")
+    one, other = recorded()
+    meanwhile = rewritten(other, tmp_path, since(one, 60.0))
     with pytest.raises(InputError, match="both recordings cover") as error:
-        judged([one, copy], loaded)
-    assert one.name in str(error.value)
-    assert "again.csv" in str(error.value)
+        judged([one, meanwhile], loaded)
+    assert error.value.where == f"{one}, {meanwhile}"
+
+
+def from_zero(columns):
+    columns["time_s"] -= columns["time_s"][0]
+
+
+def rounded(columns):
+    from_zero(columns)
+    columns["speed_mps"] = np.round(columns["speed_mps"], 4)
+
+
+def days_later(columns):
+    columns["time_s"] += 5 * 86400.0
+
+
+@pytest.mark.parametrize("change", [None, from_zero, rounded, days_later])
+def test_a_drive_given_twice_is_refused_with_any_clock(recorded, loaded, tmp_path, change):
+    one, other = recorded()
+    again = rewritten(one, tmp_path, change, "again.csv") if change else one
+    with pytest.raises(InputError, match="each drive once") as error:
+        judged([one, other, again], loaded)
+    assert error.value.where in (f"{one}, {again}", f"{again}, {one}")
+
+
+def test_a_cycle_driven_twice_with_another_torque_is_two_drives(recorded, loaded, tmp_path):
+    def other_torque(columns):
+        from_zero(columns)
+        columns["torque_nm"] *= 1.01
+
+    one, _ = recorded()
+    judged([one, rewritten(one, tmp_path, other_torque, "again.csv")], loaded)
 
 
 def test_slightly_overlapping_clocks_are_noted_unless_undated(recorded, loaded, tmp_path):
-    one = recorded()[0]
+    one, other = recorded()
     length = 600.0
-    later = rewritten(one, tmp_path, lambda c: c.update(time_s=c["time_s"] + length - 20.0), "later.csv")
+    later = rewritten(other, tmp_path, since(one, length - 20.0), "later.csv")
     (note,) = [n for n in judged([one, later], loaded).notes if "clocks overlap by" in n]
     assert "later.csv" in note
-    from_zero = [rewritten(path, tmp_path, lambda c: c.update(time_s=c["time_s"] - c["time_s"][0])) for path in recorded()]
-    assert not any("clocks overlap" in n for n in judged(from_zero, loaded).notes)
+    undated = [rewritten(path, tmp_path, from_zero) for path in recorded()]
+    assert not any("clocks overlap" in n for n in judged(undated, loaded).notes)
 
 
 def test_a_short_recording_among_others_is_left_out_with_a_note(recorded, loaded, tmp_path):

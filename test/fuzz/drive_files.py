@@ -91,7 +91,9 @@ class Drive:
         ]
 
     def frames(self) -> list[Any]:
-        """CAN frames, and in between some that say nothing: of other identifiers, not available, of another control unit."""
+        """CAN frames, and in between some that say nothing: of other identifiers, not available, of another control unit;
+        with a multiplexer value that the database does not list.
+        """
         import can
 
         def frame(at_s: float, identifier: int, data: bytes, extended: bool = False) -> Any:
@@ -117,6 +119,7 @@ class Drive:
                         found.append(frame(at_s, *other[place], True))
                     found.append(frame(at_s, number, data, True))
             mode, rest = (2, b"\x50") if load is None else (1, round(load).to_bytes(3, "little"))
+            mode = 3 if row % 50 == 9 else mode
             found.append(frame(t, 256, round(v * 100).to_bytes(2, "little") + bytes([mode]) + rest.ljust(5, b"\0")))
             if row % 50 == 7:
                 found.append(frame(t, 0x7FF, bytes(8)))

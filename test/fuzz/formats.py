@@ -41,7 +41,7 @@ TOPICS = Topics.parse(
 )
 EXPECTED = Counter({"speed": ROWS, "load": ROWS // LOAD_EVERY})
 METADATA_SHARE = 0.2  # of the mutations of a folder that hit its metadata.yaml
-LOSSES = ("missing", "unusable", "unknown_topic", "malformed", "absent", "quoted", "cut")
+LOSSES = ("missing", "unusable", "unknown_topic", "other_bus", "unlisted", "malformed", "absent", "quoted", "cut")
 MOST_OF_A_LINE = 8000
 LINES = {
     ".log": {

@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import trackres_ros as tr
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.mcap_format import HEADER, MAGIC, record, text
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 
@@ -203,6 +205,19 @@ def test_bags_one_after_another(tmp_path: Path) -> None:
     assert got == [*want[0], *want[1], *want[2]]
 
 
+def test_bags_in_the_wrong_order_last_as_long(tmp_path: Path) -> None:
+    kind, lines = "std_msgs/msg/Float64", {"speed": {"topic": "/speed", "type": "std_msgs/msg/Float64", "field": "data"}}
+    paths = [tmp_path / "first.mcap", tmp_path / "second.mcap"]
+    for path, begin_ns in zip(paths, (START, START + 10 * 10**9), strict=True):
+        with BagWriter(path) as bag:
+            topic, number = bag.topic("/speed", kind), bag.typestore.types[kind]
+            for at_ns in range(begin_ns, begin_ns + 10 * 10**9, 10**8):
+                bag.write(topic, number(5.0), at_ns, at_ns)
+    there, back = (tr.replay(order, "xgd24d", topics=lines) for order in (paths, paths[::-1]))
+    assert there.duration_s == pytest.approx(19.9)
+    assert back.duration_s == pytest.approx(2 * 9.9)
+
+
 def test_a_bag_split_into_files(tmp_path: Path) -> None:
     path = write(tmp_path / "bag", count=40)
     other = write(tmp_path / "other", count=40, start_ns=START + 10**10)
@@ -324,6 +339,7 @@ def test_paths_that_are_no_recording(tmp_path: Path) -> None:
     (tmp_path / "run.txt").touch()
     (tmp_path / "run.csv").touch()
     (tmp_path / "bad.bag").write_bytes(b"#ROSBAG V2.0\n")
+    (tmp_path / "whole.mcap").write_bytes(MAGIC + record(HEADER, text("") + text("a library")))
     for paths, says in [
         ([], "no path"),
         (["none.mcap"], "no such file or folder"),
@@ -332,6 +348,7 @@ def test_paths_that_are_no_recording(tmp_path: Path) -> None:
         (["run.txt"], r"\.txt"),
         (["run.csv", "run.csv"], "give them one at a time"),
         (["bad.bag"], "rosbag reindex"),
+        (["whole.mcap"], "of another profile, or of none"),
     ]:
         with pytest.raises(InputError, match=says):
             open_source([tmp_path / path for path in paths])

@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from copy import deepcopy
 from dataclasses import replace
+from decimal import Decimal
 from pathlib import Path
 from types import MappingProxyType
 
@@ -288,7 +290,8 @@ def test_a_list_of_mdf_that_never_ends_is_refused(files, tmp_path, kind, listed)
 
 def test_frames_that_say_nothing_are_counted(files):
     found = {finding.kind: finding.count for finding in tr.read(files["BLF"][0], topics=files["BLF"][1]).findings}
-    assert (found["unknown_topic"], found["other_source"], found["absent"]) == (120, 20, 20)
+    assert (found["unknown_topic"], found["other_source"], found["absent"], found["unlisted"]) == (120, 20, 20, 20)
+    assert "malformed" not in found
 
 
 @pytest.mark.parametrize("kind", ["MF4 of a bus", "BLF", "ASC", "candump"])
@@ -307,6 +310,56 @@ def test_a_database_counts_for_its_bus_alone(files, tmp_path):
     assert sum(map(len, here.blocks())) == 1000
     with pytest.raises(InputError, match="no sample of any channel"):
         list(elsewhere.blocks())
+
+
+@pytest.mark.parametrize("kind", ["MF4 of a bus", "BLF", "ASC", "candump"])
+def test_frames_of_another_bus_change_no_series(kind, tmp_path):
+    import can
+
+    drive = Drive(2.0)
+    path, topics = write(kind, tmp_path, drive)
+    wanted = tr.read(path, topics=topics)
+    with can.Logger(path) as log:
+        for frame in drive.frames():
+            log(frame)
+            frame.channel, frame.data = 1, bytearray(8)
+            log(frame)
+    found = tr.read(path, topics=topics)
+    for role, series in wanted.series.items():
+        np.testing.assert_array_equal(found.series[role].value, series.value)
+        assert np.abs(found.series[role].stamp_ns - series.stamp_ns).max() < 1000
+    of_buses = {finding.text for finding in found.findings if finding.kind == "other_bus"}
+    assert any(text.startswith("100 frames") and "Motion" in text and "bus.dbc}" in text for text in of_buses)
+
+
+def test_a_message_that_hides_another_one_is_named(files, tmp_path):
+    (tmp_path / "bus.dbc").write_text(DBC)
+    (tmp_path / "more.dbc").write_text(DBC.replace("Motion", "Brake").replace("VehicleSpeed", "BrakeSpeed"))
+    lines = {"speed": {"channel": "BrakeSpeed"}, "dbc": ["bus.dbc", "more.dbc"]}
+    reason = r"BrakeSpeed in more.dbc: no sample, as .*read as Motion in bus.dbc.*\{1: bus.dbc, 2: more.dbc\}"
+    with pytest.raises(InputError, match=reason):
+        Recording.from_source(open_source([files["BLF"][0]], Topics.parse(lines, "t.yaml", tmp_path)))
+    lines |= {"load": {"channel": "Motion/AxleLoad"}}
+    found = Recording.from_source(open_source([files["BLF"][0]], Topics.parse(lines, "t.yaml", tmp_path)))
+    assert [finding.kind for finding in found.findings if re.match(reason, finding.text)] == ["empty"]
+
+
+def test_times_since_the_line_before_give_the_same_stamps(files, tmp_path):
+    path, topics = files["ASC"]
+    lines = path.read_text().replace("timestamps absolute", "timestamps relative").splitlines(keepends=True)
+    last = Decimal()
+    for place, line in enumerate(lines):
+        at = line.split()[0] if line.strip() else ""
+        if re.fullmatch(r"\d+\.\d+", at):
+            lines[place], last = line.replace(at, str(Decimal(at) - last), 1), Decimal(at)
+    frames = [place for place, line in enumerate(lines) if " Rx " in line]
+    half = lines[frames[100]].split()[0]  # another event shares the time until the frame
+    lines[frames[100]] = f"  {half} 1  Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 0.2%\n" + lines[frames[100]].replace(half, "0.0", 1)
+    relative = tmp_path / "relative.asc"
+    relative.write_text("".join(lines))
+    wanted, found = (tr.read(one, topics=topics).series for one in (path, relative))
+    for role, series in wanted.items():
+        np.testing.assert_array_equal(found[role].stamp_ns, series.stamp_ns)
 
 
 def test_guessed_lines_are_a_topics_file(files, good, tmp_path):

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from trackres_ros.errors import InputError
 from trackres_ros.recording.binding import FieldStep, TopicBinding, field_steps
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.guess import guess
+from trackres_ros.recording.channel_file import Channel
+from trackres_ros.recording.guess import guess, guess_channels
 
 SPEED = {"topic": "/vehicle/speed", "type": "geometry_msgs/msg/TwistStamped", "field": "twist.linear.x"}
 
@@ -174,6 +175,36 @@ def test_all_guesses_are_of_one_vehicle(vehicles: list[str], torques: list[str],
     of_vehicle = topics["speed"].topic.removesuffix(speed)
     assert set(topics) == {"speed", "torque", "load"}
     assert all(topics[role].topic.startswith(of_vehicle) for role in topics)
+
+
+NUMBER = "std_msgs/msg/Float64"
+WANTED = ("TrqReq", "torque_request", "requested_torque", "DrvTrqDmd", "torque_demand", "demandedTorque", "TrqSoll", "cmd/torque")
+OF_A_PART = ("EngTrq", "MotTrq", "eMotTrq", "emot1_torque", "engine/torque", "ENG_TRQ", "vehicle/mot/torque")
+RIGHT = ("torque", "DrvTrq", "TrqSprocket", "drive/torque", "torque_frequency_domain", "trq_engaged", "TrqMotion")
+
+
+@pytest.mark.parametrize("wrong", [*WANTED, *OF_A_PART])
+@pytest.mark.parametrize("right", [None, *RIGHT])
+def test_no_torque_wanted_or_of_a_motor_is_guessed(wrong: str, right: str | None) -> None:
+    names = [wrong, *([right] if right else [])]
+    by_unit, _ = guess_channels([Channel(name, "Nm") for name in names], ())
+    by_type, _ = guess({"/speed": SPEED["type"], **{f"/{name}": NUMBER for name in names}})
+    assert (by_unit["torque"].column if "torque" in by_unit else None) == right
+    assert (by_type["torque"].topic if "torque" in by_type else None) == (right and f"/{right}")
+
+
+@pytest.mark.parametrize("measured", ["torque_measured", "ActualDriveTorque", "DrvTrqAct", "TrqIst"])
+@pytest.mark.parametrize("other", RIGHT)
+def test_a_torque_that_says_measured_is_preferred(measured: str, other: str) -> None:
+    by_unit, others = guess_channels([Channel(name, "Nm") for name in (other, measured)], ())
+    by_type, _ = guess({"/speed": SPEED["type"], f"/{other}": NUMBER, f"/{measured}": NUMBER})
+    assert (by_unit["torque"].column, others["torque"], by_type["torque"].topic) == (measured, [other], f"/{measured}")
+
+
+@pytest.mark.parametrize("name", ["VehicleSpeed", "VehSpd_Eng", "mot/vehicle_speed", "speed_actual", "emotion/speed"])
+def test_the_speed_of_the_vehicle_is_guessed_from_any_unit(name: str) -> None:
+    assert guess_channels([Channel(name, "km/h")], ())[0]["speed"].column == name
+    assert guess({f"/{name}": NUMBER})[0]["speed"].topic == f"/{name}"
 
 
 def test_a_second_speed_alone_is_no_second_vehicle() -> None:

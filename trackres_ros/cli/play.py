@@ -25,7 +25,7 @@ def play_command(recording: Path, rate: float, wait_for: tuple[str, ...], as_jso
     """Play a ROS 2 bag with a /clock to a live node, without ROS. With ROS, use `ros2 bag play --clock`.
 
     \b
-    trackres live --transport dds --vehicle xgd24d --topics config/topics/sample.yaml -p use_sim_time:=true
+    trackres live --transport dds --vehicle xgd24d --topics sample -p use_sim_time:=true
     trackres play lap.mcap --rate 20 --wait-for /vehicle/speed
     """
     from trackres_ros.node.dds.player import Player

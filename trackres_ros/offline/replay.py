@@ -135,7 +135,7 @@ def replay(
             "at least one finite, plausible speed",
             "check topic, field, scale and unit of the speed",
         )
-    return Replayed(session, messages, seen.steps, (seen.last_ns - seen.first_ns) * NANOSECOND, seen.kept, seen.last, learner)
+    return Replayed(session, messages, seen.steps, seen.covered_ns * NANOSECOND, seen.kept, seen.last, learner)
 
 
 class LearningSteps:

@@ -15,6 +15,7 @@ import yaml
 
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bag_counts import storages_of
+from trackres_ros.recording.mcap_format import HEAD, MAGIC, text
 from trackres_ros.recording.reading import check_file, check_there, reading
 from trackres_ros.recording.ros_bag import RosBag, RosTopic
 from trackres_ros.recording.unfinished import UnfinishedBag, is_unfinished
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 
 READABLE = "a bag that is readable to its end"
 REMEDIES = {".mcap": "try: mcap recover", ".bag": "try: rosbag reindex"}
+PROFILE = text("ros2")
+"""As the header of an MCAP file begins."""
 MAX_METADATA_BYTES, MAX_METADATA_DEPTH = 2**24, 50
 """Limits of a bag's metadata.yaml; ten hours in files of a minute fill a hundredth of it, and the deepest value has 8 above
 it.
@@ -90,12 +93,24 @@ def _opener(path: Path) -> Callable[[Path], Reader]:
 
     def opened(path: Path) -> Reader:
         set_ceilings()
+        if path.is_file():
+            _check_profile(path)
         place: Any = UnfinishedBag(path) if path.is_file() and is_unfinished(path) else path
         reader: Reader1 | Reader2 = Reader1(path) if is_ros1(path) else Reader2(place)
         reader.open()
         return reader
 
     return opened
+
+
+def _check_profile(path: Path) -> None:
+    """Refuse an MCAP file of another profile than that of ROS 2, or of none: rosbags reads no other."""
+    begin = len(MAGIC) + HEAD.size
+    with path.open("rb") as file:
+        head = file.read(begin + len(PROFILE))
+    if head.startswith(MAGIC) and len(head) == begin + len(PROFILE) and head[begin:] != PROFILE:
+        given = "an MCAP file of another profile, or of none"
+        raise InputError(str(path), given, "one of the profile ros2", "record it with ros2 bag, or convert it to a table")
 
 
 def _check_folder(path: Path) -> None:

@@ -3,6 +3,7 @@
 
 """Decodes the signals of CAN frames, as databases of the buses describe them."""
 
+import copy
 import itertools
 import re
 from collections import Counter
@@ -44,6 +45,7 @@ class _Signal:
     offset: float
     missing: frozenset[int]
     last_valid: float
+    in_every_frame: bool  # not multiplexed
 
 
 @dataclass(slots=True)
@@ -54,16 +56,28 @@ class _Message:
     bus: int | None
     group: str
     pgn: int | None
+    file: Path
+    unmultiplexed: Any
     wanted: list[_Signal] = field(default_factory=list)
-    source: int | None = None
+    sender: tuple[int | None, int | None] | None = None  # bus, and control unit of J1939, whose frames are read: the first ones
+    elsewhere: Counter[int | None] = field(default_factory=Counter)  # frames of other buses, by bus
+
+    @property
+    def frames(self) -> tuple[object, ...]:
+        """What its frames have in common; two messages with the same share them."""
+        source = self.message.frame_id & 0xFF
+        if self.pgn is None:
+            return self.bus, self.message.is_extended_frame, self.message.frame_id
+        return self.bus, self.pgn, None if source in J1939_ANY_SOURCE else source
 
 
 class CanSignals(ChannelFile):
     """The signals of a log of frames.
 
     Messages are found by identifier. Those of J1939 are found by their group number, whatever the priority, and by the control
-    unit in the database's identifier. Without one, the first sender of the group is read. Groups of more than 8 bytes are joined
-    from the packets of the transport protocol.
+    unit in the database's identifier. Without one, the first sender of the group is read. Of a database without the number of a
+    bus, a message is read from the first bus that sends it. Groups of more than 8 bytes are joined from the packets of the
+    transport protocol.
 
     `name`: of the log, for messages; `frames`: reads the log from the beginning, and counts its faults, by the keys of `TEXTS`;
     `topics`: the topics file, which names the databases. Raises InputError for no database, or one that cannot be read.
@@ -98,9 +112,10 @@ class CanSignals(ChannelFile):
     def _rows(self) -> Iterator[ChannelRows]:
         met: Counter[str] = Counter()
         for one in self._messages:
-            one.source = None
+            one.sender = None
+            one.elsewhere.clear()
         found: dict[tuple[int, bool, int | None], _Message | None] = {}
-        rows = self._decoded(found, met)
+        rows = self._values(found, met)
         while chunk := list(itertools.islice(rows, CHUNK_ROWS)):
             cells = np.full((len(chunk), len(self.wanted)), np.nan)
             for row, (_, values) in enumerate(chunk):
@@ -108,14 +123,12 @@ class CanSignals(ChannelFile):
                     cells[row, column] = value
             stamps = np.array([stamp_ns for stamp_ns, _ in chunk], np.int64)
             yield ChannelRows(stamps, np.ones(len(chunk), np.bool_), cells, ~np.isnan(cells))
-        self.findings = tuple(_findings_of(met))
+        self.findings = (*_findings_of(met), *_of_buses(self._messages), *_of_rivals(self._messages))
 
-    def _decoded(
+    def _values(
         self, found: dict[tuple[int, bool, int | None], _Message | None], met: Counter[str]
     ) -> Iterator[tuple[int, list[tuple[int, float]]]]:
         """Stamp of each frame that is read, with its columns and values."""
-        from cantools.database.errors import Error
-
         frames = self._frames(met)
         j1939 = any(one.pgn is not None for one in self._messages)
         for frame in with_joined(frames, met) if j1939 else frames:
@@ -129,23 +142,24 @@ class CanSignals(ChannelFile):
             if one is None:
                 met["unknown"] += not (j1939 and is_transport(frame))
                 continue
+            sender = (bus, None if one.pgn is None else number & 0xFF)
+            one.sender = one.sender or sender
             if not one.wanted:
                 continue
-            if one.pgn is not None and one.source is None:
-                one.source = number & 0xFF
-            if one.pgn is not None and one.source != number & 0xFF:
+            if one.sender[0] != bus:
+                one.elsewhere[bus] += 1
+                continue
+            if one.sender != sender:
                 met["other_source"] += 1
                 continue
-            try:
-                decoded = one.message.decode(data, decode_choices=False, scaling=False, allow_truncated=True)
-            except (Error, ValueError, LookupError):
-                met["malformed"] += 1
+            decoded = _raw(one, data, met)
+            if decoded is None:
                 continue
             values = []
             for signal in one.wanted:
                 raw = decoded.get(signal.name)
                 if raw is None:
-                    met["malformed"] += not one.message.is_multiplexed()
+                    met["malformed"] += signal.in_every_frame
                 elif raw in signal.missing or raw > signal.last_valid or raw != raw:
                     met["absent"] += 1
                 else:
@@ -187,9 +201,42 @@ def _messages_of(bus: int | None, file: Path) -> list[_Message]:
                 bus,
                 f"{message.name}{suffix}",
                 _pgn(message.frame_id) if message.is_extended_frame and (all_j1939 or message.protocol == "j1939") else None,
+                file,
+                _unmultiplexed(message),
             )
             for message in messages
         ]
+
+
+def _raw(one: _Message, data: bytes, met: Counter[str]) -> Any:
+    """Raw values of a frame by signal, of an unlisted multiplexer value those of the other signals; None if it does not fit."""
+    found = _decoded(one.message, data)
+    if found is None and one.unmultiplexed is not None:
+        found = _decoded(one.unmultiplexed, data)
+        met["unlisted"] += found is not None
+    met["malformed"] += found is None
+    return found
+
+
+def _decoded(message: Any, data: bytes) -> Any:
+    from cantools.database.errors import Error
+
+    try:
+        return message.decode(data, decode_choices=False, scaling=False, allow_truncated=True)
+    except (Error, ValueError, LookupError):
+        return None
+
+
+def _unmultiplexed(message: Any) -> Any:
+    """The message without its multiplexed signals; None if it has none."""
+    from cantools.database import Message
+
+    if not message.is_multiplexed():
+        return None
+    signals = [copy.copy(signal) for signal in message.signals if signal.multiplexer_ids is None]
+    for signal in signals:
+        signal.is_multiplexer = False  # else its named values would be the listed ones
+    return Message(message.frame_id, message.name, message.length, signals, is_fd=message.is_fd, strict=False)
 
 
 def _pgn(number: int) -> int:
@@ -213,7 +260,8 @@ def _signal(column: int, signal: Any, j1939: bool) -> _Signal:
             last = ((J1939_LAST_VALID + 1) << (signal.length - 8)) - 1
         elif signal.length > 1:
             last = (1 << signal.length) - 3  # the last two say error and not available
-    return _Signal(column, signal.name, float(signal.scale), float(signal.offset), missing, last)
+    ordinary = signal.multiplexer_ids is None
+    return _Signal(column, signal.name, float(signal.scale), float(signal.offset), missing, last, ordinary)
 
 
 TEXTS = {
@@ -221,6 +269,10 @@ TEXTS = {
     "cut": ("cut", "line at the end is incomplete: the log may be truncated within a frame"),
     "unknown": ("unknown_topic", "frames have identifiers that no database describes; they are skipped"),
     "other_source": ("other_source", "frames come from other control units that send the same group; they are skipped"),
+    "unlisted": (
+        "unlisted",
+        "frames have a multiplexer value that the database does not list; only their other signals are read",
+    ),
     "malformed": ("malformed", "frames do not match the database; they give no sample"),
     "incomplete": (
         "missing",
@@ -235,3 +287,29 @@ def _findings_of(met: Counter[str]) -> Iterable[Finding]:
     for what, (kind, text) in TEXTS.items():
         if met[what]:
             yield Finding("", kind, met[what], float("nan"), f"{met[what]} {text}")
+
+
+def _of_buses(messages: Iterable[_Message]) -> Iterator[Finding]:
+    """Frames of a message on other buses than the first that sends it."""
+    for one in messages:
+        if one.elsewhere and one.sender:
+            count, other = one.elsewhere.total(), next(iter(one.elsewhere))
+            text = (
+                f"{count} frames of other buses, such as {other}, have the identifier of {one.group}, which bus {one.sender[0]} "
+                f"sends first; they are skipped. To choose the bus, write in the topics file: dbc: {{{other}: {one.file.name}}}"
+            )
+            yield Finding("", "other_bus", count, float("nan"), text)
+
+
+def _of_rivals(messages: Sequence[_Message]) -> Iterator[Finding]:
+    """Signals of messages whose frames another message takes, as it comes first in the databases."""
+    for place, one in enumerate(messages):
+        if not one.wanted or one.sender:
+            continue
+        for first in (other for other in messages[:place] if other.sender and other.frames == one.frames):
+            text = (
+                f"{', '.join(signal.name for signal in one.wanted)} in {one.file.name}: no sample, as frames of {one.group} are "
+                f"read as {first.group} in {first.file.name}, which has the same identifier. If their buses differ, write in "
+                f"the topics file, by their numbers: dbc: {{1: {first.file.name}, 2: {one.file.name}}}"
+            )
+            yield Finding("", "empty", len(one.wanted), float("nan"), text)

@@ -159,7 +159,8 @@ class ChannelSource:
                 yield SampleBlock(column.astype(np.int16), stamps - delay_ns[column], stamps, found)
         if not done:
             if self._file.has_times:
-                raise InputError(self._file.name, "no sample of any channel in use", "at least one sample")
+                why = "; ".join(finding.text for finding in self._file.findings)
+                raise InputError(self._file.name, "no sample of any channel in use", "at least one sample", why)
             raise InputError(self._file.name, "no row", "at least one row below the column names")
         self.findings = (*self._file.findings, *self._of_rows())
 

@@ -21,10 +21,12 @@ from trackres_ros.recording.roles import POSITION, ROLES, Role, base_role
 from trackres_ros.units import DEGREE
 
 NOT_MEASURED = re.compile(
-    r"\b(cmd|commands?|commanded|target|desired|set ?point|reference|ref|goal|limit|max|min|"
-    r"estimated?|feed ?forward|resistance|trackres|error|variance)\b"
+    r"\b(cmd|commands?|commanded|req|requests?|requested|demands?|demanded|dmd|target|desired|set ?point|soll|reference|ref|goal|"
+    r"limit|max|min|estimated?|feed ?forward|resistance|trackres|error|variance)\b"
 )
 """Words in the name of a topic that was not measured on the vehicle; nothing is guessed from it."""
+MEASURED = re.compile(r"\b(measured|meas|actual|act|ist)\b")
+"""Words in the name of a torque that was measured; it is preferred."""
 WHEEL = re.compile(r"\bwheels?\b(?! based vehicle)")
 """Of a channel: a wheel speed is not that of the vehicle; the wheel-based vehicle speed of J1939 is."""
 SCALARS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
@@ -105,7 +107,7 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
     of_vehicle = _namespace_of_vehicle(found)
     notes = []
     for role, options in found.items():
-        options.sort(key=lambda option: not option[0].topic.startswith(of_vehicle))
+        options.sort(key=lambda one: (not one[0].topic.startswith(of_vehicle), not _says_measured(role, words(one[0].topic))))
         binding, unit = options[0]
         others = ", ".join(other.topic for other, _ in options[1:])
         notes.append(
@@ -142,11 +144,22 @@ def guess_channels(channels: Sequence[Channel], there: Collection[str]) -> tuple
     for role, about in ROLES.items():
         options = [] if role in there or not about.words else [one for one in channels if _may_be(one, role, about)]
         if options:
-            first, *rest = sorted(options, key=lambda one: ("vehicle" not in words(one.name), len(one.name), one.name))
+            first, *rest = sorted(options, key=lambda one: _rank(role, one.name))
             unit = "" if first.unit else _unit_in(role, words(first.name))
             bindings[role] = TopicBinding(column=first.name, scale=_scale(role, unit) if unit else 1.0)
             others[role] = [one.name for one in rest]
     return bindings, others
+
+
+def _rank(role: str, name: str) -> tuple[bool, bool, int, str]:
+    """Key that sorts the candidates for a role, the best one first."""
+    spoken = words(name)
+    return "vehicle" not in spoken, not _says_measured(role, spoken), len(name), name
+
+
+def _says_measured(role: str, words: str) -> bool:
+    """Whether the name of a torque says that it was measured; true for other roles, whose names need not say so."""
+    return role != "torque" or bool(MEASURED.search(words))
 
 
 def _may_be(channel: Channel, role: str, about: Role) -> bool:

@@ -22,7 +22,10 @@ class Role:
     not_words: str = r"(?!)"
 
 
-NOT_VEHICLE = r"rpm|\b(engine|motor|wind|fan|angular|yaw|cpu)\b"
+NOT_VEHICLE = (
+    r"rpm|\b(engine|motor|wind|fan|angular|yaw|cpu)\b|"
+    r"^(?!.*\bveh(icle)? ?(speed|velocity|spd)\b).*\b(eng|e?mot)\d*\b"  # which may send the vehicle's speed too
+)
 """Words for a speed, load or torque that is not that of the vehicle at its tracks."""
 AMBIENT = r"\b(ambient|outside|outdoor|air)\b"
 

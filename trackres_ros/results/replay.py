@@ -42,7 +42,7 @@ class ReplayResult(SeriesResult):
     notes, findings
         Assumptions of the reader, and defects of the recording.
     messages, steps, duration_s
-        Number of messages and of rows, and time from the first row to the last [s].
+        Number of messages and of rows, and time from the first row to the last without steps back [s].
     session
         The estimator's session at the end, with its counters.
     output

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.altitude import with_slope
+from trackres_ros.diagnosis.prepare.refuse import refuse_repeated
 from trackres_ros.diagnosis.prepare.resample import resample
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import GateSettings
@@ -54,8 +55,9 @@ def rollouts(recordings: list[Recording], settings: GateSettings, radius: float,
     Raises
     ------
     InputError
-        A recording without a speed, too short, or in another unit.
+        A recording without a speed, too short, in another unit, or of the same drive as another one.
     """
+    refuse_repeated(recordings)
     sessions: list[DriveSession] = []
     stretches: list[RollOut] = []
     rejected: Counter[str] = Counter()

@@ -25,6 +25,7 @@ from trackres_ros.diagnosis.prepare.refuse import (
     each_usable,
     nothing_left,
     refuse_overlaps,
+    refuse_repeated,
     too_short_pieces,
 )
 from trackres_ros.diagnosis.prepare.resample import BRAKES_ON, resample, step_for
@@ -75,6 +76,7 @@ def gate(
     )
     step, admitted = _of_one_step(admitted, refused, settings)
     resampled = each_usable(admitted, lambda one: _resampled(one, step, settings), refused)
+    refuse_repeated([one.recording for one in resampled])
     refuse_overlaps([one.recording for one in resampled], overlaps)
     not_recorded = settings.friction_brakes and not all("brake" in one.session.given for one in resampled)
     alone = _motor_brakes_alone(resampled, settings, overlaps) if not_recorded and resampled else 0.0

@@ -22,6 +22,10 @@ from trackres_ros.recording.unpacking import set_can_ceilings
 MOST_OF_A_LINE = 2**16
 NO_FRAME = re.compile(r"(date|base|//|(no )?internal events|Begin|End|\d+\.\d+\s+Start of measurement)\b|//|$", re.IGNORECASE)
 """Lines of an ASC file other than frames."""
+RELATIVE = re.compile(r"base\s+\w+\s+timestamps\s+relative\b", re.IGNORECASE)
+"""Header of an ASC file whose times are those since the line before."""
+SINCE_LAST = re.compile(r"^\s*(\d{1,10})\.(\d{1,9})(?=\s)")
+"""Such a time [s]: of a frame, or of another event, which python-can skips."""
 MICROSECOND_NS = 1000
 """Resolution of stamps: seconds since 1970 in double precision have a quarter of it."""
 
@@ -66,10 +70,14 @@ def _bus(channel: Any, first: int) -> int | None:
 
 
 class _Lines:
-    """The lines of a log in text, none longer than the longest frame; `entries` are those that should be frames."""
+    """The lines of a log in text, none longer than the longest frame; `entries` are those that should be frames.
+
+    Times since the line before become times since the beginning.
+    """
 
     def __init__(self, file: io.BufferedReader, name: str) -> None:
         self._file, self._name, self.entries, self.ended = file, name, 0, True
+        self._relative, self._since_ns = False, 0
         self.close = file.close  # required by python-can
 
     def __iter__(self) -> Iterator[str]:
@@ -78,7 +86,13 @@ class _Lines:
                 raise InputError(self._name, f"a line of more than {MOST_OF_A_LINE} bytes", "a log with one line per frame")
             text, self.ended = line.decode("latin-1"), line.endswith(b"\n")
             self.entries += not NO_FRAME.match(text.strip())
-            yield text
+            self._relative |= RELATIVE.match(text.strip()) is not None
+            yield SINCE_LAST.sub(self._from_beginning, text) if self._relative else text
+
+    def _from_beginning(self, since_last: re.Match[str]) -> str:
+        whole, part = since_last.groups()
+        self._since_ns += int(whole) * 10**9 + int(part.ljust(9, "0"))
+        return f"{self._since_ns // 10**9}.{self._since_ns % 10**9:09d}"
 
 
 KINDS = (
