@@ -11,6 +11,7 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.estimator import columns as at
+from trackres_ros.learning.vehicle_file import write_learned
 
 MINUTES = 18.0
 
@@ -47,17 +48,43 @@ def test_twice_the_same_bytes(recording, tmp_path):
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
 
 
-def test_stopped_and_resumed_it_learns_what_it_would_have(recording, on, tmp_path):
+@pytest.fixture(scope="module")
+def halves(recording):
+    """The second half of the drive, and the state after the first one with learned values that act."""
     lines = recording.read_text().splitlines(keepends=True)
     half = len(lines) // 2
-    first, second = tmp_path / "first.csv", tmp_path / "second.csv"
+    first, second, state = (recording.with_name(name) for name in ("first.csv", "second.csv", "state.json"))
     first.write_text("".join(lines[:half]))
     second.write_text("".join([lines[0], *lines[half:]]))
-    state = tmp_path / "state.json"
     tr.replay(first, "xgd24d", learning="on", save_state=state)
+    return second, state
+
+
+def test_stopped_and_resumed_it_learns_what_it_would_have(on, halves):
+    second, state = halves
     resumed = tr.replay(second, "xgd24d", learning="on", resume=state)
     for column in ("resistance_torque_nm", "learned_loss_modulus_scale", "learned_loss_modulus_scale_std"):
         assert np.array_equal(resumed[column], on[column][-len(resumed[column]) :]), column
+
+
+def test_resumed_no_learned_value_acts_in_another_mode_than_on(recording, on, halves):
+    second, state = halves
+    off, watched = (tr.replay(second, "xgd24d", learning=mode, resume=state) for mode in ("off", "watch"))
+    never = tr.replay(recording, "xgd24d")
+    last = slice(-len(off["time_s"]), None)
+    assert (on["resistance_torque_nm"][last] > 1.05 * never["resistance_torque_nm"][last]).mean() > 0.9
+    for column in set(off.columns) - {"time_s"}:
+        assert np.array_equal(off[column], watched[column], equal_nan=True), column
+        begins = 50 if column == "feedforward_torque_nm" else 0  # it goes on from where it was
+        # The belts' uncertainty still has a trace of the torque that acted before.
+        assert np.allclose(off[column][begins:], never[column][last][begins:], rtol=1e-7, atol=1e-9, equal_nan=True), column
+
+
+def test_a_replay_without_learning_keeps_what_was_learned(halves, tmp_path):
+    second, state = halves
+    tr.replay(second, "xgd24d", resume=state, save_state=tmp_path / "state.json")
+    before, after = (json.loads(path.read_text()) for path in (state, tmp_path / "state.json"))
+    assert before["learning"] == after["learning"]
 
 
 def test_watching_leaves_every_column_of_the_estimate_as_it_is(recording, watched):
@@ -72,6 +99,13 @@ def test_the_vehicle_file_it_leaves_starts_from_what_was_learned(recording, watc
     late = slice(-600, None)  # with values learned by then, over the whole distance
     assert again["resistance_torque_nm"][late] == pytest.approx(watched["learned_resistance_torque_nm"][late], rel=0.02)
     assert again["resistance_std_nm"][-1] < 0.5 * watched["resistance_std_nm"][-1]
+
+
+def test_no_unlearned_vehicle_file_is_there_first(recording, watched, tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr("os.fsync", lambda _: seen.extend(path.read_bytes() for path in tmp_path.glob("v.yaml*")))
+    write_learned(watched.learner, tr.load_vehicle("xgd24d"), tmp_path / "v.yaml")
+    assert set(seen) == {(tmp_path / "v.yaml").read_bytes()} == {recording.with_name("learned.yaml").read_bytes()}
 
 
 def test_what_does_not_count_is_not_written(recording, tmp_path):

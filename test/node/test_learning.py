@@ -3,6 +3,7 @@
 
 """A node that learns: by default it watches, reports learned values, keeps them over a restart, and changes nothing."""
 
+import json
 import math
 import re
 
@@ -66,6 +67,24 @@ def test_it_survives_a_restart_and_a_reset_forgets_it(desk, topics, tmp_path):
     assert "used for learning" in again.app.began_with
     assert "are reset" in again.app.reset_learning()
     assert again.app.learning.learner.learned.seconds == 0.0
+
+
+def test_without_a_torque_what_was_learned_is_kept_until_a_reset(desk, topics, tmp_path):
+    state = tmp_path / "state.json"
+    d = desk(topics=topics, state_file=str(state))
+    drive(d, 60.0)
+    d.app.save_state()
+    learned = json.loads(state.read_text())["learning"]
+    without = desk(state_file=str(state))
+    assert "kept" in without.app.began_with
+    for _ in range(2):
+        without.drive(2.0)
+        without.app.save_state()
+        assert json.loads(state.read_text())["learning"] == learned
+    assert "are reset" in without.app.reset_learning()
+    assert "nothing to reset" in without.app.reset_learning()
+    without.app.save_state()
+    assert "learning" not in json.loads(state.read_text())
 
 
 def test_the_state_file_of_a_node_without_learning_starts_afresh(desk, topics, tmp_path):

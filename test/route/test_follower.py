@@ -4,6 +4,7 @@
 """Slope and torque under a vehicle by its positions: equal from each message, and none off the route."""
 
 import math
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +21,7 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.route.table import write_route
-from trackres_ros.route.track import Frame
+from trackres_ros.route.track import Frame, beside
 from trackres_ros.units import SECOND_NS
 
 STREET_M = 1000.0
@@ -372,3 +373,20 @@ def test_a_simulation_follows_the_positions_of_its_profile(replays):
     replayed = np.interp(far, way, found["latit"]["grade_nm"].to_numpy())
     uphill = (far > 60.0) & (far < 480.0)
     assert np.abs(drive["grade_nm"] - replayed)[uphill].mean() < 0.1 * np.abs(replayed[uphill]).mean()
+
+
+def test_a_simulation_over_the_date_line_is_as_elsewhere(replays, slopes, torques, tmp_path):
+    _, folder, _ = replays
+    table = np.genfromtxt(folder / "latit.csv", delimiter=",", names=True)
+    across = np.pi - np.quantile(slopes.longitude, 0.25)
+    write_route(tmp_path / "route.csv", [replace(m, longitude=beside(m.longitude + across, 0.0)) for m in (slopes, torques)])
+    shutil.copy(folder / "surroundings.yaml", tmp_path)
+    table["longitude_deg"] = (table["longitude_deg"] + np.degrees(across) + 180.0) % 360.0 - 180.0
+    assert np.ptp(table["longitude_deg"]) > 350.0
+    np.savetxt(tmp_path / "drive.csv", table, delimiter=",", header=",".join(table.dtype.names), comments="", fmt="%.8f")
+    here, there = (
+        tr.simulate(tr.load_vehicle("xgd24d", surroundings=of / "surroundings.yaml"), profile=of / name, dt=0.5)
+        for of, name in ((folder, "latit.csv"), (tmp_path, "drive.csv"))
+    )
+    for column in ("grade_nm", "effects_nm"):
+        assert there[column] == pytest.approx(here[column], rel=0.01, abs=20.0)

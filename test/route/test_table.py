@@ -3,10 +3,13 @@
 
 """Slopes and torques by place go to a table and come back, and a table that is none is refused with what to do."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from streets import LATITUDE, LONGITUDE
 
 import trackres_ros as tr
@@ -15,12 +18,17 @@ from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap, of_kind
 from trackres_ros.route.table import HEADERS, MOST_IN_A_CELL, read_route, write_route
 from trackres_ros.route.track import Frame
 
+HERE = Frame(LATITUDE, LONGITUDE)
 OF_SLOPE, OF_TORQUE, OF_BOTH = (",".join(header) + "\n" for header in HEADERS)
 
 
-def straight(count=10, course=0.0, kind=SLOPE, first=0):
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("routes")
+
+
+def straight(count=10, course=0.0, kind=SLOPE, first=0, frame=HERE):
     """A straight street with a slope that rises along it, or a torque that is another each way."""
-    frame = Frame(LATITUDE, LONGITUDE)
     way = 20.0 * np.arange(first, first + count)
     latitude, longitude = frame.position(way * np.cos(course), way * np.sin(course))
     slope = 0.01 * np.arange(count, dtype=float)
@@ -47,6 +55,16 @@ def test_what_is_written_is_read(tmp_path, kinds):
     for one, other in zip(found, made, strict=True):
         same(one, other)
     assert len((tmp_path / "route.csv").read_text().splitlines()) == 11  # a place of both is one row
+
+
+@settings(max_examples=15)
+@given(st.floats(-180.0, 180.0) | st.floats(179.999, 180.0) | st.floats(-180.0, -179.999))
+def test_a_route_has_the_same_places_at_any_longitude(folder, longitude):
+    at_zero, moved = (straight(frame=Frame(0.0, at)) for at in (0.0, math.radians(longitude)))
+    write_route(folder / "route.csv", [moved])
+    (found,) = read_route(folder / "route.csv")
+    for one in (moved, found):
+        assert np.allclose(one.table(one.frame), at_zero.table(at_zero.frame), atol=0.02)
 
 
 def test_slopes_and_one_way_torques_survive_writing_and_reading(tmp_path):

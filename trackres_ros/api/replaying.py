@@ -91,8 +91,8 @@ def replay(
     from trackres_ros.estimator.topic_settings import settings_for
     from trackres_ros.estimator.warm_up import BLOCKS, LIVE, first_run
     from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
-    from trackres_ros.learning.learner import MODES, Learner
-    from trackres_ros.learning.store import stored, take_learned
+    from trackres_ros.learning.learner import MODES, OFF, Learner
+    from trackres_ros.learning.store import go_on_from, stored
     from trackres_ros.learning.vehicle_file import write_learned
     from trackres_ros.node.parameters import make_parameters, read_parameters
     from trackres_ros.offline.replay import replay as run
@@ -120,7 +120,7 @@ def replay(
     not_an_input(state, inputs, "save_state")  # it may replace the state to resume
     for where, place in (("output", file), ("save_vehicle", learned_file)):
         not_an_input(place, [*inputs, resume], where)
-    learns = one_of(learning, "learning", MODES) != "off"
+    learns = one_of(learning, "learning", MODES) != OFF
     if learned_file is not None and not learns:
         raise InputError("save_vehicle", str(save_vehicle), "a replay that learns", "give learning='watch' too")
     kept: list[Steps] = []
@@ -128,14 +128,15 @@ def replay(
         warm_up = stack.enter_context(first_run(LIVE if learns else BLOCKS, described))
         estimator = Estimator(described, settings, entries=warm_up.first)
         learner = Learner(estimator, learning) if learns else None
-        session = None if resume is None else resumed(estimator, Path(resume))
-        if resume is not None and learner is not None and (kept_before := read_learning(estimator, Path(resume))) is not None:
-            take_learned(learner, kept_before, Path(resume))
+        session, learned_before = None, None
+        if resume is not None:
+            session, learned_before = resumed(estimator, Path(resume)), read_learning(estimator, Path(resume))
+            go_on_from(Path(resume), session, learner, learned_before)
         write = kept.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
         done = run(source, estimator, write, session, progress, learner, warm_up.finished)
     if state is not None:
         saved_at = int(done.session.memory.times[at.SPEED, at.Times.last_arrival]) * NANOSECOND
-        save(done.session, state, saved_at, None if learner is None else stored(learner))
+        save(done.session, state, saved_at, learned_before if learner is None else stored(learner))
     if learned_file is not None and learner is not None:
         write_learned(learner, estimator.vehicle, learned_file)
     title = one_line(f"{', '.join(path.name for path in paths) or source.name}: {estimator.vehicle.title}")

@@ -75,6 +75,11 @@ def move(s: LearnerState, acts: bool, learned: Array, now: int, belt_variance: f
     learned[at.Learned.factor] = factor(s, max(now - s.second, 0), belt_variance).ravel()
 
 
+def use_file(learned: Array) -> None:
+    """Let a session use the vehicle file, until `move` is called again; the sensitivities of its last step stay."""
+    learned[: at.Learned.sensitivities.start] = 0.0
+
+
 def belt_keeps(seconds: float) -> float:
     """Remaining share of a belt's departure after some time."""
     return math.exp(-seconds / BELT_S)

@@ -29,7 +29,7 @@ from trackres_ros.units import GRAVITY, SECOND_NS
 
 Mask = NDArray[np.bool_]
 
-MODES = ("off", "watch", "on")
+MODES = OFF, WATCH, ON = "off", "watch", "on"
 STEP_S = 4 * 3600.0  # memory of sudden steps, in driving
 LEAST_BELT_STD_K = 0.1
 AIR_S = 3600.0  # time constant of a thermometer's error in air: sun, exhaust
@@ -69,7 +69,7 @@ class Learner:
     In mode `watch` it learns and changes nothing; in mode `on` it applies learned values to the session's steps.
     """
 
-    def __init__(self, estimator: Estimator, mode: str = "watch") -> None:
+    def __init__(self, estimator: Estimator, mode: str = WATCH) -> None:
         self.mode = mode
         self.learnables = learnables(estimator.vehicle)
         self.own = tuple(one.state for one in self.learnables if one.state in VEHICLES_OWN)
@@ -148,7 +148,7 @@ class Learner:
         if second.counts and s.seconds % AIMS_EVERY_S == 0.0 and not self.frozen:
             correction.aim(s, self.prior, self.counted)
         correction.follow(s)
-        if self.mode == "on":
+        if self.mode == ON:
             correction.move(s, self.acts, session.learned, second.number, belt_variances(session)[1])
 
     def _learn(self, session: Session) -> None:
@@ -274,6 +274,6 @@ class Learner:
             return f"learning: {100.0 * self.buckets.share:.0f} % of the required driving is done"
         if not self.acts:
             return "the learned parameters fit no better than the vehicle file so far: the file is used"
-        using = "used" if self.mode == "on" else "not used in this mode"
+        using = "used" if self.mode == ON else "not used in this mode"
         better = f"{self.learned.contest.gain:.0f} Nm better than the vehicle file"
         return f"{count} of {len(self.own)} parameters learned, {better}; {using}"

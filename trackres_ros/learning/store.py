@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError
+from trackres_ros.estimator.estimator import Session
+from trackres_ros.learning.correction import use_file
 from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
-from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.learner import ON, Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
 
 LARGEST = 1e12  # for any number; times in ns are integers and stored separately
@@ -47,16 +49,36 @@ def take(learner: Learner, given: object) -> None:
         raise ValueError(f"learned parameters: {str(error)[:80]}") from error
 
 
-def take_learned(learner: Learner, given: object, path: Path) -> None:
-    """As `take`, of a state file.
+def go_on(session: Session, learner: Learner | None, saved: object, off_s: float | None = None) -> None:
+    """Continue with what a state file holds: a session, and the learned values saved with it, or None.
+
+    They act at once only in mode `on` and in the same stream of messages; after some time off [s] they are less certain, and act
+    once the learner allows it.
+
+    Raises
+    ------
+    ValueError
+        As `take`.
+    """
+    if learner is None or learner.mode != ON or saved is None or off_s is not None:
+        use_file(session.learned)
+    if learner is None or saved is None:
+        return
+    take(learner, saved)
+    if off_s is not None:
+        learner.age(off_s)
+
+
+def go_on_from(path: Path, session: Session, learner: Learner | None, saved: object) -> None:
+    """As `go_on` without time off, from a state file that is named.
 
     Raises
     ------
     InputError
-        If it is not from a learner of this vehicle.
+        If the learned values are not from a learner of this vehicle.
     """
     try:
-        take(learner, given)
+        go_on(session, learner, saved)
     except ValueError as error:
         allowed, remedy = "learned parameters saved by this program", "delete the file to start anew"
         raise InputError(f"state file {path}", str(error), allowed, remedy) from error

@@ -95,7 +95,7 @@ class Application:
         self._service = ServiceManager()
         self._arrival_offset_ns = time.time_ns() - steady_ns()
         self.learning = LiveLearning(self.estimator, parameters.text("learning"), measured)
-        self.session, self.began_with = self.keeper.load(self.estimator, self.learning.learner)
+        self.session, self.began_with = self.keeper.load(self.estimator, self.learning)
         self._state_at = self._rested_at = time.time()
         self._topic_names = [transport.topic_name(given.name) for given in self.inputs]
         named = [replace(given, name=name) for given, name in zip(self.inputs, self._topic_names, strict=True)]
@@ -344,7 +344,7 @@ class Application:
         if steady >= self._next_save_ns:
             self._next_save_ns = steady + self._save_period_ns()
             self._rest_unused_belts()
-            self.keeper.save_soon(self.session, self._state_at, self.learning.learner)
+            self.keeper.save_soon(self.session, self._state_at, self.learning)
 
     def _every_second(self, steady: int) -> None:
         self.guard("changing over to compiled steps", self._change_over)
@@ -461,7 +461,7 @@ class Application:
             If no state is kept or it cannot be written.
         """
         self._rest_unused_belts()
-        return self.keeper.save(self.session, self._state_at, self.learning.learner, patience_s)
+        return self.keeper.save(self.session, self._state_at, self.learning, patience_s)
 
     def time_went_back(self) -> None:
         """Restart after a backward jump of the simulated clock; the next estimate reports it."""

@@ -6,26 +6,46 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.learning.columns import LearningColumns, lines, ranges_of, shown
-from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.correction import use_file
+from trackres_ros.learning.learner import OFF, ON, Learner
+from trackres_ros.learning.store import go_on, stored
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.transport import Level, Status
 
-OFF, ON = "off", "on"
-
 
 class LiveLearning:
-    """A learner for a node with a measured torque; without one it does nothing. Learned values are kept while it is off."""
+    """A learner for a node with a measured torque; without one it does nothing. Learned values are kept while it is off, and
+    those of the state file without a torque.
+    """
 
     def __init__(self, estimator: Estimator, mode: str, measured: bool) -> None:
         self.mode = mode
         self.learner = Learner(estimator, mode) if measured else None
         self._columns = None if self.learner is None else LearningColumns(self.learner)
+        self._kept: Any = None  # plain values of the state file, where nothing learns
+
+    def go_on(self, session: Session, saved: Any, off_s: float) -> str:
+        """Continue with a session and the learned values of a state file after some time off [s]; return a text for the log.
+
+        Raises ValueError if they are not from a learner of this vehicle; they are then not used.
+        """
+        go_on(session, self.learner, saved, off_s)
+        if saved is None:
+            return ""
+        if self.learner is None:
+            self._kept = saved
+            return "the learned parameters are kept, but no torque is measured"
+        return f"{self.learner.learned.seconds / 60.0:.0f} min of driving were used for learning"
+
+    def stored(self) -> Any:
+        """Plain values for the state file; None if nothing was learned."""
+        return self._kept if self.learner is None else stored(self.learner)
 
     def take(self, stamp_ns: int, row: list[float], session: Session) -> None:
         """Take the results of a step."""
@@ -52,7 +72,7 @@ class LiveLearning:
             self.learner.restart()
         self.mode = self.learner.mode = mode
         if mode != ON:
-            session.learned[: at.Learned.sensitivities.start] = 0.0
+            use_file(session.learned)
 
     def restart(self) -> None:
         """Restart the estimate; values learned of the vehicle stay."""
@@ -61,10 +81,12 @@ class LiveLearning:
 
     def reset(self, session: Session) -> str:
         """Reset the learned parameters; return a text for the log."""
-        session.learned[: at.Learned.sensitivities.start] = 0.0
-        if self.learner is None:
+        use_file(session.learned)
+        if self.learner is None and self._kept is None:
             return "no torque is measured, so there is nothing to reset"
-        self.learner.reset()
+        self._kept = None
+        if self.learner is not None:
+            self.learner.reset()
         return "the learned parameters are reset: the vehicle file is used"
 
     @property
@@ -72,7 +94,7 @@ class LiveLearning:
         """Status of learning, in a sentence; empty if learning is off."""
         if self.learner is None:
             return ""
-        return "off" if self.mode == OFF else self.learner.text
+        return OFF if self.mode == OFF else self.learner.text
 
     def statuses(self, node: str, vehicle: str) -> Sequence[Status]:
         """A status of each learned value, as published."""

@@ -17,9 +17,8 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.snapshot import after_time_off, content, is_other_kind, leftovers, read_learning
 from trackres_ros.files import own_files
-from trackres_ros.learning.learner import Learner
-from trackres_ros.learning.store import stored, take
 from trackres_ros.node.background import Background
+from trackres_ros.node.live_learning import LiveLearning
 from trackres_ros.node.notices import Notice
 
 AUTO, NONE = "auto", "none"
@@ -63,10 +62,10 @@ class StateKeeper:
         self._writer = Background("state")
         self._began_ns = 0
 
-    def load(self, estimator: Estimator, learner: Learner | None = None) -> tuple[Session, str]:
+    def load(self, estimator: Estimator, learning: LiveLearning) -> tuple[Session, str]:
         """A session with the stored belts, cooled since, or cold; and the outcome as text.
 
-        A learner continues with the stored values, less certain by the time off; a file without them leaves it unchanged.
+        The learning continues with the stored values, less certain by the time off; a file without them leaves it unchanged.
         """
         if self.path is None:
             return estimator.session(), f"no state is saved{self.error and f' ({self.error})'}: cold start"
@@ -88,17 +87,12 @@ class StateKeeper:
             return estimator.session(), self.unused
         what = "belts" if estimator.assemblies else "temperatures of the effects"
         text = f"{what} restored from {self.path} and cooled for {off_s / 60.0:.1f} min"
-        session.learned[:] = 0.0  # it acts again once the learner allows it
-        saved = read_learning(estimator, self.path)
-        if learner is None or saved is None:
-            return session, text
         try:
-            take(learner, saved)
+            learned = learning.go_on(session, read_learning(estimator, self.path), off_s)
         except ValueError as error:
             self.unused = f"learning starts from the vehicle file: {error}"
             return session, text
-        learner.age(off_s)
-        return session, f"{text}; {learner.learned.seconds / 60.0:.0f} min of driving were used for learning"
+        return session, f"{text}; {learned}" if learned else text
 
     def notices(self) -> list[Notice]:
         """Text that the state file cannot be written, or that the existing one could not be used."""
@@ -114,15 +108,15 @@ class StateKeeper:
             found.append(Notice("STATE_NOT_USED", self.unused))
         return found
 
-    def save_soon(self, session: Session, state_at: float, learner: Learner | None = None) -> None:
+    def save_soon(self, session: Session, state_at: float, learning: LiveLearning) -> None:
         """Save in the background, without holding up the outputs; not while the last one is still being written.
 
         `state_at` is the time [s since 1970] of the state: the belts cool from then on.
         """
         if self.path is not None and not self._writer.busy:
-            self._begin(self.path, session, state_at, learner)
+            self._begin(self.path, session, state_at, learning)
 
-    def save(self, session: Session, state_at: float, learner: Learner | None = None, patience_s: float = 1.0) -> str:
+    def save(self, session: Session, state_at: float, learning: LiveLearning, patience_s: float = 1.0) -> str:
         """Save now; return a text for the log. See `save_soon`.
 
         Raises
@@ -135,7 +129,7 @@ class StateKeeper:
         until = time.monotonic() + patience_s
         if not self._writer.wait(patience_s):
             raise InputError(f"state file {self.path}", "an earlier save that is still running", "a disk that responds")
-        self._begin(self.path, session, state_at, learner)
+        self._begin(self.path, session, state_at, learning)
         if not self._writer.wait(max(0.0, until - time.monotonic())):
             given = f"a disk that does not respond within {patience_s:g} s"
             remedy = "the save continues; the status reports if it fails"
@@ -144,8 +138,8 @@ class StateKeeper:
             raise InputError(f"state file {self.path}", self.error, "a file that can be written")
         return f"state saved in {self.path}"
 
-    def _begin(self, path: Path, session: Session, state_at: float, learner: Learner | None) -> None:
-        data = content(session, state_at, None if learner is None else stored(learner))
+    def _begin(self, path: Path, session: Session, state_at: float, learning: LiveLearning) -> None:
+        data = content(session, state_at, learning.stored())
         self._began_ns = time.monotonic_ns()
         self._writer.start(lambda: self._write(data, path))
 

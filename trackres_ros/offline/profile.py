@@ -71,5 +71,6 @@ def conditions(recording: Recording, time_s: Array, given: Collection[str], weig
         bad = samples.value[~((samples.value >= low) & (samples.value <= high))]
         if bad.size:
             raise InputError(f"{recording.name}: {role}", float(bad[0]), f"{low:g} to {high:g} {ROLES[role].unit}")
-        found[role] = np.interp(time_s, recording.time_s(role), samples.value)
+        value = np.unwrap(samples.value) if role == "longitude" else samples.value  # it goes on over the date line
+        found[role] = np.interp(time_s, recording.time_s(role), value)
     return found

@@ -22,6 +22,7 @@ STEP_M = 10.0  # between points of a track
 SMOOTH_M = 10.0  # standard deviation of the mean over distance: satellite positions scatter by 5 to 20 m
 LONGEST_GAP_M = 100.0  # between positions: beyond it a straight line may deviate by more than the width of a street
 STRAIGHT = (0.5, 1.5)  # way by positions over way driven: outside of it one of them is wrong
+TURN = 2.0 * math.pi
 FARTHEST_M = 125_000.0  # distance of a place from the map's origin: up to it a map is flat to half a percent
 
 
@@ -36,6 +37,11 @@ def flat(latitude: Any, longitude: Any, of_latitude: Any, of_longitude: Any) -> 
 flat_now = inlined(flat)
 
 
+def beside(longitude: Array, other: float) -> Array:
+    """Longitudes [rad], whole turns on where that is nearer to another one; the others are the same bits."""
+    return longitude - TURN * np.round((longitude - other) / TURN)
+
+
 @dataclass(frozen=True, slots=True)
 class Frame:
     """Local metres, east and north of a place [rad]."""
@@ -45,9 +51,11 @@ class Frame:
 
     @classmethod
     def about(cls, latitude: Array, longitude: Array) -> Frame:
-        """The middle of positions [rad], nan without any."""
+        """The middle of positions [rad], on either side of the date line too; zero without any."""
         there = np.isfinite(latitude) & np.isfinite(longitude)
-        return cls(float(np.median(latitude[there])), float(np.median(longitude[there]))) if there.any() else cls(0.0, 0.0)
+        if not there.any():
+            return cls(0.0, 0.0)
+        return cls(float(np.median(latitude[there])), float(np.median(beside(longitude[there], longitude[there][0]))))
 
     def metres(self, latitude: Array, longitude: Array) -> tuple[Array, Array]:
         """East and north [m] of positions [rad]; nan where these are nan, or too far for a flat map."""
@@ -56,8 +64,9 @@ class Frame:
         return np.where(near, x, np.nan), np.where(near, y, np.nan)
 
     def position(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Latitude and longitude [rad] of places [m]."""
-        return self.latitude + y / EARTH_M, self.longitude + x / (EARTH_M * math.cos(self.latitude))
+        """Latitude and longitude [rad] of places [m], the latter from -pi to pi."""
+        longitude = self.longitude + x / (EARTH_M * math.cos(self.latitude))
+        return self.latitude + y / EARTH_M, beside(longitude, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
