@@ -317,12 +317,8 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     def _hand(self, index: int, message: Taken, arrived: Arrival) -> None:
         if self.application:
-            if self._recording:
-                self.application.guard("recording", self._record, self.application, index, message[0], arrived)
-            self.application.receive(index, message[0], message[1]["source_timestamp"], arrived)
-
-    def _record(self, application: Application, index: int, message: object, arrived: Arrival) -> None:
-        application.keep(index, serialize_message(message), arrived)
+            raw = self.application.guard("recording", serialize_message, message[0]) if self._recording else None
+            self.application.receive(index, message[0], message[1]["source_timestamp"], arrived, raw)
 
     def _keep(self, index: int, raw: bytes) -> None:
         if self.application:
