@@ -67,6 +67,7 @@ class Application:
         node: str = "trackres",  # its name, for the state file and the statuses
         namespace: str = "/",
         steady_ns: Callable[[], int] = time.monotonic_ns,  # a monotonic clock
+        sleep: Callable[[float], None] = time.sleep,  # by it [s]
     ) -> None:
         self.parameters = parameters
         self.node, self.namespace = node, namespace
@@ -82,12 +83,12 @@ class Application:
         self.comparison = Comparison(parameters.mismatch(), self.vehicle.disturbance if measured else None)
         file = state_path(parameters.text("state_file"), parameters.sim_time, node, namespace, self.vehicle.name)
         self.keeper = StateKeeper(*file)
-        self.active = False
+        self.active = self._withdrawn = False
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
         self.recording_notices: Callable[[], list[Notice]] = list
         self.guard = Guard(self._report_fault, steady_ns)
         self._keep: KeepMessage | None = None
-        self._transport, self._steady_ns = transport, steady_ns
+        self._transport, self._steady_ns, self._sleep = transport, steady_ns, sleep
         self._is_speed = ["speed" in given.roles for given in self.inputs]
         self._order = SendingOrder()
         self._handled_ns = 0  # arrival of the last handled message
@@ -322,27 +323,30 @@ class Application:
     def activate(self) -> None:
         """Begin to publish. The estimate runs whether it is published or not."""
         self._publisher.begin()
-        self.active = True
+        self.active, self._withdrawn, self._reasons_seen = True, False, None
 
-    def deactivate(self) -> None:
-        """Stop publishing."""
-        self.active = False
+    def deactivate(self, error: BaseException | None = None, meanwhile: Callable[[], None] = lambda: None) -> None:
+        """Ramp the feed-forward to zero at its rate limit, and stop publishing; log and report the fault behind it, if any.
 
-    def fade_out(self, error: BaseException | None = None) -> None:
-        """Ramp the feed-forward to zero at its rate limit before the node ends; return the fault that ends it, if any.
-
-        It takes `feedforward_fade_s` at most. It never raises: where nothing can be published, nothing can be done.
+        It takes `feedforward_fade_s` at most, and calls `meanwhile` every `period_s`. It never raises: where nothing can be
+        published, nothing can be done.
         """
         if error is not None:
             self.guard.failed("the main loop", error, essential=True)
-            self._publish_status(self._steady_ns(), diagnostics=True)
+        if not self.active:
+            return
+        self._withdrawn, self._reasons_seen = True, None
+        self._publisher.withdraw(self._steady_ns())
+        self._publish_status(self._steady_ns(), diagnostics=True)
         with suppress(Exception):
-            self._publisher.withdraw(self._steady_ns())
-            while self.active and self._publisher.stamp_ns is not None:
+            while self._publisher.stamp_ns is not None:
                 self._publish(self._steady_ns())
                 if self._publisher.feedforward == 0.0:
-                    return
-                time.sleep(self.period_s)
+                    break
+                self._sleep(self.period_s)
+                meanwhile()
+        self._publish_status(self._steady_ns(), diagnostics=True)
+        self.active = False
 
     def tick(self) -> None:
         """Publish, check ages and peers, and save the state, each when due; to be called every `period_s`.
@@ -427,8 +431,11 @@ class Application:
             *(self.guard("saving the state", self.keeper.notices) or []),
             *(self.guard("recording", self.recording_notices) or []),
             *(self.guard("changing over to compiled steps", self._compiling) or []),
+            *self.guard.notices(steady),
         ]
-        return sorted([*found, *self.guard.notices(steady)], key=lambda notice: -notice.level)
+        if self._withdrawn and all(notice.name != "INTERNAL_ERROR" for notice in found):  # which says why it ends
+            found.append(Notice("INACTIVE", "the node is deactivated or ends, and the feed-forward goes to zero"))
+        return sorted(found, key=lambda notice: -notice.level)
 
     def _watched(self, steady: int) -> list[Notice]:
         return self._watch.notices(

@@ -258,6 +258,6 @@ def run(
     except Exception as error:
         fault = error
     finally:
-        running.application.fade_out(fault)
+        running.application.deactivate(fault)
         running.close()
     return FAULT if fault else 0

@@ -115,7 +115,7 @@ def _run(
     finally:
         if node is not None:
             if node.application:
-                node.application.fade_out(fault)
+                node.application.deactivate(fault)
             node.release()
             node.destroy_node()
         rclpy.try_shutdown()
