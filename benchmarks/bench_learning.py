@@ -43,6 +43,10 @@ class Nobody:
         """Set by who drives."""
         return START_NS + self.steady_ns
 
+    def sleep(self, seconds: float) -> None:
+        """Without waiting."""
+        self.steady_ns += round(seconds * SECOND_NS)
+
     def publish(self, output: int, stamp_ns: int, values: Sequence[float]) -> None:
         """Nowhere."""
 
@@ -74,7 +78,8 @@ class Drive:
     def __init__(self, mode: str, topics: Path) -> None:
         self._transport = Nobody()
         given = {"vehicle": "xgd24d", "topics": str(topics), "state_file": "none", "learning": mode}
-        self._app = Application(make_parameters(given), self._transport, steady_ns=lambda: self._transport.steady_ns)
+        now = lambda: self._transport.steady_ns  # noqa: E731
+        self._app = Application(make_parameters(given), self._transport, steady_ns=now, sleep=self._transport.sleep)
         self._app.activate()
         roles = [given.roles[0] for given in self._app.inputs]
         self._torque, self._speed = roles.index("torque"), roles.index("speed")

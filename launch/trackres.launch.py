@@ -6,6 +6,8 @@
 An argument that is given overrides the parameter file; one that is not given leaves the file's value, or the node's default.
 """
 
+from pathlib import Path
+
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
@@ -36,18 +38,23 @@ def _switch(name: str, given: str) -> bool:
     return given.lower() == "true"
 
 
+def _files(given: str) -> list[str]:
+    if given and not Path(given).is_file():  # launch would leave it out with a warning: the node would run with its defaults
+        raise ValueError(f"launch argument params_file: given {given!r}; allowed: an existing file")
+    return [given] if given else []
+
+
 def _node(context: LaunchContext) -> list[LifecycleNode]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     explicit = {name: given[name] for name in TEXTS if given[name]}
     explicit |= {name: _switch(name, given[name]) for name in SWITCHES if given[name]}
-    files = [given["params_file"]] if given["params_file"] else []
     return [
         LifecycleNode(
             package="trackres_ros",
             executable="estimator",
             name=given["name"],
             namespace=given["namespace"],
-            parameters=[*files, *([explicit] if explicit else [])],
+            parameters=[*_files(given["params_file"]), *([explicit] if explicit else [])],
             arguments=["--ros-args", "--log-level", given["log_level"]],
             respawn=_switch("respawn", given["respawn"]),
             respawn_delay=1.0,

@@ -43,7 +43,8 @@ class Desk:
         self.found_peers = {}
         self.sim_time = given.get("use_sim_time", False)
         parameters = {"vehicle": "xgd24d", "state_file": "none", "output_rate_hz": 0.0, **given}
-        self.app = Application(make_parameters(parameters), self, steady_ns=lambda: int(self.steady_s * SECOND_NS))
+        steady_ns, sleep = lambda: int(self.steady_s * SECOND_NS), lambda seconds: self.forward(seconds, tick=False)
+        self.app = Application(make_parameters(parameters), self, steady_ns=steady_ns, sleep=sleep)
         self.app._arrival_offset_ns = START_NS
         self.app.activate()
 

@@ -103,6 +103,7 @@ def test_values_that_cannot_be_are_refused_and_said(desk, value):
     d.forward(1.0)
     assert d.last("resistance_torque")[1][0] == pytest.approx(torque, rel=0.01)
     assert {"REFUSED", "SPEED_OLD"} <= d.names()
+    assert "no accepted speed for " in "; ".join(notice.text for notice in d.app.notices())  # some came
     assert d.all_finite()
 
 
@@ -376,6 +377,33 @@ def test_a_deactivated_node_keeps_the_temperature_and_is_silent(desk):
     d.drive(60.0, dt=0.1)
     assert len(d.published) == count
     assert d.app.overview().values["belt_degc/front_left"] > belt
+
+
+@pytest.mark.parametrize("nm_per_s", [2e4, 2000.0])
+@pytest.mark.parametrize("ended_by", ["deactivate", "close", "fault"])
+def test_publishing_ends_at_zero_and_begins_there_again(desk, ended_by, nm_per_s):
+    d = desk(feedforward_rate=nm_per_s)
+    d.drive(4.0, load=250e3, ambient=12.0)
+    full, count = d.last("feedforward_torque_nm")[1][0], len(d.published)
+    assert full > 3000.0
+    began_s, limit = d.steady_s, d.app.estimator.constants.number.feedforward_limit  # the fade takes 1 s
+    {"deactivate": d.app.deactivate, "close": d.app.close, "fault": lambda: d.app.deactivate(OSError("gone"))}[ended_by]()
+    assert d.steady_s - began_s <= 1.0 + d.app.period_s
+    torques = [values[0] for name, _, values in d.published[count:] if name == "feedforward_torque_nm"]
+    assert torques[-1] == 0.0
+    assert max(-np.diff([full, *torques])) <= (nm_per_s + 2.0 * limit) * d.app.period_s
+    said = [found[0] for name, found in d.statuses if name == "status"][-1]
+    assert said.level is (Level.ERROR if ended_by == "fault" else Level.STALE)
+    assert dict(said.values)["remarks"].split()[0] == ("INTERNAL_ERROR" if ended_by == "fault" else "INACTIVE")
+    count, statuses = len(d.published), len(d.statuses)
+    d.drive(6.0, load=250e3, ambient=12.0)
+    assert (len(d.published), len(d.statuses)) == (count, statuses)
+    d.app.activate()
+    d.drive(4.0, load=250e3, ambient=12.0)
+    torques = [values[0] for name, _, values in d.published[count:] if name == "feedforward_torque_nm"]
+    assert max(np.diff([0.0, *torques])) <= nm_per_s * 0.021
+    assert torques[-1] == pytest.approx(full, rel=0.01)
+    assert not {"INACTIVE", "INTERNAL_ERROR"} & d.names()
 
 
 def test_counters_add_up_to_the_messages(desk):

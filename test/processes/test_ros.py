@@ -38,7 +38,7 @@ NUMBER = ["/trackres/feedforward_torque_nm", "std_msgs/msg/Float64"]
 SPEED = ["/speed", "geometry_msgs/msg/TwistStamped", "{header: auto, twist: {linear: {x: 8.0}}}", "-r", "50"]
 
 
-def test_topics_parameters_services_and_lifecycle_as_typed(cyclone):
+def test_topics_parameters_services_and_lifecycle_as_typed(cyclone, wire):
     shell, node = cyclone, cyclone.estimator()
     shell.start(ROS2, "topic", "pub", *SPEED)
     topics = shell.ros2("topic", "list", "-t", "--no-daemon")
@@ -77,8 +77,14 @@ def test_topics_parameters_services_and_lifecycle_as_typed(cyclone):
     assert "success=False" in shell.ros2("service", "call", "/trackres/save_state", "std_srvs/srv/Trigger")
 
     assert "active" in shell.ros2("lifecycle", "get", "/trackres")
-    for transition in ("deactivate", "cleanup", "configure", "activate", "deactivate", "shutdown"):
+    fed, said = wire.subscribe(*NUMBER), wire.subscribe("/trackres/status", "diagnostic_msgs/msg/DiagnosticArray")
+    for transition in ("deactivate", "activate", "deactivate", "cleanup", "configure", "activate", "shutdown"):
+        if transition in ("deactivate", "shutdown"):
+            wait(lambda: fed.update() and fed.heard[-1].message.data > 1000.0, node)
         assert "successful" in shell.ros2("lifecycle", "set", "/trackres", transition)
+        if transition in ("deactivate", "shutdown"):
+            wait(lambda: fed.update() and fed.heard[-1].message.data == 0.0, node)
+            wait(lambda: "the node is deactivated or ends" in said.update()[-1].message.status[0].message, node)
     assert "Traceback" not in node.said()
     assert shell.end(node) == 0
 

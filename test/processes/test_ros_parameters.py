@@ -114,6 +114,23 @@ def test_on_and_off_are_taken_and_unknown_names_reported(cyclone):
     assert cyclone.end(begun) == 0
 
 
+def test_parameter_files_without_effect_are_reported(cyclone):
+    sections = {"other": "/left/other", "elsewhere": "/*", "fits": "/**/trackres", "mine": "/left/trackres", "all": "/**"}
+    given = []
+    for name, section in sections.items():
+        file = cyclone.folder / f"{name}.yaml"
+        file.write_text(json.dumps({section: {"ros__parameters": {"gap_s": 2.0}}}))
+        given += ["--params-file", str(file)]
+    node = cyclone.estimator("-r", "__ns:=/left", *given, "--", "vehicle=agri3t")
+    warned = [line for line in node.said().splitlines() if "[WARN]" in line]
+    for line, name in zip(warned, ("other", "elsewhere"), strict=False):
+        assert f"{name}.yaml: given 'parameters of {sections[name]}, which have no effect'" in line
+        assert "a section for /left/trackres" in line
+    assert "arguments without effect: vehicle=agri3t" in warned[2]
+    assert len(warned) == 3
+    assert cyclone.end(node) == 0
+
+
 # Publishes all inputs of the default topics file: rates of speed, load and ambient [Hz], then how many speeds (0: for good).
 DRIVES = """
 import sys, time, rclpy
@@ -206,7 +223,10 @@ def test_launch_overrides_the_parameter_file_only_where_given(launcher, section,
     assert [*values, launcher.ros2("lifecycle", "get", "/trackres").split()[0]] == runs_with
 
 
-def test_launch_refuses_a_switch_that_is_none(launcher):
-    launch = launcher.start(ROS2, "launch", "trackres_ros", "trackres.launch.py", "vehicle:=xgd24d", "autostart:=ture")
+@pytest.mark.parametrize(
+    ("name", "value", "allowed"), [("autostart", "ture", "true or false"), ("params_file", "typo.yaml", "an existing file")]
+)
+def test_launch_refuses_a_bad_argument(launcher, name, value, allowed):
+    launch = launcher.start(ROS2, "launch", "trackres_ros", "trackres.launch.py", "vehicle:=xgd24d", f"{name}:={value}")
     assert exit_code(launch) != 0
-    assert "autostart: given 'ture'; allowed: true or false" in launch.said()
+    assert f"{name}: given '{value}'; allowed: {allowed}" in launch.said()

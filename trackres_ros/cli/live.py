@@ -86,7 +86,7 @@ def live_command(
     trackres live --vehicle xgd24d --topics topics.yaml
     trackres live --vehicle xgd24d -p output_rate_hz:=100 -p use_sim_time:=true
 
-    Signals: INT and TERM end it and save the state, USR1 saves the state and USR2 starts cold.
+    Signals: INT, TERM, HUP and QUIT end it and save the state, USR1 saves the state and USR2 starts cold.
     """
     from trackres_ros.cli.live_json import LiveJson
     from trackres_ros.cli.live_table import LiveTable

@@ -45,6 +45,7 @@ SPEED_IMPLAUSIBLE = int(at.Reason.SPEED_IMPLAUSIBLE)
 NOT_ENABLED = interpreted(not_enabled)  # as live also processes messages between two steps
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
 MOST_BEFORE_CLOCK = 10000
+LONGEST_HELD_NS = 10_000_000_000  # of a message that is handled after a later one; a clock that goes back further was set
 SAVING_ON_REQUEST_S, SAVING_AT_THE_END_S = 0.1, 10.0  # longest wait for a disk
 REASONS_KEPT_NS = 200_000_000  # a full check takes longer than publishing; an old speed and new reasons are handled at once
 MUST_BE_FINITE = (at.Results.resistance_torque_nm, at.Results.resistance_std_nm, at.Results.feedforward_torque_nm)
@@ -66,6 +67,7 @@ class Application:
         node: str = "trackres",  # its name, for the state file and the statuses
         namespace: str = "/",
         steady_ns: Callable[[], int] = time.monotonic_ns,  # a monotonic clock
+        sleep: Callable[[float], None] = time.sleep,  # by it [s]
     ) -> None:
         self.parameters = parameters
         self.node, self.namespace = node, namespace
@@ -81,15 +83,16 @@ class Application:
         self.comparison = Comparison(parameters.mismatch(), self.vehicle.disturbance if measured else None)
         file = state_path(parameters.text("state_file"), parameters.sim_time, node, namespace, self.vehicle.name)
         self.keeper = StateKeeper(*file)
-        self.active = False
+        self.active = self._withdrawn = False
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
         self.recording_notices: Callable[[], list[Notice]] = list
         self.guard = Guard(self._report_fault, steady_ns)
         self._keep: KeepMessage | None = None
-        self._transport, self._steady_ns = transport, steady_ns
+        self._transport, self._steady_ns, self._sleep = transport, steady_ns, sleep
         self._is_speed = ["speed" in given.roles for given in self.inputs]
         self._order = SendingOrder()
-        self._before_clock: list[tuple[int, int | None, Sequence[float | None], int, Arrival]] = []
+        self._handled_ns = 0  # arrival of the last handled message
+        self._before_clock: list[tuple[int, int | None, Sequence[float | None], int, Arrival, bytes | None]] = []
         self._reader = InputReader(self.inputs, self.estimator.channels, self.topics.bindings)
         self._publisher = OutputPublisher(self.outputs, self.estimator, transport)
         self._service = ServiceManager()
@@ -144,25 +147,36 @@ class Application:
         return known
 
     def keep(self, index: int, raw: bytes, arrived: Arrival) -> None:
-        """Record a raw message, where all are recorded."""
+        """Record a raw message that is not handled, where all are recorded."""
+        self._record(index, raw, self._arrival_ns(*arrived))
+
+    def _record(self, index: int, raw: bytes, arrival: int) -> None:
         if self._keep:
-            steady, now = arrived
-            arrival = now if self.parameters.sim_time else steady + self._arrival_offset_ns
             self.guard("recording", self._keep, index, raw, arrival)
+
+    def _arrival_ns(self, steady: int, now: int) -> int:
+        return now if self.parameters.sim_time else steady + self._arrival_offset_ns
 
     def dropped(self, index: int) -> None:
         """Take note of a message of an input topic that had to make way for later ones."""
         self._reader.dropped[index] += 1
 
-    def receive(self, index: int, message: object, sent_ns: int = 0, arrived: Arrival | None = None) -> None:
-        """Process a decoded message of an input topic, sent at a time [ns] of its publisher's machine, 0 if unknown."""
+    def receive(
+        self, index: int, message: object, sent_ns: int = 0, arrived: Arrival | None = None, raw: bytes | None = None
+    ) -> None:
+        """Process a decoded message of an input topic, sent at a time [ns] of its publisher's machine, 0 if unknown.
+
+        `raw` are its bytes, to be recorded as it is handled.
+        """
         read = self.guard.essential("reading a message", self._reader.read, index, message)
         if read is not None:
-            self.receive_values(index, *read, sent_ns, arrived)
+            self.receive_values(index, *read, sent_ns, arrived, raw)
+        elif raw is not None:
+            self.keep(index, raw, arrived or self.arrival())
 
-    def undecodable(self, index: int, sent_ns: int = 0, arrived: Arrival | None = None) -> None:
+    def undecodable(self, index: int, sent_ns: int = 0, arrived: Arrival | None = None, raw: bytes | None = None) -> None:
         """Take note of a message of an input topic that cannot be decoded: no number, at the node's time."""
-        self.receive_values(index, None, [math.nan] * len(self.inputs[index].roles), sent_ns, arrived)
+        self.receive_values(index, None, [math.nan] * len(self.inputs[index].roles), sent_ns, arrived, raw)
 
     def receive_values(
         self,
@@ -171,6 +185,7 @@ class Application:
         values: Sequence[float | None],
         sent_ns: int = 0,
         arrived: Arrival | None = None,
+        raw: bytes | None = None,
     ) -> None:
         """Process values that a transport has read from a message of an input topic; see `InputReader.samples`. By default it
         arrives now.
@@ -178,28 +193,46 @@ class Application:
         Messages are handled in sending order, see `SendingOrder`. Those before the first simulated clock wait for it:
         without a time their age is unknown.
         """
-        self.guard.essential("taking a message", self._receive, index, stamp_ns, values, sent_ns, arrived or self.arrival())
+        self.guard.essential("taking a message", self._receive, index, stamp_ns, values, sent_ns, arrived or self.arrival(), raw)
 
-    def _receive(self, index: int, stamp_ns: int | None, values: Sequence[float | None], sent_ns: int, arrived: Arrival) -> None:
+    def _receive(
+        self,
+        index: int,
+        stamp_ns: int | None,
+        values: Sequence[float | None],
+        sent_ns: int,
+        arrived: Arrival,
+        raw: bytes | None,
+    ) -> None:
         steady, now = arrived
         if now == 0 and self.parameters.sim_time:
             now = self._now_ns(steady)
         if now == 0 and self.parameters.sim_time:
             if len(self._before_clock) < MOST_BEFORE_CLOCK:
-                self._before_clock.append((index, stamp_ns, values, sent_ns, arrived))
+                self._before_clock.append((index, stamp_ns, values, sent_ns, arrived, raw))
+            elif raw is not None:
+                self.keep(index, raw, arrived)
             return
         if self._before_clock:
             earlier, self._before_clock = self._before_clock, []
             for waiting in earlier:
                 self.receive_values(*waiting)
-        message = Arrived(sent_ns, steady, now, self._reader.samples(index, stamp_ns, values, now))
+        message = Arrived(sent_ns, steady, now, index, stamp_ns, values, raw)
         for ready in self._order.put(message, self._is_speed[index]):
             self._handle(ready)
 
     def _handle(self, message: Arrived) -> None:
-        _, steady, now, samples = message
-        arrival = now if self.parameters.sim_time else steady + self._arrival_offset_ns
-        for channel, stamp, value in samples:
+        """Record a message and process its samples, by an arrival after that of the last one: so a replay keeps their order."""
+        _, steady, now, place, stamp_ns, values, raw = message
+        arrival = self._arrival_ns(steady, now)
+        held_ns = self._handled_ns + 1 - arrival
+        if 0 < held_ns < LONGEST_HELD_NS:
+            arrival, now = arrival + held_ns, now + held_ns
+        self._handled_ns = arrival
+        if raw is not None:
+            self._record(place, raw, arrival)
+        samples = self.guard.essential("taking a message", self._reader.samples, place, stamp_ns, values, now)
+        for channel, stamp, value in samples or ():
             self.guard.essential("the step", self._step, channel, stamp, value, steady, now, arrival)
 
     def _step(self, channel: int, stamp: int, value: float, steady: int, now: int, arrival: int) -> None:
@@ -290,27 +323,30 @@ class Application:
     def activate(self) -> None:
         """Begin to publish. The estimate runs whether it is published or not."""
         self._publisher.begin()
-        self.active = True
+        self.active, self._withdrawn, self._reasons_seen = True, False, None
 
-    def deactivate(self) -> None:
-        """Stop publishing."""
-        self.active = False
+    def deactivate(self, error: BaseException | None = None, meanwhile: Callable[[], None] = lambda: None) -> None:
+        """Ramp the feed-forward to zero at its rate limit, and stop publishing; log and report the fault behind it, if any.
 
-    def fade_out(self, error: BaseException | None = None) -> None:
-        """Ramp the feed-forward to zero at its rate limit before the node ends; return the fault that ends it, if any.
-
-        It takes `feedforward_fade_s` at most. It never raises: where nothing can be published, nothing can be done.
+        It takes `feedforward_fade_s` at most, and calls `meanwhile` every `period_s`. It never raises: where nothing can be
+        published, nothing can be done.
         """
         if error is not None:
             self.guard.failed("the main loop", error, essential=True)
-            self._publish_status(self._steady_ns(), diagnostics=True)
+        if not self.active:
+            return
+        self._withdrawn, self._reasons_seen = True, None
+        self._publisher.withdraw(self._steady_ns())
+        self._publish_status(self._steady_ns(), diagnostics=True)
         with suppress(Exception):
-            self._publisher.withdraw(self._steady_ns())
-            while self.active and self._publisher.stamp_ns is not None:
+            while self._publisher.stamp_ns is not None:
                 self._publish(self._steady_ns())
                 if self._publisher.feedforward == 0.0:
-                    return
-                time.sleep(self.period_s)
+                    break
+                self._sleep(self.period_s)
+                meanwhile()
+        self._publish_status(self._steady_ns(), diagnostics=True)
+        self.active = False
 
     def tick(self) -> None:
         """Publish, check ages and peers, and save the state, each when due; to be called every `period_s`.
@@ -395,8 +431,11 @@ class Application:
             *(self.guard("saving the state", self.keeper.notices) or []),
             *(self.guard("recording", self.recording_notices) or []),
             *(self.guard("changing over to compiled steps", self._compiling) or []),
+            *self.guard.notices(steady),
         ]
-        return sorted([*found, *self.guard.notices(steady)], key=lambda notice: -notice.level)
+        if self._withdrawn and all(notice.name != "INTERNAL_ERROR" for notice in found):  # which says why it ends
+            found.append(Notice("INACTIVE", "the node is deactivated or ends, and the feed-forward goes to zero"))
+        return sorted(found, key=lambda notice: -notice.level)
 
     def _watched(self, steady: int) -> list[Notice]:
         return self._watch.notices(
@@ -467,6 +506,7 @@ class Application:
         """Restart after a backward jump of the simulated clock; the next estimate reports it."""
         for message in self._order.rest():  # they belong to the time before
             self._handle(message)
+        self._handled_ns = 0
         self._start_anew(time_went_back=True)
         self._log(Level.WARN, "time went back: the estimate restarts")
 
@@ -481,6 +521,9 @@ class Application:
         self.deactivate()
         for message in self._order.rest():
             self._handle(message)
+        for index, *_, arrived, raw in self._before_clock:
+            if raw is not None:
+                self.keep(index, raw, arrived)
         self.guard("ending the compiler", self._warm_up.close)
         self.guard("the log", self._log_counts)
         if self.keeper.path is None:

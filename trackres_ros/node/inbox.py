@@ -15,8 +15,6 @@ from collections.abc import Callable, Iterable, Sequence
 from operator import attrgetter
 from typing import Any, NamedTuple
 
-from trackres_ros.node.input_reader import Sample
-
 Arrival = tuple[int, int]
 """When a message came, by the steady clock and by the node's time [ns]."""
 Take = Callable[[], Iterable[Any]]
@@ -75,12 +73,15 @@ class Inbox:
 
 
 class Arrived(NamedTuple):
-    """The samples of a message, with its times [ns]."""
+    """A message of an input, with its times [ns]."""
 
     sent_ns: int  # by the clock of its publisher; 0 if unknown
     steady_ns: int  # arrival by the steady clock
     now_ns: int  # arrival by the node's time
-    samples: Sequence[Sample]
+    place: int  # of the input
+    stamp_ns: int | None
+    values: Sequence[float | None]
+    raw: bytes | None  # to be recorded
 
 
 class SendingOrder:

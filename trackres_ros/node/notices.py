@@ -43,6 +43,9 @@ LIVE_KINDS = {
         "the last accepted speed is older than `speed_max_age_s`: the outputs keep the last stamp and values, "
         "and the feed-forward fades to zero",
     ),
+    "INACTIVE": NoticeKind(
+        Level.STALE, "the node is deactivated, or ends by request: the feed-forward goes to zero, then nothing is published"
+    ),
     "NO_CLOCK": NoticeKind(Level.STALE, "`use_sim_time` is set and no /clock message has arrived", awaited=True),
     "INTERNAL_ERROR": NoticeKind(
         Level.ERROR,

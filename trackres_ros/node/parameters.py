@@ -302,6 +302,17 @@ def read_entries(path: Path, node: str, namespace: str) -> dict[str, object]:
     return {name: value for values in fitting for name, value in values.items()}
 
 
+def section_names(path: Path) -> list[str]:
+    """Node patterns of the sections of a parameter file of ROS.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or has anything else.
+    """
+    return [name for name, _ in _sections(read_yaml(path), "", str(path))]
+
+
 def _sections(content: Mapping[Any, Any], prefix: str, origin: str) -> list[tuple[str, Mapping[str, object]]]:
     """Node patterns and their parameters in a ROS parameter file, namespaces nested or not; anything else is refused."""
     found: list[tuple[str, Mapping[str, object]]] = []

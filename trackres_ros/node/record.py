@@ -25,6 +25,7 @@ from trackres_ros.learning.columns import LearningColumns
 from trackres_ros.node.endpoints import InputTopic, input_name
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.record_files import RecordingFiles, RecordLimits
+from trackres_ros.node.transport import LAST_NS
 from trackres_ros.offline.summary import picture_columns
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.plots import estimate_figure
@@ -74,7 +75,8 @@ class Recorder:
         self._error, self._failed_ns, self._answered_ns = "", -SHOWN_NS, 0
         self._is_finished = False
         self._done: list[str] = []
-        self._began_ns = self._latest_ns = self._jump_ns = 0
+        self._began_ns = self._latest_ns = 0
+        self._jump_ns = LAST_NS  # a real clock never goes back, though a message may be recorded late
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
 
@@ -97,7 +99,8 @@ class Recorder:
         self._given: list[tuple[InputTopic, str]] = application.record(self._keep)
         self._counts, self._last = [0] * len(self._given), [0] * len(self._given)
         self._early: list[Item] = []
-        self._jump_ns = int(self._estimator.settings.clock_jump_s * SECOND_NS)
+        if application.parameters.sim_time:
+            self._jump_ns = int(self._estimator.settings.clock_jump_s * SECOND_NS)
         self._open()
         application.on_estimate, application.recording_notices = self._take, self.notices
         self._answered_ns = time.monotonic_ns()

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from trackres_ros.node.application import Application
     from trackres_ros.node.transport import Level
 
-STOP = (signal.SIGINT, signal.SIGTERM)
+STOP = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 SAVE, RESET, RESET_LEARNING = signal.SIGUSR1, signal.SIGUSR2, signal.SIGRTMIN
 WHAT: dict[int, str] = {
     SAVE: "the state is saved",
@@ -42,9 +42,10 @@ class SignalRequests:
         self._waiting: list[int] = []
 
     def listen(self) -> None:
-        """Begin to listen; from then on no signal ends the process by itself."""
+        """Begin to listen; from then on no signal ends the process by itself. Under nohup a closed terminal ends nothing."""
         for number in WHAT:
-            signal.signal(number, self._take)
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._take)
 
     def started(self) -> None:
         """Begin to carry out requests at once, as the node runs."""

@@ -79,7 +79,7 @@ class Transport(Protocol):
         """The publishers that are there now on the topic of an input, whatever their type and quality of service."""
 
     def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
-        """Pass every message to `Application.keep` too, including those of other topics.
+        """Pass the bytes of every message too: of an input with its values, of other topics to `Application.keep`.
 
         Returns the texts that define the types of all inputs and of the other topics; None for an unknown type.
         """

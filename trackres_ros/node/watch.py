@@ -133,7 +133,7 @@ class Watch:
             found.append(Notice("NO_SPEED", "no speed yet"))
         elif age_s > max_age_s:
             fading = "the feed-forward fades to zero"
-            found.append(Notice("SPEED_OLD", f"no speed for {age_s:.1f} s, at most {max_age_s:g} s allowed: {fading}"))
+            found.append(Notice("SPEED_OLD", f"no accepted speed for {age_s:.1f} s, at most {max_age_s:g} s allowed: {fading}"))
         for name, number in self._overrun:
             text = f"{name}: {number} messages were dropped in the last second, as they arrived too fast"
             found.append(Notice("OVERRUN", text))

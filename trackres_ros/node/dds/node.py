@@ -205,13 +205,12 @@ class DdsNode:
 
     def _hand(self, index: int, message: tuple[bytes, int], arrived: Arrival) -> None:
         raw, sent_ns = message
-        self.application.keep(index, raw, arrived)
         try:
             stamp, values = self._input_readers[index].read(raw)
         except Exception:  # no bytes, whatever they are, end the node
-            self.application.undecodable(index, sent_ns, arrived)
+            self.application.undecodable(index, sent_ns, arrived, raw)
         else:
-            self.application.receive_values(index, stamp, values, sent_ns, arrived)
+            self.application.receive_values(index, stamp, values, sent_ns, arrived, raw)
 
     def _tick_if_due(self) -> None:
         now = time.monotonic_ns()
@@ -259,6 +258,6 @@ def run(
     except Exception as error:
         fault = error
     finally:
-        running.application.fade_out(fault)
+        running.application.deactivate(fault)
         running.close()
     return FAULT if fault else 0

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.node.signals import SignalRequests
+from trackres_ros.node.transport import Level
 
 if TYPE_CHECKING:
     from trackres_ros.node.application import Application
@@ -39,8 +40,20 @@ except ImportError as error:
 def run_executable(requests: SignalRequests) -> int:
     """Run the executable; ROS arguments give name, namespace, remappings and parameters. Return the exit code."""
     from trackres_ros.node.ros.node import EstimatorNode
+    from trackres_ros.node.ros.parameters import files_without_effect
 
-    return _run(lambda: EstimatorNode(), requests, None, None, of_command=False)
+    def make() -> Any:
+        node = EstimatorNode()
+        for text in (*files_without_effect(node, sys.argv), *_not_of_ros(sys.argv)):
+            node.log(Level.WARN, text)
+        return node
+
+    return _run(make, requests, None, None, of_command=False)
+
+
+def _not_of_ros(arguments: Sequence[str]) -> list[str]:
+    others = rclpy.utilities.remove_ros_args(arguments)[1:]
+    return [f"arguments without effect: {' '.join(others)}; those of ROS follow --ros-args"] if others else []
 
 
 def run(
@@ -102,7 +115,7 @@ def _run(
     finally:
         if node is not None:
             if node.application:
-                node.application.fade_out(fault)
+                node.application.deactivate(fault)
             node.release()
             node.destroy_node()
         rclpy.try_shutdown()

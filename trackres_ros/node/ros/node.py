@@ -101,7 +101,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         return self._transition(self._activate, state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop publishing; the estimate continues."""
+        """Let the feed-forward go to zero and stop publishing; the estimate continues."""
         return self._transition(self._deactivate, state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -199,8 +199,14 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     def _deactivate(self, state: LifecycleState) -> None:
         assert self.application
-        self.application.deactivate()
+        self.application.deactivate(meanwhile=self._go_on)
         super().on_deactivate(state)
+
+    def _go_on(self) -> None:
+        """Do what the executor would do. A simulated clock stands still meanwhile, so messages wait for it."""
+        if self.application and not self.application.parameters.sim_time:
+            self._collect()
+        self._tick_if_due()
 
     def release(self) -> None:
         """Save the state and destroy everything that `on_configure` made."""
@@ -317,12 +323,8 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     def _hand(self, index: int, message: Taken, arrived: Arrival) -> None:
         if self.application:
-            if self._recording:
-                self.application.guard("recording", self._record, self.application, index, message[0], arrived)
-            self.application.receive(index, message[0], message[1]["source_timestamp"], arrived)
-
-    def _record(self, application: Application, index: int, message: object, arrived: Arrival) -> None:
-        application.keep(index, serialize_message(message), arrived)
+            raw = self.application.guard("recording", serialize_message, message[0]) if self._recording else None
+            self.application.receive(index, message[0], message[1]["source_timestamp"], arrived, raw)
 
     def _keep(self, index: int, raw: bytes) -> None:
         if self.application:

@@ -5,7 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -13,7 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from trackres_ros.errors import InputError, nearest
-from trackres_ros.node.parameters import PARAMETERS, NodeParameter, Parameters, Value, known, make_parameters
+from trackres_ros.node.parameters import PARAMETERS, NodeParameter, Parameters, Value, known, make_parameters, section_names
 from trackres_ros.node.ros.qos import OVERRIDES
 
 SIM_TIME = "use_sim_time"  # declared by rclpy itself
@@ -46,6 +49,23 @@ def unknown(node: Node, of_topics: bool) -> str:
         if not node.has_parameter(name) and name.startswith(OVERRIDES) is of_topics
     ]
     return f"unknown parameters without effect: {', '.join(found)}" if found else ""
+
+
+def files_without_effect(node: Node, arguments: Sequence[str]) -> list[str]:
+    """A text about each parameter file in ROS arguments that has no section for a node, by the wildcards of ROS."""
+    full, found = node.get_fully_qualified_name(), []
+    for option, path in pairwise(arguments):
+        if option != "--params-file":
+            continue
+        try:
+            names = section_names(Path(path))
+        except InputError as error:  # a pipe that ROS has already read
+            found.append(str(error))
+            continue
+        if not any(re.fullmatch(name.replace("/*", r"(/\w+)"), full) for name in names):
+            given = f"parameters of {', '.join(names)}, which have no effect"
+            found.append(str(InputError(path, given, f"a section for {full}", "use that name, or /** for any node")))
+    return found
 
 
 def descriptor(parameter: NodeParameter) -> ParameterDescriptor:
