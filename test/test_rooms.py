@@ -112,6 +112,29 @@ def test_no_test_name_is_longer_than_60_characters(trees):
     assert not [name for name in names if len(name) > 60]
 
 
+PLAIN = {"write_text", "write_bytes", "copyfile", "copy2", "copytree"}
+PARTS = {"output/table.py", "output/mcap.py", "recording/unfinished.py", "fleet/periods.py"}  # moved in place when whole
+NOT_KEPT = {"recording/unpacking.py", "export/fmu.py", "estimator/warm_up.py", "fleet/run.py"}  # temporary folders, and locks
+RUN_AGAIN = ("evaluation/", "cli/prove.py")  # the command that wrote them writes them again
+
+
+def _writes_in_place(node):
+    if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute | ast.Name):
+        return False
+    name = node.func.attr if isinstance(node.func, ast.Attribute) else node.func.id
+    modes = [one.value for one in ast.walk(node) if isinstance(one, ast.Constant)]
+    return name in PLAIN or (name == "open" and any(re.fullmatch("[wxa][bt+]*", str(one)) for one in modes))
+
+
+def test_what_a_user_keeps_is_written_whole_or_not_at_all(trees, repository):
+    """`files.own_files.write` replaces a file in one step: a full disk or a power cut leaves the old one."""
+    package, found = repository / "trackres_ros", set()
+    for path, tree in trees.items():
+        if path.is_relative_to(package) and any(map(_writes_in_place, ast.walk(tree))):
+            found.add(path.relative_to(package).as_posix())
+    assert {name for name in found if not name.startswith(RUN_AGAIN)} == PARTS | NOT_KEPT
+
+
 MOST_LINES, MOST_PARAMETERS = 60, 8
 BY_NAME = "each argument is a documented keyword of a public call, given by name"
 NUMBERS = "called by compiled kernels, or in their place: takes numbers, as they do"

@@ -11,6 +11,7 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.estimator import columns as at
+from trackres_ros.learning.vehicle_file import write_learned
 
 MINUTES = 18.0
 
@@ -72,6 +73,13 @@ def test_the_vehicle_file_it_leaves_starts_from_what_was_learned(recording, watc
     late = slice(-600, None)  # with values learned by then, over the whole distance
     assert again["resistance_torque_nm"][late] == pytest.approx(watched["learned_resistance_torque_nm"][late], rel=0.02)
     assert again["resistance_std_nm"][-1] < 0.5 * watched["resistance_std_nm"][-1]
+
+
+def test_no_unlearned_vehicle_file_is_there_first(recording, watched, tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr("os.fsync", lambda _: seen.extend(path.read_bytes() for path in tmp_path.glob("v.yaml*")))
+    write_learned(watched.learner, tr.load_vehicle("xgd24d"), tmp_path / "v.yaml")
+    assert set(seen) == {(tmp_path / "v.yaml").read_bytes()} == {recording.with_name("learned.yaml").read_bytes()}
 
 
 def test_what_does_not_count_is_not_written(recording, tmp_path):

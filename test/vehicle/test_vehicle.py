@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import math
 import shutil
 from pathlib import Path
@@ -23,7 +24,7 @@ from trackres_ros.route.learned import SLOPE, RouteMap
 from trackres_ros.vehicle import load, variants, with_surroundings
 from trackres_ros.vehicle.loading import read_rubber_sweep
 from trackres_ros.vehicle.writing.changes import FileChanges
-from trackres_ros.vehicle.writing.vehicle_file import write_track_vehicle
+from trackres_ros.vehicle.writing.vehicle_file import BY_US, write_track_vehicle
 
 THICKNESS = "tracks.triangular.belt.thickness"
 
@@ -242,13 +243,15 @@ def test_a_sweep_is_read_in_pascal_beside_its_vehicle_file(folder: Path, content
 
 # Written files
 
+PLACES = np.array([0.9]), np.array([0.1]), np.zeros(1), np.full((1, 2), 0.01), np.full((1, 2), 0.001), np.ones(1, np.int64)
+ROUTE = (RouteMap(SLOPE, *PLACES),)
+
 
 @pytest.mark.parametrize("there", ["rubber/nr_sbr_10hz.csv", "effects/squeak.py", "surroundings.yaml", "route.csv"])
 def test_a_written_vehicle_changes_no_other_file(tmp_path: Path, own: Path, there: str) -> None:
     effects = catalogue(own)
     added = tuple(Active(effects[name], {q.name: q.start for q in effects[name].parameters}) for name in ("squeak", "grade"))
-    places = np.array([0.9]), np.array([0.1]), np.zeros(1), np.full((1, 2), 0.01), np.full((1, 2), 0.001), np.ones(1, np.int64)
-    changes, file = FileChanges(None, added, {}, route=(RouteMap(SLOPE, *places),)), tmp_path / "new.yaml"
+    changes, file = FileChanges(None, added, {}, route=ROUTE), tmp_path / "new.yaml"
     (tmp_path / there).parent.mkdir(exist_ok=True)
     (tmp_path / there).write_text("edited by hand\n", encoding="utf-8")
     for _ in range(2):  # the second time into the files of the first
@@ -260,3 +263,34 @@ def test_a_written_vehicle_changes_no_other_file(tmp_path: Path, own: Path, ther
         assert len(again.route) == 1
     written = sorted(path for path in tmp_path.rglob("*") if path.is_file() and path.parent != own and "__" not in str(path))
     assert len(written) == 6
+
+
+def test_a_full_disk_leaves_each_written_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle, other = load("xgd24d"), tuple(one.times(2.0) for one in ROUTE)
+
+    def write(route: tuple[RouteMap, ...], text: str) -> dict[str, str]:
+        write_track_vehicle(vehicle, tmp_path / "new.yaml", FileChanges(None, (), {}, route=route), f"{BY_US}{text}")
+        return contents()
+
+    def contents() -> dict[str, str]:
+        return {path.name: path.read_text(encoding="utf-8") for path in tmp_path.rglob("*.*")}
+
+    def fill_up(_: int) -> None:
+        left[0] -= 1
+        if left[0] < 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    left = [4]
+    monkeypatch.setattr("os.fsync", fill_up)
+    before = write(ROUTE, "first")
+    left[0] = 3
+    after = write(other, "then")
+    assert sum(after[name] != before[name] for name in before) == 3
+    for files in range(3):
+        left[0] = 3
+        write(ROUTE, "first")
+        left[0] = files
+        with pytest.raises(OSError, match=r"No space left on device: '.*(yaml|csv)'"):
+            write(other, "then")
+        assert sum(contents()[name] == after[name] for name in after) == files + 1  # and the copy of the rubber
+        assert sum(contents()[name] == before[name] for name in before) == 4 - files

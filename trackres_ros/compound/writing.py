@@ -71,8 +71,8 @@ def write_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -
         write(files["rubber"], _rubber_text(fit).encode())
         write(files["prony"], _prony_text(fit).encode())
         with_rubber = replace(vehicle, name=_name(vehicle, files["vehicle"].stem), rubber_source=files["rubber"])
-        write_track_vehicle(with_rubber, files["vehicle"], FileChanges(None, (), {}), "\n".join(_provenance(fit)))
-        _set_rubber(files["vehicle"], with_rubber, fit)
+        changes = FileChanges(None, (), {}, amend=lambda text: _with_rubber(text, with_rubber, fit))
+        write_track_vehicle(with_rubber, files["vehicle"], changes, "\n".join(_provenance(fit)))
     except OSError as error:
         raise InputError(
             "output", f"{error.filename or files['vehicle'].parent}: {error.strerror or error}", "a writable folder"
@@ -166,9 +166,9 @@ def _prony_text(fit: CompoundFit) -> str:
     return _comments(head) + "\n".join(lines) + "\n"
 
 
-def _set_rubber(path: Path, vehicle: Vehicle, fit: CompoundFit) -> None:
-    """Put the values of the compound into a vehicle file."""
-    document = Document(EARLIER.sub("", path.read_text(encoding="utf-8"), count=1))
+def _with_rubber(text: str, vehicle: Vehicle, fit: CompoundFit) -> str:
+    """The text of a vehicle file with the values of the compound."""
+    document = Document(EARLIER.sub("", text, count=1))
     document.set(("name",), vehicle.name)
     at = float(f"{fit.master.at_frequency:.6g}")
     _set(document, "sweep_frequency", at, [at, at], FITTED, f"of the rubber file, the lowest of {one_line(fit.sweep.path.name)}")
@@ -181,8 +181,7 @@ def _set_rubber(path: Path, vehicle: Vehicle, fit: CompoundFit) -> None:
     old = vehicle.parameters["rubber.loss_modulus_scale"]
     span = [old.low, old.high] if old.flag != FITTED and old.low <= 1.0 <= old.high else SCATTER
     _set(document, "loss_modulus_scale", 1.0, span, "A", SCATTER_REASON)
-    text = document.text()
-    write(path, (text if text is not None else _comments(_provenance(fit)) + document.plain()).encode())
+    return document.text() or _comments(_provenance(fit)) + document.plain()
 
 
 def _reason(fit: CompoundFit, name: str) -> str:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import glob
 import hashlib
 import json
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -141,6 +142,7 @@ def read_learning(estimator: Estimator, path: Path) -> Any:
 
 def leftovers(path: Path) -> list[Path]:
     """Partial state files of interrupted writes."""
+    path = Path(os.path.realpath(path))
     return list(path.parent.glob(f"{glob.escape(path.name)}*{own_files.PART}"))
 
 

@@ -24,6 +24,7 @@ from trackres_ros.export.c_source import CSource
 from trackres_ros.export.parts import Parts
 from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.output_files import output_folder
+from trackres_ros.files.own_files import write
 from trackres_ros.files.resources import config_dir, find_vehicle
 from trackres_ros.jit.compiled import sources_digest
 from trackres_ros.node.parameters import make_parameters, read_parameters
@@ -105,7 +106,7 @@ def export_c(request: Request, folder: Path) -> list[Path]:
     estimator, files = source.estimator, source.files()
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
-        (folder / name).write_text(text, encoding="utf-8")
+        write(folder / name, text.encode())
     listed = {
         "format": FORMAT,
         "version": VERSION,
@@ -120,7 +121,7 @@ def export_c(request: Request, folder: Path) -> list[Path]:
         "values": values_key(estimator),
         "files": {name: hashlib.sha256(text.encode()).hexdigest() for name, text in files.items()},
     }
-    (folder / LIST).write_text(json.dumps(listed, indent=2) + "\n", encoding="utf-8")
+    write(folder / LIST, (json.dumps(listed, indent=2) + "\n").encode())
     return [folder / name for name in (*files, LIST)]
 
 

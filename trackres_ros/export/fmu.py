@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import io
 import platform
 import shutil
 import subprocess
@@ -23,6 +24,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.export.c_source import TEMPLATES, CSource, filled, in_c
 from trackres_ros.export.exporting import Request, translated
 from trackres_ros.files.output_files import output_file
+from trackres_ros.files.own_files import write
 
 MODEL = "trackres"
 SOURCES = ("trackres.c", "fmi3.c")
@@ -91,12 +93,14 @@ def export_fmu(request: Request, path: Path) -> Path:
         if done.returncode:
             raise InputError("export fmu", done.stderr[-200:], f"C that {compiler} takes", "report this with the vehicle file")
         description = _description(source, variables, token)
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as packed:
+        whole = io.BytesIO()
+        with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as packed:
             packed.writestr("modelDescription.xml", description)
             packed.writestr("sources/buildDescription.xml", _build_description())
             for name, text in texts.items():
                 packed.writestr(f"sources/{name}", text)
             packed.writestr(f"binaries/{platform.machine()}-linux/{MODEL}.so", library.read_bytes())
+    write(file, whole.getvalue())
     return file
 
 

@@ -57,7 +57,7 @@ def keep(folder: Path | None, name: str, payload: bytes) -> None:
     if folder is None:
         return
     try:
-        own_files.write(folder / name, own_files.sealed(name, payload))
+        own_files.write(folder / name, own_files.sealed(name, payload), private=True)
     except OSError as error:
         _say(f"{folder}: {error.strerror or error}")
 

@@ -10,12 +10,13 @@ size are read, a new file replaces the old one in one step, and a seal over the 
 import errno
 import hashlib
 import os
+import secrets
 import stat
 import sys
-import tempfile
 from pathlib import Path
 
 PART = ".part"
+OF_ALL, PRIVATE = 0o666, 0o600  # permissions of a new file, the first less the umask
 SEAL = hashlib.sha256
 KINDS = {
     stat.S_IFDIR: "a folder", stat.S_IFIFO: "a named pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
@@ -51,25 +52,37 @@ def _check(path: Path, found: os.stat_result, most: int) -> None:
         raise NotOurFileError(errno.EFBIG, f"{found.st_size} bytes; a file of this kind has at most {most}", str(path))
 
 
-def write(path: Path, data: bytes) -> None:
+def write(path: Path, data: bytes, private: bool = False) -> None:
     """Write a temporary file in the same folder, flush it to the disk and move it in place.
 
-    Raises OSError if it cannot be written; an older file is then unchanged. Also if something other than a file is there, as
-    moving there would destroy a device or a pipe.
+    The permissions of an older file stay; a `private` file is for its owner alone. A symbolic link stays one: the file that it
+    leads to is replaced.
+
+    Raises OSError if it cannot be written; an older file is then unchanged. Also if the older file is write-protected, or
+    something other than a file is there, as moving there would destroy a device or a pipe.
     """
-    if path.exists():
-        _check(path, path.stat(), sys.maxsize)
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.name, suffix=PART, delete=False) as file:
-        try:
+    mode = PRIVATE if private else OF_ALL
+    old = path.stat() if path.exists() else None
+    if old is not None:
+        _check(path, old, sys.maxsize)
+        mode = mode if private else stat.S_IMODE(old.st_mode)
+        if not os.access(path, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+    place = Path(os.path.realpath(path))
+    part = place.with_name(f"{place.name}{secrets.token_hex(4)}{PART}")
+    try:
+        with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode), "wb") as file:
+            if old is not None:  # no umask narrows what was there
+                os.fchmod(file.fileno(), mode)
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-            Path(file.name).replace(path)
-        except BaseException as error:
-            Path(file.name).unlink(missing_ok=True)
-            if isinstance(error, OSError) and error.filename is None:  # the error of a full disk does not name the file
-                error.filename = str(path)
-            raise
+        part.replace(place)
+    except BaseException as error:
+        part.unlink(missing_ok=True)
+        if isinstance(error, OSError):  # not that of the temporary file, and a full disk names none
+            error.filename = str(path)
+        raise
 
 
 def sealed(name: str, payload: bytes) -> bytes:

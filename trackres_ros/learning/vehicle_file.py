@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.files import own_files
 from trackres_ros.learning.correction import told_std
 from trackres_ros.learning.filter import known_of_others
 from trackres_ros.learning.learner import Learner
@@ -33,18 +32,21 @@ def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> list[str
     """Write a vehicle file with the learned parameters; return the paths of the changed values."""
     counts = [state for state in VEHICLES_OWN if learner.acts and learner.counted[state]]
     minutes = learner.learned.seconds / 60.0
-    text = f"Written by trackres replay --save-vehicle, learned from {minutes:.0f} min of driving"
-    nothing = FileChanges(None, (), {})
-    if isinstance(vehicle, RoadVehicle):
-        write_road_vehicle(vehicle, path, nothing, text)
-    else:
-        write_track_vehicle(vehicle, path, nothing, text)
-    document = Document(path.read_text(encoding="utf-8"))
+    comment = f"Written by trackres replay --save-vehicle, learned from {minutes:.0f} min of driving"
     stds = _stds(learner, counts)
     applied = learner.learned.applied.tolist()
-    written = [name for state in counts for name in _set(document, vehicle, state, applied[state], stds[state])]
-    if written:
-        own_files.write(path, (document.text() or f"# {text}\n{document.plain()}").encode())
+    written: list[str] = []
+
+    def with_learned(text: str) -> str:
+        document = Document(text)
+        written.extend(name for state in counts for name in _set(document, vehicle, state, applied[state], stds[state]))
+        return (document.text() or f"# {comment}\n{document.plain()}") if written else text
+
+    changes = FileChanges(None, (), {}, amend=with_learned)
+    if isinstance(vehicle, RoadVehicle):
+        write_road_vehicle(vehicle, path, changes, comment)
+    else:
+        write_track_vehicle(vehicle, path, changes, comment)
     return written
 
 

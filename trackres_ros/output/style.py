@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.errors import MissingExtraError
+from trackres_ros.files.own_files import write
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -135,7 +136,7 @@ def svg_of(figure: Figure) -> bytes:
 def write_figure(figure: Figure, path: Path) -> None:
     """Write a figure as SVG or PNG, by the suffix of the path; create its folder if needed."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(svg_of(figure) if path.suffix.lower() == ".svg" else png_of(figure))
+    write(path, svg_of(figure) if path.suffix.lower() == ".svg" else png_of(figure))
 
 
 @contextmanager

@@ -27,6 +27,7 @@ from trackres_ros.diagnosis.report.content import report
 from trackres_ros.diagnosis.report.series import stages
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.files.output_files import not_an_input, output_folder
+from trackres_ros.files.own_files import write
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.text.html import listed, panel, paragraph, table
 from trackres_ros.text.numbers import alike, figures
@@ -148,7 +149,7 @@ class DiagnosisResult:
             not_an_input(place / name, self._inputs, "folder")
         place.mkdir(parents=True, exist_ok=True)
         file = place / REPORT_FILE
-        file.write_text(json.dumps(self._content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write(file, (json.dumps(self._content, indent=2, allow_nan=False) + "\n").encode())
         self.written = (file, *self._write_vehicle(place))
         if page:
             try:

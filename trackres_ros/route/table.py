@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.checks import number
 from trackres_ros.errors import InputError
+from trackres_ros.files.own_files import write
 from trackres_ros.files.small_files import read_text
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap, followed_in, frame_of, of_kind
 from trackres_ros.route.lookup import CELL_M, END, FIRST
@@ -58,7 +59,7 @@ def write_route(path: Path, route: Sequence[RouteMap]) -> None:
     kinds = [kind for kind in LEARNED if of_kind(route, kind) is not None]
     columns = [*(name for kind in kinds for name in LEARNED[kind]), *PASSES]
     lines = [",".join([at, *(row.get(name, "") for name in columns)]) for at, row in rows.items()]
-    path.write_text("\n".join([",".join([*PLACE, *columns]), *lines]) + "\n", encoding="utf-8")
+    write(path, ("\n".join([",".join([*PLACE, *columns]), *lines]) + "\n").encode())
 
 
 def _places(route: RouteMap) -> list[str]:

@@ -21,6 +21,7 @@ import scipy
 from trackres_ros.diagnosis.report.interactive import Interactive
 from trackres_ros.diagnosis.report.picture import Picture
 from trackres_ros.diagnosis.report.tiles import by_file, headline, lights, stage_of, tiles
+from trackres_ros.files.own_files import write
 from trackres_ros.text.numbers import alike, decimals, figures
 from trackres_ros.text.templates import templates
 from trackres_ros.version import __version__
@@ -80,7 +81,7 @@ def write_page(
         provenance=provenance,
         pictures=[(p, KINDS[p.path.suffix], base64.b64encode(p.path.read_bytes()).decode()) for p in pictures],
     )
-    path.write_text(page, encoding="utf-8")
+    write(path, page.encode())
 
 
 def r2(value: float | None) -> str:

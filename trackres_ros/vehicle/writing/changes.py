@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from trackres_ros.effects.effect import Active
@@ -43,6 +43,7 @@ class FileChanges:
     disturbance: LearnedDisturbance | None = None  # to watch for live; None keeps that of the file
     route: tuple[RouteMap, ...] = ()  # a slope, or a torque, by place; others given with the surroundings stay
     by: str = "trackres diagnose"  # the command that found it
+    amend: Callable[[str], str] = str  # makes the text of the vehicle file that is written, from that with all other changes
 
     def with_disturbance(self, learned: LearnedDisturbance | None) -> FileChanges:
         """The same changes, with a disturbance to watch for."""

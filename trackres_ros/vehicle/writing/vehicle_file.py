@@ -9,7 +9,6 @@ The rubber's file and those of a user's own effects are copied to the same folde
 from __future__ import annotations
 
 import itertools
-import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
+from trackres_ros.files.own_files import write
 from trackres_ros.files.small_files import read_text
 from trackres_ros.files.yamls import MOST_BYTES
 from trackres_ros.route.learned import RouteMap
@@ -171,7 +171,7 @@ def finish(
         document.set(("effect_files",), files)
     edited = document.text()
     note = "" if edited is not None else "Its comments could not be kept: they stand in the file it was made from.\n"
-    path.write_text(_comment(note + text) + (edited or document.plain()), encoding="utf-8")
+    write(path, kept.amend(_comment(note + text) + (edited or document.plain())).encode())
     site_file, route_file = _free_places(path)
     learned = {one.kind for one in kept.route}
     route = [*kept.route, *(one for one in route if one.kind not in learned)]
@@ -188,11 +188,10 @@ def finish(
     lines += [f"route: {route_file.name}"] if route else []
     lines += ["effects:" if around else "effects: {}"]
     lines += [f"  {active.effect.name}: {flow(_values(active))}" for active in around]
-    site_file.write_text(_comment(text) + "\n".join(lines) + "\n", encoding="utf-8")
-    if not route:
-        return [path, site_file]
-    write_route(route_file, route)
-    return [path, site_file, route_file]
+    if route:
+        write_route(route_file, route)  # before the file that names it
+    write(site_file, (_comment(text) + "\n".join(lines) + "\n").encode())
+    return [path, site_file, route_file] if route else [path, site_file]
 
 
 def _free_places(path: Path) -> tuple[Path, Path]:
@@ -262,7 +261,7 @@ def copied(source: Path, folder: Path, relative: Path) -> str:
             place = _numbered(relative, count)
         if not target.exists():
             target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source, target)
+            write(target, content)
     except OSError as error:
         raise InputError(str(folder / place), error.strerror or str(error), f"a place for a copy of {source}") from error
     return place.as_posix()
