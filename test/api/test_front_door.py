@@ -294,6 +294,11 @@ def test_a_replay_takes_parameters_and_goes_on_from_a_state(folder, vehicle, rep
         tr.replay(folder / "two.csv", vehicle, params={"gap_s": -1})
 
 
+def test_a_replay_has_no_unknown_column(replayed):
+    assert "time_s" in replayed
+    assert "nothing" not in replayed
+
+
 def test_pandas_has_every_column_with_its_unit(replayed, folder):
     pd = pytest.importorskip("pandas")
     frame = replayed.to_pandas()

@@ -3,7 +3,10 @@
 
 """Laws of superposition, of Prony series, and of a fit: what went in comes out, within its intervals."""
 
+from contextlib import suppress
 from dataclasses import replace
+from itertools import count
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -168,9 +171,14 @@ def test_moduli_that_do_not_belong_together_have_no_prony_series(vehicle, natura
     assert max(found.prony.rms) > 0.2
 
 
-def test_one_frequency_keeps_the_shift_of_the_vehicle(vehicle):
-    found = fit_compound(sweep(published("SBR"), np.arange(-60.0, 61.0, 3.0), [10.0]), vehicle)
+@pytest.mark.parametrize(
+    ("frequencies", "said"),
+    [([10.0], "one frequency does not"), ([9.0, 10.0, 11.0], "3 frequencies within a factor of 1.2 do not")],
+)
+def test_one_frequency_keeps_the_shift_of_the_vehicle(vehicle, frequencies, said):
+    found = fit_compound(sweep(published("SBR"), np.arange(-60.0, 61.0, 3.0), frequencies), vehicle)
     assert found.law == KEPT
+    assert said in found.why
     assert found.values["wlf_c1"].value == vehicle.rubber.wlf_c1
     assert found.values["wlf_c1"].low == vehicle.parameters["rubber.wlf_c1"].low
 
@@ -194,3 +202,32 @@ def test_the_written_vehicle_has_the_measured_moduli(vehicle, natural_rubber, tm
     assert "# Written by trackres compound fit from made.csv" in written.rubber_source.read_text()
     again = write_compound(natural_rubber, written, files_of(tmp_path / "NR 7.csv", tmp_path / "again"))
     assert again.source.read_text() == written.source.read_text()
+
+
+def test_an_interrupted_fit_leaves_the_old_vehicle_or_the_new(vehicle, natural_rubber, tmp_path, monkeypatch):
+    other = fit_compound(sweep(published("SBR"), np.arange(-60.0, 61.0, 3.0), [10.0]), vehicle)
+    move = Path.replace
+
+    def of_rubber(files):
+        rubber = load(files["vehicle"]).rubber
+        return rubber.wlf_c1, rubber.sweep_frequency, *rubber.storage_pa
+
+    left = []
+    for moves in range(4):
+        done = count()
+
+        def interrupted(part, place, done=done, last=moves):
+            if next(done) == last:
+                raise KeyboardInterrupt
+            return move(part, place)
+
+        files = files_of(tmp_path / "sweep.csv", tmp_path / str(moves))
+        write_compound(natural_rubber, vehicle, files)
+        left.append(of_rubber(files))
+        with monkeypatch.context() as changed, suppress(KeyboardInterrupt):
+            changed.setattr(Path, "replace", interrupted)
+            write_compound(other, vehicle, files)
+        left.append(of_rubber(files))
+    old, new = left[0], left[-1]
+    assert old != new
+    assert left == [old, old] * 3 + [old, new]

@@ -5,19 +5,28 @@
 
 import json
 import math
-from dataclasses import replace
+from copy import deepcopy
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
+import yaml
 
 import trackres_ros as tr
 from trackres_ros.design import sensitivity as sensing
 from trackres_ros.design.steady import WARMEST_K, steady
 from trackres_ros.design.sweep import SweepRequest, sweep
 from trackres_ros.design.values import meant, scalars, varied
-from trackres_ros.effects import Active, catalogue
+from trackres_ros.effects import Active, Effect, Parameter, Terms, catalogue
 from trackres_ros.engine import executor
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.fleet.task import _replayed
+from trackres_ros.model import resistance
 from trackres_ros.model.operating_point import explain
+from trackres_ros.model.resistance import RESISTANCE_PARTS
+from trackres_ros.model.track import with_methods
+from trackres_ros.offline.energy import energy_j, steps_of, taken
+from trackres_ros.offline.simulate import by_column
 from trackres_ros.vehicle import load
 
 SPEED, AIR = 25.0 / 3.6, 10.0
@@ -38,6 +47,100 @@ def test_what_heats_a_steady_belt_cools_it(name, speed, with_effect):
     assert found.cold_nm > found.warm_nm
     radius = vehicle.track_of(vehicle.assemblies[0]).sprocket_radius
     assert found.kwh_per_km == pytest.approx(found.warm_nm / radius / 3600.0, rel=1e-9)
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory, good):
+    """The reference vehicle whose rear tracks have larger sprockets."""
+    folder = tmp_path_factory.mktemp("mixed")
+    good("vehicle", "new", "mixed", "-o", folder)
+    content = yaml.safe_load((folder / "mixed.yaml").read_text())
+    content["tracks"]["large"] = deepcopy(content["tracks"]["triangular"])
+    content["tracks"]["large"]["sprocket_radius"].update(value=0.45, range=[0.4, 0.5])
+    for assembly in content["assemblies"]:
+        assembly["track"] = "large" if assembly["axle"] == "rear" else "triangular"
+    (folder / "mixed.yaml").write_text(yaml.safe_dump(content))
+    return load(folder / "mixed.yaml")
+
+
+def with_effects(vehicle, *names):
+    active = [Active(catalogue()[name], catalogue()[name].values()) for name in names]
+    own, around = ([one for one in active if one.effect.belongs_to == owner] for owner in ("vehicle", "surroundings"))
+    return replace(vehicle, effects=tuple(own), surroundings=tuple(around))
+
+
+def end_of_a_drive(vehicle, speed, air):
+    """Columns of the last rows of a long drive at one speed [m/s], and the totals of these rows."""
+    estimator, time = Estimator(vehicle), np.arange(0.0, 40_000.0, 20.0)
+    first = estimator.cold_start(estimator.inputs(speed, ambient=air))
+    _, rows = estimator.run(first, time, np.full_like(time, speed), vehicle.weight, air, 0.0)
+    last = by_column(estimator, rows[-3:])
+    return last, taken(vehicle, time[-3:], last)
+
+
+SUN_AND_GROUND = "core_surface", "ground_conduction", "solar", "tension_torque"
+
+
+@pytest.mark.parametrize(
+    ("thermal", "name", "share", "air", "effects"),
+    [
+        ("lumped", "xgd24d", 0.2, 30.0, ()), ("core_surface", "xgd24d", 0.7, -15.0, ()),
+        ("lumped", "xgd24d", 0.7, 30.0, ("core_surface",)), ("core_surface", "xgd24d", 0.3, AIR, ("core_surface",)),
+        ("lumped", "agri3t", 0.4, AIR, SUN_AND_GROUND), ("core_surface", "agri3t", 0.9, 30.0, SUN_AND_GROUND),
+        ("core_surface", "mixed", 0.5, AIR, ()), ("lumped", "mixed", 0.7, -15.0, ("core_surface", "drivetrain_drag")),
+    ],
+)  # fmt: skip
+def test_a_steady_state_is_where_a_long_drive_ends(mixed, thermal, name, share, air, effects):
+    vehicle = with_effects(with_methods(mixed if name == "mixed" else load(name), thermal=thermal), *effects)
+    speed = share * vehicle.chassis.max_speed
+    found, (last, total) = steady(vehicle, speed, air), end_of_a_drive(vehicle, speed, air)
+    belts = [last[f"belt_degc/{one.name}"][-1] for one in vehicle.assemblies]
+    assert found.belt_degc == pytest.approx(np.mean(belts), abs=0.1)
+    assert found.warm_nm == pytest.approx(last["resistance_torque_nm"][-1], rel=1e-3)
+    assert found.kwh_per_km == pytest.approx(total["kwh_per_km"], rel=1e-3)
+    if name != "mixed":
+        point = explain(vehicle, speed, belts[0], air)
+        assert point["surface_degc"] == pytest.approx(
+            [last[f"surface_degc/{one.name}"][-1] for one in vehicle.assemblies], abs=0.1
+        )
+        for heat in ("heat_w", "cooling_w"):
+            assert point[heat] == pytest.approx(last[heat][-1], rel=2e-3)
+
+
+def test_energy_is_that_of_each_assembly_at_its_own_sprocket(mixed, tmp_path):
+    """By part, and in any order of the assemblies."""
+    vehicle, chassis = with_effects(mixed, "drivetrain_drag", "drivetrain_efficiency"), mixed.chassis
+    turned = replace(vehicle, assemblies=vehicle.assemblies[::-1])
+    (tmp_path / "drive.csv").write_text("time_s,speed_kmh\n" + "".join(f"{t},{min(t, 30)}\n" for t in range(90)))
+    recording = tr.read(tmp_path / "drive.csv")
+    rows = tr.replay(recording, vehicle)
+    step, speed = steps_of(rows.time_s), rows["speed_mps"]
+    of = {part: energy_j(vehicle, step, rows, column) for part, column in RESISTANCE_PARTS.items()}
+    of |= {part: energy_j(vehicle, step, rows, f"{part}_torque_nm") for part in ("resistance", "drive")}
+    drag = resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density)
+    assert of["wind"] == pytest.approx(float((step * speed * drag).sum()))
+    assert of["resistance"] == pytest.approx(sum(of[part] for part in RESISTANCE_PARTS))
+    assert of["drive"] - of["resistance"] == pytest.approx(energy_j(vehicle, step, rows, "inertia_nm"))
+    assert rows.as_dict()["drive"]["energy_mj"] == pytest.approx(1e-6 * of["resistance"])
+    in_fleet = _replayed(recording, turned)
+    assert {part: in_fleet[f"{part}_mj"] for part in of} == pytest.approx({part: 1e-6 * energy for part, energy in of.items()})
+    assert astuple(steady(turned, SPEED, AIR)) == pytest.approx(astuple(steady(vehicle, SPEED, AIR)))
+
+
+def test_an_effect_may_cool_a_belt_below_the_air():
+    class Cellar(Effect):
+        name, acts_on, belongs_to, text, needs = "cellar", "cooling", "surroundings", "cold ground", ()
+        parameters = (Parameter("conductance", "W/K", 0.0, 1e5, 1e4, "to it", off=0.0),)
+
+        def terms(self, at, p):
+            return Terms(conductance=p.conductance, sink=AIR - 40.0)
+
+    effect = Cellar()
+    vehicle = replace(load("agri3t"), surroundings=(Active(effect, effect.values()),))
+    found = steady(vehicle, 2.5, AIR)
+    point = explain(vehicle, 2.5, found.belt_degc, AIR)
+    assert found.belt_degc < AIR
+    assert point["heat_w"] == pytest.approx(point["cooling_w"], abs=1e-3 * 1e4)
 
 
 def test_a_belt_that_finds_no_balance_has_no_steady_state():

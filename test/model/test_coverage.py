@@ -17,6 +17,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from trackres_ros.effects import Active, catalogue
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
@@ -101,9 +102,15 @@ def test_shipped_vehicles_stay_in_their_data_from_minus_50_degc(reference: Estim
                 assert not estimate.reasons & Reason.OUTSIDE_TABLE
 
 
-@pytest.mark.parametrize("thermal", ["lumped", "core_surface"])
-def test_the_balance_is_where_a_long_drive_ends(xgd24d: Vehicle, thermal: str) -> None:
-    vehicle = with_methods(xgd24d, thermal=thermal)
+def parted(vehicle: Vehicle, thermal: str, resistance: float) -> Vehicle:
+    """The same vehicle with a thermal model and the effect `core_surface` [K/W]."""
+    effect = Active(catalogue()["core_surface"], {"resistance": resistance})
+    return replace(with_methods(vehicle, thermal=thermal), effects=(effect,))
+
+
+@pytest.mark.parametrize(("thermal", "resistance"), [("lumped", 0.0), ("lumped", 0.004), ("core_surface", 0.0)])
+def test_the_balance_is_where_a_long_drive_ends(xgd24d: Vehicle, thermal: str, resistance: float) -> None:
+    vehicle = parted(xgd24d, thermal, resistance)
     estimator = Estimator(vehicle)
     speed = vehicle.chassis.max_speed
     inputs = estimator.inputs(speed, ambient=vehicle.chassis.ambient, acceleration=0.0)
@@ -122,6 +129,11 @@ def changed(tmp_path: Path, change: dict[str, float]) -> Path:
         at.update(value=value, range=[min(value, at["range"][0]), max(value, at["range"][1])])
     (tmp_path / "mine.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     return tmp_path / "mine.yaml"
+
+
+def test_a_fitted_resistance_in_a_belt_refuses_no_vehicle() -> None:
+    hot = parted(load("xgd24d", {"chassis.ambient": 45.0}), "core_surface", 0.01)
+    assert check_heat(hot, "triangular", loss_table(hot, "triangular")) > DESTROYED_DEGC
 
 
 BURNS = {

@@ -77,7 +77,10 @@ def fit_compound(sweep: Sweep, vehicle: Vehicle) -> CompoundFit:
     at = float(np.clip(sweep.frequencies[0], SWEEP_FREQUENCY.low, SWEEP_FREQUENCY.high))
     decades = float(np.log10(sweep.frequency.max() / sweep.frequency.min()))
     if decades < FEWEST_DECADES:
-        return _kept(sweep, vehicle, at, "one frequency does not determine it, so the vehicle file's shift stays")
+        given = f"{len(sweep.frequencies)} frequencies within a factor of {figures(10.0**decades, 2)} do"
+        if len(sweep.frequencies) == 1:
+            given = "one frequency does"
+        return _kept(sweep, vehicle, at, f"{given} not determine it, so the vehicle file's shift stays")
     rows = _some(sweep)
     arrhenius, wlf, bent = (fitted(rows, law, at) for law in _laws(rows, vehicle))
     pole = wlf.value(lambda theta: theta[1])

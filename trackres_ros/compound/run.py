@@ -67,7 +67,7 @@ def fit_and_write(sweep_file: Path, vehicle_given: str, folder: Path, frequency_
         "need": {"degc": [need.coldest, need.hottest], "hz": [need.slowest, need.fastest]},
         "covered": {"share": part.share, "text": part.sentence(need)},
         "remarks": _remarks(fit),
-        "written": [str(path) for path in files.values()],
+        "written": [str(path) for path in {**files, "rubber": vehicle.rubber_source}.values()],
     }
 
 

@@ -61,16 +61,16 @@ def files_of(sweep: Path, folder: Path, inputs: Iterable[Path] = ()) -> dict[str
 
 
 def write_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -> Vehicle:
-    """Write rubber file, vehicle file and Prony series; return the vehicle as it is read back.
+    """Write rubber file, Prony series and, last, the vehicle file; return the vehicle as it is read back.
 
     Raises InputError if a vehicle may not have the compound.
     """
     _check_warm(fit)
     try:
         files["rubber"].parent.mkdir(parents=True, exist_ok=True)
-        write(files["rubber"], _rubber_text(fit).encode())
+        rubber = _write_rubber(files["rubber"], _rubber_text(fit).encode())
         write(files["prony"], _prony_text(fit).encode())
-        with_rubber = replace(vehicle, name=_name(vehicle, files["vehicle"].stem), rubber_source=files["rubber"])
+        with_rubber = replace(vehicle, name=_name(vehicle, files["vehicle"].stem), rubber_source=rubber)
         changes = FileChanges(None, (), {}, amend=lambda text: _with_rubber(text, with_rubber, fit))
         write_track_vehicle(with_rubber, files["vehicle"], changes, "\n".join(_provenance(fit)))
     except OSError as error:
@@ -78,6 +78,17 @@ def write_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -
             "output", f"{error.filename or files['vehicle'].parent}: {error.strerror or error}", "a writable folder"
         ) from error
     return load(files["vehicle"])
+
+
+def _write_rubber(path: Path, content: bytes) -> Path:
+    """Write a rubber file; another one of that name stays with its vehicle file, and the new one has a number in its name."""
+    place, count = path, 1
+    while place.exists() and not (place.is_file() and place.read_bytes() == content):
+        count += 1
+        place = path.with_stem(f"{path.stem}_{count}")
+    if not place.exists():
+        write(place, content)
+    return place
 
 
 def table_degc(fit: CompoundFit) -> Array:

@@ -24,8 +24,7 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.model.coverage import OVERSPEED
-from trackres_ros.model.operating_point import explain, explain_road
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.operating_point import explain_road, vehicle_state
 from trackres_ros.text.numbers import figures
 from trackres_ros.text.table import table
 from trackres_ros.units import GRAVITY, KMH_PER_MPS
@@ -266,13 +265,13 @@ def _plain(value: float) -> float | None:
 
 def _grid(asked: ComparisonRequest, vehicle: Vehicle, name: str, advance: Callable[[float], None]) -> dict[str, Any]:
     weight = asked.weights_n[0] or vehicle.weight
-    torque = np.empty((len(asked.belts_degc), len(asked.speeds_kmh)))
+    torque, coefficient = np.empty((2, len(asked.belts_degc), len(asked.speeds_kmh)))
     for i, degc in enumerate(asked.belts_degc):
         for j, kmh in enumerate(asked.speeds_kmh):
-            found = explain(vehicle, kmh / KMH_PER_MPS, degc, asked.ambients_degc[0], weight)
-            torque[i, j] = found["torque_nm"]["resistance"]
+            belts = dict.fromkeys(vehicle.tracks, degc)
+            found = vehicle_state(vehicle, kmh / KMH_PER_MPS, belts, asked.ambients_degc[0], weight)
+            torque[i, j], coefficient[i, j] = found.torque["resistance"], found.force / weight
             advance(1)
-    coefficient = torque / vehicle_constants(vehicle).radius / weight
     return {"vehicle": name, "weight_n": weight, "torque_nm": torque.tolist(), "coefficient": coefficient.tolist()}
 
 

@@ -17,10 +17,9 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE, kernel_arguments
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.coverage import check_speed
-from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.offline.energy import taken
 from trackres_ros.offline.sample import lap_drive
-from trackres_ros.offline.simulate import SimulatedDrive, assembly_values, run_drive, through_points
+from trackres_ros.offline.simulate import SimulatedDrive, by_column, run_drive, through_points
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import ROLES
@@ -132,9 +131,7 @@ def driven(estimator: Estimator, cycle: DriveCycle, weight: float | None, ambien
     recorded = cycle.recorded(vehicle, [role for role, value in known.items() if value is not None])
     load, air = (value if value is not None else recorded.get(role) for role, value in known.items())
     rows = run_drive(estimator, cycle.drive, load, air)
-    torque = rows[:, estimator.column_index["resistance_torque_nm"]]
-    belts = assembly_values(rows, at.OfAssembly.belt_degc).T
-    return taken(cycle.drive.time_s, cycle.drive.speed, torque, belts, vehicle_constants(vehicle).radius)
+    return taken(vehicle, cycle.drive.time_s, by_column(estimator, rows))
 
 
 def with_factors(estimator: Estimator, off: FileErrors, capacity: float = 1.0) -> Estimator:

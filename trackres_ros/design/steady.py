@@ -3,8 +3,9 @@
 
 """A vehicle at constant speed: resistance with cold belts, steady belt temperature, and resistance with warm belts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,8 @@ from scipy.optimize import brentq
 
 from trackres_ros.model import resistance
 from trackres_ros.model.coverage import check_speed
-from trackres_ros.model.operating_point import DRIVE_PASSES, explain
-from trackres_ros.model.thermal import film_coefficient
+from trackres_ros.model.operating_point import DRIVE_PASSES, VehicleState, vehicle_state
+from trackres_ros.model.thermal import ThermalNetwork, film_coefficient
 from trackres_ros.model.track import track_model
 from trackres_ros.vehicle import Vehicle
 
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 WARMEST_K = 140.0  # above the air, up to which a balance is looked for
 NODES = 15  # belt temperatures at which the loss is computed
 J_PER_KWH = 3.6e6
+TOLERANCE_K, PASSES = 0.01, 10  # of a balance with effects, and of several kinds of track in turn
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +50,8 @@ class SteadyAssembly:
     cold_loss: float
     bearing: float
     wind: float
-    cooled: float  # heat flow out of the belt [W/K]
+    film: float  # heat flow from the surface of the belt to the air [W/K]
+    network: ThermalNetwork
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +84,8 @@ class Held:
         for kind in self.kinds:
             here = off if off.track in ("", kind.track) else AS_IT_IS
             others = off.bearing * kind.bearing + off.drag * kind.wind
-            radius, cooled = here.radius * kind.radius, here.film * kind.cooled
+            radius, film = here.radius * kind.radius, here.film * kind.film
+            cooled = kind.network.share_outside(film) * film
 
             def loss(belt: float, course: PchipInterpolator = kind.course, factor: float = here.loss) -> float:
                 return factor * float(np.exp(course(belt)))
@@ -134,23 +138,44 @@ def held(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = 
         for _ in range(DRIVE_PASSES):
             loss = np.asarray(model.loss.loss_force(speed, belts, load, drive).total)
             drive = radius * (loss * way + bearing + drag)
-        cooled = float(film_coefficient(speed, network.film_offset, network.film_slope)) * network.area
+        film = float(film_coefficient(speed, network.film_offset, network.film_slope)) * network.area
         course = PchipInterpolator(belts, np.log(loss))
-        of = SteadyAssembly(assembly.track, 1, radius, course, float(loss[0]), bearing, float(drag), cooled)
+        of = SteadyAssembly(assembly.track, 1, radius, course, float(loss[0]), bearing, float(drag), film, network)
         kinds[assembly.track, float(load)] = of
     return Held(speed, ambient, tuple(kinds.values()))
 
 
 def _with_effects(vehicle: Vehicle, speed: float, ambient: float, weight: float | None) -> Steady:
-    def at(belt: float) -> dict[str, float]:
-        found = explain(vehicle, speed, belt, ambient, weight)
-        return {"excess": found["heat_w"] - found["cooling_w"], "torque": float(found["torque_nm"]["resistance"])}
+    """The same with effects; equal tracks under different loads have one belt temperature."""
 
-    cold = at(ambient)["torque"]
-    if at(ambient + WARMEST_K)["excess"] >= 0.0:
-        return Steady(cold, np.nan, np.nan, np.nan)
-    heats = at(ambient)["excess"] > 0.0  # an effect may cool by itself
-    belt = float(brentq(lambda t: at(t)["excess"], ambient, ambient + WARMEST_K, xtol=0.01)) if heats else ambient
-    warm = at(belt)["torque"]
-    radius = vehicle.track_of(vehicle.assemblies[0]).sprocket_radius
-    return Steady(cold, warm, belt, warm / radius * 1000.0 / J_PER_KWH)
+    def at(belts: Mapping[str, float]) -> VehicleState:
+        return vehicle_state(vehicle, speed, belts, ambient, vehicle.weight if weight is None else weight)
+
+    def excess(track: str, degc: float) -> float:
+        own = [one for one in at({**belts, track: degc}).assemblies if one.model.track.name == track]
+        return sum(one.heat for one in own) - sum(one.cooling for one in own)
+
+    belts = dict.fromkeys((assembly.track for assembly in vehicle.assemblies), ambient)
+    cold = float(at(belts).torque["resistance"])
+    for _ in range(PASSES):  # effects may depend on the mean of the belts
+        before = dict(belts)
+        for track in belts:
+            belts[track] = _balance(partial(excess, track), ambient)
+            if np.isnan(belts[track]):
+                return Steady(cold, np.nan, np.nan, np.nan)
+        if len(belts) == 1 or max(abs(belts[track] - before[track]) for track in belts) < TOLERANCE_K:
+            break
+    warm = at(belts)
+    return Steady(cold, float(warm.torque["resistance"]), warm.belt_degc, warm.force * 1000.0 / J_PER_KWH)
+
+
+def _balance(excess: Callable[[float], float], ambient: float) -> float:
+    """Belt temperature [degC] at which heat and cooling are equal; an effect may cool below the air. Nan without one."""
+    low, high = ambient, ambient + WARMEST_K
+    if excess(high) >= 0.0:
+        return np.nan
+    if not excess(ambient) > 0.0:
+        low, high = ambient - WARMEST_K, ambient
+        if not excess(low) > 0.0:
+            return np.nan
+    return float(brentq(excess, low, high, xtol=TOLERANCE_K))

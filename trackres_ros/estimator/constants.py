@@ -7,22 +7,21 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.effects.effect import Active, VehicleConstants, terms_by_parameters
-from trackres_ros.effects.stepping import LIMITS, effect_table, new_work
+from trackres_ros.effects.effect import VehicleConstants
+from trackres_ros.effects.stepping import effect_table, new_work
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.motion_step import ROLLS_FROM
 from trackres_ros.estimator.settings import PARTS, Settings
 from trackres_ros.estimator.uncertainty import spread
 from trackres_ros.model.coverage import OVERSPEED, check_heat, coverage
 from trackres_ros.model.loss_table import loss_table
-from trackres_ros.model.thermal import ThermalNetwork, thermal_network
+from trackres_ros.model.thermal import parting_resistance, thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.route.learned import SLOPE, TORQUE, followed_in, frame_of, of_kind
 from trackres_ros.units import GRAVITY
@@ -52,7 +51,6 @@ PLAUSIBLE = {
 LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
 LATEST_S = 0.1  # a speed may show a value this old: buses repeat values, and stamps are inexact
-LEAST_RESISTANCE = 1e-6  # K/W: below it mean and surface of a belt are one
 
 
 class Numbers(NamedTuple):
@@ -255,12 +253,12 @@ def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
     constants = np.empty((len(vehicle.assemblies), at.CONSIDER_FACTOR))
     for row, load, assembly in zip(map(at.Assembly, constants), loads, vehicle.assemblies, strict=True):
         track, losses = vehicle.track_of(assembly), tables[names.index(assembly.track)]
-        network = thermal_network("core_surface" if two_nodes else "lumped", track.belt, vehicle.rubber)
+        network = thermal_network(vehicle.thermal, track.belt, vehicle.rubber, resistance)
         row.axle = axle_names.index(assembly.axle)
         row.kind = row.table = names.index(assembly.track)
         row.nominal_load, row.radius = load, track.sprocket_radius
         row.capacity, row.surface_share = network.capacity, network.surface_share
-        row.inner_conductance, row.skin_conductance = conductances(network, vehicle.thermal, resistance)
+        row.inner_conductance, row.skin_conductance = network.conductances
         row.area = network.area
         row.film_offset, row.film_slope = network.film_offset, network.film_slope
         row.first_log_load, row.step_log_load = losses.first_log_load, losses.step_log_load
@@ -320,36 +318,6 @@ def relative_std(vehicle: AnyVehicle, *paths: str) -> float:
     """Standard deviation of a product of values of the file, over its size."""
     quantities = [vehicle.parameters[path] for path in paths]
     return float(np.sqrt(sum((q.standard_deviation / max(abs(float(np.mean(q.value))), 1e-12)) ** 2 for q in quantities)))
-
-
-def parting_resistance(effects: Sequence[Active], facts: VehicleConstants) -> float:
-    """Resistance of effects between the mean of a belt and its surface [K/W]. With it the belt has two nodes, whatever the file
-    says.
-
-    It depends on the parameters alone. An effect that fails, such as a user's own, adds nothing.
-    """
-    total = 0.0
-    for active in effects:
-        try:
-            found = float(terms_by_parameters((active.effect,), (active.numbers,), facts).inner_resistance)
-        except Exception:  # of any kind, as the code is not ours
-            continue
-        low, high = LIMITS["inner_resistance"]
-        total += found if low <= found <= high else 0.0
-    return total if total > LEAST_RESISTANCE else 0.0
-
-
-def conductances(network: ThermalNetwork, thermal: str, resistance: float) -> tuple[float, float]:
-    """Conductance between the two nodes of a belt, and from its last node to the skin that a sensor measures [W/K].
-
-    With two nodes in the file, the rubber's own resistance is between them and an effect's adds to it. With one node in the
-    file, the rest of the resistance is between the last node and the skin.
-    """
-    own = 1.0 / network.inner_conductance
-    between = resistance + (own if thermal == "core_surface" else 0.0)
-    left = own - between
-    inner = 1.0 / between if between > 0.0 else network.inner_conductance
-    return inner, 1.0 / left if left > LEAST_RESISTANCE else np.inf
 
 
 def _channel_limits(vehicle: AnyVehicle) -> Array:

@@ -21,7 +21,7 @@ from trackres_ros.fleet.recordings import FoundRecording
 from trackres_ros.fleet.vehicles import FleetVehicle, digest
 from trackres_ros.version import __version__
 
-ROW_VERSION = 2  # raised with any change of a row's content or computation: older rows are computed again
+ROW_VERSION = 3  # raised with any change of a row's content or computation: older rows are computed again
 GOOD, BROKEN, SAME = "good", "broken", "same"
 AGAIN = "again"  # instead of a digest of a row's inputs: a failure may not repeat
 NO_VEHICLE = NO_DAY = "none"
@@ -116,12 +116,11 @@ def _vehicle(file: Path, _sha: str, topics: Path | None) -> tuple[Any, Any]:
 def _replayed(recording: Any, vehicle: Any) -> dict[str, Any]:
     """Distance, energies and, if there are belts, the warmest temperature, as from the live node."""
     import trackres_ros as tr
-    from trackres_ros.model.vehicle_constants import vehicle_constants
     from trackres_ros.offline.energy import energy_j, steps_of
 
     result = tr.replay(recording, vehicle)
-    step, speed, radius = steps_of(result.time_s), result["speed_mps"], vehicle_constants(vehicle).radius
-    energies = {f"{part}_mj": MEGA * energy_j(step, speed, result[_column(part)], radius) for part in ENERGIES}
+    step, speed = steps_of(result.time_s), result["speed_mps"]
+    energies = {f"{part}_mj": MEGA * energy_j(vehicle, step, result, _column(part)) for part in ENERGIES}
     belts = [float(np.nanmax(result[name])) for name in result.columns if name.startswith("belt_degc/")]
     return {
         "distance_m": float(np.nansum(step * np.abs(speed))),

@@ -12,7 +12,7 @@ rubber hardly changes with frequency; a belt hotter than the sweep is still outs
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +24,8 @@ from trackres_ros.model.contact import half_length_for_force
 from trackres_ros.model.loads import wheel_loads
 from trackres_ros.model.loss_table import LOG_SPEED, LossTable, fingerprint
 from trackres_ros.model.rubber import RubberModel
-from trackres_ros.model.thermal import film_coefficient, thermal_network
-from trackres_ros.model.track import load_range
+from trackres_ros.model.thermal import film_coefficient
+from trackres_ros.model.track import belt_network, load_range
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 
@@ -124,12 +124,13 @@ def check_speed(vehicle: AnyVehicle, speed: float) -> None:
 
 
 def balance_degc(vehicle: Vehicle, track_name: str, table: LossTable, speed: float, ambient: float) -> float:
-    """Mean belt temperature [degC] at which heat and cooling balance at a speed [m/s] and nominal load."""
-    track, rubber = vehicle.tracks[track_name], RubberModel(vehicle.rubber)
-    network = thermal_network(vehicle.thermal, track.belt, vehicle.rubber)
-    resistance = 1.0 / (network.area * film_coefficient(speed, network.film_offset, network.film_slope))
-    if network.two_nodes:
-        resistance += 1.0 / network.inner_conductance
+    """Mean belt temperature [degC] at which heat and cooling balance at a speed [m/s] and nominal load.
+
+    Of the effects of the vehicle only their resistance inside the belt acts.
+    """
+    rubber, network = RubberModel(vehicle.rubber), belt_network(vehicle, track_name)
+    cooling = network.area * film_coefficient(speed, network.film_offset, network.film_slope)
+    resistance = 1.0 / (network.share_outside(cooling) * cooling)
     load = load_range(vehicle, track_name).nominal
 
     def warmer(belt_degc: float) -> float:
@@ -150,11 +151,11 @@ def check_heat(vehicle: Vehicle, track_name: str, table: LossTable) -> float:
     Raises
     ------
     InputError
-        If the belt would be destroyed long before.
+        If the belt would be destroyed long before, also without a fitted resistance inside it.
     """
-    chassis = vehicle.chassis
+    chassis, plain = vehicle.chassis, replace(vehicle, effects=(), surroundings=())
     found = balance_degc(vehicle, track_name, table, chassis.max_speed, chassis.ambient)
-    if found > DESTROYED_DEGC:
+    if balance_degc(plain, track_name, table, chassis.max_speed, chassis.ambient) > DESTROYED_DEGC:
         raise InputError(
             f"{vehicle.source}: tracks.{track_name}",
             f"a belt that settles at {found:.0f} degC at {chassis.max_speed * 3.6:.0f} km/h under its nominal load",

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,24 +57,9 @@ def explain(
     check_speed(vehicle, speed)
     ambient = vehicle.chassis.ambient if ambient_degc is None else ambient_degc
     weight = vehicle.weight if weight_n is None else weight_n
-    nominal = vehicle.nominal_loads()
-    models = {name: track_model(vehicle, name) for name in vehicle.tracks}
-    usable, left_out = _effects(vehicle)
-    at = conditions(vehicle_constants(vehicle), speed, weight=weight, ambient=ambient, belt=belt_degc)
-    terms = _together(usable, at)
-    assemblies = [
-        _assembly_state(vehicle.chassis, at, belt_degc, terms, models[assembly.track], load)
-        for assembly, load in zip(vehicle.assemblies, weight * nominal / nominal.sum(), strict=True)
-    ]
-    torque = dict.fromkeys((*RESISTANCE_PARTS, "inertia"), 0.0)
-    heat = cooling = 0.0
-    for one in assemblies:
-        heat += one.heat
-        cooling += one.cooling
-        for part, value in one.torque.items():
-            torque[part] += value
-    torque["effects"] = _effects_torque(usable, at, torque["hysteresis"] + torque["bearing"] + torque["wind"])
-    first, model = assemblies[0], models[vehicle.assemblies[0].track]
+    state = vehicle_state(vehicle, speed, dict.fromkeys(vehicle.tracks, belt_degc), ambient, weight)
+    assemblies = state.assemblies
+    first, model = assemblies[0], assemblies[0].model
     contacts = model.loss.contacts(speed, belt_degc, first.load)
     return {
         "vehicle": vehicle.name,
@@ -84,9 +69,7 @@ def explain(
         "ambient_degc": float(ambient),
         "weight_n": float(weight),
         "assemblies": [a.name for a in vehicle.assemblies],
-        "wheel_loads_n": [
-            wheel_loads(models[a.track].track, one.load).tolist() for a, one in zip(vehicle.assemblies, assemblies, strict=True)
-        ],
+        "wheel_loads_n": [wheel_loads(a.model.track, a.load).tolist() for a in assemblies],
         "contact": [
             {"half_length_m": float(a), "max_strain": float(e), "frequency_hz": float(f), "modulus_mpa": float(m) / 1e6}
             for a, e, f, m in zip(*contacts, strict=True)
@@ -94,11 +77,11 @@ def explain(
         "tension_n": steady_tension(model, belt_degc, speed),
         "loss_force_n": first.loss_force,
         "loss_force_by_assembly_n": [a.loss_force for a in assemblies],
-        "torque_nm": {**torque, "resistance": sum(torque[part] for part in RESISTANCE_PARTS)},
-        "effects_left_out": left_out,
+        "torque_nm": state.torque,
+        "effects_left_out": _effects(vehicle)[1],
         "remarks": beyond_data(vehicle, speed, {a.name: belt_degc for a in vehicle.assemblies}),
-        "heat_w": heat,
-        "cooling_w": cooling,
+        "heat_w": sum(a.heat for a in assemblies),
+        "cooling_w": sum(a.cooling for a in assemblies),
         "film_coefficient_w_m2k": first.film,
         "surface_degc": [a.surface_degc for a in assemblies],
         "rainflow": rainflow_matrix(model, speed, belt_degc, first.load, first.drive_torque),
@@ -106,9 +89,10 @@ def explain(
 
 
 @dataclass(frozen=True, eq=False)
-class _AssemblyState:
+class AssemblyState:
     """One assembly in a steady state; torques are its shares [Nm], film coefficient in W/m^2/K, heat and cooling in W."""
 
+    model: TrackModel
     load: float
     loss_force: dict[str, float]
     drive_torque: float
@@ -119,9 +103,57 @@ class _AssemblyState:
     surface_degc: float
 
 
+@dataclass(frozen=True, eq=False)
+class VehicleState:
+    """A vehicle in a steady state: its assemblies, the mean of its belts' temperatures [degC], torque by part [Nm] and the force
+    of the resistance along the way [N].
+    """
+
+    assemblies: tuple[AssemblyState, ...]
+    belt_degc: float
+    torque: dict[str, float]
+    force: float
+
+
+def vehicle_state(vehicle: Vehicle, speed: float, belts_degc: Mapping[str, float], ambient: float, weight: float) -> VehicleState:
+    """A vehicle with its effects at a speed [m/s], with the belt temperature of each kind of track; see `explain`."""
+    nominal = vehicle.nominal_loads()
+    kinds = [(a.track, float(load)) for a, load in zip(vehicle.assemblies, weight * nominal / nominal.sum(), strict=True)]
+    models = {name: track_model(vehicle, name) for name in vehicle.tracks}
+    usable, _ = _effects(vehicle)
+    belts = np.array([belts_degc[a.track] for a in vehicle.assemblies])
+    mean = float(belts[0] + (belts - belts[0]).mean())
+    at = conditions(vehicle_constants(vehicle), speed, weight=weight, ambient=ambient, belt=mean)
+    terms = _on_belts(usable, at)
+    for _ in range(DRIVE_PASSES):
+        alike = {
+            (track, load): _assembly_state(vehicle.chassis, at, belts_degc[track], terms, models[track], load)
+            for track, load in set(kinds)
+        }
+        assemblies = tuple(alike[kind] for kind in kinds)
+        torque = dict.fromkeys((*RESISTANCE_PARTS, "inertia"), 0.0)
+        for one in assemblies:
+            for part, value in one.torque.items():
+                torque[part] += value
+        torque["effects"] = _effects_torque(usable, at, torque["hysteresis"] + torque["bearing"] + torque["wind"])
+        torque["resistance"] = sum(torque[part] for part in RESISTANCE_PARTS)
+        before, terms = terms, _on_belts(usable, at._replace(drive_torque=torque["resistance"]))
+        if terms == before:
+            break
+    shares = [sum(one.torque.values()) + torque["effects"] * one.load / weight for one in assemblies]
+    radii = vehicle.sprocket_radii
+    force = float(resistance.at_first_radius(torque["resistance"], shares, radii)) / radii[0]
+    return VehicleState(assemblies, mean, torque, force)
+
+
+def _on_belts(effects: Sequence[Active], at: Conditions) -> Terms:
+    """Terms of effects on loss, heat and cooling of the belts."""
+    return _together(effects, at)._replace(torque=0.0, drive_gain=1.0, extrapolated=0.0)
+
+
 def _assembly_state(
     chassis: Chassis, at: Conditions, belt_degc: float, effects: Terms, model: TrackModel, load: float
-) -> _AssemblyState:
+) -> AssemblyState:
     """Results of an assembly under a load [N], with the terms of effects."""
     speed, direction = at.speed, float(resistance.direction(at.speed))
     wind = float(resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density))
@@ -135,16 +167,23 @@ def _assembly_state(
         drive = radius * (total * direction + bearing + wind * load / at.weight)
     slope = network.film_slope * float(effects.film_slope_factor)
     film = float(film_coefficient(speed, network.film_offset * float(effects.film_offset_factor), slope))
-    by_sink = float(effects.conductance) * (belt_degc - float(effects.sink))
-    return _AssemblyState(
+    to_air, to_sink = film * network.area, float(effects.conductance)
+    cooling = to_air * (belt_degc - at.ambient) + to_sink * (belt_degc - float(effects.sink))  # with the surface as warm
+    cooling *= network.share_outside(to_air + to_sink)
+    node = belt_degc - network.parting * cooling
+    # Without the rounding of two inversions in `conductances`
+    skin = network.inner_conductance if network.parting == 0.0 else network.conductances[1]
+    surface = float(surface_temperature(node, at.ambient, film, network.area, skin)) if math.isfinite(skin) else node
+    return AssemblyState(
+        model=model,
         load=float(load),
         loss_force={**{part: float(f) * loss_factor for part, f in loss._asdict().items()}, "total": total},
         drive_torque=drive,
         torque={"hysteresis": radius * total * direction, "bearing": radius * bearing, "wind": radius * wind * load / at.weight},
         film=film,
         heat=total * abs(speed) + float(effects.heat),
-        cooling=film * network.area * (belt_degc - at.ambient) + by_sink,
-        surface_degc=float(surface_temperature(belt_degc, at.ambient, film, network.area, network.inner_conductance)),
+        cooling=cooling,
+        surface_degc=surface,
     )
 
 

@@ -9,9 +9,15 @@ Forces [N] along the travel; a torque is a force times the sprocket pitch radius
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
+
+Array = NDArray[np.float64]
 
 RESISTANCE_PARTS = {"hysteresis": "hysteresis_nm", "bearing": "bearing_nm", "wind": "wind_nm", "effects": "effects_nm"}
 """Parts of the resistance, and their columns in the results."""
@@ -22,6 +28,21 @@ ON_WHEELS = {"rolling": "bearing_nm", "wind": "wind_nm", "effects": "effects_nm"
 def resistance_parts(has_belts: bool) -> dict[str, str]:
     """Parts of the resistance of a vehicle with or without belts, and their columns."""
     return RESISTANCE_PARTS if has_belts else ON_WHEELS
+
+
+def at_first_radius(torque: ArrayLike, of_assemblies: Iterable[ArrayLike], radii: Sequence[float]) -> Array:
+    """Torque at a sprocket of the first assembly's radius that has the power of all [Nm].
+
+    Parameters
+    ----------
+    torque, of_assemblies
+        Of the whole vehicle, and of each assembly, shape (times,) or numbers [Nm].
+    radii
+        Of the assemblies' sprockets [m].
+    """
+    if len(set(radii)) == 1:
+        return np.asarray(torque)
+    return np.asarray(sum(np.asarray(one) * (radii[0] / radius) for one, radius in zip(of_assemblies, radii, strict=True)))
 
 
 @inlined

@@ -13,8 +13,11 @@ slab, whatever x. The Biot number is about 4, so an infrared sensor does not mea
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
+from trackres_ros.effects.effect import Active, VehicleConstants, terms_by_parameters
+from trackres_ros.effects.stepping import LIMITS
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.model import belt as belt_model
 from trackres_ros.units import KMH_PER_MPS
@@ -23,22 +26,51 @@ from trackres_ros.vehicle.belt_bulk import heat_capacity
 
 SERIES_BELOW = 1e-3
 SERIES_TERMS = 15
+LEAST_RESISTANCE = 1e-6  # K/W: below it mean and surface of a belt are one
 
 
 class ThermalNetwork(NamedTuple):
     """Thermal constants of one assembly's belt."""
 
-    two_nodes: bool
+    two_nodes: bool  # of the file's model; with a resistance of effects the belt has two in any case
     capacity: float  # J/K
     surface_share: float  # of the capacity, in the surface layer
     inner_conductance: float  # W/K, mean to surface
     area: float  # m^2
     film_offset: float  # W/m^2/K
     film_slope: float  # W/m^2/K per m/s
+    of_effects: float = 0.0  # K/W, see `parting_resistance`
+
+    @property
+    def parting(self) -> float:
+        """Resistance between the mean temperature and the last node, which is cooled [K/W]; 0 with one node.
+
+        With two nodes in the file, the rubber's own resistance is between them and an effect's adds to it.
+        """
+        return self.of_effects + (1.0 / self.inner_conductance if self.two_nodes else 0.0)
+
+    @property
+    def conductances(self) -> tuple[float, float]:
+        """Conductance between the two nodes of a belt, and from its last node to the skin that a sensor measures [W/K].
+
+        With one node in the file, the rest of the resistance is between the last node and the skin.
+        """
+        between = self.parting
+        left = 1.0 / self.inner_conductance - between
+        inner = 1.0 / between if between > 0.0 else self.inner_conductance
+        return inner, 1.0 / left if left > LEAST_RESISTANCE else math.inf
+
+    def share_outside(self, cooling: float) -> float:
+        """Share of the steady difference between the mean temperature and the surroundings that lies outside of the last node.
+
+        `cooling`: from the last node to the surroundings [W/K]. Heat arises in all of the rubber, so all of it passes the
+        resistance inside: the two are in series.
+        """
+        return 1.0 / (1.0 + self.parting * cooling)
 
 
-def thermal_network(model: str, belt: Belt, rubber: Rubber) -> ThermalNetwork:
-    """Thermal constants for the model `lumped` or `core_surface`."""
+def thermal_network(model: str, belt: Belt, rubber: Rubber, of_effects: float = 0.0) -> ThermalNetwork:
+    """Thermal constants for the model `lumped` or `core_surface`, with the `parting_resistance` of effects [K/W]."""
     capacity = heat_capacity(belt, rubber)
     area = belt_model.cooled_area(belt)
     slope = belt.film_slope * (KMH_PER_MPS if belt.film_speed_unit == "km/h" else 1.0)
@@ -50,7 +82,25 @@ def thermal_network(model: str, belt: Belt, rubber: Rubber) -> ThermalNetwork:
         area,
         belt.film_offset,
         slope,
+        of_effects,
     )
+
+
+def parting_resistance(effects: Sequence[Active], facts: VehicleConstants) -> float:
+    """Resistance of effects between the mean of a belt and its surface [K/W]. With it the belt has two nodes, whatever the file
+    says.
+
+    It depends on the parameters alone. An effect that fails, such as a user's own, adds nothing.
+    """
+    total = 0.0
+    for active in effects:
+        try:
+            found = float(terms_by_parameters((active.effect,), (active.numbers,), facts).inner_resistance)
+        except Exception:  # of any kind, as the code is not ours
+            continue
+        low, high = LIMITS["inner_resistance"]
+        total += found if low <= found <= high else 0.0
+    return total if total > LEAST_RESISTANCE else 0.0
 
 
 @inlined

@@ -11,7 +11,8 @@ from typing import NamedTuple
 from trackres_ros.model import belt as belt_model
 from trackres_ros.model.hysteresis import METHODS, LossMethod
 from trackres_ros.model.rubber import RubberModel
-from trackres_ros.model.thermal import ThermalNetwork, thermal_network
+from trackres_ros.model.thermal import ThermalNetwork, parting_resistance, thermal_network
+from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import Track, Vehicle
 
 SURE_SPEED = 5.0  # m/s at which the belt tension is stated; it hardly depends on it
@@ -39,9 +40,13 @@ def track_model(vehicle: Vehicle, track_name: str) -> TrackModel:
     """Build the model of one kind of track with the methods the vehicle file names."""
     track = vehicle.tracks[track_name]
     rubber = RubberModel(vehicle.rubber)
-    return TrackModel(
-        track, rubber, METHODS[vehicle.hysteresis](track, rubber), thermal_network(vehicle.thermal, track.belt, vehicle.rubber)
-    )
+    return TrackModel(track, rubber, METHODS[vehicle.hysteresis](track, rubber), belt_network(vehicle, track_name))
+
+
+def belt_network(vehicle: Vehicle, track_name: str) -> ThermalNetwork:
+    """Thermal constants of the belt of one kind of track, with the resistance inside it that effects of the vehicle add."""
+    of_effects = parting_resistance(vehicle.active, vehicle_constants(vehicle))
+    return thermal_network(vehicle.thermal, vehicle.tracks[track_name].belt, vehicle.rubber, of_effects)
 
 
 def with_methods(vehicle: Vehicle, hysteresis: str | None = None, thermal: str | None = None) -> Vehicle:

@@ -5,16 +5,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.model.resistance import at_first_radius
+from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.text.numbers import decimals
 from trackres_ros.units import STANDSTILL_MPS
+from trackres_ros.vehicle import AnyVehicle, Vehicle
 
 Array = NDArray[np.float64]
 
+RESISTANCE = "resistance_torque_nm"
 MEGA, MJ_PER_KWH = 1e6, 3.6
 LONGEST_STEP_S, UNUSUAL = 1.0, 5.0  # or that many times the usual: data of a longer step are unknown
 
@@ -26,31 +30,46 @@ def steps_of(time_s: Array) -> Array:
     return np.where((step > 0.0) & (step <= longest), step, 0.0)
 
 
-def energy_j(step_s: Array, speed: Array, torque: Array, radius: float) -> float:
-    """Energy of a torque at the sprockets [Nm] along a drive, shapes (rows,), with their radius [m]; unknown values add
+def energy_j(vehicle: AnyVehicle, step_s: Array, of: Mapping[str, Array], name: str = RESISTANCE) -> float:
+    """Energy of a torque at the sprockets along a drive [J]: of each assembly by its own radius.
+
+    `step_s`: see `steps_of`; `of`: the columns of a vehicle's results, shape (rows,); `name`: the torque's. Unknown values add
     nothing.
     """
-    return float(np.nansum(step_s * speed * torque)) / radius
+    torque = of[name]
+    if isinstance(vehicle, Vehicle):
+        torque = at_first_radius(torque, _of_assemblies(vehicle, of, name), vehicle.sprocket_radii)
+    return float(np.nansum(step_s * of["speed_mps"] * torque)) / vehicle_constants(vehicle).radius
 
 
-def taken(time_s: Array, speed: Array, torque: Array, belts_degc: Array, radius: float) -> dict[str, float]:
+def _of_assemblies(vehicle: Vehicle, of: Mapping[str, Array], name: str) -> Iterator[Array]:
+    """Shares of the assemblies in a torque, as the step has them: effects by load, forces on the vehicle by load and radius."""
+    names = [assembly.name for assembly in vehicle.assemblies]
+    loads = [of[f"load_n/{assembly}"] for assembly in names]
+    arms = [load * radius for load, radius in zip(loads, vehicle.sprocket_radii, strict=True)]
+    for assembly, load, arm in zip(names, loads, arms, strict=True):
+        if f"{name}/{assembly}" in of:
+            yield of[f"{name}/{assembly}"]
+        elif name == "effects_nm":
+            yield of[name] * (load / of["weight_n"])
+        elif name == "drive_torque_nm":  # a grade and the inertia beside the resistance
+            yield of[f"{RESISTANCE}/{assembly}"] + (of[name] - of[RESISTANCE]) * (arm / sum(arms))
+        else:
+            yield of[name] * (arm / sum(arms))
+
+
+def taken(vehicle: AnyVehicle, time_s: Array, of: Mapping[str, Array]) -> dict[str, float]:
     """Summary of a drive: distance, time, resistance, energy and temperatures, of the belts if there are any.
 
-    Parameters
-    ----------
-    time_s, speed, torque
-        Times [s], speeds [m/s] and resistance at the sprockets [Nm], shape (rows,).
-    belts_degc
-        Of each belt, shape (belts, rows) [degC]; empty without belts.
-    radius
-        Of the sprockets [m].
+    `time_s`: shape (rows,) [s]; `of`: the columns of the vehicle's results, each of that shape.
     """
-    step = steps_of(time_s)
+    step, speed, torque = steps_of(time_s), of["speed_mps"], of[RESISTANCE]
+    belts_degc = [values for name, values in of.items() if name.startswith("belt_degc/")]
     under_way = np.where(np.abs(speed) > STANDSTILL_MPS, step, 0.0)
-    energy_mj = energy_j(step, speed, torque, radius) / MEGA
+    energy_mj = energy_j(vehicle, step, of) / MEGA
     driven = float(np.nansum(step * np.abs(speed)))
     belts = {}
-    if len(belts_degc):
+    if belts_degc:
         belts = {"coldest_belt_degc": float(np.nanmin(belts_degc)), "warmest_belt_degc": float(np.nanmax(belts_degc))}
     return {
         "distance_m": driven,

@@ -126,10 +126,15 @@ def series_of(estimator: Estimator, drive: SimulatedDrive, rows: Array) -> dict[
     """
     has_belts = bool(estimator.assemblies)
     shown = ("resistance_torque_nm", *resistance_parts(has_belts).values(), "inertia_nm", "drive_torque_nm")
-    of_rows = {name: rows[:, i] for name, i in estimator.column_index.items()}
+    of_rows = by_column(estimator, rows)
     belts = {"belt_degc": assembly_values(rows, at.OfAssembly.belt_degc).mean(axis=1)} if has_belts else {}
     first = {name: of_rows[name] for name in ("speed_mps", "weight_n", "ambient_degc")}
     return {"time_s": drive.time_s, **first, **belts, **{name: of_rows[name] for name in shown}}
+
+
+def by_column(estimator: Estimator, rows: Array) -> dict[str, Array]:
+    """Columns of rows of results by name, each of shape (rows,)."""
+    return {name: rows[:, i] for name, i in estimator.column_index.items()}
 
 
 def assembly_values(rows: Array, column: int) -> Array:

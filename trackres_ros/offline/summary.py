@@ -19,7 +19,6 @@ from trackres_ros.learning.columns import ranges_of, shown
 from trackres_ros.learning.learner import Learner
 from trackres_ros.model.coverage import beyond_data
 from trackres_ros.model.resistance import resistance_parts
-from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.offline.energy import taken, taken_text
 from trackres_ros.offline.replay import Replayed
 from trackres_ros.recording.recording import Recording
@@ -119,9 +118,7 @@ def drive(result: Replayed) -> dict[str, float]:
     """Energy and other totals of the drive, from the samples of the picture; see `energy.taken`."""
     estimator = result.session.estimator
     columns = picture_columns(estimator.columns, result.picture)
-    belts = np.array([series for name, series in columns.items() if name.startswith("belt_degc/")])
-    radius = vehicle_constants(estimator.vehicle).radius
-    return taken(result.picture[:, 0], columns["speed_mps"], columns["resistance_torque_nm"], belts, radius)
+    return taken(estimator.vehicle, result.picture[:, 0], columns)
 
 
 def _remarks(result: Replayed) -> list[str]:

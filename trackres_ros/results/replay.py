@@ -108,6 +108,8 @@ class ReplayResult(SeriesResult):
             return np.asarray((self._stamps - self._stamps[0]) * NANOSECOND)
         if name in DisturbanceColumns(self.vehicle).names:
             return self._watched[name]
+        if name not in self._of_rows:
+            raise KeyError(name)
         column = self._of_rows.index(name)
         values = np.concatenate([steps.rows[:, column] for steps in self._blocks()])
         return values.astype(np.int64) if name == "reasons" else values

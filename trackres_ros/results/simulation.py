@@ -12,15 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
 from trackres_ros.model.coverage import beyond_data
 from trackres_ros.model.resistance import resistance_parts
-from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.offline.energy import taken
-from trackres_ros.offline.simulate import SimulatedDrive, assembly_values, series_of
+from trackres_ros.offline.simulate import SimulatedDrive, by_column, series_of
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.table import write_table
 from trackres_ros.results.series import Array, SeriesResult
@@ -134,9 +132,7 @@ class SimulationResult(SeriesResult):
     @property
     def drive(self) -> dict[str, float]:
         """Summary of the drive: distance, driving time, resistance [Nm], energy, kWh/km, belts."""
-        belts = assembly_values(self._rows, at.OfAssembly.belt_degc).T
-        radius = vehicle_constants(self.vehicle).radius
-        return taken(self.time_s, self["speed_mps"], self["resistance_torque_nm"], belts, radius)
+        return taken(self.vehicle, self.time_s, by_column(self.estimator, self._rows))
 
     def as_dict(self) -> dict[str, Any]:
         """The summary, ready for JSON.

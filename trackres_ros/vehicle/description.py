@@ -271,6 +271,11 @@ class Vehicle:
         """Kind of track of an assembly."""
         return self.tracks[assembly.track]
 
+    @property
+    def sprocket_radii(self) -> list[float]:
+        """Sprocket pitch radius of each assembly [m]."""
+        return [self.track_of(assembly).sprocket_radius for assembly in self.assemblies]
+
     def assemblies_of(self, axle: str) -> tuple[int, ...]:
         """Indices of the assemblies that an axle of a name rests on."""
         return tuple(i for i, a in enumerate(self.assemblies) if a.axle == axle)

@@ -19,16 +19,11 @@ from trackres_ros.diagnosis.base.simulated import simulated
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects.effect import Active
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.constants import (
-    Constants,
-    conductances,
-    make_constants,
-    parting_resistance,
-)
+from trackres_ros.estimator.constants import Constants, make_constants
 from trackres_ros.estimator.kernel import PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_SKIN
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.model.loss_table import loss_table
-from trackres_ros.model.thermal import thermal_network
+from trackres_ros.model.thermal import parting_resistance, thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import Vehicle, load
 from trackres_ros.vehicle.reading import FITTED
@@ -195,10 +190,8 @@ class TrackBase(Base):
         conducts = values.get(CONDUCTIVITY, vehicle.rubber.conductivity) / vehicle.rubber.conductivity
         for row, i in zip(assembly, self._firsts, strict=True):
             network = self._networks[vehicle.assemblies[i].track]
-            network = network._replace(inner_conductance=conducts * network.inner_conductance)
-            row[at.Assembly.inner_conductance], row[at.Assembly.skin_conductance] = conductances(
-                network, vehicle.thermal, resistance
-            )
+            network = network._replace(inner_conductance=conducts * network.inner_conductance, of_effects=resistance)
+            row[at.Assembly.inner_conductance], row[at.Assembly.skin_conductance] = network.conductances
         loss = values[LOSS] / vehicle.rubber.loss_modulus_scale
         return k._replace(
             number=number,
