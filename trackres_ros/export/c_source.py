@@ -21,6 +21,7 @@ from trackres_ros.recording.roles import ROLES
 
 TEMPLATES = Path(__file__).parent / "templates"
 LARGEST_WHOLE = 9.2e18  # inside of 64 bits
+OF_MESSAGE = {"channel": "channel", "stamp": "stamp_ns", "arrival": "arrival_ns", "value": "value"}
 CHECKED_BYTES = 8  # version and checksum, before the arrays
 
 SCALES = {role: {name: UNITS[about.unit][unit].scale for name, unit in about.columns.items()} for role, about in ROLES.items()}
@@ -131,18 +132,15 @@ class CSource:
             "ROW": "\n".join(self._row()),
             "GIVEN": "\n".join(f"        inputs->{in_c(name)}," for name in self.inputs.values()),
             "CHANNEL_COUNT": str(len(self.inputs)),
-            "COLUMN_COUNT": str(len(self.estimator.columns)),
             "HARMLESS": f"{int(at.HARMLESS):#x}",
             "RECORDS_OF_ANSWER": self._records(entries["feedforward_now"], entries["is_stale"], const=True),
             "RECORDS_OF_STEP": self._records(entries["step"]),
             "RECORDS_OF_MESSAGE": self._records(entries["take_message"]),
             "RECORDS_OF_REST": self._records(entries["rest_after"]),
-            "FEEDFORWARD": self._call(entries["feedforward_now"], motion="state->motion", now="now"),
-            "IS_STALE": self._call(entries["is_stale"], now="now"),
-            "STEP": self._call(entries["step"], given="given", dt="dt", out="row"),
-            "MESSAGE": self._call(
-                entries["take_message"], channel="channel", stamp="stamp_ns", arrival="arrival_ns", value="value", out="row"
-            ),
+            "FEEDFORWARD": self._call(entries["feedforward_now"], motion="state->motion", latest="latest"),
+            "IS_STALE": self._call(entries["is_stale"], latest="latest"),
+            "STEP": self._call(entries["step"], given="given", dt="dt", out="state->row"),
+            "MESSAGE": self._call(entries["take_message"], **OF_MESSAGE, out="state->row"),
             "REST": self._call(entries["rest_after"], ambient="ambient_degc", seconds="seconds"),
         }
 
@@ -162,9 +160,9 @@ class CSource:
     def _row(self) -> Iterator[str]:
         for i, name in enumerate(self.estimator.columns):
             if name == "reasons":
-                yield f"        outputs->reasons = (uint32_t)row[{i}];"
+                yield f"    outputs->reasons = (uint32_t)state->row[{i}];"
             else:
-                yield f"        outputs->{in_c(name)} = row[{i}];"
+                yield f"    outputs->{in_c(name)} = state->row[{i}];"
 
     def _records(self, *entries: Instance, const: bool = False) -> str:
         """Declare the records that functions take, of the arrays of a state."""

@@ -192,7 +192,7 @@ def _state_arrays(session: Session) -> list[StateArray]:
     """The whole state that changes from step to step, integers first; as in a new session."""
     memory, k = session.memory, session.estimator.constants
     return [
-        StateArray("clock", np.zeros(1, dtype=np.int64), "[ns]"),
+        StateArray("clock", np.zeros(2, dtype=np.int64), "now, and the latest time since the last speed [ns]"),
         StateArray("times", memory.times, "channel x what the guards remember [ns]"),
         StateArray("counters", memory.counters, "channel x counter"),
         StateArray("reasons", memory.reasons, "steps at which each reason held"),
@@ -207,6 +207,7 @@ def _state_arrays(session: Session) -> list[StateArray]:
         StateArray("loads", session._loads, "[N]"),
         StateArray("belt_measured", session._belt_measured, "[degC]"),
         StateArray("work", _begun(k.work), "meanwhile of a step"),
+        StateArray("row", np.zeros(len(session.estimator.columns)), "results of the last step"),
     ]
 
 
