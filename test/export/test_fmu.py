@@ -3,6 +3,8 @@
 
 """The FMU is valid, and FMPy drives it to the numbers of a replay; its state can be kept and its parameters tuned."""
 
+import re
+
 import numpy as np
 import pytest
 from built import EQUAL, difference, have
@@ -22,8 +24,9 @@ STEP_S = 0.02
 def model(tmp_path_factory, good):
     folder = tmp_path_factory.mktemp("fmu")
     good("vehicle", "new", "mine", "--like", "agri3t", cwd=folder)
-    with (folder / "mine.yaml").open("a") as file:
-        file.write("effects:\n  drivetrain_drag: {drag: {value: 10.0, range: [5.0, 15.0]}}\n")
+    text = re.sub("(name|axle): frame", r"\1: main-frame", (folder / "mine.yaml").read_text())
+    effects = "effects:\n  drivetrain_drag: {drag: {value: 10.0, range: [5.0, 15.0]}}\n  air_drag: {share: 0.5}\n"
+    (folder / "mine.yaml").write_text(text + effects)
     good("export", "fmu", "mine.yaml", "-o", "model.fmu", cwd=folder)
     return folder / "model.fmu"
 
@@ -59,6 +62,7 @@ def test_fmpy_finds_nothing_wrong(model):
     assert description.coSimulation.canGetAndSetFMUstate
     units = {v.name: v.unit for v in description.modelVariables}
     assert (units["inputs.speed_mps"], units["resistance_torque_nm"], units["belt_degc.left"]) == ("m/s", "N.m", "degC")
+    assert "inputs.weight_n.main_frame" in units
     tunable = {v.name: float(v.start) for v in description.modelVariables if v.variability == "tunable"}
     assert tunable["effects.drivetrain_drag.drag"] == 10.0
     assert tunable["bearing_friction"] == tr.load_vehicle(model.parent / "mine.yaml").chassis.bearing_friction

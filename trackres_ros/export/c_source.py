@@ -9,9 +9,10 @@ import hashlib
 import json
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.export.functions import Instance
 from trackres_ros.export.kinds import INT, REAL, Record, safe
@@ -37,7 +38,17 @@ def input_names(channels: tuple[str, ...]) -> dict[str, str]:
 
 def in_c(name: str) -> str:
     """A name of a column in C."""
-    return name.replace("/", "_")
+    return re.sub(r"[^A-Za-z0-9_]", "_", name)
+
+
+def check_names(channels: Iterable[str]) -> None:
+    """Refuse names of axles and assemblies that are one name in C: channels have constants in capitals there."""
+    known: dict[str, str] = {}
+    for channel in channels:
+        other, name = known.setdefault(in_c(channel).upper(), channel), channel.partition("/")[2]
+        if other != channel:
+            allowed = "names that differ in letters or digits, without regard to capitals"
+            raise InputError("export", f"{other.partition('/')[2]} and {name}", allowed, "rename one of them in the vehicle file")
 
 
 class CSource:
@@ -49,6 +60,7 @@ class CSource:
         self._title = _ascii(title)
         self._made = "\n".join(f" * {_ascii(line)}" for line in made)
         self.estimator = parts.estimator
+        check_names(self.estimator.channels)
         self.inputs = input_names(self.estimator.channels)
         self.columns = [name for name in self.estimator.columns if name != "reasons"]
         self._body = self._functions()

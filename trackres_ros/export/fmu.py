@@ -164,7 +164,7 @@ def _description(source: CSource, variables: list[Variable], token: str) -> byte
         more |= {} if v.start is None else {"start": "NaN" if v.start != v.start else repr(v.start)}
         variability = "tunable" if v.causality == "parameter" else "continuous"
         Xml.SubElement(
-            known, "Float64", name=v.name.replace("/", "."), valueReference=str(reference), causality=v.causality,
+            known, "Float64", name=".".join(map(in_c, v.name.split("/"))), valueReference=str(reference), causality=v.causality,
             variability=variability, unit=v.unit, **more,
         )  # fmt: skip
     outputs = [reference for reference, v in enumerate(variables) if v.causality == "output"]
