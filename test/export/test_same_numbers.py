@@ -299,3 +299,16 @@ def test_float_is_as_near_as_the_page_says(tmp_path):
     assert off[names.index("belt_degc/left")] < 1e-3
     torque = expected[:, at.Results.resistance_torque_nm]
     assert np.abs(found[:, at.Results.resistance_torque_nm] - torque).max() < 1e-3 * np.abs(torque).max()
+
+
+def test_float_loses_no_small_step_of_a_belt_or_an_effect(tmp_path):
+    effect, vehicle = catalogue()["warmup"], tr.load_vehicle("agri3t", thermal="core_surface")
+    vehicle = dataclasses.replace(vehicle, effects=(Active(effect, effect.for_size(vehicle.size, False).values()),))
+    built = Built(vehicle, tmp_path, single=True)
+    stamp = np.arange(40_000) * 1_000_000  # 1 kHz
+    messages = np.zeros(len(stamp), dtype=np.int16), stamp, stamp, np.full(len(stamp), 4.0)
+    expected, (found, _) = built.estimator.session().handle_block(*messages).rows, built.run(messages)
+    for name in ("belt_degc/left", "effects_nm"):
+        column = built.estimator.columns.index(name)
+        assert np.ptp(expected[:, column]) > 0.5
+        assert np.abs(found[:, column] - expected[:, column]).max() < 1e-4

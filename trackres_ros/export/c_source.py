@@ -15,7 +15,7 @@ from pathlib import Path
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.export.functions import Instance
-from trackres_ros.export.kinds import INT, REAL, Record, safe
+from trackres_ros.export.kinds import INT, REAL, WIDE, Record, safe
 from trackres_ros.export.parts import Parts, StateArray
 from trackres_ros.recording.role_units import UNITS
 from trackres_ros.recording.roles import ROLES
@@ -79,7 +79,7 @@ class CSource:
 
     def state_bytes(self) -> int:
         """Size of a state."""
-        width = {INT: 8, REAL: 4 if self.translator.single else 8}
+        width = {INT: 8, WIDE: 8, REAL: 4 if self.translator.single else 8}
         return CHECKED_BYTES + sum(width[array.kind.of] * self._length(array) for array in self.parts.arrays)
 
     # The header
@@ -100,7 +100,7 @@ class CSource:
 
     def _state(self) -> str:
         return "\n".join(
-            f"    {self.translator.number(array.kind.of) if array.kind.of == INT else 'trackres_real'} "
+            f"    {'trackres_real' if array.kind.of == REAL else self.translator.number(array.kind.of)} "
             f"{in_state(array)}[{self._length(array)}]; /* {_shape(array)}{array.axes} */"
             for array in self.parts.arrays
         )
