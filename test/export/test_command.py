@@ -66,7 +66,9 @@ def test_the_program_beside_it_gives_the_rows_of_a_replay(own, good):
         f"{t:.3f},{v:.4f},{20 + 0.01 * t:.2f},{'' if i % 7 else 200000 + i},ignored"
         for i, (t, v) in enumerate(zip(time, kmh, strict=True))
     ]
-    (own / "drive.csv").write_text("time_s,speed_kmh,ambient_degc,weight_n,remark\n" + "\n".join(lines) + "\n")
+    lines[:1], lines[7:7] = ["", lines[0]], ["", ""]  # empty lines, and the mark of UTF-8
+    text = "\ufefftime_s,speed_kmh,ambient_degc,weight_n,remark\n" + "\n".join(lines) + "\n\n"
+    (own / "drive.csv").write_text(text, encoding="utf-8")
     subprocess.run(["cmake", "-S", "out", "-B", "out/build"], cwd=own, check=True, capture_output=True)
     subprocess.run(["cmake", "--build", "out/build"], cwd=own, check=True, capture_output=True)
     with (own / "c.csv").open("w") as file:
