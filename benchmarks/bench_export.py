@@ -11,10 +11,12 @@ import statistics
 import subprocess
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from measuring import HERE, at_most
+from numpy.typing import NDArray
 
 from trackres_ros.effects.effect import Active
 from trackres_ros.effects.registry import catalogue
@@ -22,6 +24,8 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.export.c_source import CSource, in_c
 from trackres_ros.export.parts import Parts
 from trackres_ros.vehicle import AnyVehicle, load_any
+
+Array = NDArray[np.float64]
 
 STEPS = 200_000
 ROUNDS = 7
@@ -82,36 +86,58 @@ def measured(vehicle: AnyVehicle, single: bool, steps: int, rounds: int) -> dict
     }
 
 
+def built(vehicle: AnyVehicle, folder: Path, single: bool, program: str) -> list[str]:
+    """Export into a folder and build a program there; returns the names of the outputs."""
+    source = CSource(Parts(Estimator(vehicle), single=single), vehicle.title, ("benchmark",))
+    for file, text in source.files().items():
+        (folder / file).write_text(text)
+    command = ["cc", *FLAGS, "-DSPEED=10.0", "trackres.c", program, "-I.", "-o", "program", "-lm"]
+    subprocess.run(command, cwd=folder, check=True)
+    return source.columns
+
+
+def difference(double: Array, single: Array, names: Sequence[str]) -> dict[str, float]:
+    """How far rows in float are off those in double: largest difference over the largest value [%], and of the belts [K]."""
+    found = {}
+    off = np.abs(single - double).max(axis=0)
+    for name in ("resistance_torque_nm", "resistance_std_nm", "feedforward_torque_nm"):
+        column = names.index(name)
+        found[f"{name}, largest difference over the largest [%]"] = 100.0 * float(off[column] / np.abs(double[:, column]).max())
+    belts = [i for i, name in enumerate(names) if name.startswith("belt_degc")]
+    return found | {"belt temperature, largest difference [K]": float(off[belts].max())}
+
+
 def of_float(vehicle: AnyVehicle, hours: float) -> dict[str, float]:
-    """How far a replay in float is off one in double: largest difference over the largest value [%], and of the belts [K]."""
+    """The difference of float and double on a drive of changing speed at 20 Hz."""
     time_s = np.arange(0.0, 3600.0 * hours, 0.05)
     speed = np.clip(8.0 + 7.0 * np.sin(time_s / 211.0) + 2.0 * np.sin(time_s / 17.0), 0.0, None)
-    rows = {}
+    rows = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         columns = np.column_stack([time_s, speed, 10.0 + 5.0 * np.sin(time_s / 3000.0)])
         np.savetxt(folder / "drive.csv", columns, delimiter=",", header="time_s,speed_mps,ambient_degc", comments="", fmt="%.5f")
         for single in (False, True):
-            estimator = Estimator(vehicle)
-            files = CSource(Parts(estimator, single=single), vehicle.title, ("benchmark",)).files()
-            for file, text in files.items():
-                (folder / file).write_text(text)
-            subprocess.run(["cc", *FLAGS, "trackres.c", "main.c", "-o", "replay", "-lm"], cwd=folder, check=True)
+            names = built(vehicle, folder, single, "main.c")
             with (folder / "rows.csv").open("w") as out:
-                subprocess.run(["./replay", "drive.csv"], cwd=folder, check=True, stdout=out)
-            rows[single] = np.genfromtxt(folder / "rows.csv", delimiter=",", names=True)
-    double, single_ = rows[False], rows[True]
-    found = {}
-    for column in ("resistance_torque_nm", "resistance_std_nm", "feedforward_torque_nm"):
-        off = np.abs(single_[column] - double[column]).max() / np.abs(double[column]).max()
-        found[f"{column}, largest difference over the largest [%]"] = 100.0 * float(off)
-    belts = [column for column in double.dtype.names or () if column.startswith("belt_degc")]
-    found["belt temperature, largest difference [K]"] = max(float(np.abs(single_[c] - double[c]).max()) for c in belts)
-    return found
+                subprocess.run(["./program", "drive.csv"], cwd=folder, check=True, stdout=out)
+            rows.append(np.genfromtxt(folder / "rows.csv", delimiter=",", skip_header=1)[:, 2 : 2 + len(names)])
+    return difference(*rows, names)
+
+
+def of_steady(vehicle: AnyVehicle, rate_hz: int, hours: float) -> dict[str, float]:
+    """The same on a steady drive with a stop: at a high rate each step of a belt is small against its temperature."""
+    rows = []
+    with tempfile.TemporaryDirectory() as name:
+        for single in (False, True):
+            names = built(vehicle, Path(name), single, str(HERE / "export_steady.c"))
+            command = ["./program", str(rate_hz), str(hours)]
+            out = subprocess.run(command, cwd=name, check=True, capture_output=True, text=True).stdout
+            rows.append(np.genfromtxt(out.splitlines(), delimiter=",", ndmin=2))
+    return difference(*rows, names)
 
 
 def run(steps: int = STEPS, rounds: int = ROUNDS, hours: float = 2.0) -> dict[str, float]:
-    """Measure the fastest of some rounds, and float against double on a drive of hours; empty where there is no compiler."""
+    """Measure the fastest of some rounds, and float against double on drives of hours; empty where there is no compiler."""
     if not (shutil.which("cc") and shutil.which("size")):
         return {}
     result: dict[str, float] = {}
@@ -122,4 +148,6 @@ def run(steps: int = STEPS, rounds: int = ROUNDS, hours: float = 2.0) -> dict[st
         ("ztbus_hess19", load_any("ztbus_hess19"), False),
     ):
         result |= {f"{name}: {what}": value for what, value in measured(vehicle, single, steps, rounds).items()}
-    return result | {f"xgd24d as float: {what}": value for what, value in of_float(load_any("xgd24d"), hours).items()}
+    off = {"": of_float(load_any("xgd24d"), hours)}
+    off |= {f"steady at {rate} Hz, ": of_steady(load_any("xgd24d"), rate, 2.0 * hours) for rate in (50, 1000)}
+    return result | {f"xgd24d as float: {drive}{what}": value for drive, of in off.items() for what, value in of.items()}

@@ -11,11 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from trackres_ros.effects.stepping import WORK
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S
+from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, feedforward, towards
 from trackres_ros.estimator.motion_step import ROLLS_FROM
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.jit.compiled import interpreted
 from trackres_ros.output.topics import RESISTANCE_PARTS
 from trackres_ros.vehicle import load
 
@@ -23,6 +25,9 @@ START_NS = 1_700_000_000_000_000_000
 SPEEDS = st.floats(-20.0, 20.0) | st.sampled_from([0.0, 1e-4, 0.05, -0.05, 8.0])
 PAUSES_S = st.floats(0.001, 0.1) | st.floats(0.1, 5.0) | st.sampled_from([0.02, 40.0, 1000.0])
 RATES = {rate: Estimator(load("xgd24d"), Settings(feedforward_rate=rate)) for rate in (2000.0, 20000.0)}
+
+LIMIT_NM = 5000.0
+ANY = st.floats(-1e5, 1e5) | st.sampled_from([math.nan, math.inf, -math.inf])
 
 
 def rows_of(estimator, steps):
@@ -57,6 +62,33 @@ def test_feedforward_keeps_its_rate_and_resumes_where_it_faded(rate, steps):
         if left == 0.0:
             assert abs(now.feedforward_torque_nm) <= rate * FEEDFORWARD_STEP_S + 1e-6
         assert abs(now.feedforward_torque_nm) <= limit + 1e-6
+
+
+@given(ANY, ANY, ANY)
+def test_no_way_leads_beyond_its_ends(here, there, room):
+    found = interpreted(towards)(here, there, room)
+    assert found in (here, there) or min(here, there) < found < max(here, there) or math.isnan(here)
+
+
+def test_feedforward_keeps_its_limit_whatever_is_no_number():
+    constants, random = RATES[2000.0].constants, np.random.default_rng(3)
+    fed = [name for name in constants.number._fields if name.startswith("feed")]
+
+    def some(count, most=1e5):
+        """Numbers, and in the place of some of them what is none."""
+        found = random.uniform(-most, most, count)
+        return np.where(random.random(count) < 0.1, random.choice([math.nan, math.inf, -math.inf], count), found).tolist()
+
+    for _ in range(300):
+        motion, total, work = (np.array(some(count)) for count in (at.Motion.columns, at.PARTS, WORK))
+        motion[[at.Motion.feedforward, at.Motion.feedforward_target]] = some(2, LIMIT_NM)
+        number = constants.number._replace(**dict(zip(fed, some(len(fed)), strict=True)), speed_max_age=some(1)[0])
+        limit = random.choice([LIMIT_NM, math.nan, math.inf])
+        k = constants._replace(number=number._replace(feedforward_limit=limit), work=work)
+        of_effects, share, dt = some(3)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            moved, _ = interpreted(feedforward)(k, at.Motion(motion), at.Part(total), of_effects, True, True, share, abs(dt))
+        assert abs(moved) <= (math.inf if limit == math.inf else LIMIT_NM)
 
 
 @pytest.mark.parametrize("rate", [1.0, 500.0, 2000.0, 20000.0])

@@ -57,6 +57,7 @@ class Built:
         self._row = np.dtype([*((name, real) for name in self._columns), ("reasons", np.uint32), ("level", np.int32)])
         padded = self.library.drive_size_of_outputs()
         self._row = np.dtype({"names": self._row.names, "formats": [self._row[n] for n in self._row.names], "itemsize": padded})
+        self.outputs = np.zeros(1, dtype=self._row)  # of the last call
 
     def run(self, messages):
         """Results in the columns of the estimator, and levels."""
@@ -71,12 +72,18 @@ class Built:
     def step(self, given, dt):
         """One call of `trackres_step` with inputs by name; returns its result and the outputs by name."""
         real = ctypes.c_float if self.single else ctypes.c_double
-        if not hasattr(self, "_outputs"):
+        if not hasattr(self, "_inputs"):
             self._names = list(input_names(self.estimator.channels).values())
-            self._inputs, self._outputs = (real * len(self._names))(), np.zeros(1, dtype=self._row)
+            self._inputs = (real * len(self._names))()
         self._inputs[:] = [given.get(name, float("nan")) for name in self._names]
-        pointer = self._outputs.ctypes.data_as(ctypes.c_void_p)
-        return self.library.trackres_step(self.state, self._inputs, real(dt), pointer), self._outputs[0]
+        pointer = self.outputs.ctypes.data_as(ctypes.c_void_p)
+        return self.library.trackres_step(self.state, self._inputs, real(dt), pointer), self.outputs[0]
+
+    def message(self, channel, stamp, arrival, value):
+        """One call of `trackres_message`; returns its result."""
+        real = ctypes.c_float if self.single else ctypes.c_double
+        times, pointer = (ctypes.c_int64(stamp), ctypes.c_int64(arrival)), self.outputs.ctypes.data_as(ctypes.c_void_p)
+        return self.library.trackres_message(self.state, channel, *times, real(value), pointer)
 
     def rest(self, ambient, seconds):
         """As after power was off."""

@@ -5,15 +5,21 @@
 
 import csv
 import json
+import re
 import subprocess
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from built import EQUAL, have
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 import trackres_ros as tr
+from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.snapshot import save
+from trackres_ros.export.c_source import check_names, in_c
 
 EFFECT = '''
 """A guard that the belt touches."""
@@ -60,7 +66,9 @@ def test_the_program_beside_it_gives_the_rows_of_a_replay(own, good):
         f"{t:.3f},{v:.4f},{20 + 0.01 * t:.2f},{'' if i % 7 else 200000 + i},ignored"
         for i, (t, v) in enumerate(zip(time, kmh, strict=True))
     ]
-    (own / "drive.csv").write_text("time_s,speed_kmh,ambient_degc,weight_n,remark\n" + "\n".join(lines) + "\n")
+    lines[:1], lines[7:7] = ["", lines[0]], ["", ""]  # empty lines, and the mark of UTF-8
+    text = "\ufefftime_s,speed_kmh,ambient_degc,weight_n,remark\n" + "\n".join(lines) + "\n\n"
+    (own / "drive.csv").write_text(text, encoding="utf-8")
     subprocess.run(["cmake", "-S", "out", "-B", "out/build"], cwd=own, check=True, capture_output=True)
     subprocess.run(["cmake", "--build", "out/build"], cwd=own, check=True, capture_output=True)
     with (own / "c.csv").open("w") as file:
@@ -123,6 +131,17 @@ def test_the_head_names_vehicle_file_hash_and_version(own, good):
     head = (own / "out" / "trackres.h").read_text()[:900]
     digest = json.loads((own / "out" / "trackres_export.json").read_text())["vehicle_sha256"]
     assert all(part in head for part in ("mine.yaml", digest, tr.__version__))
+
+
+@given(st.lists(st.text("abABz_-09", min_size=1, max_size=4), unique=True, max_size=6))
+@example(["front-left", "front_left"])
+@example(["a", "A"])
+def test_each_name_of_an_axle_has_its_own_in_c(axles):
+    channels = ("speed", *(f"load/{axle}" for axle in axles))
+    in_capitals = {in_c(channel).upper() for channel in channels}
+    assert all(re.fullmatch("[A-Z_][A-Z0-9_]*", name) for name in in_capitals)
+    with nullcontext() if len(in_capitals) == len(channels) else pytest.raises(InputError, match="rename one of them"):
+        check_names(channels)
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{", '{"format": "trackres-export", "version": 1}'])

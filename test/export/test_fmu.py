@@ -3,12 +3,13 @@
 
 """The FMU is valid, and FMPy drives it to the numbers of a replay; its state can be kept and its parameters tuned."""
 
+import re
+
 import numpy as np
 import pytest
 from built import EQUAL, difference, have
 
 import trackres_ros as tr
-from trackres_ros.estimator import columns as at
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy, which reads FMUs, is not installed")
 validation = pytest.importorskip("fmpy.validation")
@@ -22,8 +23,9 @@ STEP_S = 0.02
 def model(tmp_path_factory, good):
     folder = tmp_path_factory.mktemp("fmu")
     good("vehicle", "new", "mine", "--like", "agri3t", cwd=folder)
-    with (folder / "mine.yaml").open("a") as file:
-        file.write("effects:\n  drivetrain_drag: {drag: {value: 10.0, range: [5.0, 15.0]}}\n")
+    text = re.sub("(name|axle): frame", r"\1: main-frame", (folder / "mine.yaml").read_text())
+    effects = "effects:\n  drivetrain_drag: {drag: {value: 10.0, range: [5.0, 15.0]}}\n  air_drag: {share: 0.5}\n"
+    (folder / "mine.yaml").write_text(text + effects)
     good("export", "fmu", "mine.yaml", "-o", "model.fmu", cwd=folder)
     return folder / "model.fmu"
 
@@ -59,6 +61,7 @@ def test_fmpy_finds_nothing_wrong(model):
     assert description.coSimulation.canGetAndSetFMUstate
     units = {v.name: v.unit for v in description.modelVariables}
     assert (units["inputs.speed_mps"], units["resistance_torque_nm"], units["belt_degc.left"]) == ("m/s", "N.m", "degC")
+    assert "inputs.weight_n.main_frame" in units
     tunable = {v.name: float(v.start) for v in description.modelVariables if v.variability == "tunable"}
     assert tunable["effects.drivetrain_drag.drag"] == 10.0
     assert tunable["bearing_friction"] == tr.load_vehicle(model.parent / "mine.yaml").chassis.bearing_friction
@@ -109,6 +112,31 @@ def test_a_state_that_was_kept_goes_on_as_before(instance):
     instance.freeFMUState(again)
 
 
+def test_a_damaged_state_is_refused_whatever_byte_differs(instance):
+    drive(instance, 0, 50)
+    state = instance.getFMUState()
+    packed = bytes(instance.serializeFMUState(state))
+    for place in (*range(0, len(packed), 997), *range(len(packed) - 300, len(packed))):
+        with pytest.raises(Exception, match="fmi3DeserializeFMUState"):
+            instance.deserializeFMUState(packed[:place] + bytes([packed[place] ^ 1]) + packed[place + 1 :])
+    instance.freeFMUState(state)
+
+
+@pytest.mark.parametrize("name", ["drag_area", "air_density"])
+def test_a_tuned_drag_is_that_of_effects_too(name, instance):
+    drive(instance, 0, 100)
+    state, found = instance.getFMUState(), []
+    for factor in (1.0, 3.0):
+        instance.setFMUState(state)
+        instance.put(name, factor * instance.get(name))
+        instance.doStep(100 * STEP_S, STEP_S)
+        found.append([instance.get("wind_nm"), instance.get("effects_nm")])
+    (wind, effects), (more_wind, more_effects) = found
+    assert more_wind == pytest.approx(3.0 * wind)
+    assert more_effects - effects == pytest.approx(0.5 * (more_wind - wind))  # which is its share
+    instance.freeFMUState(state)
+
+
 def test_a_tuned_parameter_moves_the_torque_by_what_it_says(instance):
     drive(instance, 0, 100)
     before = instance.get("resistance_torque_nm")
@@ -124,7 +152,11 @@ def test_a_tuned_parameter_moves_the_torque_by_what_it_says(instance):
     instance.freeFMUState(state)
 
 
-def test_what_is_no_input_cannot_be_set(instance):
+def test_what_is_no_input_and_no_number_cannot_be_set(instance):
     with pytest.raises(Exception, match="fmi3SetFloat64"):
         instance.put("resistance_torque_nm", 1.0)
-    assert at.Results.resistance_torque_nm >= 0
+    for name in ("bearing_friction", "feedforward_limit", "effects.drivetrain_drag.drag"):
+        for value in (np.nan, np.inf):
+            with pytest.raises(Exception, match="fmi3SetFloat64"):
+                instance.put(name, value)
+    instance.put("inputs.weight_n", np.nan)

@@ -215,6 +215,79 @@ def test_slopes_and_torques_by_place_are_the_same(tmp_path):
     assert difference(found, expected).max() <= EQUAL
 
 
+@pytest.fixture(scope="module")
+def one(tmp_path_factory):
+    """An export, and its state after a minute of driving at 50 Hz."""
+    built = Built(tr.load_vehicle("agri3t"), tmp_path_factory.mktemp("one"))
+    for i in range(3000):
+        built.step({"speed_mps": min(5.0, 0.01 * i), "ambient_degc": 15.0}, 0.02)
+    return built, bytes(built.state)
+
+
+@pytest.fixture
+def driven(one):
+    """That export, in that state."""
+    built, state = one
+    built.state[:] = state
+    return built
+
+
+ODD = (np.nan, np.inf, -np.inf, 1e30, -1e30)
+
+
+@pytest.mark.parametrize(("ambient", "seconds"), [*((20.0, odd) for odd in ODD), *((odd, 600.0) for odd in ODD)])
+def test_no_rest_leaves_a_state_that_is_no_number(ambient, seconds, driven):
+    driven.rest(ambient, seconds)
+    limit = driven.estimator.constants.number.feedforward_limit
+    for i in range(100):
+        result, outputs = driven.step({"speed_mps": 0.03 * i, "ambient_degc": 15.0}, 0.02)
+        assert result == 1
+        assert abs(outputs["feedforward_torque_nm"]) <= limit
+        assert 0.0 < outputs["resistance_std_nm"] < np.inf
+        assert all(-60.0 < outputs[f"belt_degc/{name}"] < 100.0 for name in driven.estimator.assemblies)
+
+
+@pytest.mark.parametrize("silent", [0, 50, 3000])
+@pytest.mark.parametrize("back", [1.5, 59.9, 1e8])
+def test_a_clock_that_goes_back_makes_the_speed_old_for_good(silent, back, driven):
+    for _ in range(silent):
+        driven.step({}, 0.02)
+    for dt in (-back, *[0.02] * 200, back - 0.1, *[0.02] * 20):
+        result, outputs = driven.step({}, dt)
+        assert (result, outputs["feedforward_torque_nm"], outputs["level"]) == (0, 0.0, 3)
+    while driven.step({"speed_mps": 5.0}, 0.02)[0] != 1:
+        pass
+    result, outputs = driven.step({}, 0.02)
+    assert outputs["level"] != 3
+
+
+def test_messages_of_a_clock_that_went_back_make_the_speed_old(driven):
+    driven.message(at.AMBIENT, 0, 0, np.nan)  # refused, and yet its arrival is the time
+    assert driven.outputs["level"] == 3
+    assert driven.outputs["feedforward_torque_nm"] == 0.0
+
+
+def test_each_call_writes_all_outputs(driven):
+    for given, dt in (({"speed_mps": 5.0}, 0.02), ({}, 0.02), ({"speed_mps": np.inf}, 0.02), ({"ambient_degc": 15.0}, 0.0)):
+        before, written = bytes(driven.state), []
+        for byte in (0x00, 0xAA):
+            driven.state[:] = before
+            driven.outputs.view(np.uint8)[:] = byte
+            written.append(driven.step(given, dt)[1].tobytes())
+        assert written[0] == written[1]
+
+
+@pytest.mark.parametrize("far", [2**62, 2**63 - 1, -(2**62), -(2**63)])
+def test_a_time_too_far_changes_nothing(far, driven):
+    before = bytes(driven.state)
+    for stamp, arrival in ((far, 0), (0, far), (far, far)):
+        assert driven.message(0, stamp, arrival, 5.0) == -2
+    assert bytes(driven.state) == before
+    results = [driven.step({}, np.copysign(9.99e8, far))[0] for _ in range(12)]
+    assert set(results) == {0, -2}
+    assert driven.step({"speed_mps": 5.0}, 0.02)[0] >= 0
+
+
 def test_float_is_as_near_as_the_page_says(tmp_path):
     vehicle = tr.load_vehicle("agri3t")
     built = Built(vehicle, tmp_path, single=True)
@@ -226,3 +299,16 @@ def test_float_is_as_near_as_the_page_says(tmp_path):
     assert off[names.index("belt_degc/left")] < 1e-3
     torque = expected[:, at.Results.resistance_torque_nm]
     assert np.abs(found[:, at.Results.resistance_torque_nm] - torque).max() < 1e-3 * np.abs(torque).max()
+
+
+def test_float_loses_no_small_step_of_a_belt_or_an_effect(tmp_path):
+    effect, vehicle = catalogue()["warmup"], tr.load_vehicle("agri3t", thermal="core_surface")
+    vehicle = dataclasses.replace(vehicle, effects=(Active(effect, effect.for_size(vehicle.size, False).values()),))
+    built = Built(vehicle, tmp_path, single=True)
+    stamp = np.arange(40_000) * 1_000_000  # 1 kHz
+    messages = np.zeros(len(stamp), dtype=np.int16), stamp, stamp, np.full(len(stamp), 4.0)
+    expected, (found, _) = built.estimator.session().handle_block(*messages).rows, built.run(messages)
+    for name in ("belt_degc/left", "effects_nm"):
+        column = built.estimator.columns.index(name)
+        assert np.ptp(expected[:, column]) > 0.5
+        assert np.abs(found[:, column] - expected[:, column]).max() < 1e-4

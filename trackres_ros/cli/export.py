@@ -55,7 +55,7 @@ def export_group(context: click.Context, folder: Path | None, vehicle: str | Non
 @click.argument("vehicle", metavar="FILE|NAME")
 @options.folder("Folder for trackres.h, trackres.c, main.c and CMakeLists.txt.")
 @export_options
-@click.option("--single", is_flag=True, help="Numbers are float instead of double: half the size, less precise.")
+@click.option("--single", is_flag=True, help="Numbers are float instead of double, but for sums: half the size, less precise.")
 @options.json
 def c_command(output: Path, as_json: bool, **asked: Any) -> None:
     """Write the step of a vehicle as C99: one source and one header, a program that replays a CSV, and a CMake file.

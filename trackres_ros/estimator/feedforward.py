@@ -33,8 +33,11 @@ def fade(age: float, max_age: float, fade_s: float) -> float:
 
 @inlined
 def towards(here: float, there: float, room: float) -> float:
-    """From one value to another, by no more than `room`."""
-    return there if abs(there - here) <= room else here + math.copysign(room, there - here)
+    """From one value to another, by no more than `room`; nowhere if one of the three is no number."""
+    way = there - here
+    if abs(way) > room >= 0.0:
+        return here + math.copysign(room, way)
+    return there if abs(way) <= room else here
 
 
 @inlined
@@ -47,9 +50,16 @@ def rate_towards(number: Numbers, target: float) -> float:
 
 
 @inlined
+def finite(torque: float) -> float:
+    """A torque, or 0 in place of one that is no number."""
+    return torque if math.isfinite(torque) else 0.0
+
+
+@inlined
 def followed(number: Numbers, value: float, target: float, age: float) -> float:
     """Feed-forward [Nm] some time [s] after a step, on its way to the target; the first output is the step's."""
-    return towards(value, target, rate_towards(number, target) * max(0.0, age - FEEDFORWARD_STEP_S))
+    there = finite(target)
+    return towards(finite(value), there, rate_towards(number, there) * max(0.0, age - FEEDFORWARD_STEP_S))
 
 
 @inlined
@@ -73,8 +83,8 @@ def feedforward(
     if given_accel:  # an acceleration filtered from the speed would feed the controller's own noise back to it
         wanted += number.feed_inertia * (total.inertia + k.work[TERM_FED_INERTIA])
     wanted *= k.work[TERM_FED_GAIN] * fed
-    if abs(wanted) > number.feedforward_limit:
-        wanted = math.copysign(number.feedforward_limit, wanted)
+    if not abs(wanted) <= number.feedforward_limit:
+        wanted = math.copysign(number.feedforward_limit, wanted) if abs(wanted) > number.feedforward_limit else 0.0
         reasons |= CLAMPED
     last = followed(number, motion.feedforward, motion.feedforward_target, dt)
     last *= fade(dt, number.speed_max_age, number.feedforward_fade)

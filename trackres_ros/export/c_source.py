@@ -9,18 +9,20 @@ import hashlib
 import json
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.export.functions import Instance
-from trackres_ros.export.kinds import INT, REAL, Record, safe
+from trackres_ros.export.kinds import INT, REAL, WIDE, Record, safe
 from trackres_ros.export.parts import Parts, StateArray
 from trackres_ros.recording.role_units import UNITS
 from trackres_ros.recording.roles import ROLES
 
 TEMPLATES = Path(__file__).parent / "templates"
 LARGEST_WHOLE = 9.2e18  # inside of 64 bits
+OF_MESSAGE = {"channel": "channel", "stamp": "stamp_ns", "arrival": "arrival_ns", "value": "value"}
 CHECKED_BYTES = 8  # version and checksum, before the arrays
 
 SCALES = {role: {name: UNITS[about.unit][unit].scale for name, unit in about.columns.items()} for role, about in ROLES.items()}
@@ -36,7 +38,17 @@ def input_names(channels: tuple[str, ...]) -> dict[str, str]:
 
 def in_c(name: str) -> str:
     """A name of a column in C."""
-    return name.replace("/", "_")
+    return re.sub(r"[^A-Za-z0-9_]", "_", name)
+
+
+def check_names(channels: Iterable[str]) -> None:
+    """Refuse names of axles and assemblies that are one name in C: channels have constants in capitals there."""
+    known: dict[str, str] = {}
+    for channel in channels:
+        other, name = known.setdefault(in_c(channel).upper(), channel), channel.partition("/")[2]
+        if other != channel:
+            allowed = "names that differ in letters or digits, without regard to capitals"
+            raise InputError("export", f"{other.partition('/')[2]} and {name}", allowed, "rename one of them in the vehicle file")
 
 
 class CSource:
@@ -48,6 +60,7 @@ class CSource:
         self._title = _ascii(title)
         self._made = "\n".join(f" * {_ascii(line)}" for line in made)
         self.estimator = parts.estimator
+        check_names(self.estimator.channels)
         self.inputs = input_names(self.estimator.channels)
         self.columns = [name for name in self.estimator.columns if name != "reasons"]
         self._body = self._functions()
@@ -66,7 +79,7 @@ class CSource:
 
     def state_bytes(self) -> int:
         """Size of a state."""
-        width = {INT: 8, REAL: 4 if self.translator.single else 8}
+        width = {INT: 8, WIDE: 8, REAL: 4 if self.translator.single else 8}
         return CHECKED_BYTES + sum(width[array.kind.of] * self._length(array) for array in self.parts.arrays)
 
     # The header
@@ -87,7 +100,7 @@ class CSource:
 
     def _state(self) -> str:
         return "\n".join(
-            f"    {self.translator.number(array.kind.of) if array.kind.of == INT else 'trackres_real'} "
+            f"    {'trackres_real' if array.kind.of == REAL else self.translator.number(array.kind.of)} "
             f"{in_state(array)}[{self._length(array)}]; /* {_shape(array)}{array.axes} */"
             for array in self.parts.arrays
         )
@@ -131,18 +144,15 @@ class CSource:
             "ROW": "\n".join(self._row()),
             "GIVEN": "\n".join(f"        inputs->{in_c(name)}," for name in self.inputs.values()),
             "CHANNEL_COUNT": str(len(self.inputs)),
-            "COLUMN_COUNT": str(len(self.estimator.columns)),
             "HARMLESS": f"{int(at.HARMLESS):#x}",
             "RECORDS_OF_ANSWER": self._records(entries["feedforward_now"], entries["is_stale"], const=True),
             "RECORDS_OF_STEP": self._records(entries["step"]),
             "RECORDS_OF_MESSAGE": self._records(entries["take_message"]),
             "RECORDS_OF_REST": self._records(entries["rest_after"]),
-            "FEEDFORWARD": self._call(entries["feedforward_now"], motion="state->motion", now="now"),
-            "IS_STALE": self._call(entries["is_stale"], now="now"),
-            "STEP": self._call(entries["step"], given="given", dt="dt", out="row"),
-            "MESSAGE": self._call(
-                entries["take_message"], channel="channel", stamp="stamp_ns", arrival="arrival_ns", value="value", out="row"
-            ),
+            "FEEDFORWARD": self._call(entries["feedforward_now"], motion="state->motion", latest="latest"),
+            "IS_STALE": self._call(entries["is_stale"], latest="latest"),
+            "STEP": self._call(entries["step"], given="given", dt="dt", out="state->row"),
+            "MESSAGE": self._call(entries["take_message"], **OF_MESSAGE, out="state->row"),
             "REST": self._call(entries["rest_after"], ambient="ambient_degc", seconds="seconds"),
         }
 
@@ -162,9 +172,9 @@ class CSource:
     def _row(self) -> Iterator[str]:
         for i, name in enumerate(self.estimator.columns):
             if name == "reasons":
-                yield f"        outputs->reasons = (uint32_t)row[{i}];"
+                yield f"    outputs->reasons = (uint32_t)state->row[{i}];"
             else:
-                yield f"        outputs->{in_c(name)} = row[{i}];"
+                yield f"    outputs->{in_c(name)} = state->row[{i}];"
 
     def _records(self, *entries: Instance, const: bool = False) -> str:
         """Declare the records that functions take, of the arrays of a state."""

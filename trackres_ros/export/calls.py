@@ -14,7 +14,21 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.export.expressions import UNARY, Value
-from trackres_ros.export.kinds import BOOL, INT, REAL, ArrayOf, Const, Kind, Record, Scalar, joined, widened, words
+from trackres_ros.export.kinds import (
+    BOOL,
+    INT,
+    REAL,
+    REALS,
+    ArrayOf,
+    Const,
+    Kind,
+    Record,
+    Scalar,
+    joined,
+    narrowed,
+    widened,
+    words,
+)
 from trackres_ros.export.operators import Operators
 from trackres_ros.jit.rows import Row
 
@@ -58,7 +72,7 @@ class Calls(Operators):
             raise self.refuse(node, ast.unparse(node)[:80], f"each of {', '.join(cls._fields)}")
         ordered = [values[name] for name in cls._fields]
         reals = {name for name, kind in cls.__annotations__.items() if kind in ("float", float)}
-        kinds = [REAL if name in reals else widened(v.kind) for name, v in zip(cls._fields, ordered, strict=True)]
+        kinds = [REAL if name in reals else narrowed(widened(v.kind)) for name, v in zip(cls._fields, ordered, strict=True)]
         return self.tuple_of(ordered, Record(words(cls.__name__), tuple(zip(cls._fields, kinds, strict=True))))
 
     def call_of(self, node: ast.Call, function: FunctionType, values: list[Value]) -> Value:
@@ -86,7 +100,7 @@ class Calls(Operators):
 
     def _passed(self, kind: Kind) -> Kind:
         """The kind of a parameter: single numbers are no constants, so that there is one function for all of them."""
-        return widened(kind) if isinstance(kind, Const) and isinstance(kind.value, bool | int | float) else kind
+        return widened(kind) if isinstance(kind, Const) and isinstance(kind.value, bool | int | float) else narrowed(kind)
 
     def argument(self, value: Value, kind: Kind) -> str:
         """The code of an argument; of a record its address."""
@@ -128,7 +142,7 @@ class Calls(Operators):
         if function is float:
             return Value(REAL, self.as_real(first), first.binds if first.kind == REAL else UNARY)
         if function in (int, math.trunc):
-            return first if first.kind != REAL else Value(INT, f"tr_whole({first.code})")
+            return first if first.kind not in REALS else Value(INT, f"tr_whole({self.as_real(first)})")
         if function is bool:
             return self.truth(ast.Constant(0), first)
         if function is abs or name == "fabs":
@@ -148,6 +162,6 @@ class Calls(Operators):
         return None
 
     def _extreme(self, name: str, values: list[Value]) -> Value:
-        kind = joined(joined(INT, widened(values[0].kind)), widened(values[1].kind)) or REAL
+        kind = narrowed(joined(joined(INT, widened(values[0].kind)), widened(values[1].kind)) or REAL)
         found = self.helped(f"{name}_{'real' if kind == REAL else 'int'}", values[:2], kind)
         return self._extreme(name, [found, *values[2:]]) if len(values) > 2 else found

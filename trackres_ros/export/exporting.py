@@ -55,7 +55,7 @@ class Request:
     state: Path | None = None  # only learned values are used
     method: str | None = None  # models instead of those of the vehicle file
     thermal: str | None = None
-    single: bool = False  # whether numbers are `float` instead of `double`
+    single: bool = False  # whether numbers are `float` instead of `double`, but for sums
 
     def load(self) -> AnyVehicle:
         """The vehicle."""

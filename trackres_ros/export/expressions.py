@@ -17,7 +17,7 @@ import numpy as np
 
 from trackres_ros.errors import InputError
 from trackres_ros.export.functions import Instance, Translator, refused
-from trackres_ros.export.kinds import BOOL, INT, REAL, ArrayOf, Const, Kind, Record, safe, widened
+from trackres_ros.export.kinds import BOOL, INT, REAL, REALS, WIDE, ArrayOf, Const, Kind, Record, Scalar, narrowed, safe, widened
 
 # Precedence in C: a part with a lower one than its expression gets parentheses.
 TERNARY, OR, AND, BITS, COMPARED, SHIFTED, SUM, PRODUCT, UNARY, ATOM = range(10)
@@ -165,7 +165,7 @@ class Expressions:
         """A tuple of values, as a compound literal."""
         if kind is None and all(v.is_const for v in values):
             return self.const(tuple(v.const for v in values))
-        record = kind or Record("", tuple((f"f{i}", v.kind) for i, v in enumerate(values)))
+        record = kind or Record("", tuple((f"f{i}", narrowed(v.kind)) for i, v in enumerate(values)))
         for v in values:
             if isinstance(v.kind, ArrayOf):
                 self.note_written(v)  # the owner of the pointer may change its target
@@ -187,10 +187,11 @@ class Expressions:
                 parts = value.parts or [self.part(value, name, of) for name, of in value.kind.fields]
                 return f"({self.translator.struct(kind)}){{{self.initial(parts, kind)}}}"
             return f"*{value.code}" if value.by_pointer else value.code
-        if kind == REAL and value.is_const and not isinstance(value.const, np.ndarray):
-            return self.translator.literal(float(value.const))
-        if kind == REAL and self.translator.single and value.kind == INT:
-            return f"(float){self.within(value, UNARY)}"
+        if isinstance(kind, Scalar) and kind in REALS:
+            if value.is_const and not isinstance(value.const, np.ndarray):
+                return self.translator.literal(float(value.const))
+            if self.translator.single and (value.kind == INT or (value.kind, kind) == (WIDE, REAL)):
+                return f"({self.translator.number(kind)}){self.within(value, UNARY)}"
         if isinstance(kind, ArrayOf) and isinstance(value.const, np.ndarray):
             return self.table(value, "table")
         return value.code

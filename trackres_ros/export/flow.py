@@ -10,7 +10,7 @@ from typing import Any
 
 from trackres_ros.export.expressions import Value
 from trackres_ros.export.functions import Instance, Translator
-from trackres_ros.export.kinds import INT, ArrayOf, Const, Kind, Scalar, joined, safe, widened
+from trackres_ros.export.kinds import INT, ArrayOf, Const, Kind, Scalar, joined, narrowed, safe, widened
 from trackres_ros.export.statements import Statements
 
 MOST_PASSES = 12
@@ -70,7 +70,7 @@ class Body(Statements):
             self.note_written(value)
         elif value.is_const and not isinstance(value.const, bool | int | float | tuple):
             raise self.refuse(node, ast.unparse(node)[:80], "numbers, or a tuple of them")
-        kind = joined(self.one.returns, value.kind)
+        kind = joined(self.one.returns, narrowed(value.kind))
         if kind is None:
             raise self.refuse(node, ast.unparse(node)[:80], "the kind of value that the other ends give")
         self.one.returns = kind

@@ -13,14 +13,16 @@ import tempfile
 import uuid
 import zipfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
 
 import trackres_ros as tr
-from trackres_ros.effects import stepping
+from trackres_ros.effects import native, stepping
+from trackres_ros.effects.effect import Active, Parameter, VehicleConstants
 from trackres_ros.errors import InputError
+from trackres_ros.estimator.constants import parting_resistance
 from trackres_ros.export.c_source import TEMPLATES, CSource, filled, in_c
 from trackres_ros.export.exporting import Request, translated
 from trackres_ros.files.output_files import output_file
@@ -39,7 +41,7 @@ TUNED = {
     "feedforward_rate": ("N.m/s", "largest change of the feed-forward"),
     "feedforward_limit": ("N.m", "largest feed-forward"),
 }
-"""Numbers of the kernel that are parameters of an FMU: unit and meaning."""
+"""Numbers of the kernel that are parameters of an FMU: unit and meaning. Effects look at some of them in the work space."""
 UNITS = {
     "1": {}, "m": {"m": "1"}, "m/s": {"m": "1", "s": "-1"}, "m/s2": {"m": "1", "s": "-2"}, "rad": {"rad": "1"},
     "rad/s": {"rad": "1", "s": "-1"}, "N": {"kg": "1", "m": "1", "s": "-2"}, "N.m": {"kg": "1", "m": "2", "s": "-2"},
@@ -65,6 +67,7 @@ class Variable:
     start: float | None = None
     rows: int = 1
     stride: str = "0"
+    also: str = "0"  # another place of the same number
 
 
 def export_fmu(request: Request, path: Path) -> Path:
@@ -114,7 +117,9 @@ def _variables(source: CSource) -> Iterator[Variable]:
         yield Variable(name, f"offsetof(struct instance, outputs.{in_c(name)})", "output", _unit(name))
     for i, (name, (unit, text)) in enumerate(TUNED.items()):
         start = float(getattr(source.estimator.constants.number, name))
-        yield Variable(name, f"offsetof(struct instance, state.tuned) + {i} * sizeof(double)", "parameter", unit, text, start)
+        facts = VehicleConstants._fields
+        seen = _in_state("work", stepping.TERMS + facts.index(name)) if name in facts else "0"
+        yield Variable(name, _in_state("tuned", i), "parameter", unit, text, start, also=seen)
     yield from _of_effects(source)
 
 
@@ -123,12 +128,13 @@ def _of_effects(source: CSource) -> Iterator[Variable]:
     k = source.estimator.constants
     width = k.effect_values.shape[1] if k.effect_values.ndim > 1 else 0
     states = k.effects[:, stepping.STATE].tolist()
+    facts = VehicleConstants(*k.work[stepping.TERMS : stepping.TERMS + native.FACTS].tolist())
     for state, active in enumerate(source.parts.active):
         first, rows = states.index(state), states.count(state)
         for i, q in enumerate(active.effect.parameters):
-            if q.is_fixed or (active.effect.acts_on == "cooling" and q.unit == "K/W"):  # the number of nodes follows from it
+            if q.is_fixed or _parts_belt(active, q, facts):  # the number of nodes follows from it
                 continue
-            place = f"offsetof(struct instance, state.effect_values) + {first * width + i} * sizeof(double)"
+            place = _in_state("effect_values", first * width + i)
             unit, text = q.unit.replace("Nm", "N.m").replace("^", ""), f"{q.text} [{q.unit}]"
             yield Variable(
                 f"effects/{active.effect.name}/{q.name}", place, "parameter", unit if unit in UNITS else "1", text,
@@ -136,15 +142,22 @@ def _of_effects(source: CSource) -> Iterator[Variable]:
             )  # fmt: skip
 
 
+def _in_state(array: str, index: int) -> str:
+    return f"offsetof(struct instance, state.{array}) + {index} * sizeof(double)"
+
+
+def _parts_belt(active: Active, q: Parameter, facts: VehicleConstants) -> bool:
+    """Whether the resistance between the mean of a belt and its surface depends on a parameter."""
+    ends = (replace(active, values={**active.values, q.name: value}) for value in (q.low, q.high))
+    return len({parting_resistance((end,), facts) for end in ends}) > 1
+
+
 def _unit(name: str) -> str:
     return BY_SUFFIX.get(name.partition("/")[0].rpartition("_")[2], "1")
 
 
 def _places(variables: list[Variable], token: str) -> dict[str, str]:
-    lines = [
-        f"    {{{v.place}, {v.rows}, {v.stride}, {'true' if v.causality in ('input', 'parameter') else 'false'}}}, /* {v.name} */"
-        for v in variables
-    ]
+    lines = [f"    {{{v.place}, {v.rows}, {v.stride}, {v.also}, {v.causality.upper()}}}, /* {v.name} */" for v in variables]
     counts = {"VARIABLE_COUNT": len(variables), "OF_REASONS": len(variables), "OF_LEVEL": len(variables) + 1}
     return {"TOKEN": token, "VARIABLES": "\n".join(lines), **{name: str(count) for name, count in counts.items()}}
 
@@ -168,7 +181,7 @@ def _description(source: CSource, variables: list[Variable], token: str) -> byte
         more |= {} if v.start is None else {"start": "NaN" if v.start != v.start else repr(v.start)}
         variability = "tunable" if v.causality == "parameter" else "continuous"
         Xml.SubElement(
-            known, "Float64", name=v.name.replace("/", "."), valueReference=str(reference), causality=v.causality,
+            known, "Float64", name=".".join(map(in_c, v.name.split("/"))), valueReference=str(reference), causality=v.causality,
             variability=variability, unit=v.unit, **more,
         )  # fmt: skip
     outputs = [reference for reference, v in enumerate(variables) if v.causality == "output"]

@@ -21,7 +21,7 @@ from typing import Any, cast
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.export.kinds import BOOL, INT, REAL, ArrayOf, Const, Kind, Record, Scalar, literal, safe, words
+from trackres_ros.export.kinds import BOOL, INT, REAL, WIDE, ArrayOf, Const, Kind, Record, Scalar, literal, safe, words
 
 MOST_COLUMNS = 130  # of a line of C
 A_LINE = 5  # numbers of a table
@@ -159,7 +159,7 @@ class Translator:
 
     def number(self, kind: Scalar) -> str:
         """The type of a number."""
-        return "float" if kind == REAL and self.single else kind.name
+        return "float" if kind == REAL and self.single else REAL.name if kind == WIDE else kind.name
 
     def table(self, value: Any, name: str) -> str:
         """The name in C of a constant array or tuple of numbers."""

@@ -29,7 +29,10 @@ class Scalar:
 
 
 REAL, INT, BOOL = Scalar("double"), Scalar("int64_t"), Scalar("bool")
-WIDTHS = {BOOL: 0, INT: 1, REAL: 2}
+WIDE = Scalar("sum")
+"""A number that sums small increments up: `double` where others are `float`, in its array and in functions that read it there."""
+REALS = (REAL, WIDE)
+WIDTHS = {BOOL: 0, INT: 1, REAL: 2, WIDE: 3}
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +113,11 @@ def widened(kind: Kind) -> Kind:
         if isinstance(value, python):
             return scalar
     return kind
+
+
+def narrowed(kind: Kind) -> Kind:
+    """The kind of a number where it leaves its function: nothing but an array is wide there."""
+    return REAL if kind == WIDE else kind
 
 
 def joined(one: Kind | None, other: Kind) -> Kind | None:

@@ -25,7 +25,7 @@ from trackres_ros.export.expressions import (
     Expressions,
     Value,
 )  # fmt: skip
-from trackres_ros.export.kinds import BOOL, INT, REAL, Const, Kind, Scalar, joined, widened
+from trackres_ros.export.kinds import BOOL, INT, REAL, REALS, WIDE, Const, Kind, Scalar, joined, narrowed, widened
 
 OPERATORS: dict[type, tuple[str, int, Callable[..., Any]]] = {
     ast.Add: ("+", SUM, operator.add),
@@ -61,7 +61,7 @@ class Operators(Expressions):
             return self.const(bool(value.const))
         if value.kind == BOOL:
             return value
-        if value.kind in (INT, REAL):
+        if value.kind in (INT, *REALS):
             return Value(BOOL, f"{self.within(value, SHIFTED)} != 0", COMPARED)
         raise self.refuse(node, ast.unparse(node)[:80], "a condition")
 
@@ -78,31 +78,31 @@ class Operators(Expressions):
                 return self.const(python(left.const, right.const))
             except (ArithmeticError, ValueError, TypeError):
                 pass
-        kind = max(widened(left.kind), widened(right.kind), INT, key=lambda k: (k == REAL, k == INT))
+        kind = joined(joined(INT, left.kind), right.kind) or REAL
         if sign == "**":
             return self._power(left, right)
         if sign in ("%", "/") and isinstance(op, ast.Mod | ast.FloorDiv):
             which = "modulo" if isinstance(op, ast.Mod) else "floored"
-            return self.helped(f"{which}_{'real' if kind == REAL else 'int'}", [left, right], kind)
+            return self.helped(f"{which}_{'real' if kind in REALS else 'int'}", [left, right], narrowed(kind))
         if sign == "/":
-            kind = REAL
-            if left.kind != REAL and right.kind != REAL:
+            kind = joined(kind, REAL) or REAL
+            if left.kind not in REALS and right.kind not in REALS:
                 left = Value(REAL, self.as_real(left), UNARY)
-        if sign in OF_WHOLE_NUMBERS and kind == REAL:
+        if sign in OF_WHOLE_NUMBERS and kind in REALS:
             raise self.refuse(node, ast.unparse(node)[:80], "whole numbers")
         if sign in OF_WHOLE_NUMBERS and left.kind == right.kind == BOOL:
             kind = BOOL
-        if kind == REAL:
-            left, right = self._real_pair(left, right)
+        if kind in REALS:
+            left, right = self._real_pair(left, right, kind)
         low = SUM if sign in ("<<", ">>") else UNARY if sign in ("&", "|", "^") else binds
         code = f"{self.within(left, low)} {sign} {self.within(right, low if sign in OF_WHOLE_NUMBERS else binds + 1)}"
         return Value(kind, code, binds)
 
-    def _real_pair(self, left: Value, right: Value) -> tuple[Value, Value]:
-        """Convert constants of both to real numbers, none wider than a `float`."""
+    def _real_pair(self, left: Value, right: Value, kind: Kind) -> tuple[Value, Value]:
+        """Convert both to real numbers, constants none wider than a `float`."""
         both = []
         for v in (left, right):
-            code = self.as_kind(v, REAL)
+            code = self.as_kind(v, kind)
             both.append(v if code == v.code else replace(v, code=code, binds=UNARY))
         return both[0], both[1]
 
@@ -110,7 +110,9 @@ class Operators(Expressions):
         """The code of a number as a real one."""
         if value.is_const:
             return self.translator.literal(float(value.const))
-        return value.code if value.kind == REAL else f"({self.translator.number(REAL)}){self.within(value, UNARY)}"
+        if value.kind in REALS:
+            return self.as_kind(value, REAL)
+        return f"({self.translator.number(REAL)}){self.within(value, UNARY)}"
 
     def _power(self, base: Value, exponent: Value) -> Value:
         if exponent.is_const and exponent.const == 2 and base.code.replace("_", "").isalnum():
@@ -157,8 +159,8 @@ class Operators(Expressions):
                 if not python(left.const, right.const):
                     return self.const(False)
                 continue
-            if REAL in (left.kind, right.kind):
-                left, right = self._real_pair(left, right)
+            if left.kind in REALS or right.kind in REALS:
+                left, right = self._real_pair(left, right, WIDE if WIDE in (left.kind, right.kind) else REAL)
             found.append(f"{self.within(left, SHIFTED)} {sign} {self.within(right, SHIFTED)}")
         if not found:
             return self.const(True)

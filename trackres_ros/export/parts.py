@@ -19,29 +19,31 @@ from trackres_ros.export import step
 from trackres_ros.export.expressions import Expressions, Value
 from trackres_ros.export.flow import translate_body
 from trackres_ros.export.functions import Instance, Translator
-from trackres_ros.export.kinds import INT, REAL, ArrayOf, Const, Kind, Record
+from trackres_ros.export.kinds import INT, REAL, WIDE, ArrayOf, Const, Kind, Record, Scalar
 
 NAMES_OF_CONSTANTS = {"assembly": "assemblies", "loss": "loss", "drive": "drive", "channel_limits": "limits"}
 
 
 @dataclass(frozen=True, eq=False)
 class StateArray:
-    """An array of the state: its name, initial values, and the meaning of its axes."""
+    """An array of the state: its name, initial values, the meaning of its axes, and the kind of its numbers if not integers."""
 
     name: str
     start: Any
     axes: str
+    of: Scalar = REAL
 
     @property
     def kind(self) -> ArrayOf:
         """Its kind in C."""
-        return ArrayOf(INT if self.start.dtype.kind == "i" else REAL, self.start.shape)
+        return ArrayOf(INT if self.start.dtype.kind == "i" else self.of, self.start.shape)
 
 
 class Parts:
     """The parts of the C of one estimator, with learned values as `State.learned`.
 
-    `single` makes numbers `float`. `tuned` numbers of the kernel are in the state, not in the code, to be changed while it runs.
+    `single` makes numbers `float`, but for those that sum small increments up. `tuned` numbers of the kernel are in the state,
+    not in the code, to be changed while it runs.
     """
 
     def __init__(self, estimator: Estimator, learned: Any = None, single: bool = False, tuned: Sequence[str] = ()) -> None:
@@ -49,7 +51,7 @@ class Parts:
         session = estimator.session()
         if learned is not None:
             session.learned[:] = learned
-        self.arrays = _state_arrays(session)
+        self.arrays = _state_arrays(session, WIDE if single else REAL)
         if tuned:
             start = np.array([float(getattr(estimator.constants.number, name)) for name in tuned])
             self.arrays.append(StateArray("tuned", start, ", ".join(tuned)))
@@ -188,25 +190,29 @@ def _scaled(number: Any) -> Any:
     return type(number)(*(value.item() if isinstance(value, np.generic) else value for value in number))
 
 
-def _state_arrays(session: Session) -> list[StateArray]:
-    """The whole state that changes from step to step, integers first; as in a new session."""
+def _state_arrays(session: Session, of_sums: Scalar) -> list[StateArray]:
+    """The whole state that changes from step to step, the wider numbers first; as in a new session.
+
+    In a step belts and effects move by its share of a time constant: at 1 kHz and of an hour, a `float` does not resolve that.
+    """
     memory, k = session.memory, session.estimator.constants
     return [
-        StateArray("clock", np.zeros(1, dtype=np.int64), "[ns]"),
+        StateArray("clock", np.zeros(2, dtype=np.int64), "now, and the latest time since the last speed [ns]"),
         StateArray("times", memory.times, "channel x what the guards remember [ns]"),
         StateArray("counters", memory.counters, "channel x counter"),
         StateArray("reasons", memory.reasons, "steps at which each reason held"),
+        StateArray("carried_belts", session.belts, "assembly x mean and surface x temperature and departures", of_sums),
+        StateArray("carried_effects", session.effects, "memory of the effects", of_sums),
         StateArray("values", memory.values, "channel, last accepted value"),
         StateArray("followed", memory.followed, "place on a route"),
         StateArray("tracked", memory.tracked, "speed and odometer"),
-        StateArray("carried_belts", session.belts, "assembly x mean and surface x temperature and departures"),
         StateArray("carried_motion", session.motion, "motion and feed-forward"),
-        StateArray("carried_effects", session.effects, "memory of the effects"),
         StateArray("carried_learned", session.learned, "what was learned of the vehicle"),
         StateArray("effect_values", k.effect_values, "effect x parameter"),
         StateArray("loads", session._loads, "[N]"),
         StateArray("belt_measured", session._belt_measured, "[degC]"),
         StateArray("work", _begun(k.work), "meanwhile of a step"),
+        StateArray("row", np.zeros(len(session.estimator.columns)), "results of the last step"),
     ]
 
 

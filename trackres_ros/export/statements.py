@@ -15,7 +15,7 @@ from typing import Any
 from trackres_ros.export.calls import Calls
 from trackres_ros.export.expressions import Value
 from trackres_ros.export.functions import Instance, Translator
-from trackres_ros.export.kinds import INT, REAL, ArrayOf, Const, Kind, Record, Scalar, joined, safe, widened
+from trackres_ros.export.kinds import INT, REAL, REALS, WIDE, ArrayOf, Const, Kind, Record, Scalar, joined, safe, widened
 from trackres_ros.export.scopes import Path, Scopes
 
 ENTRIES = ast.Subscript | ast.Attribute  # of an array
@@ -132,7 +132,8 @@ class Statements(Calls):
 
     def _declaration(self, name: str) -> str:
         kind = self.kinds[name]
-        zero = {INT: "0", REAL: self.translator.literal(0.0)}.get(kind, "false") if isinstance(kind, Scalar) else "{0}"
+        real = self.translator.literal(0.0)
+        zero = {INT: "0", REAL: real, WIDE: real}.get(kind, "false") if isinstance(kind, Scalar) else "{0}"
         zero = "0" if isinstance(kind, ArrayOf) else zero
         return f"{self.translator.declared(kind, name in self.written)}{safe(name)} = {zero};"
 
@@ -256,7 +257,7 @@ class Statements(Calls):
                 self.assign(node, node.target.id, result, depth)
                 return False
         sign = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.BitOr: "|", ast.BitAnd: "&"}.get(type(node.op))
-        if sign is None or (sign == "/" and place.kind != REAL):
+        if sign is None or (sign == "/" and place.kind not in REALS):
             self.store(node, node.target, result, depth)
             return False
         if isinstance(node.target, ast.Name) and self.found is not None and node.target.id not in self._read_before:

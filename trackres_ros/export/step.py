@@ -19,6 +19,7 @@ from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.entry_points import feed, rest
 from trackres_ros.estimator.feedforward import fade, followed
 from trackres_ros.estimator.guards import Memory, forget_others
+from trackres_ros.estimator.plausible_state import FARTHEST_NS
 from trackres_ros.estimator.records import Carried
 from trackres_ros.estimator.snapshot import LONGEST_OFF
 from trackres_ros.units import NANOSECOND
@@ -28,6 +29,24 @@ IntArray = NDArray[np.int64]
 
 STEPPED, WAITED, WRONG_TIME = 1, 0, -2
 FARTHEST_S = 1e9  # of one step to the next: more is no time
+NOW, LATEST = range(2)  # of the clock: its time, and the latest one since the last accepted speed
+
+
+def set_clock(k: Constants, clock: IntArray, now: int) -> None:
+    """Set the clock [ns]; once it has gone back by more than a clock jump, the speed is old until the next one.
+
+    Nobody knows then for how long there has been none.
+    """
+    went_back = now < clock[NOW] - k.number.clock_jump_ns
+    clock[LATEST] = FARTHEST_NS if went_back else max(clock[LATEST], now)
+    clock[NOW] = now
+
+
+def outcome_of(clock: IntArray, stepped: bool) -> int:
+    """What a step or message gave; the age of the speed begins anew at an accepted one."""
+    if stepped:
+        clock[LATEST] = clock[NOW]
+    return STEPPED if stepped else WAITED
 
 
 def step(
@@ -39,7 +58,7 @@ def step(
     Parameters
     ----------
     clock
-        Time of the last step [ns], shape (1,).
+        Time of the last step and the latest one [ns], shape (2,).
     given
         A value of each channel, nan without a new one; shape (channels,).
     out
@@ -48,54 +67,63 @@ def step(
     Returns
     -------
     int
-        `STEPPED` with an accepted speed; `WAITED` without; `WRONG_TIME` if `dt` is invalid.
+        `STEPPED` with an accepted speed; `WAITED` without; `WRONG_TIME` if `dt` is invalid, or the clock at its end.
     """  # fmt: skip
     if not abs(dt) < FARTHEST_S:
         return WRONG_TIME
-    clock[0] += math.floor(dt / NANOSECOND + 0.5)
+    now = clock[NOW] + math.floor(dt / NANOSECOND + 0.5)
+    if not -FARTHEST_NS < now < FARTHEST_NS:
+        return WRONG_TIME
+    set_clock(k, clock, now)
     for channel in range(at.SPEED + 1, given.shape[0]):
         if not math.isnan(given[channel]):
-            feed(k, memory, carried, loads, belt_measured, channel, clock[0], clock[0], given[channel], out)
+            feed(k, memory, carried, loads, belt_measured, channel, now, now, given[channel], out)
     if math.isnan(given[at.SPEED]):
         return WAITED
-    stepped = feed(k, memory, carried, loads, belt_measured, at.SPEED, clock[0], clock[0], given[at.SPEED], out)
-    return STEPPED if stepped else WAITED
+    return outcome_of(clock, feed(k, memory, carried, loads, belt_measured, at.SPEED, now, now, given[at.SPEED], out))
 
 
 def take_message(
     k: Constants, memory: Memory, carried: Carried, loads: Array, belt_measured: Array, clock: IntArray, channel: int, stamp: int,
     arrival: int, value: float, out: Array,
 ) -> int:  # fmt: skip
-    """Process one message with its own stamp and its arrival [ns], as the live node does."""
-    clock[0] = arrival
+    """Process one message with its own stamp and its arrival [ns], as the live node does; see `step`."""
+    if not (-FARTHEST_NS < stamp < FARTHEST_NS and -FARTHEST_NS < arrival < FARTHEST_NS):
+        return WRONG_TIME
+    set_clock(k, clock, arrival)
     if channel < 0 or channel >= memory.values.shape[0]:
         return WAITED
-    return STEPPED if feed(k, memory, carried, loads, belt_measured, channel, stamp, arrival, value, out) else WAITED
+    return outcome_of(clock, feed(k, memory, carried, loads, belt_measured, channel, stamp, arrival, value, out))
 
 
-def age_of_speed(memory: Memory, now: int) -> float:
-    """How long ago the last accepted speed came [s]; infinite without one."""
+def age_of_speed(memory: Memory, latest: int) -> float:
+    """How long ago the last accepted speed came [s], by the latest time [ns]; infinite without one."""
     times = Times(memory.times[at.SPEED])
-    return float((now - times.last_arrival) * NANOSECOND) if times.seen else math.inf
+    return float((latest - times.last_arrival) * NANOSECOND) if times.seen else math.inf
 
 
-def feedforward_now(k: Constants, memory: Memory, motion: Array, now: int) -> float:
+def feedforward_now(k: Constants, memory: Memory, motion: Array, latest: int) -> float:
     """The feed-forward [Nm] between two speeds: on its way to its target, and fading once the speed is old."""
-    age, last = age_of_speed(memory, now), Motion(motion)
+    age, last = age_of_speed(memory, latest), Motion(motion)
     if not age < math.inf or last.started <= 0.0:
         return 0.0
     on_its_way = followed(k.number, last.feedforward, last.feedforward_target, age)
     return on_its_way * fade(age, k.number.speed_max_age, k.number.feedforward_fade)
 
 
-def is_stale(k: Constants, memory: Memory, now: int) -> bool:
+def is_stale(k: Constants, memory: Memory, latest: int) -> bool:
     """Whether the last accepted speed is too old to be trusted."""
-    return age_of_speed(memory, now) > k.number.speed_max_age
+    return age_of_speed(memory, latest) > k.number.speed_max_age
 
 
 def rest_after(k: Constants, memory: Memory, carried: Carried, ambient: float, seconds: float) -> None:
-    """Restart after the vehicle stood, or was switched off: belts and effects have cooled, messages are forgotten."""
-    there = ambient if math.isfinite(ambient) else k.number.nominal_ambient
+    """Restart after the vehicle stood, or was switched off: belts and effects have cooled, messages are forgotten.
+
+    An ambient temperature that its guard would refuse is that of the vehicle file, and a time that is no number the longest.
+    """
+    is_plausible = k.channel_limits[at.AMBIENT, 0] <= ambient <= k.channel_limits[at.AMBIENT, 1]
+    there = ambient if is_plausible else k.number.nominal_ambient
+    off = LONGEST_OFF if math.isnan(seconds) else min(max(seconds, 0.0), LONGEST_OFF)
     if Motion(carried.motion).started > 0.0:
-        rest(k, carried, there, k.number.ambient_unknown_std, min(max(seconds, 0.0), LONGEST_OFF))
+        rest(k, carried, there, k.number.ambient_unknown_std, off)
     forget_others(memory, -1)

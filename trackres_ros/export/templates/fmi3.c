@@ -34,12 +34,16 @@ struct instance {
     fmi3LogMessageCallback log;
 };
 
-/* A variable: where it stands in an instance. Of an effect's parameter so many rows of the table of effects move with it. */
+enum causality { INDEPENDENT, INPUT, OUTPUT, PARAMETER };
+
+/* A variable: where it stands in an instance. Of an effect's parameter so many rows of the table of effects move with it; what
+ * effects look at stands in another place too. */
 struct variable {
     size_t place;
     int rows;
     size_t stride;
-    bool may_be_set;
+    size_t also; /* 0 without one */
+    enum causality causality;
 };
 
 enum { OF_REASONS = @OF_REASONS@, OF_LEVEL = @OF_LEVEL@, TIME = 0, VARIABLES = @VARIABLE_COUNT@ };
@@ -48,9 +52,9 @@ static const struct variable variables[VARIABLES] = {
 @VARIABLES@
 };
 
-static double *entry(struct instance *one, const struct variable *variable, int row)
+static double *number_at(struct instance *one, size_t place)
 {
-    return (double *)(void *)((char *)one + variable->place + (size_t)row * variable->stride);
+    return (double *)(void *)((char *)one + place);
 }
 
 static fmi3Status failed(struct instance *one, const char *text)
@@ -185,7 +189,7 @@ EXPORTED fmi3Status fmi3GetFloat64(
         if (references[i] >= VARIABLES || i >= value_count) {
             return failed(one, "no variable of this reference");
         }
-        values[i] = *entry(one, &variables[references[i]], 0);
+        values[i] = *number_at(one, variables[references[i]].place);
     }
     return fmi3OK;
 }
@@ -195,15 +199,21 @@ EXPORTED fmi3Status fmi3SetFloat64(
 {
     struct instance *one = instance;
     for (size_t i = 0; i < count; i++) {
-        if (references[i] >= VARIABLES || i >= value_count || !variables[references[i]].may_be_set) {
+        const struct variable *variable = references[i] < VARIABLES && i < value_count ? &variables[references[i]] : NULL;
+        if (variable == NULL || (variable->causality != INPUT && variable->causality != PARAMETER)) {
             return failed(one, "no input or parameter of this reference");
         }
-        const struct variable *variable = &variables[references[i]];
-        const double moved = values[i] - *entry(one, variable, 0);
-        for (int row = 1; row < variable->rows; row++) {
-            *entry(one, variable, row) += moved;
+        if (variable->causality == PARAMETER && !isfinite(values[i])) {
+            return failed(one, "a parameter that is no number");
         }
-        *entry(one, variable, 0) = values[i];
+        const double moved = values[i] - *number_at(one, variable->place);
+        for (int row = 1; row < variable->rows; row++) {
+            *number_at(one, variable->place + (size_t)row * variable->stride) += moved;
+        }
+        *number_at(one, variable->place) = values[i];
+        if (variable->also != 0) {
+            *number_at(one, variable->also) = values[i];
+        }
     }
     return fmi3OK;
 }
@@ -266,30 +276,52 @@ EXPORTED fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *state)
     return fmi3OK;
 }
 
+/* Stored are the bytes of an instance up to its environment, and their checksum (FNV-1a). */
+enum { KEPT = offsetof(struct instance, environment), STORED = KEPT + sizeof(uint32_t) };
+
+static uint32_t checksum(const uint8_t *bytes)
+{
+    uint32_t sum = UINT32_C(2166136261);
+    for (size_t i = 0; i < KEPT; i++) {
+        sum = (sum ^ bytes[i]) * UINT32_C(16777619);
+    }
+    return sum;
+}
+
 EXPORTED fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState state, size_t *size)
 {
     (void)instance, (void)state;
-    *size = offsetof(struct instance, environment);
+    *size = STORED;
     return fmi3OK;
 }
 
 EXPORTED fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState state, uint8_t bytes[], size_t size)
 {
     struct instance *from = state;
-    if (size < offsetof(struct instance, environment)) {
+    if (size < STORED) {
         return failed(instance, "too little room for a state");
     }
     trackres_seal(&from->state);
-    memcpy(bytes, from, offsetof(struct instance, environment));
+    memcpy(bytes, from, KEPT);
+    const uint32_t sum = checksum(bytes);
+    memcpy(bytes + KEPT, &sum, sizeof sum);
     return fmi3OK;
 }
 
 EXPORTED fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const uint8_t bytes[], size_t size, fmi3FMUState *state)
 {
-    if (size < offsetof(struct instance, environment) || fmi3GetFMUState(instance, state) != fmi3OK) {
+    uint32_t sum = 0;
+    if (size < STORED) {
         return failed(instance, "too few bytes for a state");
     }
-    memcpy(*state, bytes, offsetof(struct instance, environment));
+    memcpy(&sum, bytes + KEPT, sizeof sum);
+    if (sum != checksum(bytes)) {
+        return failed(instance, "a damaged state");
+    }
+    if (fmi3GetFMUState(instance, state) != fmi3OK) {
+        return fmi3Error;
+    }
+    memcpy(*state, bytes, KEPT);
     return trackres_is_sound(&((struct instance *)*state)->state) ? fmi3OK : failed(instance, "a state of another FMU");
 }
 

@@ -2,7 +2,8 @@
  *
  *     trackres_replay drive.csv > result.csv
  *
- * The first line names the columns: time_s, and as `trackres replay` knows them by name. An empty cell is no message.
+ * The first line names the columns: time_s, and as `trackres replay` knows them by name. An empty cell is no message, an empty
+ * line no row.
  */
 #include "trackres.h"
 
@@ -14,6 +15,9 @@
 #include <string.h>
 
 enum { LONGEST_LINE = 65536, MOST_COLUMNS = 1024, NOT_USED = -1, IS_TIME = -2 };
+
+static const char utf8_mark[] = "\xEF\xBB\xBF"; /* which some programs write at the beginning of a file */
+static const double farthest_s = 4e9;            /* in nanoseconds within 64 bits */
 
 struct column {
     const char *name;
@@ -96,7 +100,7 @@ static int read_row(char *line, long number, const int *uses, int count, trackre
             set_input(inputs, &inputs_by_name[uses[i]], isnan(value) ? INFINITY : value); /* which the guards refuse */
         }
     }
-    return isfinite(*time) ? 0 : wrong(number, "no time", "time_s");
+    return fabs(*time) < farthest_s ? 0 : wrong(number, "no time", "time_s");
 }
 
 static void write_row(int64_t stamp_ns, int64_t first_ns, const trackres_outputs *outputs)
@@ -123,13 +127,15 @@ static int replay(FILE *file)
     trackres_outputs outputs;
     int64_t last_ns = 0;
     int64_t first_ns = 0;
+    int timed = 0;
     int begun = 0;
     memset(&outputs, 0, sizeof outputs);
     trackres_init(&state);
     if (fgets(line, sizeof line, file) == NULL) {
         return wrong(1, "no line of names", "");
     }
-    const int count = read_header(line, uses);
+    const size_t mark = strlen(utf8_mark);
+    const int count = read_header(strncmp(line, utf8_mark, mark) == 0 ? line + mark : line, uses);
     if (count < 0) {
         return wrong(1, "no column", "time_s");
     }
@@ -140,11 +146,15 @@ static int replay(FILE *file)
     (void)printf(",reasons,level\n");
     for (long number = 2; fgets(line, sizeof line, file) != NULL; number++) {
         double time = 0.0;
+        if (line[strspn(line, "\r\n")] == '\0') {
+            continue;
+        }
         if (read_row(line, number, uses, count, &inputs, &time) != 0) {
             return 2;
         }
         const int64_t stamp_ns = (int64_t)llrint(time * 1e9);
-        const double dt = number > 2 ? (double)(stamp_ns - last_ns) * 1e-9 : 0.0;
+        const double dt = timed ? (double)(stamp_ns - last_ns) * 1e-9 : 0.0;
+        timed = 1;
         last_ns = stamp_ns;
         if (trackres_step(&state, &inputs, (trackres_real)dt, &outputs) == TRACKRES_STEPPED) {
             first_ns = begun ? first_ns : stamp_ns;

@@ -53,17 +53,16 @@ void trackres_no_inputs(trackres_inputs *inputs)
 @NO_INPUTS@
 }
 
-/* Results by name, with the level; without a new row only what goes on by itself. */
-static int tr_answer(const trackres_state *state, int64_t result, const trackres_real *row, trackres_outputs *outputs)
+/* Results of the last step by name, with what goes on by itself since then: feed-forward and level. */
+static int tr_answer(const trackres_state *state, int64_t result, trackres_outputs *outputs)
 {
 @RECORDS_OF_ANSWER@
-    const int64_t now = state->clock[0];
+    const int64_t latest = state->clock[1];
     if (result == TRACKRES_BAD_TIME) {
         return TRACKRES_BAD_TIME;
     }
-    if (result == TRACKRES_STEPPED) {
 @ROW@
-    } else {
+    if (result != TRACKRES_STEPPED) {
         outputs->feedforward_torque_nm = @FEEDFORWARD@;
     }
     if (@IS_STALE@) {
@@ -79,23 +78,21 @@ int trackres_step(trackres_state *state, const trackres_inputs *inputs, trackres
     const trackres_real given[@CHANNEL_COUNT@] = {
 @GIVEN@
     };
-    trackres_real row[@COLUMN_COUNT@];
     if (state->version != TRACKRES_VERSION) {
         return TRACKRES_BAD_STATE;
     }
 @RECORDS_OF_STEP@
-    return tr_answer(state, @STEP@, row, outputs);
+    return tr_answer(state, @STEP@, outputs);
 }
 
 int trackres_message(
     trackres_state *state, int channel, int64_t stamp_ns, int64_t arrival_ns, trackres_real value, trackres_outputs *outputs)
 {
-    trackres_real row[@COLUMN_COUNT@];
     if (state->version != TRACKRES_VERSION) {
         return TRACKRES_BAD_STATE;
     }
 @RECORDS_OF_MESSAGE@
-    return tr_answer(state, @MESSAGE@, row, outputs);
+    return tr_answer(state, @MESSAGE@, outputs);
 }
 
 void trackres_rest(trackres_state *state, trackres_real ambient_degc, trackres_real seconds)

@@ -26,9 +26,9 @@ typedef @REAL@ trackres_real;
 /* What a step gives. */
 enum {
     TRACKRES_STEPPED = 1,    /* a speed was accepted: all outputs are new */
-    TRACKRES_WAITED = 0,     /* no speed, or one that the guards refused: feed-forward and level are new */
+    TRACKRES_WAITED = 0,     /* no speed, or one that the guards refused: only feed-forward and level are new */
     TRACKRES_BAD_STATE = -1, /* the state is not of this version: call trackres_init */
-    TRACKRES_BAD_TIME = -2   /* the time step is no number, or too long */
+    TRACKRES_BAD_TIME = -2   /* the time step is no number or too long, or a time is too far: more than 146 years from 0 */
 };
 
 /* How far the outputs can be used, as in diagnostic_msgs: a stale speed is too old. */
@@ -49,6 +49,7 @@ typedef struct {
 @INPUTS@
 } trackres_inputs;
 
+/* Written as a whole by each call that is no error. */
 typedef struct {
 @OUTPUTS@
     uint32_t reasons; /* bits of TRACKRES_... */
@@ -75,7 +76,8 @@ int trackres_step(trackres_state *state, const trackres_inputs *inputs, trackres
 int trackres_message(
     trackres_state *state, int channel, int64_t stamp_ns, int64_t arrival_ns, trackres_real value, trackres_outputs *outputs);
 
-/* Begin again after a rest, or after power was off: belts have cooled for so long [s] at an ambient temperature [degC]. */
+/* Begin again after a rest, or after power was off: belts have cooled for so long [s] at an ambient temperature [degC]. NAN is an
+ * unknown one. */
 void trackres_rest(trackres_state *state, trackres_real ambient_degc, trackres_real seconds);
 
 /* Write the checksum before the state is stored; tell whether a stored one is whole and of this vehicle and version. */
