@@ -22,11 +22,11 @@ import trackres_ros as tr
 from trackres_ros.effects import native, stepping
 from trackres_ros.effects.effect import Active, Parameter, VehicleConstants
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.constants import parting_resistance
 from trackres_ros.export.c_source import TEMPLATES, CSource, filled, in_c
 from trackres_ros.export.exporting import Request, translated
 from trackres_ros.files.output_files import output_file
 from trackres_ros.files.own_files import write
+from trackres_ros.model.thermal import parting_resistance
 
 MODEL = "trackres"
 SOURCES = ("trackres.c", "fmi3.c")
