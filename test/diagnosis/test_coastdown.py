@@ -67,6 +67,61 @@ def rolled(reference_vehicle):
     return drive(heavier_bearings(reference_vehicle))
 
 
+def cart(path, mass):
+    """File of a vehicle on tyres, of which the mass is known but not the resistance."""
+    text = (
+        "schema: 1\nname: cart\ntitle: a cart\nfriction_brakes: false\nroad_load:\n"
+        "  rolling_coefficient: {value: 0.02, unit: '1', flag: A, range: [0.0, 0.1], reason: not known}\n"
+        "  rolling_rise: {value: 0.0, unit: s/m, flag: A, range: [-0.002, 0.002], reason: not known}\n"
+        "  drag_area: {value: 4.0, unit: m^2, flag: A, range: [0.0, 20.0], reason: not known}\n"
+    )
+    held = {
+        "air_density": (1.2, "kg/m^3"), "mass": (mass, "kg"), "rotating_mass_factor": (1.1, "1"), "wheel_radius": (0.4, "m"),
+        "torque_scale": (1.0, "1"), "efficiency": (1.0, "1"), "torque_delay": (0.0, "s"), "contact_length": (3.0, "m"),
+        "max_speed": (25.0, "m/s"), "ambient": (15.0, "degC"),
+    }  # fmt: skip
+    text += "".join(
+        f"  {name}: {{value: {value}, unit: '{unit}', flag: A, range: [{value}, {value}], reason: held}}\n"
+        for name, (value, unit) in held.items()
+    )
+    path.write_text(text)
+    return path
+
+
+TRUE_CAR, CAR_KG = {"rolling_coefficient": 0.0105, "rolling_rise": 0.00015, "drag_area": 0.66}, 1600.0
+
+
+def car_drive(seed=0, step=0.2, noise=0.05):
+    """A road car is driven up to a speed, holds it, and rolls, four times; as `drive`."""
+    speed, rows = 8.0, []
+
+    def resists():
+        f, rise, area = TRUE_CAR.values()
+        return CAR_KG * GRAVITY * (f + rise * speed) + 0.6 * area * speed**2
+
+    for _ in range(4):
+        while speed < 25.0:
+            speed += step
+            rows.append((speed, 0.4 * (resists() + 1.1 * CAR_KG)))
+        rows += [(speed, 0.4 * resists())] * round(10.0 / step)
+        while speed > 8.0:
+            speed -= resists() / (1.1 * CAR_KG) * step
+            rows.append((speed, 0.0))
+    table = np.column_stack([np.arange(len(rows)) * step, rows, np.zeros(len(rows))])
+    table[:, 1] += noise * np.random.default_rng(seed).normal(size=len(rows))
+    return table
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ranges_hold_the_truth_after_a_release_and_with_noise(tmp_path, seed):
+    roll = written(tmp_path / "roll.csv", car_drive(seed), "time_s,speed_mps")
+    found = tr.coastdown(roll, cart(tmp_path / "car.yaml", CAR_KG)).coastdown
+    assert len(found.rolled.stretches) == 4
+    for one in found.parameters:
+        assert one.determined
+        assert one.interval.low < TRUE_CAR[one.name] < one.interval.high
+
+
 def resistance(vehicle, found, speed_kmh):
     """With the values found; at one temperature [Nm]."""
     values = {p.name: p.value for p in found.coastdown.parameters}
@@ -121,23 +176,7 @@ def test_all_scales_with_the_mass(tmp_path, rolled):
     roll = written(tmp_path / "roll.csv", rolled, "time_s,speed_mps")
 
     def force(mass, speed):
-        text = (
-            "schema: 1\nname: cart\ntitle: a cart\nfriction_brakes: false\nroad_load:\n"
-            "  rolling_coefficient: {value: 0.02, unit: '1', flag: A, range: [0.0, 0.1], reason: not known}\n"
-            "  rolling_rise: {value: 0.0, unit: s/m, flag: A, range: [-0.002, 0.002], reason: not known}\n"
-            "  drag_area: {value: 4.0, unit: m^2, flag: A, range: [0.0, 20.0], reason: not known}\n"
-        )
-        held = {
-            "air_density": (1.2, "kg/m^3"), "mass": (mass, "kg"), "rotating_mass_factor": (1.1, "1"), "wheel_radius": (0.4, "m"),
-            "torque_scale": (1.0, "1"), "efficiency": (1.0, "1"), "torque_delay": (0.0, "s"), "contact_length": (3.0, "m"),
-            "max_speed": (15.0, "m/s"), "ambient": (15.0, "degC"),
-        }  # fmt: skip
-        text += "".join(
-            f"  {name}: {{value: {value}, unit: '{unit}', flag: A, range: [{value}, {value}], reason: held}}\n"
-            for name, (value, unit) in held.items()
-        )
-        file = tmp_path / "cart.yaml"
-        file.write_text(text)
+        file = cart(tmp_path / "cart.yaml", mass)
         found = tr.coastdown(roll, file)
         assert found.better
         v = {p.name: p.value for p in found.coastdown.parameters}

@@ -46,6 +46,7 @@ SAMPLES_A_STEP = 1  # the deceleration hardly changes within a step
 FEWEST_GROUPS = 3  # of coast-downs, for a scatter
 FEWEST_ROWS = 20  # including history, for the noise and the values
 MOST_FOLDS = 6
+WHITE = 0.01  # bound on the roots of the noise of a smoothed speed: practically white, see docs/coastdown.md
 UNDETERMINED = 0.7  # of the prior standard deviation: a parameter with a larger posterior one is not determined
 TOGETHER = 0.9  # of two errors above which only a combination is determined
 
@@ -122,11 +123,11 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
             "record more coast-downs, from a higher speed, or with a higher sample rate",
         )
     problem = Problem(base, rolled.sessions, tuple(s.used for s in rolled.sessions))
-    all_free = fit(problem, largest_root=LARGEST_ROOT)
+    all_free = _fit(problem)
     scatter = _scatter(all_free, rolled)
     determined = [f.key[1] for f in all_free.free if max(all_free.std_of(*f.key), scatter.get(f.key, 0.0)) < UNDETERMINED * f.std]
     problem = replace(problem, base=_with_free(base, determined))
-    found = fit(problem, start=all_free.at, largest_root=LARGEST_ROOT) if determined else None
+    found = _fit(problem, all_free.at) if determined else None
     nominal = tuple(p.torque for p in problem.predict({q.name: q.nominal for q in base.parameters}, ()))
     mass_std = _mass_std(loaded.base, rolled)
     rng = np.random.default_rng(seed)
@@ -139,6 +140,16 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
         mass_std,
         _improvement(problem, rolled, nominal, rng) if determined and scatter else None,
     )
+
+
+def _fit(problem: Problem, start: Mapping[tuple[str, str], float] | None = None) -> Fit:
+    """The fit, in which a constant force weighs no less than the changes within a few seconds.
+
+    The errors of a smoothed speed are alike from second to second, and cancel over longer times. A whitening with such roots
+    weighs what the smoother makes of a release, which is alike in all coast-downs.
+    """
+    smoothed = any(session.accel_noise > 0.0 for session in problem.sessions)
+    return fit(problem, start=start, largest_root=WHITE if smoothed else LARGEST_ROOT)
 
 
 def _with_free(base: Base, names: Collection[str]) -> Base:
@@ -208,7 +219,7 @@ def _improvement(problem: Problem, rolled: Rollouts, nominal: Sequence[Array], r
     for fold in counted(range(folds), "what is not fitted", folds):
         held = [(s.block // together % folds == fold) & s.used for s in rolled.sessions]
         others = replace(problem, masks=tuple(s.used & ~h for s, h in zip(rolled.sessions, held, strict=True)))
-        found = fit(others, largest_root=LARGEST_ROOT)
+        found = _fit(others)
         for series, of, mask in zip(expected, found.predicted, held, strict=True):
             series[mask] = of.torque[mask]
     masks = [s.used for s in rolled.sessions]
