@@ -111,7 +111,7 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
             ", ".join(r.name for r in recordings),
             f"no coast-down ({why})",
             "at least one coast-down of 10 s or more, without torque and brakes",
-            "let the vehicle coast down from its maximum speed, in both directions",
+            "; ".join((*rolled.remedies, "let the vehicle coast down from its maximum speed, in both directions")),
         )
     rows = sum(int(whole_past(s.used, MOST_LAGS).sum()) for s in rolled.sessions)
     if rows < FEWEST_ROWS:
