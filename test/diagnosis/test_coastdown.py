@@ -123,6 +123,19 @@ def test_ranges_hold_the_truth_after_a_release_and_with_noise(tmp_path, seed):
         assert one.interval.low < TRUE_CAR[one.name] < one.interval.high
 
 
+@pytest.mark.parametrize("least", [0.00015, 0.0003, 0.001])
+def test_no_value_beyond_its_range_in_the_file_is_written(tmp_path, least):
+    roll = written(tmp_path / "roll.csv", car_drive(), "time_s,speed_mps")
+    found = tr.coastdown(roll, cart(tmp_path / "car.yaml", CAR_KG, rise=(least, 0.002)))
+    beyond = [p.name for p in found.coastdown.parameters if p.beyond]
+    assert found.better == (not beyond)
+    if beyond:
+        assert all(name in found.why_not for name in beyond)
+    else:
+        for p in found.coastdown.parameters:
+            assert p.by_file[0] <= p.interval.low <= p.value <= p.interval.high <= p.by_file[1]
+
+
 @pytest.mark.parametrize("scale", [0.0, 1e-3])
 def test_a_torque_that_does_not_drive_is_not_used(tmp_path, scale):
     loaded = load_base(cart(tmp_path / "car.yaml", CAR_KG), None, None, None, None)

@@ -63,6 +63,12 @@ class FittedValue:
     interval: Interval  # including the uncertainty of the mass
     determined: bool  # whether the coast-downs determine it; else the value of the file stays
     with_others: tuple[str, ...]  # parameters that are not identifiable separately from it
+    by_file: tuple[float, float]  # range in the vehicle file
+
+    @property
+    def beyond(self) -> bool:
+        """Whether the coast-downs contradict the range of the vehicle file: the whole interval is outside."""
+        return self.determined and not (self.interval.low <= self.by_file[1] and self.by_file[0] <= self.interval.high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +85,9 @@ class Coastdown:
 
     @property
     def better(self) -> bool:
-        """Whether the values improve the hold-out coast-downs significantly."""
+        """Whether the values improve the hold-out coast-downs significantly, and none contradicts the range of the file."""
+        if any(p.beyond for p in self.parameters):
+            return False
         return self.improvement is not None and self.improvement.after < self.improvement.before and self.improvement.low > 0.0
 
     @property
@@ -128,15 +136,22 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
     determined = [f.key[1] for f in all_free.free if max(all_free.std_of(*f.key), scatter.get(f.key, 0.0)) < UNDETERMINED * f.std]
     problem = replace(problem, base=_with_free(base, determined))
     found = _fit(problem, all_free.at) if determined else None
-    nominal = tuple(p.torque for p in problem.predict({q.name: q.nominal for q in base.parameters}, ()))
     mass_std = _mass_std(loaded.base, rolled)
+    parameters = _parameters(base, all_free, found, scatter, mass_std)
+    outside = [p for p in parameters if not p.by_file[0] <= p.value <= p.by_file[1]]
+    if found is not None and outside and not any(p.beyond for p in outside):
+        base = base.inside_ranges(())
+        problem = replace(problem, base=_with_free(base, determined))
+        found = _fit(problem, found.at)
+        parameters = _parameters(base, all_free, found, scatter, mass_std)
+    nominal = tuple(p.torque for p in problem.predict({q.name: q.nominal for q in base.parameters}, ()))
     rng = np.random.default_rng(seed)
     return Coastdown(
         loaded,
         rolled,
         nominal,
         nominal if found is None else tuple(p.torque for p in found.predicted),
-        _parameters(base, all_free, found, scatter, mass_std),
+        parameters,
         mass_std,
         _improvement(problem, rolled, nominal, rng) if determined and scatter else None,
     )
@@ -202,9 +217,9 @@ def _parameters(
         of_mass = NORMAL_95 * mass_std * abs(value) if q.name in FORCES else 0.0
         by_rollings = NORMAL_95 * scatter.get(f.key, 0.0)
         below, above = (np.hypot(max(reach, by_rollings), of_mass) for reach in (at - span.low, span.high - at))
-        span = Interval(max(f.low, value - float(below)), min(f.high, value + float(above)), span.bound_only)
+        span = Interval(max(q.low, value - float(below)), min(q.high, value + float(above)), span.bound_only)
         others = [g.key[1] for j, g in enumerate(all_free.free) if j != i and abs(correlation[i, j]) > TOGETHER]
-        listed.append(FittedValue(q.name, q.unit, q.nominal, q.std, value, span, determined, tuple(others)))
+        listed.append(FittedValue(q.name, q.unit, q.nominal, q.std, value, span, determined, tuple(others), q.by_file))
     return tuple(listed)
 
 
