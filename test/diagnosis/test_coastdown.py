@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import trackres_ros as tr
-from trackres_ros.diagnosis.coastdown.stretches import NO_TORQUE_SHARE
+from trackres_ros.diagnosis.base.loading import load_base
+from trackres_ros.diagnosis.coastdown.stretches import NO_TORQUE_SHARE, rollouts
 from trackres_ros.units import GRAVITY
 
 DT_S, FROM_MPS, ACCELERATION = 0.05, 12.0, 0.3
@@ -65,6 +66,92 @@ def reference_vehicle():
 @pytest.fixture(scope="module")
 def rolled(reference_vehicle):
     return drive(heavier_bearings(reference_vehicle))
+
+
+def cart(path, mass, rise=(-0.002, 0.002)):
+    """File of a vehicle on tyres, of which the mass is known but not the resistance; `rise` is the range of that by speed."""
+    text = (
+        "schema: 1\nname: cart\ntitle: a cart\nfriction_brakes: false\nroad_load:\n"
+        "  rolling_coefficient: {value: 0.02, unit: '1', flag: A, range: [0.0, 0.1], reason: not known}\n"
+        f"  rolling_rise: {{value: {sum(rise) / 2}, unit: s/m, flag: A, range: {list(rise)}, reason: not known}}\n"
+        "  drag_area: {value: 4.0, unit: m^2, flag: A, range: [0.0, 20.0], reason: not known}\n"
+    )
+    held = {
+        "air_density": (1.2, "kg/m^3"), "mass": (mass, "kg"), "rotating_mass_factor": (1.1, "1"), "wheel_radius": (0.4, "m"),
+        "torque_scale": (1.0, "1"), "efficiency": (1.0, "1"), "torque_delay": (0.0, "s"), "contact_length": (3.0, "m"),
+        "max_speed": (25.0, "m/s"), "ambient": (15.0, "degC"),
+    }  # fmt: skip
+    text += "".join(
+        f"  {name}: {{value: {value}, unit: '{unit}', flag: A, range: [{value}, {value}], reason: held}}\n"
+        for name, (value, unit) in held.items()
+    )
+    path.write_text(text)
+    return path
+
+
+TRUE_CAR, CAR_KG = {"rolling_coefficient": 0.0105, "rolling_rise": 0.00015, "drag_area": 0.66}, 1600.0
+
+
+def car_drive(seed=0, step=0.2, noise=0.05):
+    """A road car is driven up to a speed, holds it, and rolls, four times; as `drive`."""
+    speed, rows = 8.0, []
+
+    def resists():
+        f, rise, area = TRUE_CAR.values()
+        return CAR_KG * GRAVITY * (f + rise * speed) + 0.6 * area * speed**2
+
+    for _ in range(4):
+        while speed < 25.0:
+            speed += step
+            rows.append((speed, 0.4 * (resists() + 1.1 * CAR_KG)))
+        rows += [(speed, 0.4 * resists())] * round(10.0 / step)
+        while speed > 8.0:
+            speed -= resists() / (1.1 * CAR_KG) * step
+            rows.append((speed, 0.0))
+    table = np.column_stack([np.arange(len(rows)) * step, rows, np.zeros(len(rows))])
+    table[:, 1] += noise * np.random.default_rng(seed).normal(size=len(rows))
+    return table
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ranges_hold_the_truth_after_a_release_and_with_noise(tmp_path, seed):
+    roll = written(tmp_path / "roll.csv", car_drive(seed), "time_s,speed_mps")
+    found = tr.coastdown(roll, cart(tmp_path / "car.yaml", CAR_KG)).coastdown
+    assert len(found.rolled.stretches) == 4
+    for one in found.parameters:
+        assert one.determined
+        assert one.interval.low < TRUE_CAR[one.name] < one.interval.high
+
+
+@pytest.mark.parametrize("least", [0.00015, 0.0003, 0.001])
+def test_no_value_beyond_its_range_in_the_file_is_written(tmp_path, least):
+    roll = written(tmp_path / "roll.csv", car_drive(), "time_s,speed_mps")
+    found = tr.coastdown(roll, cart(tmp_path / "car.yaml", CAR_KG, rise=(least, 0.002)))
+    beyond = [p.name for p in found.coastdown.parameters if p.beyond]
+    assert found.better == (not beyond)
+    if beyond:
+        assert all(name in found.why_not for name in beyond)
+    else:
+        for p in found.coastdown.parameters:
+            assert p.by_file[0] <= p.interval.low <= p.value <= p.interval.high <= p.by_file[1]
+
+
+@pytest.mark.parametrize("scale", [0.0, 1e-3])
+def test_a_torque_that_does_not_drive_is_not_used(tmp_path, scale):
+    loaded = load_base(cart(tmp_path / "car.yaml", CAR_KG), None, None, None, None)
+
+    def rolled(name, table, columns="time_s,speed_mps,torque_nm"):
+        return rollouts([tr.read(written(tmp_path / name, table, columns))], loaded.known, 0.4, 1.0)
+
+    right = car_drive()
+    wrong = right * [1.0, 1.0, scale, 1.0]
+    without, unused = rolled("without.csv", right, "time_s,speed_mps"), rolled("wrong.csv", wrong)
+    assert unused.stretches == without.stretches
+    assert not unused.sessions[0].torque.any()
+    assert "hardly exceeds" in unused.notes[0]
+    release = int(np.argmax(right[:, 2] == 0.0))
+    for used in (right, right[release : release + int(np.argmax(right[release:, 2] > 0.0))]):  # driven, or rolling only
+        assert not rolled("right.csv", used).notes
 
 
 def resistance(vehicle, found, speed_kmh):
@@ -121,23 +208,7 @@ def test_all_scales_with_the_mass(tmp_path, rolled):
     roll = written(tmp_path / "roll.csv", rolled, "time_s,speed_mps")
 
     def force(mass, speed):
-        text = (
-            "schema: 1\nname: cart\ntitle: a cart\nfriction_brakes: false\nroad_load:\n"
-            "  rolling_coefficient: {value: 0.02, unit: '1', flag: A, range: [0.0, 0.1], reason: not known}\n"
-            "  rolling_rise: {value: 0.0, unit: s/m, flag: A, range: [-0.002, 0.002], reason: not known}\n"
-            "  drag_area: {value: 4.0, unit: m^2, flag: A, range: [0.0, 20.0], reason: not known}\n"
-        )
-        held = {
-            "air_density": (1.2, "kg/m^3"), "mass": (mass, "kg"), "rotating_mass_factor": (1.1, "1"), "wheel_radius": (0.4, "m"),
-            "torque_scale": (1.0, "1"), "efficiency": (1.0, "1"), "torque_delay": (0.0, "s"), "contact_length": (3.0, "m"),
-            "max_speed": (15.0, "m/s"), "ambient": (15.0, "degC"),
-        }  # fmt: skip
-        text += "".join(
-            f"  {name}: {{value: {value}, unit: '{unit}', flag: A, range: [{value}, {value}], reason: held}}\n"
-            for name, (value, unit) in held.items()
-        )
-        file = tmp_path / "cart.yaml"
-        file.write_text(text)
+        file = cart(tmp_path / "cart.yaml", mass)
         found = tr.coastdown(roll, file)
         assert found.better
         v = {p.name: p.value for p in found.coastdown.parameters}
@@ -194,10 +265,13 @@ def test_a_coast_down_given_twice_is_refused(tmp_path, rolled):
 
 def test_what_is_driven_or_braked_is_not_taken(tmp_path, reference_vehicle, rolled):
     driven = rolled.copy()
-    driven[:, 2] += 3.0 * NO_TORQUE_SHARE * reference_vehicle.weight * 0.4  # somebody keeps his foot on it
+    offset = 3.0 * NO_TORQUE_SHARE * reference_vehicle.weight * 0.4
+    driven[:, 2] += offset  # somebody keeps his foot on it
     with pytest.raises(tr.InputError, match="no coast-down") as error:
         tr.coastdown(written(tmp_path / "driven.csv", driven), "xgd24d")
     assert "both directions" in error.value.remedy
+    assert "slowing down with a torque above" in error.value.given
+    assert f"offset: {-float(f'{offset:.3g}'):g}}}" in error.value.remedy  # or it is the sensor's
     time = np.arange(0.0, 200.0, DT_S)
     saw = np.interp(time % 50.0, [0.0, 30.0, 45.0, 50.0], [0.0, 14.0, 0.0, 0.0])
     braked = np.column_stack([time, saw, 0.0 * time, 0.0 * time])

@@ -49,6 +49,10 @@ class CoastdownResult:
             return f"the coast-downs add nothing to the vehicle file{remedy}"
         if found.improvement is None:
             return "too few coast-downs for a hold-out set: record three or more, in both directions if the slope is unknown"
+        if beyond := [p for p in found.parameters if p.beyond]:
+            listed = ", ".join(f"{p.name} {figures(p.value, 3)} (allowed: {p.by_file[0]:g} to {p.by_file[1]:g})" for p in beyond)
+            check = "check the unit of the speed, the mass, and that nothing drove or braked"
+            return f"values outside their ranges in the vehicle file: {listed}; {check}; if they are right, widen the ranges"
         before, after = figures(found.improvement.before, 3), figures(found.improvement.after, 3)
         error = f"the mean error is {after} Nm with them and {before} Nm with the vehicle file as it is"
         return f"on the hold-out coast-downs {error}{remedy}"

@@ -46,6 +46,7 @@ SAMPLES_A_STEP = 1  # the deceleration hardly changes within a step
 FEWEST_GROUPS = 3  # of coast-downs, for a scatter
 FEWEST_ROWS = 20  # including history, for the noise and the values
 MOST_FOLDS = 6
+WHITE = 0.01  # bound on the roots of the noise of a smoothed speed: practically white, see docs/coastdown.md
 UNDETERMINED = 0.7  # of the prior standard deviation: a parameter with a larger posterior one is not determined
 TOGETHER = 0.9  # of two errors above which only a combination is determined
 
@@ -62,6 +63,12 @@ class FittedValue:
     interval: Interval  # including the uncertainty of the mass
     determined: bool  # whether the coast-downs determine it; else the value of the file stays
     with_others: tuple[str, ...]  # parameters that are not identifiable separately from it
+    by_file: tuple[float, float]  # range in the vehicle file
+
+    @property
+    def beyond(self) -> bool:
+        """Whether the coast-downs contradict the range of the vehicle file: the whole interval is outside."""
+        return self.determined and not (self.interval.low <= self.by_file[1] and self.by_file[0] <= self.interval.high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +85,9 @@ class Coastdown:
 
     @property
     def better(self) -> bool:
-        """Whether the values improve the hold-out coast-downs significantly."""
+        """Whether the values improve the hold-out coast-downs significantly, and none contradicts the range of the file."""
+        if any(p.beyond for p in self.parameters):
+            return False
         return self.improvement is not None and self.improvement.after < self.improvement.before and self.improvement.low > 0.0
 
     @property
@@ -110,7 +119,7 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
             ", ".join(r.name for r in recordings),
             f"no coast-down ({why})",
             "at least one coast-down of 10 s or more, without torque and brakes",
-            "let the vehicle coast down from its maximum speed, in both directions",
+            "; ".join((*rolled.remedies, "let the vehicle coast down from its maximum speed, in both directions")),
         )
     rows = sum(int(whole_past(s.used, MOST_LAGS).sum()) for s in rolled.sessions)
     if rows < FEWEST_ROWS:
@@ -122,23 +131,40 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
             "record more coast-downs, from a higher speed, or with a higher sample rate",
         )
     problem = Problem(base, rolled.sessions, tuple(s.used for s in rolled.sessions))
-    all_free = fit(problem, largest_root=LARGEST_ROOT)
+    all_free = _fit(problem)
     scatter = _scatter(all_free, rolled)
     determined = [f.key[1] for f in all_free.free if max(all_free.std_of(*f.key), scatter.get(f.key, 0.0)) < UNDETERMINED * f.std]
     problem = replace(problem, base=_with_free(base, determined))
-    found = fit(problem, start=all_free.at, largest_root=LARGEST_ROOT) if determined else None
-    nominal = tuple(p.torque for p in problem.predict({q.name: q.nominal for q in base.parameters}, ()))
+    found = _fit(problem, all_free.at) if determined else None
     mass_std = _mass_std(loaded.base, rolled)
+    parameters = _parameters(base, all_free, found, scatter, mass_std)
+    outside = [p for p in parameters if not p.by_file[0] <= p.value <= p.by_file[1]]
+    if found is not None and outside and not any(p.beyond for p in outside):
+        base = base.inside_ranges(())
+        problem = replace(problem, base=_with_free(base, determined))
+        found = _fit(problem, found.at)
+        parameters = _parameters(base, all_free, found, scatter, mass_std)
+    nominal = tuple(p.torque for p in problem.predict({q.name: q.nominal for q in base.parameters}, ()))
     rng = np.random.default_rng(seed)
     return Coastdown(
         loaded,
         rolled,
         nominal,
         nominal if found is None else tuple(p.torque for p in found.predicted),
-        _parameters(base, all_free, found, scatter, mass_std),
+        parameters,
         mass_std,
         _improvement(problem, rolled, nominal, rng) if determined and scatter else None,
     )
+
+
+def _fit(problem: Problem, start: Mapping[tuple[str, str], float] | None = None) -> Fit:
+    """The fit, in which a constant force weighs no less than the changes within a few seconds.
+
+    The errors of a smoothed speed are alike from second to second, and cancel over longer times. A whitening with such roots
+    weighs what the smoother makes of a release, which is alike in all coast-downs.
+    """
+    smoothed = any(session.accel_noise > 0.0 for session in problem.sessions)
+    return fit(problem, start=start, largest_root=WHITE if smoothed else LARGEST_ROOT)
 
 
 def _with_free(base: Base, names: Collection[str]) -> Base:
@@ -191,9 +217,9 @@ def _parameters(
         of_mass = NORMAL_95 * mass_std * abs(value) if q.name in FORCES else 0.0
         by_rollings = NORMAL_95 * scatter.get(f.key, 0.0)
         below, above = (np.hypot(max(reach, by_rollings), of_mass) for reach in (at - span.low, span.high - at))
-        span = Interval(max(f.low, value - float(below)), min(f.high, value + float(above)), span.bound_only)
+        span = Interval(max(q.low, value - float(below)), min(q.high, value + float(above)), span.bound_only)
         others = [g.key[1] for j, g in enumerate(all_free.free) if j != i and abs(correlation[i, j]) > TOGETHER]
-        listed.append(FittedValue(q.name, q.unit, q.nominal, q.std, value, span, determined, tuple(others)))
+        listed.append(FittedValue(q.name, q.unit, q.nominal, q.std, value, span, determined, tuple(others), q.by_file))
     return tuple(listed)
 
 
@@ -208,7 +234,7 @@ def _improvement(problem: Problem, rolled: Rollouts, nominal: Sequence[Array], r
     for fold in counted(range(folds), "what is not fitted", folds):
         held = [(s.block // together % folds == fold) & s.used for s in rolled.sessions]
         others = replace(problem, masks=tuple(s.used & ~h for s, h in zip(rolled.sessions, held, strict=True)))
-        found = fit(others, largest_root=LARGEST_ROOT)
+        found = _fit(others)
         for series, of, mask in zip(expected, found.predicted, held, strict=True):
             series[mask] = of.torque[mask]
     masks = [s.used for s in rolled.sessions]

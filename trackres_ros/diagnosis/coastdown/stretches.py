@@ -17,10 +17,15 @@ from trackres_ros.diagnosis.prepare.refuse import refuse_repeated
 from trackres_ros.diagnosis.prepare.resample import resample
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import GateSettings
+from trackres_ros.diagnosis.prepare.unit_checks import Conversion
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import Series
+from trackres_ros.text.numbers import figures
+from trackres_ros.units import GRAVITY
 
 NO_TORQUE_SHARE = 1e-3  # of weight times radius: a tenth of rolling resistance
+DRIVEN_MPS2 = 10.0 * NO_TORQUE_SHARE * GRAVITY  # an acceleration whose inertia alone takes ten times that torque
+DRIVEN_SHARE = 0.1  # least share of such accelerations with a torque: more than spikes, and the rest may be downhill
 SHORTEST_S, LEAST_FALL_MPS = 10.0, 0.5
 SHORTEST_RECORDING_S = SHORTEST_S + 5.0
 LEAST_FALL_SHARE = 0.2  # of the initial speed, if no torque is recorded
@@ -45,12 +50,14 @@ class Rollouts:
     stretches: tuple[RollOut, ...]  # in driving order
     rejected: Mapping[str, int]  # reasons for rejecting other decelerations, with their counts
     notes: tuple[str, ...]  # assumptions, one sentence each
+    remedies: tuple[str, ...]  # lines for the topics file that may give recordings a coast-down
 
 
 def rollouts(recordings: list[Recording], settings: GateSettings, radius: float, step: float) -> Rollouts:
     """Find the coast-downs of recordings, on a grid of `step` [s].
 
-    With a recorded torque, only stretches of zero torque are used. `radius` is that of the sprocket, or of the wheel [m].
+    With a recorded torque, only stretches of zero torque are used. One that stays near zero while the vehicle accelerates is
+    treated as not recorded. `radius` is that of the sprocket, or of the wheel [m].
 
     Raises
     ------
@@ -62,22 +69,69 @@ def rollouts(recordings: list[Recording], settings: GateSettings, radius: float,
     stretches: list[RollOut] = []
     rejected: Counter[str] = Counter()
     notes: list[str] = []
+    remedies: list[str] = []
+    limit = NO_TORQUE_SHARE * settings.weight * radius
     for recording in recordings:
-        measured = any(r.partition("/")[0] == "torque" and np.isfinite(s.value).any() for r, s in recording.series.items())
-        if not measured:
-            notes.append(f"{recording.name}: no torque was recorded; deceleration is assumed to be without drive or brakes")
-        rolling = recording if measured else _without_torque(recording)
-        session, unknown = resample(rolling, step, settings, notes, SHORTEST_RECORDING_S)
+        session, unknown, measured = _resampled(recording, step, settings, limit, notes)
         session, of_slope = with_slope(session)
         notes += [of_slope] if of_slope else []
         used = np.zeros(len(session), dtype=bool)
         block = np.full(len(session), -1, dtype=np.int64)
-        for begin, end in _falls(session, unknown, settings, measured, radius, rejected):
+        for begin, end in _falls(session, unknown, settings, limit if measured else None, rejected):
             block[begin:end] = len(stretches)
             used[begin:end] = True
             stretches.append(RollOut(len(sessions), begin, end))
+        if measured:
+            remedies += _of_offset(session, _slows(session, settings)[1], limit, min(_torques(recording)))
+        elif torques := _torques(recording):
+            remedies.append(f"check sensor and unit of {min(torques)} in {recording.name}, which {_hardly(limit)}")
         sessions.append(replace(session, used=used, block=block))
-    return Rollouts(tuple(sessions), tuple(stretches), dict(rejected), tuple(notes))
+    return Rollouts(tuple(sessions), tuple(stretches), dict(rejected), tuple(notes), tuple(remedies))
+
+
+def _torques(recording: Recording) -> list[str]:
+    """Roles of the torque with a value."""
+    return [r for r, s in recording.series.items() if r.partition("/")[0] == "torque" and np.isfinite(s.value).any()]
+
+
+def _resampled(
+    recording: Recording, step: float, settings: GateSettings, limit: float, notes: list[str]
+) -> tuple[DriveSession, dict[str, Mask], bool]:
+    """The session, its steps without a needed measurement, and whether a torque is measured, beyond a `limit` [Nm]."""
+    why = "no torque was recorded"
+    if _torques(recording):
+        said: list[str] = []
+        session, unknown = resample(recording, step, settings, said, SHORTEST_RECORDING_S)
+        if not _lacks_torque(session, unknown, limit):
+            notes += said
+            return session, unknown, True
+        why = f"the torque {_hardly(limit)} (a dead sensor, or another unit), and is not used"
+    notes.append(f"{recording.name}: {why}; deceleration is assumed to be without drive or brakes")
+    return *resample(_without_torque(recording), step, settings, notes, SHORTEST_RECORDING_S), False
+
+
+def _hardly(limit: float) -> str:
+    return f"hardly exceeds {figures(limit, 3)} Nm while the vehicle accelerates"
+
+
+def _lacks_torque(session: DriveSession, unknown: Mapping[str, Mask], limit: float) -> bool:
+    """Whether the vehicle accelerates, but hardly ever with a torque above the limit [Nm]."""
+    gains = np.sign(session.speed) * _smooth(session.accel + GRAVITY * session.grade, session.step) > DRIVEN_MPS2
+    for bad in unknown.values():
+        gains &= ~bad
+    lasts = float(gains.sum()) * session.step >= AROUND_S
+    return lasts and float((np.abs(session.torque[gains]) > limit).mean()) < DRIVEN_SHARE
+
+
+def _of_offset(session: DriveSession, falls: Mask, limit: float, role: str) -> list[str]:
+    """Line for the topics file if the torque is nearly constant while slowing down; else none."""
+    if not falls.any():
+        return []
+    low, middle, high = np.percentile(session.torque[falls], (25.0, 50.0, 75.0))
+    if abs(middle) <= limit or high - low > limit:
+        return []
+    of = f"{middle:.3g}"
+    return [f"if the {of} Nm while {session.name} slows down are no torque, {Conversion(offset=-float(of)).line(role)}"]
 
 
 def _without_torque(recording: Recording) -> Recording:
@@ -89,25 +143,26 @@ def _without_torque(recording: Recording) -> Recording:
     return replace(recording, series={**recording.series, "torque": zero}, order=None)
 
 
-def _falls(
-    session: DriveSession,
-    unknown: Mapping[str, Mask],
-    settings: GateSettings,
-    measured: bool,
-    radius: float,
-    rejected: Counter[str],
-) -> list[tuple[int, int]]:
-    """Stretches of free deceleration: first sample, and the one after the last."""
+def _slows(session: DriveSession, settings: GateSettings) -> tuple[Array, Mask]:
+    """Acceleration along the motion, averaged over a few seconds [m/s^2], and the steps in which it slows down."""
     slows = np.sign(session.speed) * _smooth(session.accel, session.step)
-    falls = (slows < 0.0) & (np.abs(session.speed) >= max(settings.slowest, LEAST_FALL_MPS))
-    for reason, bad in unknown.items():
+    return slows, (slows < 0.0) & (np.abs(session.speed) >= max(settings.slowest, LEAST_FALL_MPS))
+
+
+def _falls(
+    session: DriveSession, unknown: Mapping[str, Mask], settings: GateSettings, limit: float | None, rejected: Counter[str]
+) -> list[tuple[int, int]]:
+    """Stretches of free deceleration: first sample, and the one after the last. `limit` [Nm] is None without a torque."""
+    slows, falls = _slows(session, settings)
+    without = dict(unknown)
+    if limit is not None:
+        without[f"slowing down with a torque above {figures(limit, 3)} Nm"] = np.abs(session.torque) > limit
+    for reason, bad in without.items():
         lost = float((falls & bad).sum()) * session.step
         if lost >= SHORTEST_S:
             rejected[f"s of {session.name}: {reason}"] += round(lost)
-    for bad in unknown.values():
+    for bad in without.values():
         falls &= ~bad
-    if measured:
-        falls &= np.abs(session.torque) <= NO_TORQUE_SHARE * settings.weight * radius
     found = []
     ends = math.ceil(END_S / session.step)  # steps that may contain a part of driving or of a stop
     for begin, end in ((a + ends, b - ends) for a, b in _runs(falls)):
@@ -117,7 +172,7 @@ def _falls(
         fall, seconds = float(speed[0] - speed[-1]), (end - begin) * session.step
         if seconds < SHORTEST_S or fall < LEAST_FALL_MPS:
             rejected[f"shorter than {SHORTEST_S:g} s, or by less than {LEAST_FALL_MPS:g} m/s"] += 1
-        elif not measured and fall < LEAST_FALL_SHARE * speed[0]:
+        elif limit is None and fall < LEAST_FALL_SHARE * speed[0]:
             rejected[f"by less than {LEAST_FALL_SHARE:.0%} of the speed, with no torque recorded"] += 1
         elif "brake" not in session.given and float(np.min(slows[begin:end])) < -HARDEST_MPS2:
             rejected[f"harder than {HARDEST_MPS2:g} m/s^2: brakes"] += 1
