@@ -184,6 +184,23 @@ def test_two_engines_run_on_one_machine_each_with_its_page(monkeypatch):
                     assert page.status == 200
 
 
+@pytest.mark.long
+def test_an_interrupt_while_workers_start_leaves_no_traceback(recordings):
+    program = """if __name__ == "__main__":
+        import os, signal, sys
+        from distributed import Nanny
+        from trackres_ros.cli.main import main
+        start = Nanny.start_unsafe
+        def interrupted(self):
+            os.kill(os.getpid(), signal.SIGINT)
+            return start(self)
+        Nanny.start_unsafe = interrupted
+        main(sys.argv[1:])"""
+    run = subprocess.run([sys.executable, "-c", program, *words(recordings, "--workers", "1")], stderr=subprocess.PIPE, text=True)
+    assert run.returncode == 130
+    assert [line[:22] for line in run.stderr.splitlines() if line] == ["trackres: interrupted;"]
+
+
 @pytest.mark.parametrize(("address", "part"), [("tcp://127.0.0.1:1", "no scheduler answers"), ("somewhere", "tcp://HOST:PORT")])
 def test_an_engine_that_is_not_there_is_one_line(recordings, trackres, address, part):
     refused = trackres(*words(recordings, "--engine", address))
