@@ -191,6 +191,8 @@ def test_a_later_recording_is_dropped_if_its_clock_overlaps():
     assert len(kept) == 3
     undated = [{**good("a", 0.0), "url": name, "day": "none"} for name in "xy"]
     assert len(without_overlaps(undated)[0]) == 2
+    between = {**good("a", 1e9 + 100.0), "status": "broken"}
+    assert without_overlaps([*rows, between])[1] == left_out
 
 
 @pytest.mark.parametrize(

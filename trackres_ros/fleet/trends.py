@@ -54,14 +54,17 @@ def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[st
     """Rows without overlapping times of a vehicle, and the excluded ones, with the reason."""
     kept: list[Mapping[str, Any]] = []
     left_out: list[dict[str, str]] = []
+    before: Mapping[str, Any] | None = None  # the vehicle's last good one with a day
     for row in sorted(rows, key=lambda row: (row["vehicle"], row["start_s"] or 0.0, row["url"])):
-        before = kept[-1] if kept and kept[-1]["vehicle"] == row["vehicle"] else None
-        timed = before and all(one["status"] == "good" and one["day"] != NO_DAY for one in (row, before))
-        if before and timed and row["start_s"] < before["start_s"] + before["duration_s"] - OVERLAP_S:
+        timed = row["status"] == "good" and row["day"] != NO_DAY
+        if before is not None and before["vehicle"] != row["vehicle"]:
+            before = None
+        if before is not None and timed and row["start_s"] < before["start_s"] + before["duration_s"] - OVERLAP_S:
             reason = f"its clock overlaps with {before['url']}: of one vehicle only one can be right"
             left_out.append({"url": row["url"], "vehicle": row["vehicle"], "reason": reason})
         else:
             kept.append(row)
+            before = row if timed else before
     return kept, left_out
 
 
