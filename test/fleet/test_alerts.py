@@ -30,7 +30,7 @@ from trackres_ros.fleet.recordings import FoundRecording
 from trackres_ros.fleet.run import alone, keep_limits, limits_of
 from trackres_ros.fleet.task import Task, analyse, broken
 from trackres_ros.fleet.trends import day_of, sentences, trends
-from trackres_ros.fleet.vehicles import one_vehicle, read_fleet
+from trackres_ros.fleet.vehicles import digest_of_values, one_vehicle, read_fleet
 
 BEGIN_S, RECORDINGS = 1.75e9, 12
 NAMES = ("bearing_friction", "loss_modulus_scale")
@@ -243,6 +243,7 @@ def test_a_row_says_whether_a_load_was_recorded(tmp_path):
         done = analyse(Task(str(tmp_path / f"{name}.csv"), "1", vehicle))
         assert done["load_recorded"] is not dropped, done["reason"]
         assert done["load_recorded"] == (name == "with")
+        assert done["vehicle_values"] == digest_of_values(vehicle.file)
 
 
 def test_one_run_at_a_time_writes_into_a_folder(tmp_path, trackres):

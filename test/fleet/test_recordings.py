@@ -3,23 +3,26 @@
 
 """Which recordings there are, whose they are, and rows that come into their place whole."""
 
+import errno
 import os
 import shutil
 
 import pytest
 from fleet_rows import row as good_row
 
-from trackres_ros.errors import InputError
+from trackres_ros.errors import InputError, MissingExtraError
 
 pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
 from trackres_ros.files.own_files import PART
+from trackres_ros.fleet import task as fleet_task
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.recordings import FoundRecording, find_recordings
 from trackres_ros.fleet.task import AGAIN, Task, analyse, broken
 from trackres_ros.fleet.trends import without_overlaps
-from trackres_ros.fleet.vehicles import digest, one_vehicle, read_fleet
+from trackres_ros.fleet.vehicles import digest, digest_of_values, one_vehicle, read_fleet
+from trackres_ros.recording.reading import reading
 
 
 @pytest.fixture
@@ -127,6 +130,28 @@ def test_the_digest_of_a_vehicle_follows_the_files_it_names(tmp_path, repository
     assert digest(path) != before
 
 
+@pytest.mark.parametrize("of", [digest, digest_of_values])
+@pytest.mark.parametrize(
+    "text",
+    ["dbc: x.f", "dbc: [y, x.f]", "dbc: {1: x.f}", "effect_files: [x.f]", "rubber: {file: x.f}", f"dbc: [x.f, {'y' * 999}]"],
+)
+def test_a_digest_follows_whatever_file_is_named(tmp_path, of, text):
+    (tmp_path / "t.yaml").write_text(text)
+    seen = {of(tmp_path / "t.yaml")}
+    for content in "ab":
+        (tmp_path / "x.f").write_text(content)
+        seen.add(of(tmp_path / "t.yaml"))
+    assert len(seen) == 3
+
+
+def test_words_of_a_vehicle_file_do_not_alter_its_values(tmp_path):
+    files = [tmp_path / f"{number}.yaml" for number in range(3)]
+    for file, value, words in zip(files, (1.0, 1.0, 2.0), ("a", "b", "a"), strict=True):
+        file.write_text(f"# {words}\ntitle: {words}\nx: {{value: {value}, reason: {words}}}\n")
+    assert len(set(map(digest, files))) == 3
+    assert digest_of_values(files[0]) == digest_of_values(files[1]) != digest_of_values(files[2])
+
+
 def row(url, **more):
     vehicle = more.pop("vehicle", "t 1/é")
     return {**broken(FoundRecording(url, "1"), vehicle, "x", "why"), **more}
@@ -219,9 +244,53 @@ def test_what_may_be_otherwise_the_next_time_is_tried_again(tmp_path):
     assert done["inputs"] == AGAIN
 
 
-def test_a_vehicle_file_that_changes_midway_is_a_reason(tmp_path, repository):
+@pytest.mark.parametrize(
+    ("error", "again"),
+    [
+        (MemoryError(), True),
+        (ModuleNotFoundError("No module named 'rosbags'"), True),
+        (MissingExtraError("reading bags", "rosbags", "bags"), True),
+        (OSError(errno.EIO, "Input/output error"), True),
+        (OSError("no gzip file"), False),
+        (EOFError("cut off"), False),
+    ],
+)
+def test_a_fault_of_the_machine_is_tried_again(tmp_path, monkeypatch, error, again):
+    """Whether it is raised as it is, or as the line that reading makes of it."""
+
+    def raised(_):
+        raise error
+
+    def read(_):
+        with reading(tmp_path, "a recording"):
+            raise error
+
+    task = Task(str(tmp_path / "x.csv"), "1", one_vehicle("xgd24d", None).vehicles["xgd24d"])
+    for fault in (raised, read) if again else (read,):
+        monkeypatch.setattr(fleet_task, "_content", fault)
+        done = analyse(task)
+        assert done["inputs"] == (AGAIN if again else task.inputs)
+        assert "a bug" not in done["reason"]
+
+
+@pytest.mark.parametrize("name", ["xgd24d.yaml", "topics/sample.yaml"])
+def test_a_file_that_changes_midway_is_a_reason_of_that_run(tmp_path, repository, name):
     shutil.copytree(repository / "config", tmp_path / "config")
-    path = tmp_path / "config" / "xgd24d.yaml"
-    vehicle = one_vehicle(str(path), None).vehicles["xgd24d"]
-    path.write_text(path.read_text() + "\n# another\n")
-    assert "modified during the run" in analyse(Task(str(tmp_path / "x.csv"), "1", vehicle))["reason"]
+    files = tmp_path / "config" / "xgd24d.yaml", tmp_path / "config" / "topics" / "sample.yaml"
+    vehicle = one_vehicle(*map(str, files)).vehicles["xgd24d"]
+    changed = tmp_path / "config" / name
+    changed.write_text(changed.read_text() + "\n# another\n")
+    done = analyse(Task(str(tmp_path / "x.csv"), "1", vehicle))
+    assert "modified during the run" in done["reason"]
+    assert done["inputs"] == AGAIN
+
+
+def test_a_worker_uses_the_topics_file_as_it_is_now(tmp_path, monkeypatch):
+    topics, seen = tmp_path / "topics.yaml", []
+    (tmp_path / "x.csv").write_text("time_s,speed_mps,n\n" + "".join(f"{i},{i},9\n" for i in range(60)))
+    monkeypatch.setattr(fleet_task, "_replayed", lambda *_: {})
+    monkeypatch.setattr("trackres_ros.fleet.likelihood.evidence", lambda _, loaded, __: seen.append(loaded.known.passenger_kg))
+    for kg in (60.0, 90.0):
+        topics.write_text(f"speed: {{column: speed_mps}}\npassengers: {{column: n, kg_each: {kg}}}\n")
+        analyse(Task(str(tmp_path / "x.csv"), "1", one_vehicle("ztbus_hess19", str(topics)).vehicles["ztbus_hess19"]))
+    assert seen == [60.0, 90.0]
