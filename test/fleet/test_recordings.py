@@ -16,6 +16,7 @@ pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
 from trackres_ros.files.own_files import PART
+from trackres_ros.fleet import run as fleet_run
 from trackres_ros.fleet import task as fleet_task
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.recordings import FoundRecording, find_recordings
@@ -51,6 +52,17 @@ def test_each_recording_comes_once_however_often_it_is_named(folder):
     found = names(find_recordings([str(folder / "a"), str(folder), str(folder / "a" / "one.csv")]), folder)
     assert found[:2] == ["a/one.csv", "a/two.mcap"]
     assert len(list(find_recordings([str(folder), str(folder)]))) == 4
+
+
+@pytest.mark.parametrize("form", ["{}", "{}/*", "{}/**"])
+def test_a_folder_of_results_holds_no_recordings(folder, form):
+    before = names(find_recordings([form.format(folder)]), folder)
+    results = FleetDataset(folder / "b" / "results")
+    results.prepare()
+    results.put(row("a"), None)
+    with fleet_run.alone(results.folder):
+        (results.folder / "alerts.csv").write_text("vehicle\n")
+    assert names(find_recordings([form.format(folder)]), folder) == before
 
 
 @pytest.mark.parametrize("place", ["nowhere", "*.bag", "empty"])

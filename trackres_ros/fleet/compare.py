@@ -16,8 +16,9 @@ from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import read
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.fleet.dataset import ROWS, FleetDataset
+from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.pooling import Vehicles, pool, softened
+from trackres_ros.fleet.recordings import ROWS
 from trackres_ros.fleet.trends import NUMBERS, TEXTS, of_present_files, some_of, without_overlaps
 from trackres_ros.output.style import write_figure
 from trackres_ros.text.numbers import alike, figures

@@ -21,12 +21,12 @@ from urllib.parse import quote
 
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.files.own_files import PART, write
+from trackres_ros.fleet.recordings import ROWS
 from trackres_ros.fleet.task import END_OF_DAYS_S, ENERGIES, GOOD, NO_DAY
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-ROWS = "rows"
 SUFFIX = ".parquet"
 TEXTS = ("url", "stamp", "inputs", "content", "status", "reason")
 NUMBERS = (

@@ -20,12 +20,12 @@ from trackres_ros.errors import InputError
 from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import read, write
 from trackres_ros.fleet.dataset import CachedRow, FleetDataset
-from trackres_ros.fleet.recordings import FoundRecording, find_recordings
+from trackres_ros.fleet.recordings import LOCK, FoundRecording, find_recordings
 from trackres_ros.fleet.task import AGAIN, BROKEN, NO_VEHICLE, SAME, Task, analyse, broken
 from trackres_ros.fleet.vehicles import HIGHEST_LIMIT, Fleet
 from trackres_ros.recording.roles import ROLES, base_role
 
-LOCK, MOST_READ = "run.lock", 200
+MOST_READ = 200
 LIMITS, MOST_LIMITS_BYTES = "fleet.json", 1 << 24
 UNKNOWN = "unknown"  # instead of a digest without a vehicle
 
@@ -84,10 +84,11 @@ class _Run:
     def __init__(self, recordings: Sequence[str], fleet: Fleet, dataset: FleetDataset, hide: tuple[str, ...]) -> None:
         self._recordings, self._fleet, self._dataset, self._hide = recordings, fleet, dataset, hide
         self._index, self.counts = dataset.index(), RunCounts()
-        for place in recordings:  # one that could not be read may be readable now
-            before = self._index.get(place)
-            if before is not None and not before.stamp:
-                self._index.pop(place).file.unlink(missing_ok=True)
+        within = f"{dataset.folder.resolve()}/"
+        for url, before in list(self._index.items()):
+            # A place that could not be read may be readable now; earlier versions took results for recordings.
+            if (not before.stamp and url in recordings) or url.startswith(within):
+                self._index.pop(url).file.unlink(missing_ok=True)
 
     def tasks(self) -> Iterator[Task]:
         """New and changed recordings; rows of those without a known vehicle are written at once."""
