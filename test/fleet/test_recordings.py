@@ -6,6 +6,7 @@
 import errno
 import os
 import shutil
+from pathlib import Path
 
 import pytest
 from fleet_rows import row as good_row
@@ -21,9 +22,11 @@ from trackres_ros.fleet import task as fleet_task
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.recordings import FoundRecording, find_recordings
 from trackres_ros.fleet.task import AGAIN, Task, analyse, broken
-from trackres_ros.fleet.trends import without_overlaps
+from trackres_ros.fleet.trends import without_copies, without_overlaps
 from trackres_ros.fleet.vehicles import digest, digest_of_values, one_vehicle, read_fleet
 from trackres_ros.recording.reading import reading
+
+KEPT = "url", "stamp", "inputs"
 
 
 @pytest.fixture
@@ -306,3 +309,39 @@ def test_a_worker_uses_the_topics_file_as_it_is_now(tmp_path, monkeypatch):
         topics.write_text(f"speed: {{column: speed_mps}}\npassengers: {{column: n, kg_each: {kg}}}\n")
         analyse(Task(str(tmp_path / "x.csv"), "1", one_vehicle("ztbus_hess19", str(topics)).vehicles["ztbus_hess19"]))
     assert seen == [60.0, 90.0]
+
+
+@pytest.mark.parametrize(("order", "day"), [(1, 3), (-1, 3), (1, 0)])  # of finished rows; of the recording, 0: broken
+def test_equal_content_counts_once_where_it_is_found(tmp_path, monkeypatch, in_this_process, order, day):
+    fleet, dataset = fleet_of(tmp_path, "vehicles: {a: xgd24d, b: xgd24d}"), FleetDataset(tmp_path / "results")
+    in_this_process(fleet_run)
+    done = fleet_run.done
+
+    def made(task):
+        day = int(Path(task.url).read_text())
+        made = broken(FoundRecording(task.url, task.stamp), task.vehicle.name, task.inputs, "why")
+        return {**(good_row(day, task.vehicle.name) if day else made), **{key: made[key] for key in KEPT}, "content": f"{day}"}
+
+    monkeypatch.setattr(fleet_run, "analyse", made)
+    monkeypatch.setattr(fleet_run, "done", lambda *words: list(done(*words))[::order])
+    for name, content in (("a/1.csv", 1), ("b/2.csv", 2), ("a/x.csv", day), ("b/y.csv", day)):
+        (tmp_path / "depot" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "depot" / name).write_text(f"{content}")
+    dataset.put(row(f"{dataset.folder}/alerts.csv"), None)  # earlier versions took results for recordings
+    for before, after, counts in (
+        ("", "", "a/x.csv"),
+        ("a/x.csv", "", "b/y.csv"),
+        ("b/y.csv", "b/z.csv", "b/z.csv"),
+        ("b/z.csv", "a/z.csv", "a/z.csv"),
+        ("a/z.csv", "b/z.csv", "b/z.csv"),  # its row of that name is still there
+        ("b/z.csv", "", "b/z.csv"),  # a deleted recording still counts
+    ):
+        if after:
+            (tmp_path / "depot" / before).rename(tmp_path / "depot" / after)
+        elif before:
+            (tmp_path / "depot" / before).unlink()
+        found = fleet_run.run([f"{tmp_path}/depot"], fleet, dataset)
+        there = [int(path.read_text()) for path in tmp_path.glob("depot/*/*.csv")]
+        assert (found.kept + found.good, found.broken) == (len(there) - there.count(0), there.count(0))
+        counted, _ = without_copies(dataset.rows(["url", "vehicle", "copy_of"]))
+        assert {one["url"] for one in counted} == {f"{tmp_path}/depot/{name}" for name in ("a/1.csv", "b/2.csv", counts)}
