@@ -6,7 +6,9 @@
 import errno
 import os
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from fleet_rows import row as good_row
@@ -17,6 +19,7 @@ pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
 from trackres_ros.files.own_files import PART
+from trackres_ros.fleet import periods
 from trackres_ros.fleet import run as fleet_run
 from trackres_ros.fleet import task as fleet_task
 from trackres_ros.fleet.dataset import FleetDataset
@@ -343,5 +346,53 @@ def test_equal_content_counts_once_where_it_is_found(tmp_path, monkeypatch, in_t
         found = fleet_run.run([f"{tmp_path}/depot"], fleet, dataset)
         there = [int(path.read_text()) for path in tmp_path.glob("depot/*/*.csv")]
         assert (found.kept + found.good, found.broken) == (len(there) - there.count(0), there.count(0))
-        counted, _ = without_copies(dataset.rows(["url", "vehicle", "copy_of"]))
+        counted, _ = without_copies(dataset.rows(["url", "vehicle", "status", "copy_of"]))
+        diagnosed = [url for one in periods.periods(dataset, fleet, found.urls, ()) for url in one.urls]
+        assert sorted(diagnosed) == sorted(one["url"] for one in counted if one["status"] == "good")
         assert {one["url"] for one in counted} == {f"{tmp_path}/depot/{name}" for name in ("a/1.csv", "b/2.csv", counts)}
+
+
+def test_a_report_stays_unless_its_recordings_are_at_fault(tmp_path, monkeypatch, in_this_process):
+    fleet, dataset, asked = fleet_of(tmp_path, "vehicles: {a: xgd24d}"), FleetDataset(tmp_path), []
+
+    def diagnose(paths, *_, **__):
+        asked.append([int(path.stem) for path in paths])
+        if fault:
+            raise fault
+        return SimpleNamespace(report=lambda folder: (folder.mkdir(), (folder / "report.json").write_text(f"{asked[-1]}")))
+
+    def outcome(period):
+        try:
+            return period, periods.diagnose_period(period)
+        except InputError as error:
+            return period, error
+
+    in_this_process(periods)
+    monkeypatch.setattr(periods, "done", lambda _client, _function, work: map(outcome, work))
+    monkeypatch.setattr("trackres_ros.diagnose", diagnose, raising=False)
+    missing, short = MissingExtraError("reading bags", "rosbags", "bags"), InputError("x", "no torque", "some")
+    there, made = set(), []
+    for added, gone, fault, chosen in (
+        ([1, 2, 3, 4, 5, 6, 7], [], None, [1, 3, 5, 7]),
+        ([], [3, 7], None, None),  # their rows still count
+        ([8], [], missing, [1, 4, 6, 8]),
+        ([], [], None, [1, 4, 6, 8]),
+        ([], [1, 2, 4, 5, 6, 8], None, None),
+        ([9], [9], None, None),
+        ([10], [], None, [10]),
+        ([11], [], short, [10, 11]),
+    ):
+        there = (there | {*added}) - {*gone}
+        for number in added:
+            (tmp_path / f"{number}.csv").touch()
+            dataset.put({**good_row(number, "a"), "url": f"{tmp_path}/{number}.csv", "content": f"{number}"}, None)
+        for number in gone:
+            (tmp_path / f"{number}.csv").unlink()
+        urls = {f"{tmp_path}/{number}.csv" for number in there}
+        stayed = periods.diagnose_periods(dataset, fleet, urls, "local", None, (), lambda *_: nullcontext(lambda _: None))
+        assert asked == ([chosen] if chosen else [])
+        assert [str(missing) in line for line in stayed] == ([True] if fault is missing else [])
+        made = made if fault is missing or not chosen else chosen
+        ((name, text),) = ((path.name, path.read_text()) for path in tmp_path.glob("diagnosis/a/2026-03/re*"))
+        assert (name, text) == (("reason.txt", str(short)) if fault is short else ("report.json", f"{made}"))
+        asked.clear()

@@ -42,6 +42,14 @@ def find_recordings(given: Sequence[str]) -> Iterator[FoundRecording]:
                 yield found
 
 
+def is_there(url: str) -> bool:
+    """Whether a recording that was once found still exists."""
+    from fsspec.core import url_to_fs
+
+    system, path = url_to_fs(url)
+    return bool(system.exists(path))
+
+
 def _at(place: str) -> Iterator[FoundRecording]:
     try:
         from fsspec.core import url_to_fs
