@@ -30,7 +30,7 @@ from trackres_ros.fleet.recordings import FoundRecording
 from trackres_ros.fleet.run import alone, keep_limits, limits_of
 from trackres_ros.fleet.task import Task, analyse, broken
 from trackres_ros.fleet.trends import day_of, sentences, trends
-from trackres_ros.fleet.vehicles import one_vehicle, read_fleet
+from trackres_ros.fleet.vehicles import digest_of_values, one_vehicle, read_fleet
 
 BEGIN_S, RECORDINGS = 1.75e9, 12
 NAMES = ("bearing_friction", "loss_modulus_scale")
@@ -45,7 +45,7 @@ def row(vehicle, number, mismatch=0.04, load=True, moved=0.0):
         **found, "status": "good", "content": f"{vehicle}{number}", "start_s": start, "day": day_of(start), "duration_s": 600.0,
         "distance_m": 5000.0, "mean_torque": 3000.0, "mean_ambient": 15.0, "residual_std": 50.0, "held_out_file": 100.0,
         "held_out_refit": 90.0, "resistance_mj": 10.0, "mismatch": mismatch, "load_recorded": load, "names": list(NAMES),
-        "units": ["1", "1"], "nominal": [0.0075, 1.0], "std": [0.002, 0.1],
+        "vehicle_values": "v", "units": ["1", "1"], "nominal": [0.0075, 1.0], "std": [0.002, 0.1],
         "precision": precision[np.triu_indices(2)].tolist(),
         "linear": (precision @ [moved + 0.02 * np.sin(number), 0.02 * np.cos(3 * number)]).tolist(),
     }  # fmt: skip
@@ -203,8 +203,9 @@ def test_a_recording_without_a_day_alters_no_search_for_changes(dataset):
     assert all(f"{one['url']}: its clock gives no day" in page for one in found["undated"])
 
 
+@pytest.mark.parametrize("other", [{"nominal": [0.009, 1.0]}, {"vehicle_values": "w"}], ids=["fitted", "any"])
 @pytest.mark.parametrize("vehicle", ["first", "worn"])  # before and after another vehicle of the present type
-def test_recordings_of_an_older_vehicle_file_are_only_listed(dataset, vehicle):
+def test_recordings_of_an_older_vehicle_file_are_only_listed(dataset, vehicle, other):
     for number in range(RECORDINGS // 2, RECORDINGS):
         dataset.put(row(vehicle, number), None)
     for path in dataset.folder.glob(f"rows/vehicle={vehicle}/*/*"):
@@ -213,7 +214,7 @@ def test_recordings_of_an_older_vehicle_file_are_only_listed(dataset, vehicle):
     alone, one = trends(dataset, {}), f"{dataset.folder}:{vehicle}"
     compared = compare(one, one)
     for number in range(RECORDINGS // 2):
-        dataset.put({**row(vehicle, number), "nominal": [0.009, 1.0]}, None)
+        dataset.put({**row(vehicle, number), **other}, None)
     found = trends(dataset, {})
     outdated = [f"/data/{vehicle}/{number}.csv" for number in range(RECORDINGS // 2)]
     assert [one["url"] for one in found["outdated"]] == outdated
@@ -226,6 +227,25 @@ def test_recordings_of_an_older_vehicle_file_are_only_listed(dataset, vehicle):
     assert [one["url"] for one in again["outdated"]] == outdated
     assert again["one"].endswith("(6 recordings, without 6 of an older vehicle file)")
     assert again["other"].endswith("(1 recordings)")
+
+
+def test_a_row_without_the_digest_of_its_values_is_compared(dataset):
+    before = trends(dataset, {})
+    dataset.put({**row("steady", 1), "vehicle_values": None}, None)  # of an earlier version
+    assert trends(dataset, {}) == before
+
+
+def test_copies_are_only_listed(dataset):
+    before, kept = trends(dataset, {}), row("worn", 0)["url"]
+    for name, status in (("copy", "good"), ("worn", "broken")):
+        dataset.put({**row("worn", 0), "vehicle": name, "url": f"/data/{name}/x.csv", "status": status, "copy_of": kept}, None)
+    found = trends(dataset, {})
+    assert [one["url"] for one in found["copies"]] == ["/data/copy/x.csv", "/data/worn/x.csv"]
+    assert found == {**before, "copies": found["copies"], "recordings": before["recordings"] + 2}
+    assert "2 recordings not used because another recording has the same content" in "\n".join(sentences(found))
+    page = write_pages(dataset.folder, found, dataset).read_text()
+    assert all(f"{one['url']}: it has the same content as {kept}" in page for one in found["copies"])
+    assert "x.csv" not in (dataset.folder / "vehicles" / "worn.html").read_text()
 
 
 def test_a_row_says_whether_a_load_was_recorded(tmp_path):
@@ -243,6 +263,7 @@ def test_a_row_says_whether_a_load_was_recorded(tmp_path):
         done = analyse(Task(str(tmp_path / f"{name}.csv"), "1", vehicle))
         assert done["load_recorded"] is not dropped, done["reason"]
         assert done["load_recorded"] == (name == "with")
+        assert done["vehicle_values"] == digest_of_values(vehicle.file)
 
 
 def test_one_run_at_a_time_writes_into_a_folder(tmp_path, trackres):

@@ -3,23 +3,33 @@
 
 """Which recordings there are, whose they are, and rows that come into their place whole."""
 
+import errno
 import os
 import shutil
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from fleet_rows import row as good_row
 
-from trackres_ros.errors import InputError
+from trackres_ros.errors import InputError, MissingExtraError
 
 pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
 from trackres_ros.files.own_files import PART
+from trackres_ros.fleet import periods
+from trackres_ros.fleet import run as fleet_run
+from trackres_ros.fleet import task as fleet_task
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.recordings import FoundRecording, find_recordings
 from trackres_ros.fleet.task import AGAIN, Task, analyse, broken
-from trackres_ros.fleet.trends import without_overlaps
-from trackres_ros.fleet.vehicles import digest, one_vehicle, read_fleet
+from trackres_ros.fleet.trends import without_copies, without_overlaps
+from trackres_ros.fleet.vehicles import digest, digest_of_values, one_vehicle, read_fleet
+from trackres_ros.recording.reading import reading
+
+KEPT = "url", "stamp", "inputs"
 
 
 @pytest.fixture
@@ -48,6 +58,17 @@ def test_each_recording_comes_once_however_often_it_is_named(folder):
     found = names(find_recordings([str(folder / "a"), str(folder), str(folder / "a" / "one.csv")]), folder)
     assert found[:2] == ["a/one.csv", "a/two.mcap"]
     assert len(list(find_recordings([str(folder), str(folder)]))) == 4
+
+
+@pytest.mark.parametrize("form", ["{}", "{}/*", "{}/**"])
+def test_a_folder_of_results_holds_no_recordings(folder, form):
+    before = names(find_recordings([form.format(folder)]), folder)
+    results = FleetDataset(folder / "b" / "results")
+    results.prepare()
+    results.put(row("a"), None)
+    with fleet_run.alone(results.folder):
+        (results.folder / "alerts.csv").write_text("vehicle\n")
+    assert names(find_recordings([form.format(folder)]), folder) == before
 
 
 @pytest.mark.parametrize("place", ["nowhere", "*.bag", "empty"])
@@ -127,6 +148,28 @@ def test_the_digest_of_a_vehicle_follows_the_files_it_names(tmp_path, repository
     assert digest(path) != before
 
 
+@pytest.mark.parametrize("of", [digest, digest_of_values])
+@pytest.mark.parametrize(
+    "text",
+    ["dbc: x.f", "dbc: [y, x.f]", "dbc: {1: x.f}", "effect_files: [x.f]", "rubber: {file: x.f}", f"dbc: [x.f, {'y' * 999}]"],
+)
+def test_a_digest_follows_whatever_file_is_named(tmp_path, of, text):
+    (tmp_path / "t.yaml").write_text(text)
+    seen = {of(tmp_path / "t.yaml")}
+    for content in "ab":
+        (tmp_path / "x.f").write_text(content)
+        seen.add(of(tmp_path / "t.yaml"))
+    assert len(seen) == 3
+
+
+def test_words_of_a_vehicle_file_do_not_alter_its_values(tmp_path):
+    files = [tmp_path / f"{number}.yaml" for number in range(3)]
+    for file, value, words in zip(files, (1.0, 1.0, 2.0), ("a", "b", "a"), strict=True):
+        file.write_text(f"# {words}\ntitle: {words}\nx: {{value: {value}, reason: {words}}}\n")
+    assert len(set(map(digest, files))) == 3
+    assert digest_of_values(files[0]) == digest_of_values(files[1]) != digest_of_values(files[2])
+
+
 def row(url, **more):
     vehicle = more.pop("vehicle", "t 1/é")
     return {**broken(FoundRecording(url, "1"), vehicle, "x", "why"), **more}
@@ -191,6 +234,8 @@ def test_a_later_recording_is_dropped_if_its_clock_overlaps():
     assert len(kept) == 3
     undated = [{**good("a", 0.0), "url": name, "day": "none"} for name in "xy"]
     assert len(without_overlaps(undated)[0]) == 2
+    between = {**good("a", 1e9 + 100.0), "status": "broken"}
+    assert without_overlaps([*rows, between])[1] == left_out
 
 
 @pytest.mark.parametrize(
@@ -217,9 +262,137 @@ def test_what_may_be_otherwise_the_next_time_is_tried_again(tmp_path):
     assert done["inputs"] == AGAIN
 
 
-def test_a_vehicle_file_that_changes_midway_is_a_reason(tmp_path, repository):
+@pytest.mark.parametrize(
+    ("error", "again"),
+    [
+        (MemoryError(), True),
+        (ModuleNotFoundError("No module named 'rosbags'"), True),
+        (MissingExtraError("reading bags", "rosbags", "bags"), True),
+        (OSError(errno.EIO, "Input/output error"), True),
+        (OSError("no gzip file"), False),
+        (EOFError("cut off"), False),
+    ],
+)
+def test_a_fault_of_the_machine_is_tried_again(tmp_path, monkeypatch, error, again):
+    """Whether it is raised as it is, or as the line that reading makes of it."""
+
+    def raised(_):
+        raise error
+
+    def read(_):
+        with reading(tmp_path, "a recording"):
+            raise error
+
+    task = Task(str(tmp_path / "x.csv"), "1", one_vehicle("xgd24d", None).vehicles["xgd24d"])
+    for fault in (raised, read) if again else (read,):
+        monkeypatch.setattr(fleet_task, "_content", fault)
+        done = analyse(task)
+        assert done["inputs"] == (AGAIN if again else task.inputs)
+        assert "a bug" not in done["reason"]
+
+
+@pytest.mark.parametrize("name", ["xgd24d.yaml", "topics/sample.yaml"])
+def test_a_file_that_changes_midway_is_a_reason_of_that_run(tmp_path, repository, name):
     shutil.copytree(repository / "config", tmp_path / "config")
-    path = tmp_path / "config" / "xgd24d.yaml"
-    vehicle = one_vehicle(str(path), None).vehicles["xgd24d"]
-    path.write_text(path.read_text() + "\n# another\n")
-    assert "modified during the run" in analyse(Task(str(tmp_path / "x.csv"), "1", vehicle))["reason"]
+    files = tmp_path / "config" / "xgd24d.yaml", tmp_path / "config" / "topics" / "sample.yaml"
+    vehicle = one_vehicle(*map(str, files)).vehicles["xgd24d"]
+    changed = tmp_path / "config" / name
+    changed.write_text(changed.read_text() + "\n# another\n")
+    done = analyse(Task(str(tmp_path / "x.csv"), "1", vehicle))
+    assert "modified during the run" in done["reason"]
+    assert done["inputs"] == AGAIN
+
+
+def test_a_worker_uses_the_topics_file_as_it_is_now(tmp_path, monkeypatch):
+    topics, seen = tmp_path / "topics.yaml", []
+    (tmp_path / "x.csv").write_text("time_s,speed_mps,n\n" + "".join(f"{i},{i},9\n" for i in range(60)))
+    monkeypatch.setattr(fleet_task, "_replayed", lambda *_: {})
+    monkeypatch.setattr("trackres_ros.fleet.likelihood.evidence", lambda _, loaded, __: seen.append(loaded.known.passenger_kg))
+    for kg in (60.0, 90.0):
+        topics.write_text(f"speed: {{column: speed_mps}}\npassengers: {{column: n, kg_each: {kg}}}\n")
+        analyse(Task(str(tmp_path / "x.csv"), "1", one_vehicle("ztbus_hess19", str(topics)).vehicles["ztbus_hess19"]))
+    assert seen == [60.0, 90.0]
+
+
+@pytest.mark.parametrize(("order", "day"), [(1, 3), (-1, 3), (1, 0)])  # of finished rows; of the recording, 0: broken
+def test_equal_content_counts_once_where_it_is_found(tmp_path, monkeypatch, in_this_process, order, day):
+    fleet, dataset = fleet_of(tmp_path, "vehicles: {a: xgd24d, b: xgd24d}"), FleetDataset(tmp_path / "results")
+    in_this_process(fleet_run)
+    done = fleet_run.done
+
+    def made(task):
+        day = int(Path(task.url).read_text())
+        made = broken(FoundRecording(task.url, task.stamp), task.vehicle.name, task.inputs, "why")
+        return {**(good_row(day, task.vehicle.name) if day else made), **{key: made[key] for key in KEPT}, "content": f"{day}"}
+
+    monkeypatch.setattr(fleet_run, "analyse", made)
+    monkeypatch.setattr(fleet_run, "done", lambda *words: list(done(*words))[::order])
+    for name, content in (("a/1.csv", 1), ("b/2.csv", 2), ("a/x.csv", day), ("b/y.csv", day)):
+        (tmp_path / "depot" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "depot" / name).write_text(f"{content}")
+    dataset.put(row(f"{dataset.folder}/alerts.csv"), None)  # earlier versions took results for recordings
+    for before, after, counts in (
+        ("", "", "a/x.csv"),
+        ("a/x.csv", "", "b/y.csv"),
+        ("b/y.csv", "b/z.csv", "b/z.csv"),
+        ("b/z.csv", "a/z.csv", "a/z.csv"),
+        ("a/z.csv", "b/z.csv", "b/z.csv"),  # its row of that name is still there
+        ("b/z.csv", "", "b/z.csv"),  # a deleted recording still counts
+    ):
+        if after:
+            (tmp_path / "depot" / before).rename(tmp_path / "depot" / after)
+        elif before:
+            (tmp_path / "depot" / before).unlink()
+        found = fleet_run.run([f"{tmp_path}/depot"], fleet, dataset)
+        there = [int(path.read_text()) for path in tmp_path.glob("depot/*/*.csv")]
+        assert (found.kept + found.good, found.broken) == (len(there) - there.count(0), there.count(0))
+        counted, _ = without_copies(dataset.rows(["url", "vehicle", "status", "copy_of"]))
+        diagnosed = [url for one in periods.periods(dataset, fleet, found.urls, ()) for url in one.urls]
+        assert sorted(diagnosed) == sorted(one["url"] for one in counted if one["status"] == "good")
+        assert {one["url"] for one in counted} == {f"{tmp_path}/depot/{name}" for name in ("a/1.csv", "b/2.csv", counts)}
+
+
+def test_a_report_stays_unless_its_recordings_are_at_fault(tmp_path, monkeypatch, in_this_process):
+    fleet, dataset, asked = fleet_of(tmp_path, "vehicles: {a: xgd24d}"), FleetDataset(tmp_path), []
+
+    def diagnose(paths, *_, **__):
+        asked.append([int(path.stem) for path in paths])
+        if fault:
+            raise fault
+        return SimpleNamespace(report=lambda folder: (folder.mkdir(), (folder / "report.json").write_text(f"{asked[-1]}")))
+
+    def outcome(period):
+        try:
+            return period, periods.diagnose_period(period)
+        except InputError as error:
+            return period, error
+
+    in_this_process(periods)
+    monkeypatch.setattr(periods, "done", lambda _client, _function, work: map(outcome, work))
+    monkeypatch.setattr("trackres_ros.diagnose", diagnose, raising=False)
+    missing, short = MissingExtraError("reading bags", "rosbags", "bags"), InputError("x", "no torque", "some")
+    there, made = set(), []
+    for added, gone, fault, chosen in (
+        ([1, 2, 3, 4, 5, 6, 7], [], None, [1, 3, 5, 7]),
+        ([], [3, 7], None, None),  # their rows still count
+        ([8], [], missing, [1, 4, 6, 8]),
+        ([], [], None, [1, 4, 6, 8]),
+        ([], [1, 2, 4, 5, 6, 8], None, None),
+        ([9], [9], None, None),
+        ([10], [], None, [10]),
+        ([11], [], short, [10, 11]),
+    ):
+        there = (there | {*added}) - {*gone}
+        for number in added:
+            (tmp_path / f"{number}.csv").touch()
+            dataset.put({**good_row(number, "a"), "url": f"{tmp_path}/{number}.csv", "content": f"{number}"}, None)
+        for number in gone:
+            (tmp_path / f"{number}.csv").unlink()
+        urls = {f"{tmp_path}/{number}.csv" for number in there}
+        stayed = periods.diagnose_periods(dataset, fleet, urls, "local", None, (), lambda *_: nullcontext(lambda _: None))
+        assert asked == ([chosen] if chosen else [])
+        assert [str(missing) in line for line in stayed] == ([True] if fault is missing else [])
+        made = made if fault is missing or not chosen else chosen
+        ((name, text),) = ((path.name, path.read_text()) for path in tmp_path.glob("diagnosis/a/2026-03/re*"))
+        assert (name, text) == (("reason.txt", str(short)) if fault is short else ("report.json", f"{made}"))
+        asked.clear()

@@ -111,7 +111,8 @@ def run_command(
         bars.close()
         keep_limits(output, fleet)
         if period != "none":
-            diagnose_periods(dataset, fleet, engine, workers, hide, progress)
+            for line in diagnose_periods(dataset, fleet, counts.urls, engine, workers, hide, progress):
+                click.echo(f"trackres: {line}", err=True)
         with print_warnings():
             found = trends(dataset, limits_of(output, {}))
         found["alerts"] = rows = alerts(found)

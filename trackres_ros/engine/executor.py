@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -46,6 +47,7 @@ def engine(address: str, workers: int | None = None) -> Iterator[Client]:
     try:
         import dask
         from distributed import Client, LocalCluster
+        from distributed.deploy.spec import close_clusters
     except ImportError:
         raise MissingExtraError("trackres fleet", "distributed", "fleet") from None
     for name in list(logging.root.manager.loggerDict):
@@ -60,16 +62,18 @@ def engine(address: str, workers: int | None = None) -> Iterator[Client]:
     with dask.config.set(settings):
         if address == LOCAL:
             count = workers or len(os.sched_getaffinity(0))
-            with (
-                LocalCluster(
+            try:
+                cluster = LocalCluster(
                     n_workers=count,
                     threads_per_worker=1,
                     host="127.0.0.1",
                     dashboard_address="127.0.0.1:0",  # a free port: there may be two runs
                     silence_logs=logging.CRITICAL,
-                ) as cluster,
-                Client(cluster, set_as_default=False) as client,
-            ):
+                )
+            except KeyboardInterrupt:  # Dask cannot close a cluster that is starting; its workers end with this process
+                atexit.unregister(close_clusters)
+                raise
+            with cluster, Client(cluster, set_as_default=False) as client:
                 yield client
             return
         if not address.partition("://")[2]:

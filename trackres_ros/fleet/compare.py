@@ -16,9 +16,10 @@ from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import read
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.fleet.dataset import ROWS, FleetDataset
+from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.pooling import Vehicles, pool, softened
-from trackres_ros.fleet.trends import NUMBERS, TEXTS, of_present_files, some_of, without_overlaps
+from trackres_ros.fleet.recordings import ROWS
+from trackres_ros.fleet.trends import NUMBERS, TEXTS, of_one_file, of_present_files, some_of, without_copies, without_overlaps
 from trackres_ros.output.style import write_figure
 from trackres_ros.text.numbers import alike, figures
 from trackres_ros.text.table import table
@@ -138,7 +139,7 @@ def _parts(given: str) -> tuple[Path, str, str]:
 
 
 def _of_fleet(folder: Path, vehicle: str, day: str, given: str) -> Side:
-    rows, _ = without_overlaps(FleetDataset.existing(folder).rows([*TEXTS, *NUMBERS]))
+    rows, _ = without_overlaps(without_copies(FleetDataset.existing(folder).rows([*TEXTS, *NUMBERS]))[0])
     good = [row for row in rows if row["status"] == "good"]
     names = sorted({row["vehicle"] for row in good})
     if vehicle and vehicle not in names:
@@ -152,8 +153,9 @@ def _of_fleet(folder: Path, vehicle: str, day: str, given: str) -> Side:
             f"a day or month from {days[0]} to {days[-1]}" if days else "a recording that is compared",
         )
     chosen, outdated = of_present_files(chosen)
-    wanted = {row["url"] for row in chosen}
-    types = [data for data in Vehicles.of(good) if wanted <= set(data.urls)]
+    wanted, last = {row["url"] for row in chosen}, {row["vehicle"]: row for row in chosen}
+    of_same_file = (row for row in good if of_one_file(row, last.get(row["vehicle"], row)))
+    types = [data for data in Vehicles.of(of_same_file) if wanted <= set(data.urls)]
     if not types:
         raise InputError(given, "vehicles of several types", "those of one", "name a vehicle: DIR:VEHICLE")
     whole = pool(types[0])

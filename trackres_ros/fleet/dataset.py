@@ -21,14 +21,14 @@ from urllib.parse import quote
 
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.files.own_files import PART, write
+from trackres_ros.fleet.recordings import ROWS
 from trackres_ros.fleet.task import END_OF_DAYS_S, ENERGIES, GOOD, NO_DAY
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-ROWS = "rows"
 SUFFIX = ".parquet"
-TEXTS = ("url", "stamp", "inputs", "content", "status", "reason")
+TEXTS = ("url", "stamp", "inputs", "content", "copy_of", "vehicle_values", "status", "reason")
 NUMBERS = (
     "start_s", "duration_s", "distance_m", "warmest_degc", *(f"{part}_mj" for part in ENERGIES), "compared_s", "residual_mean",
     "residual_std", "mismatch", "held_out_file", "held_out_refit", "mean_torque", "mean_speed", "mean_weight", "mean_ambient",
@@ -53,7 +53,14 @@ class CachedRow:
     stamp: str
     inputs: str
     content: str
+    copy_of: str  # the recording of equal content that counts instead; empty if this one counts
     broken: bool
+
+    @classmethod
+    def of(cls, file: Path, row: Mapping[str, Any]) -> CachedRow:
+        """That of a row in a file."""
+        content, copy_of = (row.get(name) or "" for name in ("content", "copy_of"))
+        return cls(file, row["stamp"], row["inputs"], content, copy_of, row["status"] != GOOD)
 
 
 class FleetDataset:
@@ -93,7 +100,7 @@ class FleetDataset:
             before = found.get(row["url"])
             if before is not None:
                 before.file.unlink(missing_ok=True)
-            found[row["url"]] = CachedRow(file, row["stamp"], row["inputs"], row["content"] or "", row["status"] != "good")
+            found[row["url"]] = CachedRow.of(file, row)
         return found
 
     def put(self, row: Mapping[str, Any], replaces: Path | None) -> Path:

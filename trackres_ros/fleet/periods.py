@@ -7,7 +7,7 @@ import hashlib
 import shutil
 import tempfile
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,11 +21,12 @@ from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import PART, read
 from trackres_ros.fleet.dataset import FleetDataset
-from trackres_ros.fleet.task import NO_DAY
-from trackres_ros.fleet.trends import without_overlaps
+from trackres_ros.fleet.recordings import is_there
+from trackres_ros.fleet.task import NO_DAY, check_unchanged, fetched, may_pass
+from trackres_ros.fleet.trends import without_copies, without_overlaps
 from trackres_ros.fleet.vehicles import Fleet, FleetVehicle
 
-DIAGNOSES, INPUTS, REASON = "diagnosis", "inputs.txt", "reason.txt"
+DIAGNOSES, INPUTS, REASON, REPORT = "diagnosis", "inputs.txt", "reason.txt", "report.json"
 MOST_BYTES = 1 << 26  # of a report
 RECORDINGS = 4  # of a period that are diagnosed: three are fitted, one is held out; evenly over it
 Bar = Callable[[str, float | None], AbstractContextManager[Callable[[float], None]]]
@@ -33,7 +34,7 @@ Bar = Callable[[str, float | None], AbstractContextManager[Callable[[float], Non
 
 @dataclass(frozen=True, slots=True)
 class Period:
-    """A diagnosis to do: recordings of one vehicle and month, and a digest of all inputs."""
+    """A diagnosis to do: all recordings of one vehicle and month, and a digest of all inputs."""
 
     vehicle: FleetVehicle
     month: str
@@ -48,46 +49,72 @@ class Period:
 
 
 def diagnose_periods(
-    dataset: FleetDataset, fleet: Fleet, address: str, workers: int | None, hide: tuple[str, ...], bar: Bar
-) -> None:
-    """Make missing or outdated diagnoses; an impossible one has a reason instead of a report."""
-    new = [period for period in periods(dataset, fleet, hide) if not _is_kept(dataset.folder, period)]
+    dataset: FleetDataset, fleet: Fleet, urls: Container[str], address: str, workers: int | None, hide: tuple[str, ...], bar: Bar
+) -> list[str]:
+    """Make missing or outdated diagnoses; an impossible one has a reason instead of a report.
+
+    `urls`: the recordings that this run found. Returns a sentence for each report that could not be made anew, and stays.
+    """
+    new = [period for period in periods(dataset, fleet, urls, hide) if not _is_kept(dataset.folder, period)]
     if not new:
-        return
+        return []
+    stayed = []
     with bar("diagnoses", len(new)) as advance, engine(address, workers) as client:
         for period, result in done(client, diagnose_period, new):
-            if isinstance(result, BaseException):  # no fault of the recordings: it is tried again the next time
+            place = dataset.folder / DIAGNOSES / period.place
+            if isinstance(result, BaseException) and (place / REPORT).is_file():
+                stayed.append(f"{place}: the report is still the earlier one ({why(result)})")
+            elif isinstance(result, BaseException):  # no fault of the recordings: it is tried again the next time
                 _put(dataset.folder, replace(period, inputs=""), {REASON: one_line(why(result)).encode()})
             else:
                 _put(dataset.folder, period, result)
             advance(1)
+    return stayed
 
 
-def periods(dataset: FleetDataset, fleet: Fleet, hide: tuple[str, ...]) -> list[Period]:
-    """All vehicles and months with recordings."""
-    rows, _ = without_overlaps(dataset.rows(["url", "vehicle", "day", "status", "start_s", "duration_s", "content", "inputs"]))
+def periods(dataset: FleetDataset, fleet: Fleet, urls: Container[str], hide: tuple[str, ...]) -> list[Period]:
+    """Vehicles and months of the recordings that this run found; where none is left the report stays as it is."""
+    columns = ["url", "vehicle", "day", "status", "start_s", "duration_s", "content", "copy_of", "inputs"]
+    rows, _ = without_overlaps(without_copies(dataset.rows(columns))[0])
     found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for row in rows:
         if row["status"] == "good" and row["day"] != NO_DAY and row["vehicle"] in fleet.vehicles:
             found.setdefault((row["vehicle"], row["day"][:7]), []).append(row)
     listed = []
     for (name, month), of in sorted(found.items()):
-        chosen = [of[i] for i in np.unique(np.linspace(0, len(of) - 1, RECORDINGS).round().astype(int))]
-        digest = hashlib.sha256("\0".join(f"{row['content']} {row['inputs']}" for row in chosen).encode()).hexdigest()
-        listed.append(Period(fleet.vehicles[name], month, tuple(row["url"] for row in chosen), hide, digest))
+        if any(row["url"] in urls for row in of):
+            # Of all rows: a deleted recording still has its row, so that its month is not diagnosed again without it.
+            digest = hashlib.sha256("\0".join(f"{row['content']} {row['inputs']}" for row in of).encode()).hexdigest()
+            listed.append(Period(fleet.vehicles[name], month, tuple(row["url"] for row in of), hide, digest))
     return listed
 
 
-def diagnose_period(period: Period) -> dict[str, bytes]:
-    """The files of a report by their places in its folder, or the reason for none."""
-    import trackres_ros as tr
-    from trackres_ros.fleet.task import fetched
+def _chosen(urls: Sequence[str]) -> list[str]:
+    """Some recordings, evenly over those that are still there. Raises OSError without any."""
+    while urls:
+        chosen = [urls[i] for i in np.unique(np.linspace(0, len(urls) - 1, RECORDINGS).round().astype(int))]
+        gone = [url for url in chosen if not is_there(url)]
+        if not gone:
+            return chosen
+        urls = [url for url in urls if url not in gone]
+    raise FileNotFoundError("all recordings of this month are gone")
 
-    with tempfile.TemporaryDirectory(prefix="trackres-") as folder, fetched(period.urls) as paths:
+
+def diagnose_period(period: Period) -> dict[str, bytes]:
+    """The files of a report by their places in its folder, or the reason for none.
+
+    Raises any exception that is no fault of the recordings.
+    """
+    import trackres_ros as tr
+
+    vehicle = period.vehicle
+    check_unchanged(vehicle)
+    with tempfile.TemporaryDirectory(prefix="trackres-") as folder, fetched(_chosen(period.urls)) as paths:
         try:
-            vehicle = period.vehicle
             found = tr.diagnose(paths, vehicle.file, topics=vehicle.topics, hide=period.hide, quick=True)
         except InputError as error:
+            if may_pass(error):
+                raise
             return {REASON: str(error).encode()}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a page that cannot be drawn: the command checked earlier
@@ -101,7 +128,7 @@ def verdicts(folder: Path) -> dict[str, dict[str, dict[str, str]]]:
     found: dict[str, dict[str, dict[str, str]]] = {}
     for inputs in sorted((folder / DIAGNOSES).glob(f"*/*/{INPUTS}")):
         place = inputs.parent
-        report = place / "report.json"
+        report = place / REPORT
         if report.is_file():
             page = place / "report.html"
             verdict = {**_verdict(report), "page": page.relative_to(folder).as_posix() if page.is_file() else ""}

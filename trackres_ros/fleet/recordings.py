@@ -15,6 +15,7 @@ from trackres_ros.recording.opening import AMBIGUOUS, suffixes
 SUFFIXES = tuple(suffix for suffix in suffixes() if suffix not in AMBIGUOUS)
 OF_A_BAG = "metadata.yaml"  # marks a folder as one recording, a rosbag2
 WILD = "*?["
+LOCK, ROWS = "run.lock", "rows"  # in a folder of results, whose tables are no recordings
 CHANGED = ("ETag", "etag", "mtime", "LastModified", "last_modified")
 """Names of a change marker in file systems; the first present one is used."""
 
@@ -41,6 +42,14 @@ def find_recordings(given: Sequence[str]) -> Iterator[FoundRecording]:
                 yield found
 
 
+def is_there(url: str) -> bool:
+    """Whether a recording that was once found still exists."""
+    from fsspec.core import url_to_fs
+
+    system, path = url_to_fs(url)
+    return bool(system.exists(path))
+
+
 def _at(place: str) -> Iterator[FoundRecording]:
     try:
         from fsspec.core import url_to_fs
@@ -65,8 +74,11 @@ def _listed(system: Any, path: str, place: str) -> Iterator[FoundRecording]:
         matches = sorted(system.glob(path))
         if not matches:
             yield FoundRecording(place, "", "nothing matches it")
+        above = {parent for match in matches for parent in PurePosixPath(match).parents}
+        results = tuple(f"{folder}/" for folder in above if _holds_results(system, str(folder)))
         for match in matches:
-            yield from _one(system, match, sought=False)
+            if not match.startswith(results):
+                yield from _one(system, match, sought=False)
     elif not system.exists(path):
         yield FoundRecording(place, "", "nothing is there")
     else:
@@ -86,17 +98,26 @@ def _one(system: Any, path: str, sought: bool) -> Iterator[FoundRecording]:
         yield FoundRecording(_url(system, path), _stamp([system.info(path)]))
 
 
+def _holds_results(system: Any, folder: str) -> bool:
+    """Whether a folder is one of results; only local ones are looked at."""
+    return _is_local(system) and system.isfile(f"{folder}/{LOCK}") and system.isdir(f"{folder}/{ROWS}")
+
+
 def _inside(system: Any, top: str) -> Iterator[FoundRecording]:
-    bags: list[str] = []
+    closed: list[str] = []  # folders of bags and of results
     for folder, folders, files in system.walk(top, detail=True):
         folders_here = sorted(folders)
         if isinstance(folders, dict):
             for name in folders_here:  # in the order of names, which a top-down walk uses
                 folders[name] = folders.pop(name)
-        if any(folder.startswith(f"{bag}/") for bag in bags):
+        if any(folder.startswith(f"{one}/") for one in closed):
+            continue
+        if LOCK in files and ROWS in folders:
+            folders.clear()
+            closed.append(folder)
             continue
         if OF_A_BAG in files:
-            bags.append(folder)
+            closed.append(folder)
             yield FoundRecording(_url(system, folder), _stamp([files[name] for name in sorted(files)]))
             continue
         for name in sorted(files):
@@ -106,8 +127,11 @@ def _inside(system: Any, top: str) -> Iterator[FoundRecording]:
 
 def _url(system: Any, path: str) -> str:
     """A local path unchanged, else with its protocol."""
-    protocol = system.protocol if isinstance(system.protocol, str) else system.protocol[0]
-    return path if protocol in ("file", "local") else str(system.unstrip_protocol(path))
+    return path if _is_local(system) else str(system.unstrip_protocol(path))
+
+
+def _is_local(system: Any) -> bool:
+    return (system.protocol if isinstance(system.protocol, str) else system.protocol[0]) in ("file", "local")
 
 
 def _stamp(infos: Sequence[dict[str, Any]]) -> str:

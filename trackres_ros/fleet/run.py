@@ -9,7 +9,7 @@ import os
 import socket
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -20,25 +20,30 @@ from trackres_ros.errors import InputError
 from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import read, write
 from trackres_ros.fleet.dataset import CachedRow, FleetDataset
-from trackres_ros.fleet.recordings import FoundRecording, find_recordings
+from trackres_ros.fleet.recordings import LOCK, FoundRecording, find_recordings
 from trackres_ros.fleet.task import AGAIN, BROKEN, NO_VEHICLE, SAME, Task, analyse, broken
 from trackres_ros.fleet.vehicles import HIGHEST_LIMIT, Fleet
 from trackres_ros.recording.roles import ROLES, base_role
 
-LOCK, MOST_READ = "run.lock", 200
+MOST_READ = 200
 LIMITS, MOST_LIMITS_BYTES = "fleet.json", 1 << 24
 UNKNOWN = "unknown"  # instead of a digest without a vehicle
 
 
 @dataclass(slots=True)
 class RunCounts:
-    """Results of a run."""
+    """Results of a run; each recording that was found is kept, good or broken."""
 
-    found: int = 0
-    kept: int = 0
+    urls: set[str] = field(default_factory=set)
+    kept: int = 0  # usable and unchanged
     good: int = 0
-    broken: int = 0
+    broken: int = 0  # whether its row is new or not
     reason: str = ""  # of the first broken one
+
+    @property
+    def found(self) -> int:
+        """How many recordings were found."""
+        return len(self.urls)
 
 
 def run(
@@ -71,6 +76,7 @@ def run(
             for row in rows(done(client, analyse, chain([first], new))):
                 this_run.put(row)
                 advance(1)
+    this_run.mark_copies()
     if not counts.found:
         raise InputError("recordings", ", ".join(recordings), "paths, folders, globs or URLs of recordings")
     if not counts.kept + counts.good:
@@ -84,20 +90,24 @@ class _Run:
     def __init__(self, recordings: Sequence[str], fleet: Fleet, dataset: FleetDataset, hide: tuple[str, ...]) -> None:
         self._recordings, self._fleet, self._dataset, self._hide = recordings, fleet, dataset, hide
         self._index, self.counts = dataset.index(), RunCounts()
-        for place in recordings:  # one that could not be read may be readable now
-            before = self._index.get(place)
-            if before is not None and not before.stamp:
-                self._index.pop(place).file.unlink(missing_ok=True)
+        within = f"{dataset.folder.resolve()}/"
+        for url, before in list(self._index.items()):
+            # A place that could not be read may be readable now; earlier versions took results for recordings.
+            if (not before.stamp and url in recordings) or url.startswith(within):
+                self._index.pop(url).file.unlink(missing_ok=True)
 
     def tasks(self) -> Iterator[Task]:
         """New and changed recordings; rows of those without a known vehicle are written at once."""
         for found in find_recordings(self._recordings):
-            self.counts.found += 1
+            self.counts.urls.add(found.url)
             task = _task(found, self._fleet, self._hide)
             inputs = task.inputs if isinstance(task, Task) else UNKNOWN
             before = self._index.get(found.url)
-            if _is_kept(before, found, inputs):
-                self.counts.kept += 1
+            if before is not None and _is_kept(before, found, inputs):
+                if before.broken:
+                    self._unusable(self._dataset.of(before)["reason"])
+                else:
+                    self.counts.kept += 1
             elif isinstance(task, Task):
                 yield task if before is None or before.inputs != inputs else replace(task, known=before.content)
             else:
@@ -113,17 +123,40 @@ class _Run:
 
     def put(self, row: dict[str, Any]) -> None:
         """Write a row into the dataset and count it."""
-        before, counts = self._index.get(row["url"]), self.counts
-        if row["status"] == SAME and before is not None:
-            self._dataset.put({**self._dataset.of(before), "stamp": row["stamp"]}, before.file)
-            counts.kept += 1
-            return
-        self._dataset.put(row, before.file if before else None)
+        before = self._index.get(row["url"])
+        same = row["status"] == SAME
+        if same and before is not None:
+            row = {**self._dataset.of(before), "stamp": row["stamp"]}
+        self._index[row["url"]] = CachedRow.of(self._dataset.put(row, before.file if before else None), row)
         if row["status"] == BROKEN:
-            counts.broken += 1
-            counts.reason = counts.reason or row["reason"]
+            self._unusable(row["reason"])
+        elif same:
+            self.counts.kept += 1
         else:
-            counts.good += 1
+            self.counts.good += 1
+
+    def _unusable(self, reason: str) -> None:
+        self.counts.broken += 1
+        self.counts.reason = self.counts.reason or reason
+
+    def mark_copies(self) -> None:
+        """Of recordings with equal content one counts, whatever its name and vehicle: the rows of the others name it."""
+        by_content: dict[str, list[str]] = {}
+        for url, row in self._index.items():
+            by_content.setdefault(row.content or url, []).append(url)
+        for urls in by_content.values():
+            first, *others = sorted(urls, key=self._rank)
+            for url, copy_of in ((first, ""), *((other, first) for other in others)):
+                row = self._index[url]
+                if row.copy_of != copy_of:
+                    self._dataset.put({**self._dataset.of(row), "copy_of": copy_of}, row.file)
+
+    def _rank(self, url: str) -> tuple[object, ...]:
+        """Order of recordings with equal content: found and usable, found, then the one that counted, or was written last."""
+        row = self._index[url]
+        if url in self.counts.urls:
+            return 0, row.broken, url
+        return 1, bool(row.copy_of), -row.file.stat().st_mtime_ns, url
 
 
 def rows(results: Iterable[tuple[Task, Any]]) -> Iterator[dict[str, Any]]:

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.errors import InputError, one_line
+from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.fleet.recordings import FoundRecording
-from trackres_ros.fleet.vehicles import FleetVehicle, digest
+from trackres_ros.fleet.vehicles import FleetVehicle, digest, digest_of_values
 from trackres_ros.version import __version__
 
 ROW_VERSION = 3  # raised with any change of a row's content or computation: older rows are computed again
@@ -57,16 +57,11 @@ def broken(found: FoundRecording, vehicle: str, inputs: str, reason: str) -> dic
 def analyse(task: Task) -> dict[str, Any]:
     """The row of one recording: a broken one is a row with its reason."""
     began = time.perf_counter()
-    row = broken(FoundRecording(task.url, task.stamp), task.vehicle.name, task.inputs, "")
+    row = broken(FoundRecording(task.url, task.stamp), task.vehicle.name, AGAIN, "")
     here = task.url
     try:
-        if digest(task.vehicle.file) != task.vehicle.sha:
-            raise InputError(
-                str(task.vehicle.file),
-                "a vehicle file that was modified during the run",
-                "an unmodified vehicle file",
-                "run again",
-            )
+        check_unchanged(task.vehicle)
+        row["inputs"] = task.inputs
         with fetched((task.url,)) as (path,):
             here = str(path)
             row |= {"content": _content(path)}
@@ -75,12 +70,31 @@ def analyse(task: Task) -> dict[str, Any]:
             row |= _analysed(path, task, row)
             row["notes"] = [note.replace(here, task.url) for note in row["notes"]]
     except InputError as error:
-        row["reason"] = str(error).replace(here, task.url)
-    except OSError as error:
-        row |= {"reason": one_line(f"{task.url}: {error.strerror or error}"), "inputs": AGAIN}
+        row |= {"reason": str(error).replace(here, task.url), "inputs": AGAIN if may_pass(error) else row["inputs"]}
+    except (OSError, MemoryError, ImportError) as error:
+        what = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+        row |= {"reason": one_line(f"{task.url}: {what}"), "inputs": AGAIN}
     except Exception as error:  # no recording may end a run; its error is in its row
         row["reason"] = one_line(f"{type(error).__name__}: {error} (a bug: please report it, with the file)")
     return {**row, "took_s": time.perf_counter() - began}
+
+
+def check_unchanged(vehicle: FleetVehicle) -> None:
+    """Raise InputError if its vehicle or topics file has changed since the run began, or cannot be read."""
+    for what, file, sha in (("vehicle", vehicle.file, vehicle.sha), ("topics", vehicle.topics, vehicle.topics_sha)):
+        if file is not None and digest(file) != sha:
+            given = f"a {what} file that was modified during the run"
+            raise InputError(str(file), given, f"an unmodified {what} file", "run again")
+
+
+def may_pass(error: BaseException | None) -> bool:
+    """Whether the machine is at fault instead of the recording: a missing library or file, too little memory."""
+    while error is not None:
+        of_system = isinstance(error, OSError) and error.errno is not None  # those of libraries for damaged files have none
+        if of_system or isinstance(error, (MissingExtraError, ImportError, MemoryError)):
+            return True
+        error = error.__cause__
+    return False
 
 
 def _analysed(path: Path, task: Task, row: dict[str, Any]) -> dict[str, Any]:
@@ -92,8 +106,9 @@ def _analysed(path: Path, task: Task, row: dict[str, Any]) -> dict[str, Any]:
     times = recording.time_s("speed")
     found = [one_line(f"{f.role}: {f.text}" if f.role else f.text) for f in recording.findings]
     row |= {"start_s": start_s, "day": _day(start_s), "duration_s": float(times[-1]) if len(times) else 0.0, "findings": found}
-    loaded, vehicle = _vehicle(task.vehicle.file, task.vehicle.sha, task.vehicle.topics)
-    row |= _replayed(recording, vehicle)
+    of = task.vehicle
+    loaded, vehicle, values = _vehicle(of.file, of.sha, of.topics, of.topics_sha)
+    row |= {"vehicle_values": values, **_replayed(recording, vehicle)}
     likelihood = asdict(evidence(recording, loaded, task.hide))
     upper = np.triu_indices(len(likelihood["names"]))
     for name in ("covariance", "precision"):
@@ -103,14 +118,14 @@ def _analysed(path: Path, task: Task, row: dict[str, Any]) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=4)
-def _vehicle(file: Path, _sha: str, topics: Path | None) -> tuple[Any, Any]:
-    """The base model of a vehicle, and the vehicle itself; a worker reuses it for all recordings."""
+def _vehicle(file: Path, _sha: str, topics: Path | None, _topics_sha: str) -> tuple[Any, Any, str]:
+    """The base model of a vehicle, the vehicle itself, and the digest of its values; a worker reuses them for all recordings."""
     import trackres_ros as tr
     from trackres_ros.api.arguments import as_topics
     from trackres_ros.diagnosis.base.loading import load_base
 
     loaded = load_base(file, topics=as_topics(topics))
-    return loaded, tr.load_vehicle(file)
+    return loaded, tr.load_vehicle(file), digest_of_values(file)
 
 
 def _replayed(recording: Any, vehicle: Any) -> dict[str, Any]:

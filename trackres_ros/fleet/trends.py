@@ -22,13 +22,14 @@ SHOWN = "bearing_friction", "loss_modulus_scale"  # over time, changed or not
 OVERLAP_S = 1.0  # allowed overlap of two recordings: their clocks differ
 MOST_NAMES = 8  # in a message
 LEFT_OUT = {
+    "copies": "not used because another recording has the same content",
     "overlapping": "not used because their clocks overlap",
     "outdated": "not used because their vehicle's file has changed since",
     "undated": "not searched for changes because their clocks give no day",
 }
 UNDATED = "its clock gives no day: it is used for the values of vehicle and type, not for changes"
 FARTHEST_YEARS = 20.0  # limit of a forecast
-TEXTS = ("url", "vehicle", "day", "status", "reason", "names", "units", "findings")
+TEXTS = ("url", "vehicle", "day", "status", "reason", "copy_of", "vehicle_values", "names", "units", "findings")
 NUMBERS = (
     "start_s", "duration_s", "distance_m", "mismatch", "mean_torque", "mean_ambient", "residual_std", "held_out_file",
     "held_out_refit", "resistance_mj", "nominal", "std", "precision", "linear", LOAD_RECORDED,
@@ -50,19 +51,39 @@ def _dated(row: Mapping[str, Any]) -> bool:
     return bool(row["start_s"] > FIRST_DAY_S)
 
 
+def without_copies(rows: Sequence[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
+    """Rows without those that the run marked as copies of another one, and the excluded ones, with the reason."""
+    there = {row["url"] for row in rows}
+    left_out = [
+        {"url": row["url"], "vehicle": row["vehicle"], "reason": f"it has the same content as {row['copy_of']}, which is used"}
+        for row in rows
+        if row["copy_of"] in there
+    ]
+    return [row for row in rows if row["copy_of"] not in there], left_out
+
+
 def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
     """Rows without overlapping times of a vehicle, and the excluded ones, with the reason."""
     kept: list[Mapping[str, Any]] = []
     left_out: list[dict[str, str]] = []
+    before: Mapping[str, Any] | None = None  # the vehicle's last good one with a day
     for row in sorted(rows, key=lambda row: (row["vehicle"], row["start_s"] or 0.0, row["url"])):
-        before = kept[-1] if kept and kept[-1]["vehicle"] == row["vehicle"] else None
-        timed = before and all(one["status"] == "good" and one["day"] != NO_DAY for one in (row, before))
-        if before and timed and row["start_s"] < before["start_s"] + before["duration_s"] - OVERLAP_S:
+        timed = row["status"] == "good" and row["day"] != NO_DAY
+        if before is not None and before["vehicle"] != row["vehicle"]:
+            before = None
+        if before is not None and timed and row["start_s"] < before["start_s"] + before["duration_s"] - OVERLAP_S:
             reason = f"its clock overlaps with {before['url']}: of one vehicle only one can be right"
             left_out.append({"url": row["url"], "vehicle": row["vehicle"], "reason": reason})
         else:
             kept.append(row)
+            before = row if timed else before
     return kept, left_out
+
+
+def of_one_file(row: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether the vehicle file had the same values for both; in rows of earlier versions only the fitted ones are known."""
+    values, others = row["vehicle_values"], other["vehicle_values"]
+    return type_of(row) == type_of(other) and (values == others or None in (values, others))
 
 
 def of_present_files(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
@@ -76,7 +97,7 @@ def of_present_files(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[st
     left_out: list[dict[str, str]] = []
     for row in rows:
         last = latest[row["vehicle"]]
-        if type_of(row) == type_of(last):
+        if of_one_file(row, last):
             kept.append(row)
         else:
             reason = f"its vehicle file has other values than that of {last['url']}, the latest: analyse it again to compare it"
@@ -97,7 +118,8 @@ def trends(
     only one to check for changes; by default all. Raises InputError if there is nothing to compare, a limit of an unknown
     parameter, or no such vehicle.
     """
-    rows = dataset.rows([*TEXTS, *NUMBERS])
+    every = dataset.rows([*TEXTS, *NUMBERS])
+    rows, copies = without_copies(every)
     kept, overlapping = without_overlaps(rows)
     good, outdated = of_present_files(row for row in kept if row["status"] == "good")
     if not good:
@@ -125,9 +147,10 @@ def trends(
     bad = [row for row in rows if row["status"] != "good"]
     years = sum(v["years"] for v in vehicles.values())
     return {
-        "recordings": len(rows),
+        "recordings": len(every),
         "compared": len(good),
         "broken": [{"url": row["url"], "vehicle": row["vehicle"], "reason": row["reason"]} for row in bad],
+        "copies": copies,
         "overlapping": overlapping,
         "outdated": outdated,
         "undated": [{"url": row["url"], "vehicle": row["vehicle"], "reason": UNDATED} for row in good if not _dated(row)],

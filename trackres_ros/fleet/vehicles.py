@@ -5,6 +5,7 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
@@ -20,6 +21,7 @@ ALLOWED = "vehicles: a name for each, with file, and if need be recordings, topi
 FORBIDDEN_IN_NAMES = "/\\=\0"  # a name becomes a folder of the dataset
 HIGHEST_LIMIT = 1e12
 NOT_A_NAME = ("", ".", "..", "none")
+WORDS = "title", "reason"  # keys of a vehicle file that alter no result
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,18 +122,34 @@ def _beside(path: Path, given: object, where: str) -> Path:
 
 
 def digest(path: Path) -> str:
-    """Digest of a vehicle or topics file, and of the files in it that its lines name. Raises InputError if it cannot be read."""
+    """Digest of a vehicle or topics file, and of the files that it names. Raises InputError if it cannot be read."""
     content = read_yaml(path)
-    found = hashlib.sha256(path.read_bytes())
-    for name in sorted(_files_named(content)):
-        local = path.parent / name
-        if local.is_file():
-            found.update(local.read_bytes())
+    return _digest(path.read_bytes(), content, path.parent)
+
+
+def digest_of_values(path: Path) -> str:
+    """The same of the values of a vehicle file: a comment, title or reason does not change it."""
+    values = _without_words(read_yaml(path))
+    return _digest(repr(values).encode(), values, path.parent)
+
+
+def _digest(own: bytes, content: Any, folder: Path) -> str:
+    found = hashlib.sha256(own)
+    for name in sorted(_texts(content)):  # whichever key names a file: rubber, effects, databases of buses
+        with suppress(OSError, ValueError):  # most texts are no paths, and some are too long for one
+            if (folder / name).is_file():
+                found.update((folder / name).read_bytes())
     return found.hexdigest()
 
 
-def _files_named(content: Any) -> set[str]:
+def _texts(content: Any) -> set[str]:
+    if isinstance(content, str):
+        return {content}
+    parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
+    return set().union(*map(_texts, parts))
+
+
+def _without_words(content: Any) -> Any:
     if isinstance(content, dict):
-        named = {value for key, value in content.items() if key == "file" and isinstance(value, str)}
-        return named.union(*(_files_named(value) for value in content.values()))
-    return set().union(*map(_files_named, content)) if isinstance(content, list) else set()
+        return {key: _without_words(value) for key, value in content.items() if key not in WORDS}
+    return [_without_words(value) for value in content] if isinstance(content, list) else content

@@ -14,7 +14,7 @@ import numpy as np
 from trackres_ros.files.own_files import write
 from trackres_ros.fleet.dataset import LOAD_RECORDED, FleetDataset
 from trackres_ros.fleet.periods import verdicts
-from trackres_ros.fleet.trends import change_sentence, day_of, sentences
+from trackres_ros.fleet.trends import change_sentence, day_of, sentences, without_copies
 from trackres_ros.text.numbers import alike, figures
 from trackres_ros.text.templates import templates
 
@@ -25,7 +25,7 @@ LEFT, RIGHT, TOP, BOTTOM = 105.0, 12.0, 12.0, 28.0
 TICKS = 4
 SHOWN = (
     "url", "vehicle", "day", "status", "reason", "duration_s", "distance_m", "mismatch", "held_out_file", "held_out_refit",
-    "mean_ambient", "findings", LOAD_RECORDED,
+    "mean_ambient", "findings", "copy_of", LOAD_RECORDED,
 )  # fmt: skip
 
 
@@ -39,8 +39,8 @@ def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -
     months = sorted({month for of in found["months"].values() for month in of})
     cells = [cell["mismatch"] for of in found["months"].values() for cell in of.values()]
     worst = max((mismatch for mismatch in cells if mismatch is not None), default=0.0)
-    rows: dict[str, list[dict[str, Any]]] = {}
-    for row in dataset.rows(list(SHOWN)):
+    rows: dict[str, list[Mapping[str, Any]]] = {}
+    for row in without_copies(dataset.rows(list(SHOWN)))[0]:
         rows.setdefault(row["vehicle"], []).append(row)
     text = environment.get_template("index.html").render(
         style=style, found=found, months=months, pages=pages, lines=sentences(found), diagnosed=diagnosed, quote=quote,
