@@ -235,7 +235,7 @@ def test_belts_outlive_a_restart(simulated, tmp_path):
     shutil.copy(state, kept)
     begun = time.time()
     again = simulated(state_file=str(state))
-    assert "belts restored from" in again.node.log
+    again.node.until(lambda: "belts restored from" in again.node.log, "the restart")
     warmest, coolest = (cooled(kept, moment) for moment in (begun, time.time()))  # the machine may take its time to start it
     assert coolest <= warmest <= belt + 0.05
     again.node.until(lambda: again.node.out["belt"].update(), "a temperature", meanwhile=lambda: again.drive(1))
@@ -260,7 +260,7 @@ def test_killed_at_any_moment_the_state_file_is_whole_and_used(node, tmp_path):
     n.close()
     assert json.loads(state.read_text())["vehicle"] == "xgd24d"
     n = node(state_file=str(state))
-    assert "belts restored from" in n.log
+    n.until(lambda: "belts restored from" in n.log, "the restart")
     assert not list(tmp_path.glob("state.json*.part"))
 
 
