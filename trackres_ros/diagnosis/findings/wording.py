@@ -171,6 +171,8 @@ def doubts(unsure: Sequence[Graded]) -> list[str]:
             found.append(f"{graded.name} is at the limit of its plausible range ({', '.join(graded.on_bounds)})")
         elif i.grade == CONFIRMED and graded.cancels:
             found.append(f"{graded.name} improves the hold-out laps far less than its size suggests: {error}")
+        elif i.grade == CONFIRMED and graded.by_others:
+            found.append(f"{graded.name} improves the hold-out laps far more than its size explains: {error}")
         elif i.grade == CONFIRMED and graded.of_unconfirmed:
             found.append("The hold-out laps do not confirm these terms together")
         else:
