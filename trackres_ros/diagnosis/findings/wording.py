@@ -9,12 +9,14 @@ import math
 from collections.abc import Mapping, Sequence
 
 from trackres_ros.diagnosis.base.base import BaseParameter
+from trackres_ros.diagnosis.base.instrument import PRIOR_STDS
 from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.findings.locate import SlowResidual, in_nm
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.selection.confirm import Graded
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_SHARE, HeldOut
 from trackres_ros.diagnosis.selection.naming import Candidate
+from trackres_ros.effects.effect import Active
 from trackres_ros.text.numbers import figures, on_scale
 
 MOST_CERTAIN = 20.0  # in log-likelihood: upper limit of a stated certainty
@@ -129,6 +131,16 @@ def mean_error(before: float, after: float) -> str:
     was, now = figures(before), figures(after)
     way = f"stays at {now}" if was == now else f"{'falls' if after < before else 'rises'} from {was} to {now}"
     return f"The mean error on hold-out laps {way} Nm"
+
+
+def assumed_sensor(instrument: Sequence[Active], without: float | None) -> str:
+    """The errors that a fit assumes of the torque sensor, those beyond the usual or all, and the error `without` them [Nm]."""
+    if without is None:
+        return ""
+    assumed = [(a.effect.name.removeprefix("torque_"), q, a.values[q.name]) for a in instrument for q in a.effect.parameters]
+    unusual = [one for one in assumed if abs(one[2]) > PRIOR_STDS * one[1].start] or assumed
+    sizes = (f"{name} {figures(100.0 * x)} %" if q.unit == "1" else f"{name} {figures(x)} {q.unit}" for name, q, x in unusual)
+    return f"That assumes an error of the torque sensor ({', '.join(sizes)}); without it the mean error is {figures(without)} Nm"
 
 
 def possible(
