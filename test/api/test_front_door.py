@@ -399,6 +399,15 @@ def test_explain_and_check_are_the_commands():
     assert checked == told
 
 
+def test_a_name_alone_is_one_name(drive, monkeypatch):
+    options = []
+    monkeypatch.setattr("trackres_ros.diagnosis.diagnose", lambda *given: options.append(given[-1]) or 1 / 0)
+    for given in ("grade", ["grade"], ("grade",)):
+        with pytest.raises(ZeroDivisionError):
+            tr.diagnose(drive, "agri3t", hide=given, holdout=given)
+    assert [(tuple(of.hide), tuple(of.holdout)) for of in options] == [(("grade",), ("grade",))] * 3
+
+
 @pytest.mark.parametrize(
     ("call", "where"),
     [
@@ -417,6 +426,9 @@ def test_explain_and_check_are_the_commands():
         (lambda d, f: tr.replay(d, 5), "vehicle"),
         (lambda d, f: tr.diagnose([], "agri3t"), "recordings"),
         (lambda d, f: tr.diagnose(d, "agri3t", hide=["gradient"]), "hide"),
+        (lambda d, f: tr.diagnose(d, "agri3t", hide="gradient"), "hide"),
+        (lambda d, f: tr.simulate("agri3t", profile=np.ones(3)), "profile"),
+        (lambda d, f: tr.simulate("agri3t", profile=tr.simulate("agri3t", speed_kmh=5, duration_s=5).to_pandas()), "profile"),
         (lambda d, f: tr.record_sample(f / "lap.csv"), "path"),
     ],
 )
