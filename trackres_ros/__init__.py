@@ -13,7 +13,9 @@ Everything in `__all__` is loaded when it is first used; docs/api.md describes i
 
 from __future__ import annotations
 
+import copyreg
 from importlib import import_module
+from types import MappingProxyType
 
 from trackres_ros.version import __version__
 
@@ -96,6 +98,14 @@ _HOMES = {
     "simulate": "api.simulating",
 }
 """The module where a name is at home; `effects` is a package itself."""
+
+
+def _read_only(content: dict[object, object]) -> MappingProxyType[object, object]:
+    return MappingProxyType(content)
+
+
+# Vehicles, recordings and results hold read-only mappings, which Python neither copies nor pickles by itself.
+copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
 
 
 def __getattr__(name: str) -> object:

@@ -4,10 +4,12 @@
 """`import trackres_ros as tr`: its content, available at once, and the only interface of the command line."""
 
 import ast
+import copy
 import importlib
 import inspect
 import json
 import math
+import pickle
 import pkgutil
 import subprocess
 import sys
@@ -20,6 +22,7 @@ from click.testing import CliRunner
 import trackres_ros as tr
 from trackres_ros.api.arguments import LIMITS
 from trackres_ros.cli.main import cli
+from trackres_ros.estimator.entry_points import COMPILED, interpreted_entries
 from trackres_ros.files.resources import shipped_road_vehicles
 
 PACKAGE = Path(tr.__file__).parent
@@ -252,6 +255,31 @@ def test_a_replay_of_what_was_read_is_that_of_the_file(sample, vehicle):
         assert np.array_equal(read[column], from_file[column], equal_nan=True), column
 
 
+def test_results_are_copied_and_pickled_whole(drive, sample, replayed, vehicle):
+    recording = tr.read(drive)
+    simulated = tr.simulate(vehicle, speed_kmh=20, duration_s=5)
+    road = tr.load_vehicle(next(iter(shipped_road_vehicles())))
+    point = tr.explain(vehicle, speed_kmh=20, belt_degc=15)
+    results = sample, recording, replayed, simulated, point, tr.check_vehicle(vehicle)
+    for one in (vehicle, road, *results, *(tr.Estimator(vehicle, entries=e) for e in (COMPILED, interpreted_entries()))):
+        for again in (copy.copy(one), copy.deepcopy(one), pickle.loads(pickle.dumps(one))):
+            assert type(again) is type(one)
+            assert repr(again) == repr(one)
+    again = pickle.loads(pickle.dumps(recording))
+    assert again.report() == recording.report()
+    assert all(np.array_equal(again.series[role].value, samples.value) for role, samples in recording.series.items())
+    with pytest.raises(TypeError):
+        again.series["speed"] = None
+
+
+def test_aligned_series_are_the_callers_own(drive):
+    recording = tr.read(drive)
+    before = {role: samples.value.copy() for role, samples in recording.series.items()}
+    for series in recording.aligned().values():
+        series[:] = 0.0
+    assert all(np.array_equal(samples.value, before[role]) for role, samples in recording.series.items())
+
+
 @pytest.mark.parametrize("suffix", ["csv", "csv.gz", "mcap"])
 def test_what_is_saved_is_what_the_command_writes(drive, replayed, folder, suffix):
     saved = replayed.save(folder / f"saved.{suffix}")
@@ -376,6 +404,15 @@ def test_explain_and_check_are_the_commands():
     assert checked == told
 
 
+def test_a_name_alone_is_one_name(drive, monkeypatch):
+    options = []
+    monkeypatch.setattr("trackres_ros.diagnosis.diagnose", lambda *given: options.append(given[-1]) or 1 / 0)
+    for given in ("grade", ["grade"], ("grade",)):
+        with pytest.raises(ZeroDivisionError):
+            tr.diagnose(drive, "agri3t", hide=given, holdout=given)
+    assert [(tuple(of.hide), tuple(of.holdout)) for of in options] == [(("grade",), ("grade",))] * 3
+
+
 @pytest.mark.parametrize(
     ("call", "where"),
     [
@@ -394,6 +431,9 @@ def test_explain_and_check_are_the_commands():
         (lambda d, f: tr.replay(d, 5), "vehicle"),
         (lambda d, f: tr.diagnose([], "agri3t"), "recordings"),
         (lambda d, f: tr.diagnose(d, "agri3t", hide=["gradient"]), "hide"),
+        (lambda d, f: tr.diagnose(d, "agri3t", hide="gradient"), "hide"),
+        (lambda d, f: tr.simulate("agri3t", profile=np.ones(3)), "profile"),
+        (lambda d, f: tr.simulate("agri3t", profile=tr.simulate("agri3t", speed_kmh=5, duration_s=5).to_pandas()), "profile"),
         (lambda d, f: tr.record_sample(f / "lap.csv"), "path"),
     ],
 )

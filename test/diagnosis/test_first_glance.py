@@ -51,6 +51,16 @@ def report_of(status, grade, names=(), **more):
     return {**content, **more}
 
 
+def test_the_error_without_an_assumed_sensor_is_shown_too():
+    for names in ([], [["scrub"]]):
+        r = report_of("named" if names else "none", "confirmed", names)
+        plain = tiles(r)[2].detail
+        r["heldout"]["without_sensor_error"] = 65.4
+        assert tiles(r)[2].detail == f"{plain}, 65.4 without the assumed error of the torque sensor"
+        r["heldout"]["without_sensor_error"] = None
+        assert tiles(r)[2].detail == plain
+
+
 words = st.text("abcdefgh _", min_size=1, max_size=30).filter(str.strip)
 
 

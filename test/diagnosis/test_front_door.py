@@ -3,7 +3,9 @@
 
 """`tr.diagnose` is `trackres diagnose`, as objects."""
 
+import copy
 import json
+import pickle
 import re
 import sys
 from dataclasses import replace
@@ -90,6 +92,11 @@ def test_an_effect_that_was_found_says_its_value(found):
     assert scrub.values["friction"] == pytest.approx(0.3, rel=0.2)
     assert repr(scrub).startswith("<turning_scrub: friction 0.")
     assert repr(scrub).endswith("; confirmed>")
+
+
+def test_a_diagnosis_is_copied_and_pickled_whole(found):
+    for again in (copy.deepcopy(found), pickle.loads(pickle.dumps(found))):
+        assert again.as_dict() == found.as_dict()
 
 
 def test_a_notebook_shows_sentence_values_and_a_picture(found):

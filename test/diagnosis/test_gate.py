@@ -11,6 +11,7 @@ import pytest
 from csv_tables import columns_of, rewritten
 
 from trackres_ros.diagnosis import load_base, read_recordings
+from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.torque_checks import nothing_to_conclude
 from trackres_ros.diagnosis.stages.prepare import prepared
 from trackres_ros.errors import InputError
@@ -73,6 +74,16 @@ def test_what_is_wrong_is_said_with_the_line_that_mends_it(run, recorded, tmp_pa
     assert isinstance(done.exception, InputError)
     assert said in str(done.exception)
     assert not (tmp_path / "out" / "vehicle.yaml").exists()
+
+
+def test_only_vehicles_with_belts_have_notes_on_belts(recorded, loaded):
+    for name in ("xgd24d", "bmw_i3"):
+        base = load_base(name)
+        assert base.known.has_belt == base.base.has_belt
+    recordings = read_recordings(recorded(), None)
+    for has_belt in (True, False):
+        notes = gate(recordings, replace(loaded.known, has_belt=has_belt)).notes
+        assert any("belt" in note for note in notes) == has_belt
 
 
 def test_a_slow_speed_in_kmh_is_detected_from_inertia_torque(loaded, tmp_path):

@@ -53,8 +53,9 @@ def test_a_value_within_a_thousandth_of_its_span_is_on_a_bound(value, given, bou
     assert on_bounds(Active(SimpleNamespace(name="a", parameters=(size,)), {"size": value})) == bounds
 
 
-def test_what_cancels_another_term_is_at_best_suspected():
-    graded = [Graded("x", improvement, (), cancels=True) for improvement in (SURE, UNSURE, WORSE)]
+@pytest.mark.parametrize("why", ["cancels", "by_others"])
+def test_a_gain_that_does_not_fit_its_size_is_suspected(why):
+    graded = [Graded("x", improvement, (), **{why: True}) for improvement in (SURE, UNSURE, WORSE)]
     assert [g.grade for g in graded] == [SUSPECTED, SUSPECTED, REFUTED]
     assert not any(g.confirmed for g in graded)
     assert Graded("x", SURE, ()).confirmed

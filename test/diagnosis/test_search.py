@@ -22,6 +22,8 @@ from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, 
 from trackres_ros.diagnosis.selection.as_used import AsUsed
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, SUSPECTED, HeldOutLaps
 from trackres_ros.diagnosis.selection.naming import compared
+from trackres_ros.diagnosis.stages import refit as refit_stage
+from trackres_ros.diagnosis.stages.options import BY_DEFAULT
 from trackres_ros.effects import catalogue
 from trackres_ros.evaluation.synthetic import drives
 
@@ -309,6 +311,54 @@ def test_a_term_as_large_as_its_improvement_is_confirmed(driven, graded):
     found = driven(adds=one)
     of, confirmed = graded(found, series(found, one, name="one"))
     assert (of["one"].cancels, of["one"].grade, confirmed) == (False, CONFIRMED, True)
+
+
+def test_a_gain_far_above_the_size_of_a_term_is_not_confirmed(driven, graded, known, monkeypatch):
+    """A fit without the term that ended in a worse optimum, and a term that is nothing."""
+    found = driven()
+    worse = replace(found, predicted=tuple(replace(p, torque=0.9 * p.torque) for p in found.predicted))
+    monkeypatch.setattr(Choice, "judged", with_worse_base(Choice.judged, worse))
+    of, confirmed = graded(found, known["torque_gain"])
+    assert of["torque_gain"].improvement.grade == CONFIRMED
+    assert (of["torque_gain"].by_others, of["torque_gain"].grade, confirmed) == (True, SUSPECTED, False)
+
+
+def with_worse_base(judged, worse):
+    def of(choice, explanation):
+        right = judged(choice, explanation)
+        return right if explanation.key else replace(right, final=worse, score=choice._validation.score(worse))
+
+    return of
+
+
+def test_the_search_gives_a_base_likelier_than_its_own(driven, known):
+    found = driven()
+    best = Explanation(fit(found.problem, [known["torque_gain"]], found.at, found.noises, rounds=1), 5.0, {"torque_gain": None})
+    for lost, better in ((0.0, False), (5.0, False), (15.0, True)):
+        search = Search(replace(found, log_likelihood=found.log_likelihood - lost), {}, None, (), 19, None, lambda _: None)
+        assert search.likelier_base() is None  # without an explanation there is nothing to begin from
+        search._pool = replace(search._pool, by_noise=10.0)
+        search._keep(best)
+        likelier = search.likelier_base()
+        assert (likelier is not None) == better
+        assert likelier is None or likelier.log_likelihood == pytest.approx(found.log_likelihood, abs=4.0)
+
+
+def test_a_likelier_base_is_searched_from_once(monkeypatch):
+    began = []
+
+    def explored(_, base, *__):
+        return SimpleNamespace(base=base, likelier_base=lambda: SimpleNamespace(at="better"))
+
+    def refitted(*_):
+        began.append(_[-1])
+        return SimpleNamespace(refitted=None, validation=None, laps=None, use=None)
+
+    chosen = SimpleNamespace(best=lambda _: "chosen")
+    for name, value in (("_explored", explored), ("refit", refitted), ("Choice", lambda *_: chosen)):
+        monkeypatch.setattr(refit_stage, name, value)
+    base, of = refit_stage.search(None, None, BY_DEFAULT, None)
+    assert (began, base is None, of) == (["better"], False, "chosen")
 
 
 def test_a_name_on_a_bound_is_at_best_suspected(driven, graded, known):

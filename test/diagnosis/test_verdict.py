@@ -13,18 +13,19 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.base import BaseParameter
+from trackres_ros.diagnosis.base.instrument import PRIOR_STDS
 from trackres_ros.diagnosis.empirical.terms import Described, of_learned
 from trackres_ros.diagnosis.findings.found import Changed, NamedEffect, UnnamedTerm, by_improvement
 from trackres_ros.diagnosis.findings.locate import Location, SlowResidual, only_later
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, LEFT_SHARE, Findings, Verdict, judge
-from trackres_ros.diagnosis.findings.wording import MOST_WORDS, likelier
+from trackres_ros.diagnosis.findings.wording import MOST_WORDS, assumed_sensor, likelier
 from trackres_ros.diagnosis.selection.confirm import Graded, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, Improvement
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.diagnosis.stages.conclude import believed_in
 from trackres_ros.effects import catalogue
-from trackres_ros.effects.effect import Parameter
+from trackres_ros.effects.effect import Active, Parameter
 from trackres_ros.effects.learned import ALWAYS, BY_BRAKING, DRIVING_TORQUE, LEFT, OPEN, BuildUp, Curve
 
 BETTER = Improvement(100.0, 80.0, 15.0, 25.0)
@@ -83,6 +84,18 @@ def said(found=(), terms=(), refuted=(), base=None, at_end=None, slow=QUIET, hin
 
 
 # Nothing found
+
+
+def test_an_error_with_an_assumed_sensor_is_said_without_it_too():
+    gain = Parameter("error", "1", -0.015, 0.015, 0.005 / PRIOR_STDS, "relative", off=0.0)
+    offset = Parameter("offset", "Nm", -45.0, 45.0, 15.0 / PRIOR_STDS, "", off=0.0)
+    both = "gain 0.1 %, offset 2 Nm"
+    for gain_at, offset_at, assumed in ((0.015, 2.0, "gain 1.5 %"), (0.001, -20.0, "offset -20 Nm"), (0.001, 2.0, both)):
+        values = (("torque_gain", gain, gain_at), ("torque_offset", offset, offset_at))
+        acting = [Active(SimpleNamespace(name=name, parameters=(q,)), {q.name: x}) for name, q, x in values]
+        for verdict in (said(sensor=assumed_sensor(acting, 95.0)), said([found()], sensor=assumed_sensor(acting, 95.0))):
+            assert f"({assumed}); without it the mean error is 95 Nm." in verdict.sentence
+        assert not assumed_sensor(acting, None)
 
 
 def test_nothing_beyond_noise():

@@ -3,16 +3,21 @@
 
 """The pure step: the same everywhere, and lawful outputs."""
 
+from dataclasses import replace
+from itertools import permutations
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.offline.simulate import assembly_values
-from trackres_ros.vehicle import load
+from trackres_ros.vehicle import load, load_any
 
 SPEED = 30 / 3.6
 
@@ -137,3 +142,82 @@ def test_long_gap_lies_between_rest_and_driving_on_and_says_so(reference):
     middle = (rested.belts[0, 0, 0] + on.belt_degc()[0]) / 2
     assert estimate.belt_degc()[0] == pytest.approx(middle, abs=0.3)
     assert estimate.belt_std_k()[0] > abs(on.belt_degc()[0] - rested.belts[0, 0, 0]) / 12**0.5
+
+
+TIMES = 60
+DATES = np.datetime64("2024-01-01T00:00") + np.arange(TIMES) * np.timedelta64(1, "s")
+SERIES = ("time_s", "speed", "weight", "ambient", "acceleration", "grade", "yaw_rate", "heading", "distance")
+POSITIONS = ("time_s", "speed", "latitude", "longitude")
+
+
+def a_run(estimator, **changed):
+    of_vehicle = {"state": estimator.cold_start(estimator.inputs(0.0)), "weight": estimator.vehicle.weight, "ambient": 15.0}
+    return estimator.run(**({"time_s": np.arange(TIMES), "speed": np.full(TIMES, 5.0)} | of_vehicle | changed))
+
+
+@pytest.mark.parametrize("name", ["load", "belt_measured"])
+@pytest.mark.parametrize("shape", [(), (0,), (1,), (2,), (3,), (5,), (4, 1), (1, 4)])
+def test_arrays_of_assemblies_have_one_value_for_each(reference, name, shape):
+    with pytest.raises(InputError, match=f"{name}.*shape"):
+        reference.inputs(SPEED, **{name: np.full(shape, 60.0)})
+
+
+def test_step_rest_run_and_session_refuse_another_vehicle(reference, carrier):
+    road = Estimator(load_any("bmw_i3"))
+    for mine, other in permutations((reference, carrier, road), 2):
+        inputs, its = mine.inputs(5.0), other.inputs(5.0)
+        state, strange = mine.cold_start(inputs), other.cold_start(its)
+        for refused in (
+            lambda mine=mine, strange=strange, inputs=inputs: mine.step(strange, inputs, 0.1),
+            lambda mine=mine, state=state, its=its: mine.step(state, its, 0.1),
+            lambda mine=mine, strange=strange: mine.rest(strange, 15.0, 60.0),
+            lambda mine=mine, strange=strange: a_run(mine, state=strange),
+            lambda mine=mine, strange=strange: mine.session().begin(strange),
+        ):
+            with pytest.raises(InputError, match="shape"):
+                refused()
+    effects = np.append(state.effects, 0.0)
+    with pytest.raises(InputError, match=r"^state"):
+        road.step(replace(state, effects=effects), inputs, 0.1)
+
+
+@pytest.mark.parametrize("name", SERIES)
+def test_a_run_refuses_dates_and_other_lengths(reference, name):
+    for wrong in (DATES, DATES - DATES[0], list(DATES.tolist()), np.ones(TIMES - 1), np.ones((TIMES, 1)), "noon"):
+        with pytest.raises(InputError, match=name):
+            a_run(reference, **{name: wrong})
+
+
+@pytest.mark.parametrize("at", range(len(GroundSeries._fields)))
+def test_a_run_refuses_ground_of_another_length(reference, at):
+    ground = GroundSeries(*(np.zeros(TIMES - (i == at)) for i in range(3)))
+    with pytest.raises(InputError, match="place"):
+        a_run(reference, ground=ground)
+
+
+@pytest.mark.parametrize("name", POSITIONS)
+def test_positions_along_a_route_have_the_length_of_its_times(reference, name):
+    for wrong in (DATES, np.ones(TIMES - 1), np.ones(1)):
+        with pytest.raises(InputError, match=r"shape|numbers"):
+            reference.along_route(**{one: np.arange(TIMES) for one in POSITIONS} | {name: wrong})
+
+
+@pytest.mark.parametrize("wrong", [-0.1, np.nan, np.inf, np.timedelta64(100, "ms")])
+def test_time_goes_on_in_seconds(reference, wrong):
+    inputs = reference.inputs(5.0)
+    state = reference.cold_start(inputs)
+    for refused in (lambda: reference.step(state, inputs, wrong), lambda: reference.rest(state, 15.0, wrong)):
+        with pytest.raises(InputError, match="seconds"):
+            refused()
+    if not isinstance(wrong, np.timedelta64):
+        with pytest.raises(InputError, match=r"time_s\[7\]"):
+            a_run(reference, time_s=np.append(np.arange(7.0), np.full(TIMES - 7, wrong)))
+
+
+def test_a_block_of_messages_has_as_many_of_each_part(reference):
+    stamps = np.arange(3) * 10**9
+    for short in range(4):
+        parts = [np.zeros(3, dtype=np.int16), stamps, stamps, np.ones(3)]
+        parts[short] = parts[short][:2]
+        with pytest.raises(InputError, match="one length"):
+            reference.session().handle_block(*parts)

@@ -86,6 +86,11 @@ def as_recordings(recordings: Any) -> list[Any]:
     return listed
 
 
+def as_names(names: str | Sequence[str]) -> tuple[str, ...]:
+    """One name or several."""
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
 def paths_of(recordings: Sequence[Recording]) -> list[Path]:
     """Paths of recordings, or their names where they were made in memory."""
     return [path for one in recordings for path in (one.paths or (Path(one.name),))]

@@ -15,6 +15,7 @@ from trackres_ros.api.arguments import (
     StrPath,
     TopicsGiven,
     VehicleGiven,
+    as_names,
     as_paths,
     as_recordings,
     as_topics,
@@ -38,8 +39,8 @@ def diagnose(
     *,
     topics: TopicsGiven | None = None,
     surroundings: StrPath | None = None,
-    hide: Sequence[str] = (),
-    holdout: int | Sequence[str] | None = None,
+    hide: str | Sequence[str] = (),
+    holdout: int | str | Sequence[str] | None = None,
     method: str | None = None,
     thermal: str | None = None,
     seed: int = 1,
@@ -61,7 +62,7 @@ def diagnose(
     surroundings
         File of the site, weather and ground during the drives.
     hide
-        Channels to ignore, such as ``grade`` or ``yaw_rate``.
+        Channel or channels to ignore, such as ``grade`` or ``yaw_rate``.
     holdout
         How many of the last recordings or laps to hold out, or names of recordings, or of laps as a report lists them
         (``day2.mcap: 5``).
@@ -110,9 +111,12 @@ def diagnose(
     from trackres_ros.results.diagnosis import DiagnosisResult
 
     begun = time.monotonic()
-    for channel in hide:
+    hidden = as_names(hide)
+    for channel in hidden:
         checks.one_of(base_role(channel), "hide", ROLES)
     checks.seed(seed)
+    if isinstance(holdout, str):
+        holdout = as_names(holdout)
     if holdout is not None and not isinstance(holdout, Sequence):
         checks.whole(holdout, "holdout", 0, MOST_HELD_OUT)
     listed = as_recordings(recordings)
@@ -127,7 +131,7 @@ def diagnose(
     if effects == "":
         raise InputError("effects", "", "a folder with Python files, or None")
     folder = None if effects is None else Path(effects)
-    options = DiagnosisOptions(hide, holdout, seed, quick, folder, keep_suspected, on_stage, refused)
+    options = DiagnosisOptions(hidden, holdout, seed, quick, folder, keep_suspected, on_stage, refused)
     found = diagnose(sessions, loaded, options)
     used = {session.name for session in found.sessions}
     paths = paths_of([session for session in sessions if session.name in used])

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 from trackres_ros.api.arguments import StrPath, VehicleGiven, as_vehicle, check_numbers, input_files
@@ -99,6 +100,9 @@ def simulate(
     )  # fmt: skip
     if (speed_kmh is None) == (profile is None):
         raise InputError("speed_kmh, profile", "neither" if profile is None else "both", "one of the two")
+    if profile is not None and not isinstance(profile, str | PathLike | Recording):
+        remedy = "write a DataFrame to a file first, with to_csv or to_parquet"
+        raise InputError("profile", f"a {type(profile).__name__}", "a path, or what read gave", remedy)
     for name, seconds in (("duration_s", duration_s), ("ramp_s", ramp_s)):
         if profile is not None and seconds is not None:
             raise InputError(name, seconds, "only with speed_kmh; a profile has its own duration and ramps")

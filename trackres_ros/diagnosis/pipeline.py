@@ -133,8 +133,7 @@ def diagnose(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diag
     """
     rng = np.random.default_rng(options.seed)
     prepared = prepare(recordings, vehicle, options)
-    base = refit(prepared, options, rng)
-    chosen = search(prepared, base, options, rng)
+    base, chosen = search(prepared, refit(prepared, options, rng), options, rng)
     judged = judge(prepared, base, chosen, options, rng)
     advice, kept = conclude(prepared, base, chosen, judged, options)
     return Diagnosis(

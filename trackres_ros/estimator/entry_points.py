@@ -157,10 +157,18 @@ class Entries:
     start_belts: Callable[..., Any]
     follow_series: Callable[..., Any]
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Copied or in another process they are the same functions, or those of its numba."""
+        return _entries_of, (self.compiled,)
+
 
 _KERNELS: tuple[Callable[..., Any], ...] = (feed, feed_all, advance_along, predict_along, advance, rest, start, follow_along)
 _ENTRIES = tuple(map(entry, _KERNELS))
 COMPILED = Entries(HAVE_NUMBA, *_ENTRIES)
+
+
+def _entries_of(compiled: bool) -> Entries:
+    return COMPILED if compiled or not HAVE_NUMBA else interpreted_entries()
 
 
 def interpreted_entries() -> Entries:

@@ -15,13 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.effects.stepping import cooled as cooled_effects
 from trackres_ros.effects.stepping import new_memory as new_effects_memory
+from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants, kernel_arguments, make_constants
 from trackres_ros.estimator.entry_points import COMPILED, Entries
 from trackres_ros.estimator.estimate import Estimate, Steps
 from trackres_ros.estimator.guards import Memory, new_memory
 from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
-from trackres_ros.estimator.records import Carried, DriveSeries, GroundSeries, Inputs, State
+from trackres_ros.estimator.records import Carried, DriveSeries, GroundSeries, Inputs, State, duration, floats, times
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.route.follower import NOTHING_YET
 from trackres_ros.vehicle import AnyVehicle
@@ -80,6 +81,9 @@ class Estimator:
         self.columns = at.columns(vehicle)
         self.column_index = {name: i for i, name in enumerate(self.columns)}
         self._no_belts = np.full(len(self.assemblies), math.nan)
+        effects = new_effects_memory(len(vehicle.active))
+        belts = len(self.assemblies), 2, at.BELT_COLUMNS
+        self._state_shapes = belts, (at.Motion.columns,), effects.shape, (at.Learned.columns,)
 
     def __repr__(self) -> str:
         names = ", ".join(active.effect.name for active in self.vehicle.active)
@@ -116,17 +120,23 @@ class Estimator:
         acceleration, grade, yaw_rate, heading, distance, measured_torque
             [m/s^2], rise over run, [rad/s], [rad], [m] and [Nm]; nan where unknown. An unknown distance is integrated
             from the speed. The last four are for effects and the residual.
+
+        Raises
+        ------
+        InputError
+            For an array of another shape.
         """
         k = self.constants
-        loads = k.assembly[:, at.Assembly.nominal_load].copy() if load is None else np.asarray(load, dtype=float)
+        loads = k.assembly[:, at.Assembly.nominal_load].copy() if load is None else floats(load, "load", (len(k.assembly),))
         if weight is not None:
-            loads = weight * (k.assembly[:, at.Assembly.share_of_all] if load is None else loads / loads.sum())
+            shares = k.assembly[:, at.Assembly.share_of_all] if load is None else loads / loads.sum()
+            loads = floats(weight, "weight", ()) * shares
         return Inputs(
             float(speed),
             loads,
             k.number.nominal_ambient if ambient is None else float(ambient),
             k.number.ambient_unknown_std if ambient is None else k.number.ambient_std,
-            self._no_belts if belt_measured is None else np.asarray(belt_measured, dtype=float),
+            self._no_belts if belt_measured is None else floats(belt_measured, "belt_measured", self._no_belts.shape),
             float(acceleration),
             float(grade),
             float(yaw_rate),
@@ -157,9 +167,18 @@ class Estimator:
         -------
         state, estimate
             State after the step; torques [Nm] and temperatures [degC] by name.
+
+        Raises
+        ------
+        InputError
+            For a negative dt, or a state or inputs of another vehicle.
         """
-        row, after = np.empty(len(self.columns)), _copy(state)
-        self.entries.step_once(*self.own_arguments(), *_arrays(after), *inputs, float(dt), row)
+        after, elapsed = self._copy(state), duration(dt, "dt")
+        if np.shape(inputs.load) != (len(self.constants.assembly),) or np.shape(inputs.belt_measured) != self._no_belts.shape:
+            shapes = {"load": np.shape(inputs.load), "belt_measured": np.shape(inputs.belt_measured)}
+            raise InputError("inputs", f"arrays of shape {shapes}", "those of this vehicle", "make them with Estimator.inputs")
+        row = np.empty(len(self.columns))
+        self.entries.step_once(*self.own_arguments(), *_arrays(after), *inputs, elapsed, row)
         return after, Estimate(row, self.column_index)
 
     def own_arguments(self) -> tuple[Any, ...]:
@@ -187,7 +206,7 @@ class Estimator:
         state
             State at the first time.
         time_s, speed
-            Rising times [s] and speeds [m/s], shape (times,).
+            Times [s] that do not fall, and speeds [m/s], shape (times,).
         weight, ambient, acceleration, grade, yaw_rate, heading, distance
             Whole weight [N], ambient temperature [degC], and the others of `inputs`; each a number or shape (times,), all but the
             first two nan where unknown.
@@ -198,13 +217,17 @@ class Estimator:
         -------
         state, rows
             State at the last time; results, shape (times, columns).
+
+        Raises
+        ------
+        InputError
+            For times that fall, dates, a series of another length, or a state of another vehicle.
         """
-        times = np.ascontiguousarray(time_s, dtype=float)
+        at_times = times(time_s, "time_s")
         given = (speed, weight, ambient, acceleration, grade, yaw_rate, heading, distance, *(ground or UNKNOWN_GROUND))
-        series = DriveSeries(
-            times, *(np.array(np.broadcast_to(np.asarray(a, dtype=float), times.shape), order="C") for a in given)
-        )
-        after, rows = _copy(state), np.empty((len(times), len(self.columns)))
+        names = DriveSeries._fields[1:]
+        series = DriveSeries(at_times, *(_at_each(at_times, a, name) for a, name in zip(given, names, strict=True)))
+        after, rows = self._copy(state), np.empty((len(at_times), len(self.columns)))
         work = self.constants.number.ambient_std, np.empty(len(self.constants.assembly)), self._no_belts
         self.entries.run_series(*self.own_arguments(), *_arrays(after), *series, *work, rows)
         return after, rows
@@ -215,7 +238,7 @@ class Estimator:
         Parameters
         ----------
         time_s, speed
-            Rising times [s] and speeds [m/s], shape (times,).
+            Times [s] that do not fall, and speeds [m/s], shape (times,).
         latitude, longitude
             Positions [rad], nan where missing; shape (times,).
 
@@ -223,28 +246,50 @@ class Estimator:
         -------
         GroundSeries
             Series for `run`; nan off the route, and for a vehicle without one.
+
+        Raises
+        ------
+        InputError
+            For times that fall, dates, or a series of another length.
         """
-        given = (np.ascontiguousarray(a, dtype=float) for a in (time_s, speed, latitude, longitude))
-        found = np.empty((len(time_s), len(GroundSeries._fields)))
-        self.entries.follow_series(*self.own_arguments(), np.array(NOTHING_YET), *given, found)
+        at_times = times(time_s, "time_s")
+        given = (("speed", speed), ("latitude", latitude), ("longitude", longitude))
+        series = (np.ascontiguousarray(floats(a, name, at_times.shape)) for name, a in given)
+        found = np.empty((len(at_times), len(GroundSeries._fields)))
+        self.entries.follow_series(*self.own_arguments(), np.array(NOTHING_YET), at_times, *series, found)
         return GroundSeries(*found.T)
 
     def rest(self, state: State, ambient: float, seconds: float) -> State:
         """Compute the state after standing or being switched off for some time [s] at an ambient temperature [degC].
 
-        The given state does not change.
+        The given state does not change. Raises InputError for a negative time, or a state of another vehicle.
         """
-        after, std = _copy(state), self.constants.number.ambient_unknown_std
-        self.entries.rest_vehicle(*self.own_arguments(), *_arrays(after), float(ambient), std, float(seconds))
+        after, std, off = self._copy(state), self.constants.number.ambient_unknown_std, duration(seconds, "seconds")
+        self.entries.rest_vehicle(*self.own_arguments(), *_arrays(after), float(ambient), std, off)
         return after
+
+    def check(self, state: State) -> None:
+        """Raise InputError for a state with other arrays than those of this vehicle."""
+        shapes = state.belts.shape, state.motion.shape, state.effects.shape, state.learned.shape
+        if shapes != self._state_shapes:
+            allowed = f"{self._state_shapes}, those of {self.vehicle.name}"
+            raise InputError("state", f"arrays of shape {shapes}", allowed, "begin with cold_start")
+
+    def _copy(self, state: State) -> State:
+        self.check(state)
+        return State(*(array.copy() for array in _arrays(state)))
 
     def session(self) -> Session:
         """Begin a session: a stream of messages through the guards."""
         return Session(self)
 
 
-def _copy(state: State) -> State:
-    return State(*(array.copy() for array in _arrays(state)))
+def _at_each(at_times: Array, given: ArrayLike, where: str) -> Array:
+    """A number, or one for each time, as a series of its own."""
+    found = floats(given, where)
+    if found.shape not in ((), (1,), at_times.shape):
+        raise InputError(where, f"an array of shape {found.shape}", f"a number, or shape {at_times.shape} as time_s")
+    return np.array(np.broadcast_to(found, at_times.shape), order="C")
 
 
 def _arrays(state: State) -> Carried:
@@ -288,11 +333,9 @@ class Session:
         return State(self.belts.copy(), self.motion.copy(), self.effects.copy(), self.learned.copy())
 
     def begin(self, state: State) -> None:
-        """Begin from a known state instead of a cold start."""
-        self.belts[:], self.motion[:] = state.belts, state.motion
-        if len(state.effects) == len(self.effects):
-            self.effects[:] = state.effects
-        self.learned[:] = state.learned
+        """Begin from a known state instead of a cold start. Raises InputError for the state of another vehicle."""
+        self.estimator.check(state)
+        self.belts[:], self.motion[:], self.effects[:], self.learned[:] = _arrays(state)
         self.motion[at.Motion.started] = at.RESTS
 
     def adopt(self, other: Session) -> None:
@@ -320,7 +363,10 @@ class Session:
         return Estimate(row, self.estimator.column_index) if stepped else None
 
     def handle_block(self, channel: NDArray[np.int16], stamp_ns: IntArray, arrival_ns: IntArray, value: Array) -> Steps:
-        """Process many messages, arrays of shape (messages,) in the order of arrival."""
+        """Process many messages, arrays of shape (messages,) in the order of arrival; InputError for different lengths."""
+        lengths = [len(a) for a in (channel, stamp_ns, arrival_ns, value)]
+        if len(set(lengths)) > 1:
+            raise InputError("channel, stamp_ns, arrival_ns, value", f"arrays of {lengths} messages", "arrays of one length")
         most = int(np.count_nonzero(channel == at.SPEED))
         rows = np.empty((most + 1, len(self.estimator.columns)))
         stamps, arrivals = np.empty((2, most + 1), dtype=np.int64)

@@ -10,13 +10,17 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.effects.stepping import new_memory
+from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.text.numbers import decimals
 
 Array = NDArray[np.float64]
+
+NOT_NUMBERS = "Mmc"  # kinds of dtypes that numpy would convert: dates and durations count in any unit, complex lose a part
+IN_SECONDS = 'seconds of dates are (t - t[0]) / numpy.timedelta64(1, "s"), and of durations t / numpy.timedelta64(1, "s")'
 
 
 class Inputs(NamedTuple):
@@ -87,3 +91,46 @@ class GroundSeries(NamedTuple):
     slopes: Array  # rise over run the way the vehicle points
     torques: Array  # Nm against travel
     torque_stds: Array  # Nm
+
+
+def floats(given: ArrayLike, where: str, shape: tuple[int, ...] | None = None) -> Array:
+    """Convert to an array of floats, of a given shape or any.
+
+    Kernels read arrays without a check of their bounds, so each array from outside passes here.
+
+    Raises
+    ------
+    InputError
+        For another shape, dates, durations, or what is no number.
+    """
+    try:
+        array = np.asarray(given)
+        found = None if array.dtype.kind in NOT_NUMBERS else np.asarray(array, dtype=float)
+    except (TypeError, ValueError):  # texts, dates as objects, rows of different lengths
+        found = None
+    if found is None:
+        raise InputError(where, given, "numbers", IN_SECONDS)
+    if shape is not None and found.shape != shape:
+        raise InputError(where, f"an array of shape {found.shape}", f"shape {shape}" if shape else "one number")
+    return found
+
+
+def duration(given: ArrayLike, where: str) -> float:
+    """A duration [s]; InputError for a negative or infinite one, or none."""
+    found = float(given if isinstance(given, float) else floats(given, where, ()))
+    if not 0.0 <= found < math.inf:
+        raise InputError(where, found, "a finite number of seconds, at least 0")
+    return found
+
+
+def times(given: ArrayLike, where: str) -> Array:
+    """Times of a series [s]; InputError unless they are finite and do not fall."""
+    found = np.ascontiguousarray(floats(given, where))
+    if found.ndim != 1:
+        raise InputError(where, f"an array of shape {found.shape}", "shape (times,)")
+    is_wrong = ~np.isfinite(found)
+    is_wrong[1:] |= found[1:] < found[:-1]
+    if is_wrong.any():
+        first = int(np.argmax(is_wrong))
+        raise InputError(f"{where}[{first}]", float(found[first]), "finite times that do not fall")
+    return found

@@ -153,7 +153,7 @@ class Recording:
         """
         speed = self.series["speed"]
         clock = _clock(speed.arrival_ns)
-        held: dict[str, FloatArray] = {"time_s": self.time_s("speed"), "speed": speed.value}
+        held: dict[str, FloatArray] = {"time_s": self.time_s("speed"), "speed": speed.value.copy()}
         for role, samples in self.series.items():
             if role == "speed":
                 continue

@@ -72,6 +72,7 @@ def load_base(
         settings.belt_sensor == "surface",
         track.chassis.motor_ratio,
         passenger_kg=settings.passenger_kg,
+        has_belt=True,
     )
     return LoadedBase(TrackBase(track), track.title, known, track.surroundings, track.route, track.source)
 

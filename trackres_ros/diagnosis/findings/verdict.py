@@ -81,6 +81,7 @@ class Findings:
     changed: Sequence[Changed] = ()  # values of the vehicle file that the re-fit changes significantly
     shares: Mapping[str, float] = field(default_factory=dict)  # probability of each name over all explanations, if known
     spread: Described | None = None  # the regime with larger oscillations
+    sensor: str = ""  # sentence about errors that the fit assumes of the torque sensor, if they matter
     later: tuple[float, float] | None = None  # errors on the fitted and the hold-out laps [Nm], see `locate.only_later`
 
     @cached_property
@@ -116,7 +117,7 @@ class Findings:
     @property
     def after(self) -> list[str]:
         """Sentences that end each verdict."""
-        return [*doubts([t.graded for t in self.unsure]), *rejected(self.refuted)]
+        return [self.sensor, *doubts([t.graded for t in self.unsure]), *rejected(self.refuted)]
 
     @property
     def rest(self) -> list[str]:

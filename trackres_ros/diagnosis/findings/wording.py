@@ -9,12 +9,14 @@ import math
 from collections.abc import Mapping, Sequence
 
 from trackres_ros.diagnosis.base.base import BaseParameter
+from trackres_ros.diagnosis.base.instrument import PRIOR_STDS
 from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.findings.locate import SlowResidual, in_nm
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.selection.confirm import Graded
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_SHARE, HeldOut
 from trackres_ros.diagnosis.selection.naming import Candidate
+from trackres_ros.effects.effect import Active
 from trackres_ros.text.numbers import figures, on_scale
 
 MOST_CERTAIN = 20.0  # in log-likelihood: upper limit of a stated certainty
@@ -131,6 +133,16 @@ def mean_error(before: float, after: float) -> str:
     return f"The mean error on hold-out laps {way} Nm"
 
 
+def assumed_sensor(instrument: Sequence[Active], without: float | None) -> str:
+    """The errors that a fit assumes of the torque sensor, those beyond the usual or all, and the error `without` them [Nm]."""
+    if without is None:
+        return ""
+    assumed = [(a.effect.name.removeprefix("torque_"), q, a.values[q.name]) for a in instrument for q in a.effect.parameters]
+    unusual = [one for one in assumed if abs(one[2]) > PRIOR_STDS * one[1].start] or assumed
+    sizes = (f"{name} {figures(100.0 * x)} %" if q.unit == "1" else f"{name} {figures(x)} {q.unit}" for name, q, x in unusual)
+    return f"That assumes an error of the torque sensor ({', '.join(sizes)}); without it the mean error is {figures(without)} Nm"
+
+
 def possible(
     unsure: Sequence[NamedEffect | UnnamedTerm], confirmed: Sequence[NamedEffect | UnnamedTerm], shares: Mapping[str, float]
 ) -> Possible:
@@ -171,6 +183,8 @@ def doubts(unsure: Sequence[Graded]) -> list[str]:
             found.append(f"{graded.name} is at the limit of its plausible range ({', '.join(graded.on_bounds)})")
         elif i.grade == CONFIRMED and graded.cancels:
             found.append(f"{graded.name} improves the hold-out laps far less than its size suggests: {error}")
+        elif i.grade == CONFIRMED and graded.by_others:
+            found.append(f"{graded.name} improves the hold-out laps far more than its size explains: {error}")
         elif i.grade == CONFIRMED and graded.of_unconfirmed:
             found.append("The hold-out laps do not confirm these terms together")
         else:

@@ -98,7 +98,7 @@ def gate(
         )
     if step > STEP_S:
         notes.append(f"samples are sparse, so torques are compared as means over {step:.0f} s")
-    sessions = _one_after_another(checked, [r for r in unused if _drove(r)], notes)
+    sessions = _one_after_another(checked, [r for r in unused if _drove(r)], notes, settings.has_belt)
     return Gated(tuple(sessions), {reason: n for reason, n in excluded.items() if n}, tuple(notes))
 
 
@@ -194,7 +194,9 @@ def _enough(one: _Resampled) -> _Resampled:
     return one
 
 
-def _one_after_another(checked: Sequence[_Resampled], unused: Sequence[Recording], notes: list[str]) -> list[DriveSession]:
+def _one_after_another(
+    checked: Sequence[_Resampled], unused: Sequence[Recording], notes: list[str], has_belt: bool
+) -> list[DriveSession]:
     """Sessions with consecutive lap numbers and standing times; `unused` are drives in between."""
     ends_ns = [r.start_ns + int(duration_s(r.series) * 1e9) for r in unused]
     sessions: list[DriveSession] = []
@@ -214,10 +216,9 @@ def _one_after_another(checked: Sequence[_Resampled], unused: Sequence[Recording
             )
         elif follows:
             session = replace(session, gap=off)
-            notes.append(
-                f"{session.name}: begins {session.gap:.0f} s after the previous one; the belt temperature is carried over"
-            )
-        else:
+            carried = "; the belt temperature is carried over" if has_belt else ""
+            notes.append(f"{session.name}: begins {session.gap:.0f} s after the previous one{carried}")
+        elif has_belt:
             notes.append(f"{session.name}: the belts start at ambient temperature")
         end_ns = begin_ns + int(session.time[-1] * 1e9)
         session = replace(session, block=lap_numbers(session) + block, distance=session.distance + end_m)

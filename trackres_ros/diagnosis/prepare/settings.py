@@ -35,6 +35,7 @@ class GateSettings:
     torque_scale: tuple[float, float] = (1.0, 1.0)  # limits of shown over expected torque, from the file
     passenger_kg: float = PASSENGER_KG  # of one passenger
     track_width: float | None = None  # distance of left from right wheels [m]; None if not in the file
+    has_belt: bool = False  # whether notes on belts apply
 
     @property
     def slowest(self) -> float:

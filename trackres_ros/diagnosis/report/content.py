@@ -141,6 +141,7 @@ def _held_out(d: Diagnosis) -> dict[str, Any]:
         "bias": of.bias,
         "improvement_ci95": [of.of_effects.low, of.of_effects.high],
         "of_refit": _improvement(of.of_refit),
+        "without_sensor_error": of.without_sensor,
         "by_lap": {measure: {stage: x.tolist() for stage, x in stages.items()} for measure, stages in of.by_lap.items()},
     }
 

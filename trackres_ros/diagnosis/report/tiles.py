@@ -224,11 +224,13 @@ def _next(r: dict[str, Any]) -> Tile:
 def _errors(r: dict[str, Any]) -> str:
     mae, followed = r["heldout"]["mae"], _followed(r)
     nominal, refitted, with_it = (figures(mae.get(stage)) for stage in ("nominal", "refitted", "with_effects"))
+    without = r["heldout"].get("without_sensor_error")
+    plain = "" if without is None else f", {figures(without)} without the assumed error of the torque sensor"
     if followed is not None:
         return f"{nominal} Nm with the file, {refitted} re-fitted, {figures(followed)} when the live estimate tracks it"
     if stage_of(r) == "with_effects":
-        return f"{nominal} Nm with the file, {refitted} re-fitted, {with_it} with it"
-    return f"{nominal} Nm with the file, {refitted} re-fitted"
+        return f"{nominal} Nm with the file, {refitted} re-fitted, {with_it} with it{plain}"
+    return f"{nominal} Nm with the file, {refitted} re-fitted{plain}"
 
 
 def _followed(r: dict[str, Any]) -> float | None:

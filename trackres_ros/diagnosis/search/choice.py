@@ -21,13 +21,14 @@ from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.search.cross_validation import CrossValidation, Score
 from trackres_ros.diagnosis.search.explanations import Explanation, Key, Search
 from trackres_ros.diagnosis.selection.as_used import AsUsed, inside_ranges
-from trackres_ros.diagnosis.selection.confirm import Graded, displaced, far_from_file, on_bounds
+from trackres_ros.diagnosis.selection.confirm import Graded, displaced, far_from_file, may_be_off, on_bounds
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
 from trackres_ros.diagnosis.selection.held_out import SMALL_SHARE, HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.naming import ALIKE_WITHIN, Step, spurious_gain
 
 MOST_SCORED = 12  # explanations, those with the most evidence
 LEAST_OF_SIZE = 0.05  # of the mean square that a term adds: a smaller gain means that it cancels another term
+MOST_OF_SIZE = 10.0  # of the mean square of a term that may be nothing: a larger gain comes from other values of the fit
 CLASS_SHARE = 0.8
 
 
@@ -107,12 +108,13 @@ class Choice:
         change = name in judged.explanation.terms and judged.explanation.terms[name].change is not None
         improvement = self._validation.improvement(without.score, judged.score, for_good=change)
         # The part orthogonal to the base should reduce the mean square error.
-        adds = self._beyond_base(judged.final.contribution(name))
+        adds = judged.final.contribution(name)
         gained = float((without.score.square - judged.score.square).sum())
-        cancels = gained < LEAST_OF_SIZE * float((adds**2).sum())
+        cancels = gained < LEAST_OF_SIZE * float((self._beyond_base(adds) ** 2).sum())
+        by_others = gained > MOST_OF_SIZE * sum(float((a**2).sum()) for a in adds) and may_be_off(judged.final, name)
         active = next(a for a in judged.final.effects if a.effect.name == name)
         instead = displaced(improvement, judged.final, without.final)
-        self._graded[at] = Graded(name, improvement, on_bounds(active), instead, cancels)
+        self._graded[at] = Graded(name, improvement, on_bounds(active), instead, cancels, by_others)
         return self._graded[at]
 
     def _all_graded(self, judged: ScoredExplanation) -> dict[str, Graded]:

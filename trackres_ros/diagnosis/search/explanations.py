@@ -135,6 +135,18 @@ class Search:
             self._keep(Explanation(found, evidence, kept, terms))
         return self.known[key]
 
+    def likelier_base(self) -> Fit | None:
+        """The base alone, from the base values of the explanation with the most evidence, if that is likelier; else None.
+
+        A fit ends in the nearest optimum, and a term may only lead out of a worse one. Its gain is then no evidence for it. The
+        base is likelier if it gains more than the best candidate does by noise.
+        """
+        nothing, best = self.nothing.fit, max(self.known.values(), key=lambda e: e.evidence)
+        if not best.key:
+            return None
+        again = fit(nothing.problem, (), best.fit.at, best.fit.noises, rounds=1)
+        return again if again.log_likelihood > nothing.log_likelihood + self.by_noise else None
+
     def _best_unexpanded(self) -> list[Explanation]:
         best = max(e.evidence for e in self.known.values())
         room = [

@@ -17,6 +17,7 @@ from trackres_ros.effects.effect import Active
 ON_BOUND = 1e-3  # of the span between the bounds
 LITTLE = 0.1  # of the mean error: the largest improvement by an effect that replaces a base value
 MOVED = 1.5  # standard deviations of the file's own range
+SURELY = 2.0  # standard deviations of an estimate
 FAR = 5.0  # such standard deviations
 
 
@@ -33,16 +34,17 @@ class Graded:
     on_bounds: tuple[str, ...]  # parameters on a bound other than the value without effect
     displaces: tuple[str, ...] = ()
     cancels: bool = False  # far too small an improvement for its size, as of a term that cancels another one
+    by_others: bool = False  # far too large an improvement for its size, which may be zero: other values of the fit gained it
     of_unconfirmed: bool = False  # of an explanation that is not confirmed as a whole
 
     @property
     def grade(self) -> str:
-        """`confirmed`, `suspected` or `refuted`. On a bound, cancelling or of an unconfirmed explanation: at best suspected.
-        Displacing: refuted.
+        """`confirmed`, `suspected` or `refuted`. On a bound, cancelling, improved by others or of an unconfirmed
+        explanation: at best suspected. Displacing: refuted.
         """
         if self.displaces:
             return REFUTED
-        unsure = bool(self.on_bounds) or self.cancels or self.of_unconfirmed
+        unsure = bool(self.on_bounds) or self.cancels or self.by_others or self.of_unconfirmed
         return SUSPECTED if unsure and self.improvement.grade == CONFIRMED else self.improvement.grade
 
     @property
@@ -58,6 +60,16 @@ def on_bounds(active: Active) -> tuple[str, ...]:
         for q in active.effect.parameters
         for bound in (q.low, q.high)
         if q.fitted and bound != q.off and abs(active.values[q.name] - bound) <= ON_BOUND * (q.high - q.low)
+    )
+
+
+def may_be_off(found: Fit, name: str) -> bool:
+    """Whether the interval of each size of an effect includes the value without effect."""
+    active = next(a for a in found.effects if a.effect.name == name)
+    return all(
+        abs(active.values[q.name] - q.off) <= SURELY * found.std_of(name, q.name)
+        for q in active.effect.parameters
+        if q.fitted and q.off is not None
     )
 
 

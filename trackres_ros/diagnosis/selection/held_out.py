@@ -19,6 +19,7 @@ STAGES = ("nominal", "refitted", "with_effects")
 RESAMPLES = 10_000
 FEWEST_LAPS, PIECE_S = 8, 60.0  # with fewer laps pieces are resampled: a handful of laps does not show their variation
 NO_WORSE = 1.01  # times the error before: an increase of over 1 % refutes
+MUCH_LARGER = 1.05  # times the error with the assumed errors of the torque sensor
 SMALL_SHARE = 0.02  # of the mean error: a smaller improvement is small
 CONFIRMED, SUSPECTED, REFUTED = "confirmed", "suspected", "refuted"
 
@@ -106,6 +107,7 @@ class HeldOut:
     by_lap: dict[str, dict[str, Array]]  # each of them by stage and lap, shape (laps,)
     of_refit: Improvement  # improvement of the re-fitted base over the vehicle file
     of_effects: Improvement  # and of the effects over the re-fitted base
+    without_sensor: float | None = None  # mean absolute error without the assumed sensor errors [Nm], if much larger
 
 
 def held_out(laps: HeldOutLaps, expected: Mapping[str, Sequence[Array]]) -> HeldOut:

@@ -31,12 +31,13 @@ from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, regime_map
 from trackres_ros.diagnosis.findings.spread import Spread, find_spread
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, Findings, Verdict
 from trackres_ros.diagnosis.findings.verdict import judge as verdict_of
+from trackres_ros.diagnosis.findings.wording import assumed_sensor
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.prepare.torque_checks import inconsistent_scale_notes, nothing_to_conclude
 from trackres_ros.diagnosis.search.choice import Chosen
 from trackres_ros.diagnosis.selection.confirm import Graded
-from trackres_ros.diagnosis.selection.held_out import HeldOut, Improvement, held_out
+from trackres_ros.diagnosis.selection.held_out import MUCH_LARGER, HeldOut, Improvement, held_out
 from trackres_ros.diagnosis.selection.intervals import intervals
 from trackres_ros.diagnosis.stages.options import DiagnosisOptions
 from trackres_ros.diagnosis.stages.prepare import PreparedSessions
@@ -96,6 +97,7 @@ def judge(
             shares=chosen.shares,
             spread=None if spread is None else spread.described,
             later=later,
+            sensor=assumed_sensor(final.instrument, worth.without_sensor),
         )
     )
     return Judgement(tuple(found), tuple(terms), drift, tracked, spread, worth, tested_end, at_end, bounds, verdict)
@@ -115,7 +117,10 @@ def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen) -> HeldOu
     refused = nothing_to_conclude(names, r2, mae, float(np.abs(base.laps.measured).mean()), odd)
     if refused:
         raise refused
-    return worth
+    final = chosen.final
+    plain = final.problem.predict(final.base_values, final.effects)  # a vehicle file holds no assumed errors of the sensor
+    error = float(np.abs(base.laps.measured - base.laps.of([p.torque for p in plain])).mean())
+    return replace(worth, without_sensor=error) if error > MUCH_LARGER * worth.mae["with_effects"] else worth
 
 
 def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,11 +37,16 @@ class Refitted:
     at_base: RegimeMap  # residual by regime
 
 
-def refit(prepared: PreparedSessions, options: DiagnosisOptions, rng: np.random.Generator) -> Refitted:
-    """Fit the base, and bin its residual by regime."""
+def refit(
+    prepared: PreparedSessions,
+    options: DiagnosisOptions,
+    rng: np.random.Generator,
+    start: Mapping[tuple[str, str], float] | None = None,
+) -> Refitted:
+    """Fit the base, by default from the values of the vehicle file, and bin its residual by regime."""
     options.on_stage("re-fit of the base")
     sessions, split = prepared.sessions, prepared.split
-    tested = fit(Problem(prepared.base, sessions, tuple(split.training_mask(s) for s in sessions)))
+    tested = fit(Problem(prepared.base, sessions, tuple(split.training_mask(s) for s in sessions)), start=start)
     held_out = [split.held_out_mask(s) for s in sessions]
     laps = HeldOutLaps(sessions, held_out, rng)
     use = AsUsed(prepared.base, sessions, prepared.recorded, laps)
@@ -49,12 +55,23 @@ def refit(prepared: PreparedSessions, options: DiagnosisOptions, rng: np.random.
     return Refitted(tested, refitted, laps, CrossValidation(refitted, held_out, rng), use, regime_map(for_tests(refitted), rng))
 
 
-def search(prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions, rng: np.random.Generator) -> Chosen:
-    """Search explanations, and choose one."""
+def search(
+    prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions, rng: np.random.Generator
+) -> tuple[Refitted, Chosen]:
+    """Search explanations, and choose one; once more from a likelier fit of the base, where the search finds one."""
+    found = _explored(prepared, base, options, rng)
+    likelier = found.likelier_base()
+    if likelier is not None:
+        base = refit(prepared, options, rng, likelier.at)
+        found = _explored(prepared, base, options, rng)
+    options.on_stage("cross-validation over laps")
+    return base, Choice(found, base.refitted, base.validation, base.laps, base.use).best(options.keep_suspected)
+
+
+def _explored(prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions, rng: np.random.Generator) -> Search:
     kinds = [kind for kind in (SLOPE, TORQUE) if of_kind(prepared.vehicle.route, kind) is None]
     roads = roads_of(prepared.sessions) if kinds else None
     replicates = QUICK_REPLICATES if options.quick else REPLICATES
     found = Search(base.tested, prepared.effects, roads, kinds, replicates, rng, options.on_stage)
     found.run()
-    options.on_stage("cross-validation over laps")
-    return Choice(found, base.refitted, base.validation, base.laps, base.use).best(options.keep_suspected)
+    return found
