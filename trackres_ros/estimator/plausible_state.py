@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.guards import Memory
+from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
 from trackres_ros.route.follower import NOTHING_YET
 
 Array = NDArray[np.float64]
@@ -93,12 +94,14 @@ def check_memory(memory: Memory, limits: Array) -> None:
     if (known != (memory.times[:, at.Times.seen] == 1)).any():
         raise ValueError("channels with a time and no value, or the other way round")
     _within("doubts", memory.times[:, at.Times.doubts], 0, FARTHEST_NS)
-    tracked = memory.tracked[~np.isnan(memory.tracked)]
-    _within("references of the speed and the odometer", tracked, -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
-    followed = ~np.isnan(memory.followed)
-    _within("place on a route", memory.followed[followed], -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
-    if not followed[~np.isnan(NOTHING_YET)].all():
-        raise ValueError("a way on a route that is no number")
+    for name, values, at_first in (
+        ("references of the speed and the odometer", memory.tracked, NOTHING_TRACKED),
+        ("place on a route", memory.followed, NOTHING_YET),
+    ):
+        is_number = ~np.isnan(values)
+        _within(name, values[is_number], -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
+        if not is_number[~np.isnan(at_first)].all():
+            raise ValueError(f"{name}: no number where there is always one")
     _within("counters", memory.counters, 0, FARTHEST_NS)
     _within("counts of reasons", memory.reasons, 0, FARTHEST_NS)
 

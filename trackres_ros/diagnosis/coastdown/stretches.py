@@ -130,8 +130,9 @@ def _of_offset(session: DriveSession, falls: Mask, limit: float, role: str) -> l
     low, middle, high = np.percentile(session.torque[falls], (25.0, 50.0, 75.0))
     if abs(middle) <= limit or high - low > limit:
         return []
-    of = f"{middle:.3g}"
-    return [f"if the {of} Nm while {session.name} slows down are no torque, {Conversion(offset=-float(of)).line(role)}"]
+    rounded = float(f"{middle:.3g}")
+    line = Conversion(offset=-rounded).line(role)
+    return [f"if the {figures(rounded)} Nm while {session.name} slows down are no torque, {line}"]
 
 
 def _without_torque(recording: Recording) -> Recording:
