@@ -69,7 +69,7 @@ def rolled(reference_vehicle):
 
 
 def cart(path, mass, rise=(-0.002, 0.002)):
-    """File of a vehicle on tyres, of which the mass is known but not the resistance; `rise` is the range of that by speed."""
+    """File of a car with a known mass and an unknown resistance; `rise` is the range of its rise by speed."""
     text = (
         "schema: 1\nname: cart\ntitle: a cart\nfriction_brakes: false\nroad_load:\n"
         "  rolling_coefficient: {value: 0.02, unit: '1', flag: A, range: [0.0, 0.1], reason: not known}\n"

@@ -75,7 +75,7 @@ def test_feedforward_keeps_its_limit_whatever_is_no_number():
     fed = [name for name in constants.number._fields if name.startswith("feed")]
 
     def some(count, most=1e5):
-        """Numbers, and in the place of some of them what is none."""
+        """Numbers, some of them replaced by nan or infinity."""
         found = random.uniform(-most, most, count)
         return np.where(random.random(count) < 0.1, random.choice([math.nan, math.inf, -math.inf], count), found).tolist()
 

@@ -123,7 +123,7 @@ def test_the_topics_file_wins_over_the_unit_of_the_file(files):
 
 
 class _Channels(ChannelFile):
-    """A file of channels of which nothing is read."""
+    """A file of channels that is never read."""
 
     name = "file"
 

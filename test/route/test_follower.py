@@ -21,7 +21,7 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.route.table import write_route
-from trackres_ros.route.track import Frame, beside
+from trackres_ros.route.track import Frame, on_same_turn
 from trackres_ros.units import SECOND_NS
 
 STREET_M = 1000.0
@@ -379,7 +379,9 @@ def test_a_simulation_over_the_date_line_is_as_elsewhere(replays, slopes, torque
     _, folder, _ = replays
     table = np.genfromtxt(folder / "latit.csv", delimiter=",", names=True)
     across = np.pi - np.quantile(slopes.longitude, 0.25)
-    write_route(tmp_path / "route.csv", [replace(m, longitude=beside(m.longitude + across, 0.0)) for m in (slopes, torques)])
+    write_route(
+        tmp_path / "route.csv", [replace(m, longitude=on_same_turn(m.longitude + across, 0.0)) for m in (slopes, torques)]
+    )
     shutil.copy(folder / "surroundings.yaml", tmp_path)
     table["longitude_deg"] = (table["longitude_deg"] + np.degrees(across) + 180.0) % 360.0 - 180.0
     assert np.ptp(table["longitude_deg"]) > 350.0

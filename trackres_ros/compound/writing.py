@@ -20,7 +20,7 @@ from trackres_ros.vehicle import Vehicle, load
 from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.schema import RUBBER, SWEEP_DEGC, SWEEP_TAN_DELTA, WARM_STORAGE
 from trackres_ros.vehicle.writing.changes import FileChanges
-from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE, write_track_vehicle
+from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE, write_numbered, write_track_vehicle
 from trackres_ros.vehicle.writing.yaml_edit import Document
 
 Array = NDArray[np.float64]
@@ -68,7 +68,7 @@ def write_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -
     _check_warm(fit)
     try:
         files["rubber"].parent.mkdir(parents=True, exist_ok=True)
-        rubber = _write_rubber(files["rubber"], _rubber_text(fit).encode())
+        rubber = write_numbered(files["rubber"], _rubber_text(fit).encode())
         write(files["prony"], _prony_text(fit).encode())
         with_rubber = replace(vehicle, name=_name(vehicle, files["vehicle"].stem), rubber_source=rubber)
         changes = FileChanges(None, (), {}, amend=lambda text: _with_rubber(text, with_rubber, fit))
@@ -78,17 +78,6 @@ def write_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -
             "output", f"{error.filename or files['vehicle'].parent}: {error.strerror or error}", "a writable folder"
         ) from error
     return load(files["vehicle"])
-
-
-def _write_rubber(path: Path, content: bytes) -> Path:
-    """Write a rubber file; another one of that name stays with its vehicle file, and the new one has a number in its name."""
-    place, count = path, 1
-    while place.exists() and not (place.is_file() and place.read_bytes() == content):
-        count += 1
-        place = path.with_stem(f"{path.stem}_{count}")
-    if not place.exists():
-        write(place, content)
-    return place
 
 
 def table_degc(fit: CompoundFit) -> Array:

@@ -65,7 +65,8 @@ def write(path: Path, data: bytes, private: bool = False) -> None:
     old = path.stat() if path.exists() else None
     if old is not None:
         _check(path, old, sys.maxsize)
-        mode = mode if private else stat.S_IMODE(old.st_mode)
+        if not private:
+            mode = stat.S_IMODE(old.st_mode)
         if not os.access(path, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     place = Path(os.path.realpath(path))

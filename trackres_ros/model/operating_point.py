@@ -78,7 +78,7 @@ def explain(
         "loss_force_n": first.loss_force,
         "loss_force_by_assembly_n": [a.loss_force for a in assemblies],
         "torque_nm": state.torque,
-        "effects_left_out": _effects(vehicle)[1],
+        "effects_left_out": state.effects_left_out,
         "remarks": beyond_data(vehicle, speed, {a.name: belt_degc for a in vehicle.assemblies}),
         "heat_w": sum(a.heat for a in assemblies),
         "cooling_w": sum(a.cooling for a in assemblies),
@@ -113,6 +113,7 @@ class VehicleState:
     belt_degc: float
     torque: dict[str, float]
     force: float
+    effects_left_out: list[str]
 
 
 def vehicle_state(vehicle: Vehicle, speed: float, belts_degc: Mapping[str, float], ambient: float, weight: float) -> VehicleState:
@@ -120,7 +121,7 @@ def vehicle_state(vehicle: Vehicle, speed: float, belts_degc: Mapping[str, float
     nominal = vehicle.nominal_loads()
     kinds = [(a.track, float(load)) for a, load in zip(vehicle.assemblies, weight * nominal / nominal.sum(), strict=True)]
     models = {name: track_model(vehicle, name) for name in vehicle.tracks}
-    usable, _ = _effects(vehicle)
+    usable, left_out = _effects(vehicle)
     belts = np.array([belts_degc[a.track] for a in vehicle.assemblies])
     mean = float(belts[0] + (belts - belts[0]).mean())
     at = conditions(vehicle_constants(vehicle), speed, weight=weight, ambient=ambient, belt=mean)
@@ -143,7 +144,7 @@ def vehicle_state(vehicle: Vehicle, speed: float, belts_degc: Mapping[str, float
     shares = [sum(one.torque.values()) + torque["effects"] * one.load / weight for one in assemblies]
     radii = vehicle.sprocket_radii
     force = float(resistance.at_first_radius(torque["resistance"], shares, radii)) / radii[0]
-    return VehicleState(assemblies, mean, torque, force)
+    return VehicleState(assemblies, mean, torque, force, left_out)
 
 
 def _on_belts(effects: Sequence[Active], at: Conditions) -> Terms:

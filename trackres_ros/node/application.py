@@ -146,12 +146,12 @@ class Application:
         self._keep = lambda index, raw, arrival_ns: keep(place[index], raw, arrival_ns) if index in place else None
         return known
 
-    def keep(self, index: int, raw: bytes, arrived: Arrival) -> None:
-        """Record a raw message that is not handled, where all are recorded."""
+    def keep(self, index: int, raw: bytes | None, arrived: Arrival) -> None:
+        """Record a raw message that is not handled, where all are recorded; None is not recorded."""
         self._record(index, raw, self._arrival_ns(*arrived))
 
-    def _record(self, index: int, raw: bytes, arrival: int) -> None:
-        if self._keep:
+    def _record(self, index: int, raw: bytes | None, arrival: int) -> None:
+        if self._keep and raw is not None:
             self.guard("recording", self._keep, index, raw, arrival)
 
     def _arrival_ns(self, steady: int, now: int) -> int:
@@ -171,7 +171,7 @@ class Application:
         read = self.guard.essential("reading a message", self._reader.read, index, message)
         if read is not None:
             self.receive_values(index, *read, sent_ns, arrived, raw)
-        elif raw is not None:
+        else:
             self.keep(index, raw, arrived or self.arrival())
 
     def undecodable(self, index: int, sent_ns: int = 0, arrived: Arrival | None = None, raw: bytes | None = None) -> None:
@@ -210,7 +210,7 @@ class Application:
         if now == 0 and self.parameters.sim_time:
             if len(self._before_clock) < MOST_BEFORE_CLOCK:
                 self._before_clock.append((index, stamp_ns, values, sent_ns, arrived, raw))
-            elif raw is not None:
+            else:
                 self.keep(index, raw, arrived)
             return
         if self._before_clock:
@@ -229,8 +229,7 @@ class Application:
         if 0 < held_ns < LONGEST_HELD_NS:
             arrival, now = arrival + held_ns, now + held_ns
         self._handled_ns = arrival
-        if raw is not None:
-            self._record(place, raw, arrival)
+        self._record(place, raw, arrival)
         samples = self.guard.essential("taking a message", self._reader.samples, place, stamp_ns, values, now)
         for channel, stamp, value in samples or ():
             self.guard.essential("the step", self._step, channel, stamp, value, steady, now, arrival)
@@ -522,8 +521,7 @@ class Application:
         for message in self._order.rest():
             self._handle(message)
         for index, *_, arrived, raw in self._before_clock:
-            if raw is not None:
-                self.keep(index, raw, arrived)
+            self.keep(index, raw, arrived)
         self.guard("ending the compiler", self._warm_up.close)
         self.guard("the log", self._log_counts)
         if self.keeper.path is None:

@@ -37,7 +37,7 @@ def flat(latitude: Any, longitude: Any, of_latitude: Any, of_longitude: Any) -> 
 flat_now = inlined(flat)
 
 
-def beside(longitude: Array, other: float) -> Array:
+def on_same_turn(longitude: Array, other: float) -> Array:
     """Longitudes [rad], whole turns on where that is nearer to another one; the others are the same bits."""
     return longitude - TURN * np.round((longitude - other) / TURN)
 
@@ -55,7 +55,7 @@ class Frame:
         there = np.isfinite(latitude) & np.isfinite(longitude)
         if not there.any():
             return cls(0.0, 0.0)
-        return cls(float(np.median(latitude[there])), float(np.median(beside(longitude[there], longitude[there][0]))))
+        return cls(float(np.median(latitude[there])), float(np.median(on_same_turn(longitude[there], longitude[there][0]))))
 
     def metres(self, latitude: Array, longitude: Array) -> tuple[Array, Array]:
         """East and north [m] of positions [rad]; nan where these are nan, or too far for a flat map."""
@@ -66,7 +66,7 @@ class Frame:
     def position(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Latitude and longitude [rad] of places [m], the latter from -pi to pi."""
         longitude = self.longitude + x / (EARTH_M * math.cos(self.latitude))
-        return self.latitude + y / EARTH_M, beside(longitude, 0.0)
+        return self.latitude + y / EARTH_M, on_same_turn(longitude, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -253,15 +253,22 @@ def copied(source: Path, folder: Path, relative: Path) -> str:
 
     Another file of that name stays: the copy then has a number in its name.
     """
-    place, count = relative, 1
     try:
-        content = source.read_bytes()
-        while (target := folder / place).exists() and not (target.is_file() and target.read_bytes() == content):
-            count += 1
-            place = _numbered(relative, count)
-        if not target.exists():
-            target.parent.mkdir(parents=True, exist_ok=True)
-            write(target, content)
+        return write_numbered(folder / relative, source.read_bytes()).relative_to(folder).as_posix()
     except OSError as error:
-        raise InputError(str(folder / place), error.strerror or str(error), f"a place for a copy of {source}") from error
-    return place.as_posix()
+        raise InputError(str(folder / relative), error.strerror or str(error), f"a place for a copy of {source}") from error
+
+
+def write_numbered(path: Path, content: bytes) -> Path:
+    """Write a file, if it is not there yet; return its path. Another file of that name stays: the new one then has a number in
+    its name.
+    """
+    for count in itertools.count(1):
+        place = _numbered(path, count)
+        if not place.exists():
+            place.parent.mkdir(parents=True, exist_ok=True)
+            write(place, content)
+            break
+        if place.is_file() and place.read_bytes() == content:
+            break
+    return place
