@@ -92,8 +92,8 @@ class Drive:
             self._n += 1
             transport.steady_ns = round(self._n * SECOND_NS / RATE_HZ)
             now, at = transport.now_ns(), self._n / RATE_HZ
-            app.receive_values(self._torque, now, [3000.0 + 40.0 * math.sin(7.7 * self._n)])
-            app.receive_values(self._speed, now, [8.0 + 5.0 * math.sin(at / 20.0)])
+            app.messages.receive_values(self._torque, now, [3000.0 + 40.0 * math.sin(7.7 * self._n)])
+            app.messages.receive_values(self._speed, now, [8.0 + 5.0 * math.sin(at / 20.0)])
             app.tick()
         return time.process_time() - begin
 

@@ -45,7 +45,7 @@ class Desk:
         parameters = {"vehicle": "xgd24d", "state_file": "none", "output_rate_hz": 0.0, **given}
         steady_ns, sleep = lambda: int(self.steady_s * SECOND_NS), lambda seconds: self.forward(seconds, tick=False)
         self.app = Application(make_parameters(parameters), self, steady_ns=steady_ns, sleep=sleep)
-        self.app._arrival_offset_ns = START_NS
+        self.app.clock.offset_ns = START_NS
         self.app.activate()
 
     def now_ns(self):
@@ -57,7 +57,7 @@ class Desk:
     def publish_estimate(self, output, stamp_ns, values, reasons):
         self.publish(output, stamp_ns, values)
         self.reasons.append(dict(reasons))
-        self.left.append(self.app._publisher.left(self.app._steady_ns()))
+        self.left.append(self.app._publisher.left(self.app.clock.steady_ns()))
 
     def publish_status(self, output, stamp_ns, statuses):
         self.statuses.append((self.app.outputs[output].name, list(statuses)))
@@ -94,7 +94,7 @@ class Desk:
             "ambient": SimpleNamespace(header=header, temperature=value),
             "torque": SimpleNamespace(header=header, wrench=SimpleNamespace(torque=SimpleNamespace(y=value))),
         }[role]
-        self.app.receive(index, message)
+        self.app.messages.receive(index, message)
 
     def drive(self, seconds, speed=8.0, dt=0.02, **others):
         """Speeds every dt, with the given other inputs."""

@@ -179,7 +179,7 @@ def test_topics_are_shown_under_their_remapped_names(desk):
     logged = "; ".join(text for _, text in d.logged)
     assert "speed: 2 publishers on /car/odometry/speed" in logged
     assert "on /scale" in logged
-    d.app.dropped(0)
+    d.app.messages.dropped(0)
     d.app.close()
     assert f"{d.topic_name(d.app.inputs[0].name)} dropped 1" in d.logged[-1][1]
 
@@ -270,7 +270,7 @@ def test_what_waits_as_simulated_time_goes_back_is_of_before(desk):
     d = desk(use_sim_time=True)
     d.drive(20.0, dt=0.1)
     ambient = next(i for i, given in enumerate(d.app.inputs) if "ambient" in given.roles)
-    d.app.receive_values(ambient, d.now_ns(), [35.0], sent_ns=1)
+    d.app.messages.receive_values(ambient, d.now_ns(), [35.0], sent_ns=1)
     d.time_s = 0.0
     d.app.time_went_back()
     d.drive(5.0, dt=0.1)
@@ -303,14 +303,14 @@ def test_all_unstamped_messages_between_sim_clock_ticks_count(desk, tmp_path):
     d = desk(use_sim_time=True, topics=str(topics))
     for step in range(40):
         d.time_s += 0.1 if step % 4 == 0 else 0.0
-        d.app.receive(0, type("Float64", (), {"data": 8.0}))
+        d.app.messages.receive(0, type("Float64", (), {"data": 8.0}))
     assert {name: number for _, name, number in d.app.session.counts()} == {Count.ACCEPTED: 40}
 
 
 def test_what_cannot_be_decoded_is_counted_as_no_number(desk):
     d = desk()
     index = {role: i for i, given in enumerate(d.app.inputs) for role in given.roles}
-    d.app.undecodable(index["load"])
+    d.app.messages.receive_undecodable(index["load"])
     assert [(name, count) for name, count, _ in d.app.session.counts()] == [("load", Count.NON_FINITE)]
 
 
@@ -332,10 +332,10 @@ def test_only_inputs_sent_before_a_speed_are_used_with_it(desk):
     d = desk()
     index = {role: i for i, given in enumerate(d.app.inputs) for role in given.roles}
     d.drive(1.0, load=250e3)
-    d.app.receive_values(index["load"], None, [300e3], sent_ns=2000)
-    d.app.receive_values(index["speed"], d.now_ns() + 1, [8.0], sent_ns=1000)
+    d.app.messages.receive_values(index["load"], None, [300e3], sent_ns=2000)
+    d.app.messages.receive_values(index["speed"], d.now_ns() + 1, [8.0], sent_ns=1000)
     assert d.app.overview().values["weight_n"] == pytest.approx(250e3)
-    d.app.receive_values(index["speed"], d.now_ns() + 2, [8.0], sent_ns=3000)
+    d.app.messages.receive_values(index["speed"], d.now_ns() + 2, [8.0], sent_ns=3000)
     assert d.app.overview().values["weight_n"] == pytest.approx(300e3)
 
 
@@ -344,7 +344,7 @@ def test_what_waits_for_a_speed_is_counted_when_the_node_ends(desk):
     load = next(i for i, given in enumerate(d.app.inputs) if "load" in given.roles)
     d.drive(1.0)
     before = sum(number for name, _, number in d.app.session.counts() if name == "load")
-    d.app.receive_values(load, None, [300e3], sent_ns=d.now_ns())
+    d.app.messages.receive_values(load, None, [300e3], sent_ns=d.now_ns())
     d.app.close()
     assert sum(number for name, _, number in d.app.session.counts() if name == "load") == before + 1
 

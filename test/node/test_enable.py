@@ -26,7 +26,7 @@ def with_topics(desk, tmp_path, text, **given):
 
 def enable(made, value):
     index = next(i for i, topic in enumerate(made.app.inputs) if "enable" in topic.roles)
-    made.app.receive(index, SimpleNamespace(data=value))
+    made.app.messages.receive(index, SimpleNamespace(data=value))
 
 
 def fed(made):

@@ -27,6 +27,7 @@ STEP = {  # what makes an estimate and brings it out: without one of them there 
     "Session.handle", "InputReader.read", "InputReader.samples", "SendingOrder.put", "SendingOrder.late",
     "OutputPublisher.take", "OutputPublisher.publish", "OutputPublisher.age_s", "nearest_usable", "not_enabled",
 }  # fmt: skip
+LOOP = "application.py", "message_handler.py", "clock.py", "guard.py"
 SILENT = {"OutputPublisher.publish_statuses", "bare_status", "Notice.level"}  # without which no status can say what fails
 TOPICS = """
 speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
@@ -64,20 +65,20 @@ def node(desk, tmp_path):
 def driven(d, seconds=2.0):
     for _ in range(round(seconds)):
         d.drive(1.0, load=250e3, ambient=12.0, torque=3000.0)
-        d.app.keep(0, b"raw", d.app.arrival())
+        d.app.messages.keep(0, b"raw")
     return [(name, values) for name, _, values in d.published if name.startswith("feedforward")]
 
 
 def called_by_the_application(d):
-    """The functions of this package that a drive calls right out of the application, by module and name; without the step."""
+    """The functions of this package that a drive calls right out of the node's loop, by module and name; without the step."""
     found = set()
 
     def profile(frame, event, _):
         code, caller = frame.f_code, frame.f_back
         path = Path(code.co_filename)
-        if event != "call" or caller is None or Path(caller.f_code.co_filename).name not in ("application.py", "guard.py"):
+        if event != "call" or caller is None or Path(caller.f_code.co_filename).name not in LOOP:
             return
-        if path.is_relative_to(PACKAGE) and path.name not in ("application.py", "guard.py") and "<" not in code.co_qualname:
+        if path.is_relative_to(PACKAGE) and path.name not in LOOP and "<" not in code.co_qualname:
             module = ".".join(["trackres_ros", *path.relative_to(PACKAGE).with_suffix("").parts])
             found.add((module, code.co_qualname))
 

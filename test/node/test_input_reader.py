@@ -104,7 +104,7 @@ def test_parts_of_a_sum_without_the_other_are_said_and_counted(desk, tmp_path):
     left = next(i for i, given in enumerate(d.app.inputs) if given.name == "left")
     for _ in range(150):
         d.forward(0.02)
-        d.app.receive(left, SimpleNamespace(data=4.0))
+        d.app.messages.receive(left, SimpleNamespace(data=4.0))
     assert any("without_other_part" in notice.text for notice in d.app.notices() if notice.name == "REFUSED")
     rates = {state.topic: state.rate_hz for state in d.app.overview().inputs}
     assert rates == {"/left": pytest.approx(50.0, abs=2.0), "/right": 0.0}

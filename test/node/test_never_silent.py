@@ -60,11 +60,11 @@ def test_whatever_comes_no_tick_raises_and_status_goes_out(wild_by_clock, simula
         else:
             role, seconds, nanoseconds, value, sent = given_
             if what == "strange":
-                d.app.receive(index[role], value, sent)
+                d.app.messages.receive(index[role], value, sent)
             else:
                 now = divmod(START_NS + round(d.time_s * SECOND_NS), SECOND_NS)
                 stamp = (seconds, nanoseconds) if what == "message" else now
-                d.app.receive(index[role], message_of(role, *stamp, value), sent)
+                d.app.messages.receive(index[role], message_of(role, *stamp, value), sent)
         d.app.tick()
     d.broken.clear()
     count = len(d.statuses)
@@ -114,7 +114,7 @@ def test_one_topic_that_cannot_be_published_holds_up_no_other(desk, monkeypatch)
 def test_a_first_stamp_beyond_the_message_range_is_refused(desk):
     d = desk(output_rate_hz=50.0)
     index = {role: i for i, given in enumerate(d.app.inputs) for role in given.roles}
-    d.app.receive(index["speed"], message_of("speed", 2**31 - 1, 10**9, 8.0))
+    d.app.messages.receive(index["speed"], message_of("speed", 2**31 - 1, 10**9, 8.0))
     d.forward(0.5)
     assert "REFUSED" in d.names()
     speed = next(given for given in d.app.overview().inputs if given.role == "speed")

@@ -16,7 +16,7 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
 import trackres_ros as tr  # noqa: E402
-from trackres_ros.node import application  # noqa: E402
+from trackres_ros.node import message_handler  # noqa: E402
 from trackres_ros.node.inbox import Inbox  # noqa: E402
 from trackres_ros.node.record import Recorder  # noqa: E402
 
@@ -70,9 +70,9 @@ class Wire:
         raw = bytes(STORE.serialize_cdr(made(kind, value, now), kind))
         self.sent.append(("/" + name.lstrip("/"), now, raw))
         if index < len(self.desk.app.inputs):
-            self.desk.app.receive(index, STORE.deserialize_cdr(raw, kind), raw=raw)
+            self.desk.app.messages.receive(index, STORE.deserialize_cdr(raw, kind), raw=raw)
         else:
-            self.desk.app.keep(index, raw, self.desk.app.arrival())
+            self.desk.app.messages.keep(index, raw)
 
 
 def driven(desk, folder, seconds, speed_of, rate_hz=10.0):
@@ -142,9 +142,9 @@ def in_haste(wire, depth, chance):
 
     def hand(index, message, arrived):
         raw, kind, sent_ns = message
-        app.receive(index, STORE.deserialize_cdr(raw, kind), chance.choice([sent_ns, sent_ns, 0]), arrived, raw)
+        app.messages.receive(index, STORE.deserialize_cdr(raw, kind), chance.choice([sent_ns, sent_ns, 0]), arrived, raw)
 
-    inbox = Inbox([partial(take, queue) for queue in queues], hand, app.arrival, app.dropped, depth)
+    inbox = Inbox([partial(take, queue) for queue in queues], hand, app.clock.arrival, app.messages.dropped, depth)
 
     def work():
         inbox.collect()
@@ -220,7 +220,7 @@ def test_messages_before_the_sim_clock_get_its_first_time(desk, tmp_path):
 @pytest.mark.parametrize("most", [0, 1, 10])
 def test_no_message_is_lost_where_no_clock_ever_comes(desk, tmp_path, monkeypatch, most):
     (tmp_path / "topics.yaml").write_text(TOPICS)
-    monkeypatch.setattr(application, "MOST_BEFORE_CLOCK", most)
+    monkeypatch.setattr(message_handler, "MOST_BEFORE_CLOCK", most)
     d = desk(topics=str(tmp_path / "topics.yaml"), use_sim_time=True)
     wire = Wire(d, tmp_path / "live.mcap")
     d.now_ns = lambda: 0
@@ -236,13 +236,13 @@ def test_what_is_not_handled_is_recorded_too(desk, tmp_path):
     (tmp_path / "topics.yaml").write_text(TOPICS)
     d = desk(topics=str(tmp_path / "topics.yaml"))
     wire = Wire(d, tmp_path / "live.mcap")
-    d.app._reader.read = lambda *_: 1 / 0
+    d.app.messages.reader.read = lambda *_: 1 / 0
     wire.send("speed", TWIST, 8.0)
-    earlier = d.app.arrival()
+    earlier = d.app.clock.arrival()
     d.forward(2.0)
     wire.send("brake", NUMBER, 1.0)
-    d.app.undecodable(wire.index["speed"], arrived=earlier, raw=b"no message!!")
-    d.app.receive_values(wire.index["shaft"], d.now_ns(), [3000.0], sent_ns=1, raw=b"waits for a speed")
+    d.app.messages.receive_undecodable(wire.index["speed"], arrived=earlier, raw=b"no message!!")
+    d.app.messages.receive_values(wire.index["shaft"], d.now_ns(), [3000.0], sent_ns=1, raw=b"waits for a speed")
     d.app.close()
     wire.recorder.end()
     with AnyReader([tmp_path / "live.mcap"]) as reader:

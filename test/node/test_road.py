@@ -57,7 +57,7 @@ def test_a_measured_torque_is_compared_and_learned_from(desk, with_torque):
     for i in range(900):
         d.send("torque", 1800.0 + 20.0 * (i % 3))
         driven(d, [8.0 + 0.01 * (i % 7)])
-    d.app._publish_status(d.app._steady_ns(), diagnostics=True)
+    d.app._publish_status(d.app.clock.steady_ns(), diagnostics=True)
     residual = [values for name, _, values in d.published if name == "torque_residual"][-1]
     assert residual[2] == pytest.approx(residual[0] - residual[1])
     learner = d.app.learning.learner

@@ -23,12 +23,13 @@ from trackres_ros.estimator.guards import not_enabled
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.estimator.warm_up import LIVE, CompilerWarmUp, exercise
 from trackres_ros.jit.compiled import interpreted
+from trackres_ros.node.clock import NodeClock
 from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics
 from trackres_ros.node.guard import Guard
-from trackres_ros.node.inbox import Arrival, Arrived, SendingOrder
 from trackres_ros.node.input_reader import InputReader
 from trackres_ros.node.live_learning import LiveLearning
+from trackres_ros.node.message_handler import MessageHandler
 from trackres_ros.node.notices import Notice, level_of
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.node.publisher import OutputPublisher
@@ -36,7 +37,7 @@ from trackres_ros.node.report import Overview, bare_status, overview, statuses
 from trackres_ros.node.service_manager import ServiceManager
 from trackres_ros.node.setup import changed_parameters, read_setup
 from trackres_ros.node.state_keeper import StateKeeper, state_path
-from trackres_ros.node.transport import KeepMessage, Level, Peer, Reasons, Transport, nearest_usable
+from trackres_ros.node.transport import KeepMessage, Level, Peer, Reasons, Transport
 from trackres_ros.node.watch import Watch
 from trackres_ros.units import SECOND_NS
 
@@ -44,8 +45,6 @@ ACCEPTED, IMPLAUSIBLE = int(at.Count.ACCEPTED), int(at.Count.IMPLAUSIBLE)
 SPEED_IMPLAUSIBLE = int(at.Reason.SPEED_IMPLAUSIBLE)
 NOT_ENABLED = interpreted(not_enabled)  # as live also processes messages between two steps
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
-MOST_BEFORE_CLOCK = 10000
-LONGEST_HELD_NS = 10_000_000_000  # of a message that is handled after a later one; a clock that goes back further was set
 SAVING_ON_REQUEST_S, SAVING_AT_THE_END_S = 0.1, 10.0  # longest wait for a disk
 REASONS_KEPT_NS = 200_000_000  # a full check takes longer than publishing; an old speed and new reasons are handled at once
 MUST_BE_FINITE = (at.Results.resistance_torque_nm, at.Results.resistance_std_nm, at.Results.feedforward_torque_nm)
@@ -87,16 +86,12 @@ class Application:
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
         self.recording_notices: Callable[[], list[Notice]] = list
         self.guard = Guard(self._report_fault, steady_ns)
-        self._keep: KeepMessage | None = None
-        self._transport, self._steady_ns, self._sleep = transport, steady_ns, sleep
-        self._is_speed = ["speed" in given.roles for given in self.inputs]
-        self._order = SendingOrder()
-        self._handled_ns = 0  # arrival of the last handled message
-        self._before_clock: list[tuple[int, int | None, Sequence[float | None], int, Arrival, bytes | None]] = []
-        self._reader = InputReader(self.inputs, self.estimator.channels, self.topics.bindings)
+        self.clock = NodeClock(transport, parameters.sim_time, steady_ns, self.guard)
+        self._transport, self._sleep = transport, sleep
+        reader = InputReader(self.inputs, self.estimator.channels, self.topics.bindings)
+        self.messages = MessageHandler(self.inputs, reader, self.clock, self.guard, self._step)
         self._publisher = OutputPublisher(self.outputs, self.estimator, transport)
         self._service = ServiceManager()
-        self._arrival_offset_ns = time.time_ns() - steady_ns()
         self.learning = LiveLearning(self.estimator, parameters.text("learning"), measured)
         self.session, self.began_with = self.keeper.load(self.estimator, self.learning)
         self._state_at = self._rested_at = time.time()
@@ -122,13 +117,6 @@ class Application:
         """Longest time between two outputs."""
         return LONGEST_PERIOD_S if self._on_speed else 1.0 / self.parameters.number("output_rate_hz")
 
-    # Inputs
-
-    def arrival(self) -> Arrival:
-        """The arrival of a message that comes now."""
-        steady = self._steady_ns()
-        return steady, self._now_ns(steady)
-
     def record(self, keep: KeepMessage) -> list[tuple[InputTopic, str]]:
         """Record every message on all topics of the topics file; return these topics and the texts that define their types.
 
@@ -143,96 +131,8 @@ class Application:
                 self._log(Level.WARN, f"{name} is not recorded: its type {given.type} is unknown")
         known = [(given, text) for given, text in listed if text is not None]
         place = {index: known.index((given, text)) for index, (given, text) in enumerate(listed) if text is not None}
-        self._keep = lambda index, raw, arrival_ns: keep(place[index], raw, arrival_ns) if index in place else None
+        self.messages.keep_raw = lambda index, raw, arrival_ns: keep(place[index], raw, arrival_ns) if index in place else None
         return known
-
-    def keep(self, index: int, raw: bytes | None, arrived: Arrival) -> None:
-        """Record a raw message that is not handled, where all are recorded; None is not recorded."""
-        self._record(index, raw, self._arrival_ns(*arrived))
-
-    def _record(self, index: int, raw: bytes | None, arrival: int) -> None:
-        if self._keep and raw is not None:
-            self.guard("recording", self._keep, index, raw, arrival)
-
-    def _arrival_ns(self, steady: int, now: int) -> int:
-        return now if self.parameters.sim_time else steady + self._arrival_offset_ns
-
-    def dropped(self, index: int) -> None:
-        """Take note of a message of an input topic that had to make way for later ones."""
-        self._reader.dropped[index] += 1
-
-    def receive(
-        self, index: int, message: object, sent_ns: int = 0, arrived: Arrival | None = None, raw: bytes | None = None
-    ) -> None:
-        """Process a decoded message of an input topic, sent at a time [ns] of its publisher's machine, 0 if unknown.
-
-        `raw` are its bytes, to be recorded as it is handled.
-        """
-        read = self.guard.essential("reading a message", self._reader.read, index, message)
-        if read is not None:
-            self.receive_values(index, *read, sent_ns, arrived, raw)
-        else:
-            self.keep(index, raw, arrived or self.arrival())
-
-    def undecodable(self, index: int, sent_ns: int = 0, arrived: Arrival | None = None, raw: bytes | None = None) -> None:
-        """Take note of a message of an input topic that cannot be decoded: no number, at the node's time."""
-        self.receive_values(index, None, [math.nan] * len(self.inputs[index].roles), sent_ns, arrived, raw)
-
-    def receive_values(
-        self,
-        index: int,
-        stamp_ns: int | None,
-        values: Sequence[float | None],
-        sent_ns: int = 0,
-        arrived: Arrival | None = None,
-        raw: bytes | None = None,
-    ) -> None:
-        """Process values that a transport has read from a message of an input topic; see `InputReader.samples`. By default it
-        arrives now.
-
-        Messages are handled in sending order, see `SendingOrder`. Those before the first simulated clock wait for it:
-        without a time their age is unknown.
-        """
-        self.guard.essential("taking a message", self._receive, index, stamp_ns, values, sent_ns, arrived or self.arrival(), raw)
-
-    def _receive(
-        self,
-        index: int,
-        stamp_ns: int | None,
-        values: Sequence[float | None],
-        sent_ns: int,
-        arrived: Arrival,
-        raw: bytes | None,
-    ) -> None:
-        steady, now = arrived
-        if now == 0 and self.parameters.sim_time:
-            now = self._now_ns(steady)
-        if now == 0 and self.parameters.sim_time:
-            if len(self._before_clock) < MOST_BEFORE_CLOCK:
-                self._before_clock.append((index, stamp_ns, values, sent_ns, arrived, raw))
-            else:
-                self.keep(index, raw, arrived)
-            return
-        if self._before_clock:
-            earlier, self._before_clock = self._before_clock, []
-            for waiting in earlier:
-                self.receive_values(*waiting)
-        message = Arrived(sent_ns, steady, now, index, stamp_ns, values, raw)
-        for ready in self._order.put(message, self._is_speed[index]):
-            self._handle(ready)
-
-    def _handle(self, message: Arrived) -> None:
-        """Record a message and process its samples, by an arrival after that of the last one: so a replay keeps their order."""
-        _, steady, now, place, stamp_ns, values, raw = message
-        arrival = self._arrival_ns(steady, now)
-        held_ns = self._handled_ns + 1 - arrival
-        if 0 < held_ns < LONGEST_HELD_NS:
-            arrival, now = arrival + held_ns, now + held_ns
-        self._handled_ns = arrival
-        self._record(place, raw, arrival)
-        samples = self.guard.essential("taking a message", self._reader.samples, place, stamp_ns, values, now)
-        for channel, stamp, value in samples or ():
-            self.guard.essential("the step", self._step, channel, stamp, value, steady, now, arrival)
 
     def _step(self, channel: int, stamp: int, value: float, steady: int, now: int, arrival: int) -> None:
         counters = self.session.memory.counters
@@ -250,20 +150,22 @@ class Application:
         if not all(math.isfinite(values[column]) for column in MUST_BE_FINITE):
             raise ArithmeticError(f"the estimate is not finite: {values}")
         stamp = int(self.session.memory.times[at.SPEED, at.Times.last_stamp])
-        self._publisher.take(values, float(self.session.motion[at.Motion.feedforward_target]), stamp, steady, self._pace(steady))
+        self._publisher.take(
+            values, float(self.session.motion[at.Motion.feedforward_target]), stamp, steady, self.clock.pace_ns(steady)
+        )
         new_reasons = self.guard("watching the reasons", self._watch.accepted, int(values[at.Results.reasons]), now - stamp)
         if new_reasons:
             self._reasons_seen = None
         if self.active and self._on_speed:
             self._next_output_ns = steady + int(LONGEST_PERIOD_S * SECOND_NS)
-            self.guard.essential("publishing", self._publish, self._steady_ns())
+            self.guard.essential("publishing", self._publish, self.clock.steady_ns())
         self._state_at = time.time()
         news = self.guard("the comparison with the measured torque", self.comparison.take, stamp, values)
         if news:
             self._reasons_seen = None
             self._log(Level.OK, news)
         if new_reasons and self.active:
-            self._publish_status(self._steady_ns())
+            self._publish_status(self.clock.steady_ns())
         self.guard("learning", self.learning.take, stamp, values, self.session)  # it acts from the next step on
         if self.on_estimate:
             record = self.on_estimate
@@ -281,18 +183,9 @@ class Application:
         except BaseException:  # the failure to report cannot be reported
             pass
 
-    def _now_ns(self, steady: int) -> int:
-        """The node's time: the machine's where a clock cannot be read, none for a simulated one."""
-        now = self.guard("the clock", self._transport.now_ns)
-        return now if now is not None else 0 if self.parameters.sim_time else steady + self._arrival_offset_ns
-
-    def _pace(self, steady: int) -> int:
-        """Time of the feed-forward's motion: the controller's, or the simulated one [ns]."""
-        return nearest_usable(self._now_ns(steady)) if self.parameters.sim_time else steady
-
     def _publish(self, steady: int) -> None:
-        pace = self._pace(steady)
-        arrival = pace if self.parameters.sim_time else steady + self._arrival_offset_ns
+        pace = self.clock.pace_ns(steady)
+        arrival = self.clock.recorded_ns(steady, pace)
         unfed = NOT_ENABLED(self.estimator.constants, self.session.memory, arrival)
         self._show(unfed)
         self._publisher.publish(steady, pace, self._reasons_or_fault, not unfed)
@@ -306,7 +199,7 @@ class Application:
         if self.guard("watching the reasons", self._watch.note, reasons):
             self._reasons_seen = None
             if self.active:
-                self._publish_status(self._steady_ns())
+                self._publish_status(self.clock.steady_ns())
 
     def _reasons(self, steady: int) -> Reasons:
         """All present notices, each name once."""
@@ -335,16 +228,16 @@ class Application:
         if not self.active:
             return
         self._withdrawn, self._reasons_seen = True, None
-        self._publisher.withdraw(self._steady_ns())
-        self._publish_status(self._steady_ns(), diagnostics=True)
+        self._publisher.withdraw(self.clock.steady_ns())
+        self._publish_status(self.clock.steady_ns(), diagnostics=True)
         with suppress(Exception):
             while self._publisher.stamp_ns is not None:
-                self._publish(self._steady_ns())
+                self._publish(self.clock.steady_ns())
                 if self._publisher.feedforward == 0.0:
                     break
                 self._sleep(self.period_s)
                 meanwhile()
-        self._publish_status(self._steady_ns(), diagnostics=True)
+        self._publish_status(self.clock.steady_ns(), diagnostics=True)
         self.active = False
 
     def tick(self) -> None:
@@ -352,10 +245,10 @@ class Application:
 
         It never raises: a part that fails is named on the status, and the others run.
         """
-        steady = self._steady_ns()
+        steady = self.clock.steady_ns()
         age_s, max_age_s = self._publisher.age_s(steady), self.estimator.settings.speed_max_age_s
         turned_old = self.guard("watching the age of the speed", self._watch.look_at_age, age_s, max_age_s)
-        self.guard.essential("taking late messages", self._hand_over_late, steady)
+        self.guard.essential("taking late messages", self.messages.handle_late, steady)
         self.guard.essential("publishing", self._publish_due, steady)
         if steady >= self._next_second_ns:
             self._next_second_ns += SECOND_NS * (1 + (steady - self._next_second_ns) // SECOND_NS)
@@ -364,10 +257,6 @@ class Application:
             self._publish_status(steady)
         self.guard("saving the state", self._save_due, steady)
         self.guard("the service manager", self._service.alive, self._publisher.sent, self.active, steady)
-
-    def _hand_over_late(self, steady: int) -> None:
-        for message in self._order.late(steady):
-            self._handle(message)
 
     def _publish_due(self, steady: int) -> None:
         if self.active and steady >= self._next_output_ns - int(0.5 * self.period_s * SECOND_NS):
@@ -398,7 +287,7 @@ class Application:
         try:
             peers = [self._transport.peers(i) for i in range(len(self.inputs))]
         finally:  # rates and refusals are of interest without peers too
-            self._watch.every_second(self.session, self._reader, peers, steady)
+            self._watch.every_second(self.session, self.messages.reader, peers, steady)
             self._reasons_seen = None
 
     def _log_notices(self, steady: int) -> None:
@@ -417,11 +306,11 @@ class Application:
         found = self.guard("the statuses", lambda: statuses(self.overview(steady), name, self.vehicle.name))
         learned = self.guard("the statuses of learning", self.learning.statuses, name, self.vehicle.name)
         bare = [] if found else [bare_status(self.notices(steady), name, self.vehicle.name)]
-        self._publisher.publish_statuses(found or bare, self._now_ns(steady), diagnostics, learned or ())
+        self._publisher.publish_statuses(found or bare, self.clock.now_ns(steady), diagnostics, learned or ())
 
     def notices(self, steady: int | None = None) -> list[Notice]:
         """All present notices, most severe first."""
-        steady = self._steady_ns() if steady is None else steady
+        steady = self.clock.steady_ns() if steady is None else steady
         found = [
             *(self.guard("watching the inputs", self._watched, steady) or []),
             *(self.guard("the comparison with the measured torque", self.comparison.notices, self._diagnose) or []),
@@ -440,7 +329,7 @@ class Application:
         return self._watch.notices(
             age_s=self._publisher.age_s(steady),
             max_age_s=self.estimator.settings.speed_max_age_s,
-            clock_runs=not self.parameters.sim_time or self._now_ns(steady) > 0,
+            clock_runs=not self.clock.simulated or self.clock.now_ns(steady) > 0,
         )
 
     def _compiling(self) -> list[Notice]:
@@ -450,7 +339,7 @@ class Application:
 
     def overview(self, steady: int | None = None) -> Overview:
         """Snapshot for statuses and the terminal."""
-        steady = self._steady_ns() if steady is None else steady
+        steady = self.clock.steady_ns() if steady is None else steady
         return overview(self.notices(steady), self._publisher, self._watch, self.comparison, self.keeper, self.learning, steady)
 
     # Requests of a transport or a signal
@@ -468,7 +357,7 @@ class Application:
         self.comparison.change(parameters.mismatch())
         self.learning.change(parameters.text("learning"), self.session)
         if parameters.number("save_period_s") != self.parameters.number("save_period_s"):
-            self._next_save_ns = self._steady_ns()
+            self._next_save_ns = self.clock.steady_ns()
         self.parameters = parameters
         if settings != self.estimator.settings:
             self._go_on_with(Estimator(self.vehicle, settings, entries=self.estimator.entries))
@@ -503,9 +392,7 @@ class Application:
 
     def time_went_back(self) -> None:
         """Restart after a backward jump of the simulated clock; the next estimate reports it."""
-        for message in self._order.rest():  # they belong to the time before
-            self._handle(message)
-        self._handled_ns = 0
+        self.messages.time_went_back()
         self._start_anew(time_went_back=True)
         self._log(Level.WARN, "time went back: the estimate restarts")
 
@@ -518,10 +405,7 @@ class Application:
         """Save the state and end other threads; return a text for the log."""
         self.guard("the service manager", self._service.stopping)
         self.deactivate()
-        for message in self._order.rest():
-            self._handle(message)
-        for index, *_, arrived, raw in self._before_clock:
-            self.keep(index, raw, arrived)
+        self.messages.close()
         self.guard("ending the compiler", self._warm_up.close)
         self.guard("the log", self._log_counts)
         if self.keeper.path is None:
@@ -535,11 +419,15 @@ class Application:
 
     def _log_counts(self) -> None:
         counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]
-        counted += [f"{name} bad_stamp {n}" for name, n in zip(self.estimator.channels, self._reader.bad_stamp, strict=True) if n]
         counted += [
-            f"{name} without_other_part {n}" for name, n in zip(self.estimator.channels, self._reader.alone(), strict=True) if n
+            f"{name} bad_stamp {n}" for name, n in zip(self.estimator.channels, self.messages.reader.bad_stamp, strict=True) if n
         ]
-        counted += [f"{name} dropped {n}" for name, n in zip(self._topic_names, self._reader.dropped, strict=True) if n]
+        counted += [
+            f"{name} without_other_part {n}"
+            for name, n in zip(self.estimator.channels, self.messages.reader.alone(), strict=True)
+            if n
+        ]
+        counted += [f"{name} dropped {n}" for name, n in zip(self._topic_names, self.messages.reader.dropped, strict=True) if n]
         self._log(Level.OK, f"messages: {', '.join(counted) or 'none'}")
 
     def _go_on_with(self, estimator: Estimator) -> None:

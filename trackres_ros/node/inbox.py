@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds messages between middleware and application, with their arrival times, however busy the estimate is; sorts them.
+"""Holds messages between middleware and application, with their arrival times, however busy the estimate is.
 
 A middleware silently drops the oldest messages of a full queue, and queued messages have no time of arrival.
 So messages are also fetched between the steps, and wait here: bounded, with a count of those dropped.
@@ -12,15 +12,13 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any
 
-Arrival = tuple[int, int]
-"""When a message came, by the steady clock and by the node's time [ns]."""
+from trackres_ros.node.clock import Arrival
+
 Take = Callable[[], Iterable[Any]]
 
 COLLECT_EVERY_NS = 2_000_000  # accuracy of an arrival; at 1 kHz two messages
-LONGEST_WAIT_NS = 50_000_000  # of a message for a speed that was sent later
 
 
 class Inbox:
@@ -70,49 +68,3 @@ class Inbox:
 
     def _empty(self) -> list[deque[tuple[Any, Arrival]]]:
         return [deque() for _ in self._inputs]
-
-
-class Arrived(NamedTuple):
-    """A message of an input, with its times [ns]."""
-
-    sent_ns: int  # by the clock of its publisher; 0 if unknown
-    steady_ns: int  # arrival by the steady clock
-    now_ns: int  # arrival by the node's time
-    place: int  # of the input
-    stamp_ns: int | None
-    values: Sequence[float | None]
-    raw: bytes | None  # to be recorded
-
-
-class SendingOrder:
-    """Holds messages back until all that were sent earlier have arrived.
-
-    After a pause of this process, a middleware passes on one message of each topic in turn. So messages other than speeds are
-    held back until a speed with a later sending time arrives, for `LONGEST_WAIT_NS` at most.
-    """
-
-    def __init__(self) -> None:
-        self._waiting: list[Arrived] = []
-
-    def put(self, message: Arrived, is_speed: bool) -> list[Arrived]:
-        """Take a message; the messages to be handled now, in their order."""
-        if message.sent_ns and not is_speed:
-            self._waiting.append(message)
-            return []
-        earlier = self._release(lambda other: other.sent_ns <= message.sent_ns or not message.sent_ns)
-        return [*earlier, message]
-
-    def late(self, steady_ns: int) -> list[Arrived]:
-        """The messages that have waited for too long."""
-        return self._release(lambda message: steady_ns - message.steady_ns > LONGEST_WAIT_NS)
-
-    def rest(self) -> list[Arrived]:
-        """All waiting messages."""
-        return self._release(lambda _: True)
-
-    def _release(self, due: Callable[[Arrived], bool]) -> list[Arrived]:
-        if not self._waiting:
-            return []
-        released = [message for message in self._waiting if due(message)]
-        self._waiting = [message for message in self._waiting if not due(message)]
-        return sorted(released, key=attrgetter("sent_ns"))

@@ -54,7 +54,7 @@ Reasons = tuple[tuple[str, Level], ...]
 
 
 KeepMessage = Callable[[int, bytes, int], None]
-"""Takes a message to be recorded: which of the topics of `Application.to_record`, its bytes as CDR, its time of arrival [ns]."""
+"""Takes a message to be recorded: which of the topics of `Application.record`, its bytes as CDR, its time of arrival [ns]."""
 
 
 class Transport(Protocol):
@@ -79,7 +79,7 @@ class Transport(Protocol):
         """The publishers that are there now on the topic of an input, whatever their type and quality of service."""
 
     def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
-        """Pass the bytes of every message too: of an input with its values, of other topics to `Application.keep`.
+        """Pass the bytes of every message too: of an input with its values, of other topics to `MessageHandler.keep`.
 
         Returns the texts that define the types of all inputs and of the other topics; None for an unknown type.
         """

@@ -15,11 +15,12 @@ from functools import partial
 from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
 from trackres_ros.node.background import Background, ErrorLines
+from trackres_ros.node.clock import Arrival
 from trackres_ros.node.dds.messages import CdrInput, DdsEstimate, PreparedMessage, clock_ns, diagnostic_array, prepared
 from trackres_ros.node.dds.participant import Participant, TopicReader
 from trackres_ros.node.dds.wire import typestore
 from trackres_ros.node.endpoints import InputTopic, Quality, full_name, input_name, input_quality, output_quality
-from trackres_ros.node.inbox import Arrival, Inbox
+from trackres_ros.node.inbox import Inbox
 from trackres_ros.node.parameter_file import LOOK_EVERY_S, ParameterFile
 from trackres_ros.node.parameters import Parameters, Value
 from trackres_ros.node.signals import SignalRequests
@@ -74,8 +75,8 @@ class DdsNode:
         self._inbox = Inbox(
             [guard.taking(f"reading {name}", reader.take) for name, reader in zip(self._input_names, self._readers, strict=True)],
             self._hand,
-            application.arrival,
-            application.dropped,
+            application.clock.arrival,
+            application.messages.dropped,
             parameters.count("input_depth"),
         )
         self._next_tick = 0
@@ -174,7 +175,7 @@ class DdsNode:
     def _take_kept(self) -> None:
         for index, kept in self._kept:
             for raw, _ in kept.take():
-                self.application.keep(index, raw, self.application.arrival())
+                self.application.messages.keep(index, raw)
 
     def _carry_out(self, requests: SignalRequests) -> None:
         for level, text in requests.carry_out(self.application):
@@ -208,9 +209,9 @@ class DdsNode:
         try:
             stamp, values = self._input_readers[index].read(raw)
         except Exception:  # no bytes, whatever they are, end the node
-            self.application.undecodable(index, sent_ns, arrived, raw)
+            self.application.messages.receive_undecodable(index, sent_ns, arrived, raw)
         else:
-            self.application.receive_values(index, stamp, values, sent_ns, arrived, raw)
+            self.application.messages.receive_values(index, stamp, values, sent_ns, arrived, raw)
 
     def _tick_if_due(self) -> None:
         now = time.monotonic_ns()

@@ -22,8 +22,9 @@ from std_srvs.srv import Trigger
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
+from trackres_ros.node.clock import Arrival
 from trackres_ros.node.endpoints import InputTopic, input_quality, output_quality
-from trackres_ros.node.inbox import Arrival, Inbox
+from trackres_ros.node.inbox import Inbox
 from trackres_ros.node.parameters import Parameters, make_parameters
 from trackres_ros.node.ros import parameters as ros_parameters
 from trackres_ros.node.ros.callback_group import OneAtATime
@@ -140,8 +141,8 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._inbox = Inbox(
             [application.guard.taking(f"reading {given.topic_name}", partial(_come, given)) for given in self._inputs],
             self._hand,
-            application.arrival,
-            application.dropped,
+            application.clock.arrival,
+            application.messages.dropped,
             parameters.count("input_depth"),
         )
         self._offered = [
@@ -324,11 +325,11 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     def _hand(self, index: int, message: Taken, arrived: Arrival) -> None:
         if self.application:
             raw = self.application.guard("recording", serialize_message, message[0]) if self._recording else None
-            self.application.receive(index, message[0], message[1]["source_timestamp"], arrived, raw)
+            self.application.messages.receive(index, message[0], message[1]["source_timestamp"], arrived, raw)
 
     def _keep(self, index: int, raw: bytes) -> None:
         if self.application:
-            self.application.keep(index, raw, self.application.arrival())
+            self.application.messages.keep(index, raw)
 
     def _wait_or_collect(self, application: Application) -> None:
         """Wait for messages where they trigger outputs, or where fast simulated time stamps their arrival.

@@ -1,0 +1,42 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The node's time beside a steady clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from trackres_ros.node.guard import Guard
+from trackres_ros.node.transport import Transport, nearest_usable
+
+Arrival = tuple[int, int]
+"""When a message came, by the steady clock and by the node's time [ns]."""
+
+
+class NodeClock:
+    """The node's time, the machine's or a simulated one, and the steady time that counts ages and periods; all in ns."""
+
+    def __init__(self, transport: Transport, simulated: bool, steady_ns: Callable[[], int], guard: Guard) -> None:
+        self.simulated, self.steady_ns = simulated, steady_ns
+        self.offset_ns = time.time_ns() - steady_ns()  # of the machine's clock at the start against steady time
+        self._transport, self._guard = transport, guard
+
+    def arrival(self) -> Arrival:
+        """The arrival of a message that comes now."""
+        steady = self.steady_ns()
+        return steady, self.now_ns(steady)
+
+    def now_ns(self, steady: int) -> int:
+        """The node's time: the machine's where a clock cannot be read, none for a simulated one."""
+        now = self._guard("the clock", self._transport.now_ns)
+        return now if now is not None else 0 if self.simulated else steady + self.offset_ns
+
+    def recorded_ns(self, steady: int, now: int) -> int:
+        """An arrival as it is recorded: steady like the ages of samples, or simulated."""
+        return now if self.simulated else steady + self.offset_ns
+
+    def pace_ns(self, steady: int) -> int:
+        """Time of the feed-forward's motion: the controller's, or the simulated one."""
+        return nearest_usable(self.now_ns(steady)) if self.simulated else steady
