@@ -199,7 +199,9 @@ def test_an_interrupt_while_workers_start_leaves_no_traceback(recordings):
         main(sys.argv[1:])"""
     run = subprocess.run([sys.executable, "-c", program, *words(recordings, "--workers", "1")], stderr=subprocess.PIPE, text=True)
     assert run.returncode == 130
-    assert [line[:22] for line in run.stderr.splitlines() if line] == ["trackres: interrupted;"]
+    # Where a worker starts while this process ends, Python's resource tracker warns of its semaphores.
+    lines = [line for line in run.stderr.splitlines() if line and "resource_tracker" not in line]
+    assert [line[:22] for line in lines] == ["trackres: interrupted;"]
 
 
 @pytest.mark.parametrize(("address", "part"), [("tcp://127.0.0.1:1", "no scheduler answers"), ("somewhere", "tcp://HOST:PORT")])
