@@ -57,7 +57,8 @@ def left(tmp_path, loaded, own):
     folder.mkdir()
     text = "What it is.\nWritten by trackres diagnose from x."
     files = loaded.base.write(folder / "vehicle.yaml", kept_of(loaded.base, effects), text)
-    assert [path.name for path in files] == ["vehicle.yaml", "surroundings.yaml"]
+    assert [path.name for path in files[:2]] == ["vehicle.yaml", "surroundings.yaml"]
+    assert set(files) == {path for path in folder.rglob("*") if path.is_file()}
     return folder
 
 

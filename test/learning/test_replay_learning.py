@@ -111,7 +111,8 @@ def test_no_unlearned_vehicle_file_is_there_first(recording, watched, tmp_path, 
 def test_what_does_not_count_is_not_written(recording, tmp_path):
     lines = recording.read_text().splitlines(keepends=True)
     (tmp_path / "short.csv").write_text("".join(lines[:600]))
-    tr.replay(tmp_path / "short.csv", "xgd24d", learning="watch", save_vehicle=tmp_path / "same.yaml")
+    done = tr.replay(tmp_path / "short.csv", "xgd24d", learning="watch", save_vehicle=tmp_path / "same.yaml")
+    assert {*done.written, tmp_path / "short.csv"} == {path for path in tmp_path.rglob("*.*") if path.is_file()}
     before, after = tr.load_vehicle("xgd24d"), tr.load_vehicle(tmp_path / "same.yaml")
     assert {path: q.value for path, q in before.parameters.items()} == {path: q.value for path, q in after.parameters.items()}
 

@@ -24,7 +24,7 @@ from trackres_ros.route.learned import SLOPE, RouteMap
 from trackres_ros.vehicle import load, variants, with_surroundings
 from trackres_ros.vehicle.loading import read_rubber_sweep
 from trackres_ros.vehicle.writing.changes import FileChanges
-from trackres_ros.vehicle.writing.vehicle_file import BY_US, write_track_vehicle
+from trackres_ros.vehicle.writing.vehicle_file import DIAGNOSED, write_track_vehicle
 
 THICKNESS = "tracks.triangular.belt.thickness"
 
@@ -255,7 +255,7 @@ def test_a_written_vehicle_changes_no_other_file(tmp_path: Path, own: Path, ther
     (tmp_path / there).parent.mkdir(exist_ok=True)
     (tmp_path / there).write_text("edited by hand\n", encoding="utf-8")
     for _ in range(2):  # the second time into the files of the first
-        _, around, _ = write_track_vehicle(load("xgd24d"), file, changes, "Written by trackres diagnose.")
+        _, around, *_ = write_track_vehicle(load("xgd24d"), file, changes, "Written by trackres diagnose.")
         assert (tmp_path / there).read_text(encoding="utf-8") == "edited by hand\n"
         again = with_surroundings(load(file), around)
         assert np.array_equal(again.rubber.loss_pa, load("xgd24d").rubber.loss_pa)
@@ -265,11 +265,32 @@ def test_a_written_vehicle_changes_no_other_file(tmp_path: Path, own: Path, ther
     assert len(written) == 6
 
 
+@pytest.mark.parametrize("surrounded", [False, True])
+@pytest.mark.parametrize("by", ["trackres replay", "trackres coastdown", "trackres compound"])
+def test_only_a_diagnosis_touches_surroundings(tmp_path: Path, own: Path, by: str, surrounded: bool) -> None:
+    def contents() -> dict[Path, bytes]:
+        return {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file() and path.parent != own}
+
+    effects = catalogue(own)
+    squeak, grade = (Active(effects[name], {q.name: q.start for q in effects[name].parameters}) for name in ("squeak", "grade"))
+    left = tmp_path / "vehicle.yaml", tmp_path / "surroundings.yaml"
+    write_track_vehicle(load("xgd24d"), left[0], FileChanges(None, (squeak, grade), {}, route=ROUTE), DIAGNOSED)
+    before, vehicle = contents(), with_surroundings(load(left[0]), left[1]) if surrounded else load(left[0])
+    for folder in (tmp_path, tmp_path / "other"):
+        folder.mkdir(exist_ok=True)
+        files = write_track_vehicle(vehicle, folder / "car.yaml", FileChanges(None, (), {}, by=by), f"Written by {by}.")
+        after = contents()
+        assert {path: after[path] for path in before} == before
+        assert after.keys() - before.keys() <= set(files) <= after.keys()
+        assert not folder.joinpath("other", "surroundings.yaml").exists()
+        before = after
+
+
 def test_a_full_disk_leaves_each_written_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     vehicle, other = load("xgd24d"), tuple(one.times(2.0) for one in ROUTE)
 
     def write(route: tuple[RouteMap, ...], text: str) -> dict[str, str]:
-        write_track_vehicle(vehicle, tmp_path / "new.yaml", FileChanges(None, (), {}, route=route), f"{BY_US}{text}")
+        write_track_vehicle(vehicle, tmp_path / "new.yaml", FileChanges(None, (), {}, route=route), f"{DIAGNOSED} from {text}")
         return contents()
 
     def contents() -> dict[str, str]:

@@ -134,11 +134,15 @@ def replay(
             go_on_from(Path(resume), session, learner, learned_before)
         write = kept.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
         done = run(source, estimator, write, session, progress, learner, warm_up.finished)
+    written = [one for one in (file, state) if one is not None]
     if state is not None:
         saved_at = int(done.session.memory.times[at.SPEED, at.Times.last_arrival]) * NANOSECOND
         save(done.session, state, saved_at, learned_before if learner is None else stored(learner))
     if learned_file is not None and learner is not None:
-        write_learned(learner, estimator.vehicle, learned_file)
+        written += write_learned(learner, estimator.vehicle, learned_file)
     title = one_line(f"{', '.join(path.name for path in paths) or source.name}: {estimator.vehicle.title}")
     findings = source.all_findings() if isinstance(source, KeptSource) else source.findings
-    return ReplayResult(done, kept if file is None else None, title, source.name, source.notes, findings, file, [*inputs, resume])
+    rows = kept if file is None else None
+    result = ReplayResult(done, rows, title, source.name, source.notes, findings, file, [*inputs, resume])
+    result.written = tuple(written)
+    return result

@@ -28,26 +28,24 @@ FIGURES = 6
 REASON = "learned by trackres while driving"
 
 
-def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> list[str]:
-    """Write a vehicle file with the learned parameters; return the paths of the changed values."""
+def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> list[Path]:
+    """Write a vehicle file with the learned parameters; return it and the files copied for it."""
     counts = [state for state in VEHICLES_OWN if learner.acts and learner.counted[state]]
     minutes = learner.learned.seconds / 60.0
     comment = f"Written by trackres replay --save-vehicle, learned from {minutes:.0f} min of driving"
     stds = _stds(learner, counts)
     applied = learner.learned.applied.tolist()
-    written: list[str] = []
 
     def with_learned(text: str) -> str:
         document = Document(text)
-        written.extend(name for state in counts for name in _set(document, vehicle, state, applied[state], stds[state]))
-        return (document.text() or f"# {comment}\n{document.plain()}") if written else text
+        for state in counts:
+            _set(document, vehicle, state, applied[state], stds[state])
+        return (document.text() or f"# {comment}\n{document.plain()}") if counts else text
 
-    changes = FileChanges(None, (), {}, amend=with_learned)
+    changes = FileChanges(None, (), {}, by="trackres replay", amend=with_learned)
     if isinstance(vehicle, RoadVehicle):
-        write_road_vehicle(vehicle, path, changes, comment)
-    else:
-        write_track_vehicle(vehicle, path, changes, comment)
-    return written
+        return write_road_vehicle(vehicle, path, changes, comment)
+    return write_track_vehicle(vehicle, path, changes, comment)
 
 
 def _stds(learner: Learner, counts: list[int]) -> dict[int, float]:
@@ -58,8 +56,8 @@ def _stds(learner: Learner, counts: list[int]) -> dict[int, float]:
     return {state: told_std(state, float(covariance[state, state])) for state in counts}
 
 
-def _set(document: Document, vehicle: AnyVehicle, state: int, departure: float, std: float) -> list[str]:
-    """Put a departure into the values of the file that it is of; their paths."""
+def _set(document: Document, vehicle: AnyVehicle, state: int, departure: float, std: float) -> None:
+    """Put a departure into the values of the file that it is of."""
     places = _of_wheels() if isinstance(vehicle, RoadVehicle) else _of_tracks(vehicle)
     paths, factor = places[state]
     for path in paths:
@@ -76,7 +74,6 @@ def _set(document: Document, vehicle: AnyVehicle, state: int, departure: float, 
         new = {"value": _figures(value), "range": [_figures(low), _figures(high)], "flag": FITTED, "reason": reason}
         for key, given in new.items():
             document.set((*path.split("."), key), given)
-    return list(paths)
 
 
 Places = Mapping[int, tuple[tuple[str, ...], float]]

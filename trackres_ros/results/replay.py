@@ -47,6 +47,8 @@ class ReplayResult(SeriesResult):
         The estimator's session at the end, with its counters.
     output
         The file written during the replay; its rows are then not in memory.
+    written
+        All files that the replay wrote: `output`, the state, the vehicle file and the files copied for it.
     """
 
     def __init__(
@@ -63,6 +65,7 @@ class ReplayResult(SeriesResult):
         self.title, self.name, self.notes, self.findings, self.output = title, name, tuple(notes), tuple(findings), output
         self.session: Session = replayed.session
         self.messages, self.steps, self.duration_s = replayed.messages, replayed.steps, replayed.duration_s
+        self.written: tuple[Path, ...] = ()
         self._replayed, self._kept, self._inputs = replayed, kept, inputs
 
     @property

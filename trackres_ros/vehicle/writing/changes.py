@@ -12,6 +12,7 @@ from trackres_ros.effects.effect import Active
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.vehicle import Disturbance
 
+DIAGNOSE = "trackres diagnose"
 BY_PLACE = {SLOPE: "grade", TORQUE: "place"}  # names of values learned by place
 
 
@@ -42,7 +43,7 @@ class FileChanges:
     text: str = ""  # accepted changes and the reason, in a sentence
     disturbance: LearnedDisturbance | None = None  # to watch for live; None keeps that of the file
     route: tuple[RouteMap, ...] = ()  # a slope, or a torque, by place; others given with the surroundings stay
-    by: str = "trackres diagnose"  # the command that found it
+    by: str = DIAGNOSE  # the command that found it
     amend: Callable[[str], str] = str  # makes the text of the vehicle file that is written, from that with all other changes
 
     def with_disturbance(self, learned: LearnedDisturbance | None) -> FileChanges:

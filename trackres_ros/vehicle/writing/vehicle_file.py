@@ -27,13 +27,13 @@ from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.road import SECTION
 from trackres_ros.vehicle.schema import BELT, CHASSIS, DISTURBANCES, ROAD_LOAD, RUBBER, QuantityLimits
 from trackres_ros.vehicle.surroundings import SCHEMA
-from trackres_ros.vehicle.writing.changes import FileChanges, LearnedDisturbance
+from trackres_ros.vehicle.writing.changes import DIAGNOSE, FileChanges, LearnedDisturbance
 from trackres_ros.vehicle.writing.yaml_edit import Document, flow
 
 REFITTED = "re-fitted by"
-FOUND = "found by trackres diagnose"
-BY_US = "# Written by trackres "
-WRITTEN = f"{BY_US}diagnose", f"{BY_US}coastdown"
+FOUND = f"found by {DIAGNOSE}"
+DIAGNOSED = f"# Written by {DIAGNOSE}"
+WRITTEN = DIAGNOSED, "# Written by trackres coastdown"
 SURROUNDINGS_FILE = "surroundings.yaml"
 ROUTE_FILE = "route.csv"
 FIGURES = 6
@@ -42,17 +42,20 @@ Range = tuple[float, float] | None
 
 
 def write_track_vehicle(vehicle: Vehicle, path: Path, kept: FileChanges, text: str) -> list[Path]:
-    """Write a track vehicle with the accepted changes, and the surroundings; return the files to use.
+    """Write a track vehicle with the accepted changes, and what a diagnosis found of the surroundings; return all its files.
 
-    `text` is their origin, for the comments.
+    The first is the vehicle file. Of a diagnosis the surroundings are next, if there are any. `text` is their origin, for the
+    comments.
     """
     document = opened(vehicle.source)
-    document.set(("rubber", "file"), copied(vehicle.rubber_source, path.parent, Path("rubber") / vehicle.rubber_source.name))
+    rubber = copied(vehicle.rubber_source, path.parent, Path("rubber") / vehicle.rubber_source.name)
+    document.set(("rubber", "file"), rubber)
     for key, method in (("hysteresis", vehicle.hysteresis), ("thermal", vehicle.thermal)):
         document.set(("model", key), method)
     if kept.values is not None:
         _set_values(document, vehicle, kept.values, kept)
-    return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text, vehicle.route)
+    files = finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text, vehicle.route)
+    return [*files, path.parent / rubber]
 
 
 def write_road_vehicle(vehicle: RoadVehicle, path: Path, kept: FileChanges, text: str) -> list[Path]:
@@ -160,10 +163,15 @@ def finish(
 ) -> list[Path]:
     """Write the file of a vehicle of a name, with its present effects, surroundings and route; see
     `write_track_vehicle`.
+
+    Only a diagnosis writes, replaces or removes surroundings. For any other command the given ones stay where they are: they
+    hold for the new vehicle file too.
     """
     if kept.disturbance is not None:
         _set_disturbance(document, kept.disturbance)
-    added, around = kept.of("vehicle"), [*surroundings, *kept.of("surroundings")]
+    diagnosed = kept.by == DIAGNOSE
+    added = kept.of("vehicle")
+    around = [*surroundings, *kept.of("surroundings")] if diagnosed else []
     copied = _copied_effects([*effects, *added, *around], path.parent)
     document.add("effects", {active.effect.name: _values(active) for active in added})
     files = _files_of([*effects, *added], copied)
@@ -172,16 +180,19 @@ def finish(
     edited = document.text()
     note = "" if edited is not None else "Its comments could not be kept: they stand in the file it was made from.\n"
     write(path, kept.amend(_comment(note + text) + (edited or document.plain())).encode())
+    copies = [path.parent / name for name in copied.values()]
+    if not diagnosed:
+        return [path, *copies]
     site_file, route_file = _free_places(path)
     learned = {one.kind for one in kept.route}
     route = [*kept.route, *(one for one in route if one.kind not in learned)]
     if not around and not route:
         earlier = _text(site_file)
-        if any(line in earlier for line in WRITTEN):
+        if DIAGNOSED in earlier:
             site_file.unlink()  # of an earlier diagnosis: it would look like this one's
             if f"route: {route_file.name}\n" in earlier:
                 route_file.unlink(missing_ok=True)
-        return [path]
+        return [path, *copies]
     lines = [f"schema: {SCHEMA}", f"vehicle: {flow(name)}"]
     files = _files_of(around, copied)
     lines += [f"effect_files: {flow(files)}"] if files else []
@@ -191,15 +202,16 @@ def finish(
     if route:
         write_route(route_file, route)  # before the file that names it
     write(site_file, (_comment(text) + "\n".join(lines) + "\n").encode())
-    return [path, site_file, route_file] if route else [path, site_file]
+    return [path, site_file, *([route_file] if route else []), *copies]
 
 
 def _free_places(path: Path) -> tuple[Path, Path]:
-    """Where surroundings and route go beside a vehicle file: into those of an earlier run, but into no other file."""
+    """Where surroundings and route go beside a vehicle file: into those of an earlier diagnosis, but into no other file."""
     for count in itertools.count(1):
         site, route = (path.with_name(_numbered(Path(name), count).name) for name in (SURROUNDINGS_FILE, ROUTE_FILE))
         earlier = _text(site)
-        if (BY_US in earlier or not site.exists()) and (f"route: {route.name}\n" in earlier or not route.exists()):
+        ours = DIAGNOSED in earlier
+        if (ours or not site.exists()) and ((ours and f"route: {route.name}\n" in earlier) or not route.exists()):
             break
     return site, route
 
