@@ -149,10 +149,53 @@ def test_the_reason_of_a_cold_start_is_given_once(desk, warm):
     assert "STATE_NOT_USED" in dict(last["estimate"].values)["remarks"]
 
 
-def test_a_state_of_another_vehicle_is_refused(desk, warm):
-    path, _ = warm
+def test_a_state_of_another_vehicle_is_kept_and_used_again(desk, warm):
+    path, belt = warm
+    before = path.read_bytes()
     d = desk(state_file=str(path), vehicle="agri3t")
     assert "xgd24d" in d.app.began_with
+    d.forward(40.0)  # without a speed
+    assert "no speed yet" in d.app.close()
+    assert {one.read_bytes() for one in path.parent.iterdir()} == {before}
+    for _ in range(2):
+        d = desk(state_file=str(path), vehicle="agri3t")
+        d.drive(0.04, speed=2.0)
+        assert "saved" in d.app.close()
+        kept = [one for one in path.parent.iterdir() if one.read_bytes() == before]
+        assert len(kept) == 1
+        assert kept[0] != path
+    back = desk(state_file=str(path))
+    assert str(kept[0]) in back.app.began_with
+    assert "STATE_NOT_USED" not in back.names()
+    assert first_belt(back) == pytest.approx(belt, abs=10.0)  # it cools while this runs
+    back.app.close()
+    assert str(path) in desk(state_file=str(path)).app.began_with
+    assert len(list(path.parent.iterdir())) == 3  # one for each vehicle, and the one in use
+
+
+REFUSED = {
+    "version": lambda content: {**content, "version": 99},
+    "values": lambda content: {**content, "key": "../x"},
+    "learned": lambda content: {**content, "learning": {"learned": {}}},
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_no_intact_state_is_lost_whatever_is_refused(desk, warm, topics, what):
+    path, _ = warm
+    path.write_bytes(seal(REFUSED[what](json.loads(path.read_text()))))
+    before = path.read_bytes()
+    d = desk(state_file=str(path), topics=topics)
+    d.forward(40.0)
+    with pytest.raises(InputError, match="no speed yet"):
+        d.app.save_state()
+    d.drive(0.04)
+    assert path.read_bytes() == before
+    notice = next(notice for notice in d.app.notices() if notice.name == "STATE_NOT_USED")
+    d.app.save_state(1.0)
+    (kept,) = (one for one in path.parent.glob("state*") if one != path)
+    assert kept.read_bytes() == before != path.read_bytes()
+    assert str(kept) in notice.text
 
 
 def test_an_unwritable_state_folder_is_reported_and_not_fatal(desk, tmp_path):

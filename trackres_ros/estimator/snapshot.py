@@ -94,6 +94,25 @@ def is_other_kind(file: Path) -> bool:
     return head not in (HEAD, bytes(len(head)))
 
 
+def place_aside(path: Path, of_key: str) -> Path:
+    """Where a state file that was not used is kept, by the key of its vehicle: beside it, and one for each key."""
+    return path.with_name(f"{path.stem}.unused-{''.join(filter(str.isalnum, of_key))[:8]}{path.suffix}")
+
+
+def aside_of(path: Path) -> Path | None:
+    """Place to keep a state file that was not used; None if it is damaged, or no file."""
+    try:
+        data = own_files.read(path, LARGEST)
+        return place_aside(path, str(parse_json(data)["key"])) if _is_intact(data) else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def set_aside(path: Path, place: Path) -> None:
+    """Copy a state file, so that it can be replaced. Raises OSError; the file is then unchanged."""
+    own_files.write(place, own_files.read(path, LARGEST))
+
+
 def save(session: Session, path: Path, saved_at: float, learning: Mapping[str, Any] | None = None) -> None:
     """Write a session, and plain values with it. Time off begins at the wall-clock time `saved_at` [s since 1970].
 
@@ -233,6 +252,11 @@ def _integer(given: Any) -> int:
     return given
 
 
+def _is_intact(data: bytes) -> bool:
+    found = SEAL.search(data)
+    return found is not None and hashlib.sha256(data[: found.start()]).hexdigest().encode() == found.group(1)
+
+
 def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
     """Read a state file: nothing of it is used unless its seal is intact."""
     where, whole = f"state file {path}", "a complete file written by this program"
@@ -241,8 +265,6 @@ def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
     except OSError as error:
         remedy = "" if isinstance(error, FileNotFoundError) else REMEDY
         raise InputError(where, error.strerror or str(error), "a file written by this program", remedy) from error
-    found = SEAL.search(data)
-    intact = found is not None and hashlib.sha256(data[: found.start()]).hexdigest().encode() == found.group(1)
     try:
         content = parse_json(data)
     except ValueError as error:
@@ -253,7 +275,7 @@ def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
     if version != VERSION:
         given = f"version {version}" if isinstance(version, int) and 0 <= version < 1000 else "no version"
         raise InputError(where, given, f"version {VERSION}", REMEDY)
-    if not intact:
+    if not _is_intact(data):
         raise InputError(where, "a damaged file: its checksum does not match", whole, REMEDY)
     if content.get("key") != key(estimator):
         raise InputError(

@@ -81,7 +81,9 @@ LIVE_KINDS = {
     "STATE_NOT_SAVED": NoticeKind(
         Level.WARN, "the state file could not be written: a restart would use an older state or start cold"
     ),
-    "STATE_NOT_USED": NoticeKind(Level.OK, "the state file could not be used: cold start", of_start=True),
+    "STATE_NOT_USED": NoticeKind(
+        Level.OK, "the state file could not be used: cold start; its text says where the file is kept", of_start=True
+    ),
     "COMPILING": NoticeKind(
         Level.OK, "first start on this machine: steps run in plain Python until compiled, with the same numbers"
     ),

@@ -1,7 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Keeps the belt temperatures over a restart: loads at the start, saves in the background and at the end."""
+"""Keeps the belt temperatures over a restart: loads at the start, saves in the background and at the end.
+
+A state that this start cannot use, as it has other values, is copied to a file beside it before it is replaced. A later start
+with the values of that copy goes on with it.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +18,19 @@ from contextlib import suppress
 from pathlib import Path
 
 from trackres_ros.errors import InputError
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.estimator.snapshot import after_time_off, content, is_other_kind, leftovers, read_learning
+from trackres_ros.estimator.snapshot import (
+    after_time_off,
+    aside_of,
+    content,
+    is_other_kind,
+    key,
+    leftovers,
+    place_aside,
+    read_learning,
+    set_aside,
+)
 from trackres_ros.files import own_files
 from trackres_ros.node.background import Background
 from trackres_ros.node.live_learning import LiveLearning
@@ -59,6 +74,7 @@ class StateKeeper:
         self.saved_at: float | None = None
         self.error = why_none
         self.unused = ""  # why the state file that was there could not be used
+        self._aside: Path | None = None  # where that file is copied before it is replaced; None if there is nothing to keep
         self._writer = Background("state")
         self._began_ns = 0
 
@@ -77,22 +93,42 @@ class StateKeeper:
         except (OSError, ValueError) as error:
             self.unused = f"cold start: the state file {self.path} cannot be reached: {error}"
             return estimator.session(), self.unused
+        file = self.path
         try:
-            session, off_s = after_time_off(estimator, self.path, time.time())
+            session, off_s = after_time_off(estimator, file, time.time())
         except InputError as error:
             self.unused = f"cold start: the state file cannot be used: {error}"
             with suppress(OSError):
-                if self.path.is_file() and is_other_kind(self.path):
-                    self.error, self.path = f"{self.path} is another kind of file, which is not replaced", None
-            return estimator.session(), self.unused
+                if file.is_file() and is_other_kind(file):
+                    self.error, self.path = f"{file} is another kind of file, which is not replaced", None
+                    return estimator.session(), self.unused
+            self._keep_unused("; a start with its values uses it again")
+            try:  # that of an earlier start with these values
+                file = place_aside(file, key(estimator))
+                session, off_s = after_time_off(estimator, file, time.time())
+            except InputError:
+                return estimator.session(), self.unused
+            self.unused = ""
         what = "belts" if estimator.assemblies else "temperatures of the effects"
-        text = f"{what} restored from {self.path} and cooled for {off_s / 60.0:.1f} min"
+        text = f"{what} restored from {file} and cooled for {off_s / 60.0:.1f} min"
         try:
-            learned = learning.go_on(session, read_learning(estimator, self.path), off_s)
+            learned = learning.go_on(session, read_learning(estimator, file), off_s)
         except ValueError as error:
             self.unused = f"learning starts from the vehicle file: {error}"
-            return session, text
+            self._keep_unused("")
+            return session, f"{text}; {self.unused}"
         return session, f"{text}; {learned}" if learned else text
+
+    def _keep_unused(self, how: str) -> None:
+        """Have the state file copied before it is replaced, and say where; `how` says how it is used again."""
+        assert self.path is not None
+        self._aside = aside_of(self.path)
+        if self._aside is not None:
+            self.unused += f"; before it is replaced it is copied to {self._aside}{how}"
+
+    def _may_replace(self, session: Session) -> bool:
+        """Whether there is anything to save in place of a state that was not used."""
+        return self._aside is None or session.memory.counters[at.SPEED, at.Count.ACCEPTED] > 0
 
     def notices(self) -> list[Notice]:
         """Text that the state file cannot be written, or that the existing one could not be used."""
@@ -113,7 +149,7 @@ class StateKeeper:
 
         `state_at` is the time [s since 1970] of the state: the belts cool from then on.
         """
-        if self.path is not None and not self._writer.busy:
+        if self.path is not None and not self._writer.busy and self._may_replace(session):
             self._begin(self.path, session, state_at, learning)
 
     def save(self, session: Session, state_at: float, learning: LiveLearning, patience_s: float = 1.0) -> str:
@@ -122,10 +158,14 @@ class StateKeeper:
         Raises
         ------
         InputError
-            If no state is kept, the file cannot be written, or the disk takes longer than `patience_s`.
+            If no state is kept, the file cannot be written, or the disk takes longer than `patience_s`; or if it would replace a
+            state that was not used, without a speed yet.
         """
         if self.path is None:
             raise InputError("state file", "none", "the node's parameter state_file set to a path or to auto")
+        if not self._may_replace(session):
+            given = "a state that was not used, and no speed yet"
+            raise InputError(f"state file {self.path}", given, "an accepted speed before it is replaced")
         until = time.monotonic() + patience_s
         if not self._writer.wait(patience_s):
             raise InputError(f"state file {self.path}", "an earlier save that is still running", "a disk that responds")
@@ -146,6 +186,10 @@ class StateKeeper:
     def _write(self, data: bytes, path: Path) -> None:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            if self._aside is not None:
+                with suppress(FileNotFoundError):
+                    set_aside(path, self._aside)
+                self._aside = None
             own_files.write(path, data)
         except Exception as error:  # of the disk, mostly
             self.error = getattr(error, "strerror", None) or str(error)
