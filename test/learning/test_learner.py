@@ -7,10 +7,18 @@ import copy
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+import trackres_ros as tr
 from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.disturbances import LASTING_SHARE
-from trackres_ros.learning.parameters import SLOW, VEHICLES_OWN
+from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.parameters import SLOW, VEHICLES_OWN, limits_of, places
+from trackres_ros.learning.vehicle_file import write_learned
+from trackres_ros.vehicle import RoadVehicle
+from trackres_ros.vehicle.writing.vehicle_file import opened
 
 
 @pytest.fixture(scope="module")
@@ -201,3 +209,60 @@ def test_time_off_makes_it_less_sure_and_forgets_what_wanders(learned):
         assert after.mean[SLOW] == 0.0
         assert after.mean[at.OF_LOSS] == before.mean[at.OF_LOSS]
     assert np.sqrt(rises[1]) == pytest.approx(2.0 * np.sqrt(rises[0]), rel=0.05)
+
+
+class Sure(Learner):
+    """A learner that accepts whatever it has of the vehicle."""
+
+    acts = True
+
+    @property
+    def counted(self):
+        return np.isin(np.arange(at.LEARNABLE), self.own)
+
+
+@pytest.fixture(scope="module", params=["xgd24d", "bmw_i3", "husky"])
+def sure(request, tmp_path_factory):
+    """A learner of each vehicle of a kind, by what its values are in the file."""
+    folder, made = tmp_path_factory.mktemp("sure"), {}
+
+    def by(end):
+        if end not in made:
+            described = tr.load_vehicle(request.param)
+            document = opened(described.source)
+            if not isinstance(described, RoadVehicle):
+                document.set(("rubber", "file"), str(described.rubber_source))
+            paths = {path for paths, _ in places(described).values() for path in paths}
+            for path in (path for path in paths if path.startswith(("chassis", "road_load"))):  # no belt burns
+                limits = limits_of(path)
+                value = {"file": described.parameters[path].value, "low": limits.low, "high": limits.high}[end]
+                document.set((*path.split("."), "value"), value)
+                document.set((*path.split("."), "range"), [limits.low, limits.high])
+            (folder / f"{end}.yaml").write_text(document.text())
+            vehicle = tr.load_vehicle(folder / f"{end}.yaml")
+            made[end] = vehicle, Sure(Estimator(vehicle))
+        return made[end]
+
+    return by
+
+
+@settings(max_examples=10)
+@given(st.sampled_from(["file", "low", "high"]), st.lists(st.floats(0.0, 1.0), min_size=7, max_size=7), st.floats(1e-3, 1.0))
+def test_a_written_file_has_each_learned_value_within_its_range(sure, tmp_path_factory, end, shares, known):
+    vehicle, learner = sure(end)
+    file, s = tmp_path_factory.getbasetemp() / "learned.yaml", learner.learned
+    s.covariance[:] = known**2 * learner.prior.covariance
+    for state, share in zip(learner.own, shares, strict=False):
+        low, high = learner.prior.low[state], learner.prior.high[state]
+        assert low <= 0.0 <= high
+        s.applied[state] = low + share * (high - low)
+    write_learned(learner, vehicle, file)
+    written = tr.load_vehicle(file).parameters
+    for state in learner.own:
+        paths, factor = places(vehicle)[state]
+        for path in paths:
+            old, new = vehicle.parameters[path], written[path]
+            assert new.value == pytest.approx(old.value * (1.0 + factor * s.applied[state]), rel=1e-5)  # as it acts live
+            assert new.low <= new.value <= new.high
+            assert new.high > new.low
+            assert new == old or old.value

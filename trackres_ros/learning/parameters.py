@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,9 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import relative_std
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
+from trackres_ros.vehicle.road import SECTION
+from trackres_ros.vehicle.schema import BELT, CHASSIS, ROAD_LOAD, RUBBER, QuantityLimits
+from trackres_ros.vehicle.writing.vehicle_file import rubber_share
 
 Array = NDArray[np.float64]
 
@@ -29,7 +32,7 @@ RADIUS_ROW = 3
 VEHICLES_OWN = (at.OF_LOSS, at.OF_COOLING, at.OF_CAPACITY, at.OF_BEARING, at.OF_DRAG, at.OF_MASS)
 
 LEAST_STD = 0.02  # assumed: rubber wears and oil ages, so that no value of a file stays exact
-REACH_STD = 2.0  # the ranges of a vehicle file are +-2 standard deviations: bounds of learned values
+REACH_STD = 2.0  # the ranges of a vehicle file are +-2 standard deviations: bounds of learned values, and what a file may hold
 LEAST_FACTOR = 0.2  # of the file's value, whatever the ranges say
 OFFSET_SHARE = 0.005  # assumed: of the torque that rolling takes, standard deviation of a transducer's zero
 GAIN_STD = 0.003  # assumed: class 0.5 is off by half a percent at most; a motor's current is no torque of its own, and worse
@@ -100,6 +103,49 @@ def _of_wheels(vehicle: RoadVehicle) -> tuple[Learnable, ...]:
     )
 
 
+Places = Mapping[int, tuple[tuple[str, ...], float]]
+"""Values of the file behind each departure, and their change for a departure of 1."""
+
+
+def places(vehicle: AnyVehicle) -> Places:
+    """Values of a vehicle's file that each departure scales."""
+    if isinstance(vehicle, RoadVehicle):
+        return {
+            at.OF_BEARING: ((f"{SECTION}.rolling_coefficient", f"{SECTION}.rolling_rise"), 1.0),
+            at.OF_DRAG: ((f"{SECTION}.drag_area",), 1.0),
+            at.OF_MASS: ((f"{SECTION}.rotating_mass_factor",), 1.0),
+        }
+    share = rubber_share(vehicle)  # of a belt's heat: cords hold the rest
+    of_track = [f"tracks.{name}.belt.{film}" for name in vehicle.tracks for film in ("film_offset", "film_slope")]
+    return {
+        at.OF_LOSS: (("rubber.loss_modulus_scale",), 1.0),
+        at.OF_CAPACITY: (("rubber.heat_capacity",), 1.0 / share),
+        at.OF_COOLING: (tuple(of_track), 1.0),
+        at.OF_BEARING: (("chassis.bearing_friction",), 1.0),
+        at.OF_DRAG: (("chassis.drag_coefficient",), 1.0),
+        at.OF_MASS: (("chassis.rotating_mass_factor",), 1.0),
+    }
+
+
+def limits_of(path: str) -> QuantityLimits:
+    """What a file may hold for one of `places`."""
+    section, _, name = path.rpartition(".")
+    return {"rubber": RUBBER, "chassis": CHASSIS, SECTION: ROAD_LOAD}.get(section, BELT)[name]
+
+
+def _in_a_file(vehicle: AnyVehicle, state: int) -> tuple[float, float]:
+    """Bounds of a departure within which all its values may be in a vehicle file."""
+    paths, factor = places(vehicle)[state]
+    low, high = -np.inf, np.inf
+    for path in paths:
+        value, limits = vehicle.parameters[path].value, limits_of(path)
+        assert isinstance(value, float)
+        if value:
+            ends = sorted((end / value - 1.0) / factor for end in (limits.low, limits.high))
+            low, high = max(low, ends[0]), min(high, ends[1])
+    return min(low, 0.0), max(high, 0.0)
+
+
 def make_prior(estimator: Estimator) -> Prior:
     """Prior from the ranges of the vehicle file, with their correlations.
 
@@ -122,7 +168,8 @@ def make_prior(estimator: Estimator) -> Prior:
     low, high = np.full(STATES, -np.inf), np.full(STATES, np.inf)
     for state in own:
         reach = REACH_STD * float(np.sqrt(covariance[state, state]))
-        low[state], high[state] = max(-reach, LEAST_FACTOR - 1.0), reach
+        least, most = _in_a_file(estimator.vehicle, state)
+        low[state], high[state] = max(-reach, LEAST_FACTOR - 1.0, least), min(reach, most)
     return Prior(covariance, low, high, rolling)
 
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from trackres_ros.estimator.estimator import Session
 from trackres_ros.learning.correction import use_file
 from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import ON, Learner
-from trackres_ros.learning.parameters import VEHICLES_OWN
+from trackres_ros.learning.parameters import REACH_STD, VEHICLES_OWN
 
 LARGEST = 1e12  # for any number; times in ns are integers and stored separately
 FARTHEST = 1 << 62
@@ -145,8 +146,9 @@ def _check(learner: Learner) -> None:
             raise ValueError("an invalid covariance")
     for departures in (s.mean, s.recent_mean, s.before_mean, s.aim, s.applied):
         for state in VEHICLES_OWN:
-            if not prior.low[state] * REACH <= departures[state] <= prior.high[state] * REACH:
+            if not abs(departures[state]) <= REACH_STD * math.sqrt(prior.covariance[state, state]) * REACH:
                 raise ValueError("a departure outside of the vehicle file's ranges")
+        np.clip(departures, prior.low[: len(departures)], prior.high[: len(departures)], out=departures)
     sizes = [s.seconds, s.rolling, s.noise, s.disagrees, s.lasting_s, s.step_s, learner.gate.samples.deviation]
     sizes += [s.wandering.variance, s.contest.variance, s.ground.altitude_variance, s.ground.drift, s.ground.felt_variance]
     sizes += [s.ground.slope_variance]

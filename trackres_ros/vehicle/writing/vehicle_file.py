@@ -85,7 +85,7 @@ def _set_values(document: Document, vehicle: Vehicle, values: Mapping[str, float
         belt = ("tracks", name, "belt")
         for film, old in (("film_offset", track.belt.film_offset), ("film_slope", track.belt.film_slope)):
             scaled = [old * scale for scale in (values["film_scale"], *(kept.range_of("film_scale") or ()))]
-            put((*belt, film), scaled[0], _range(scaled[1:]), BELT)
+            put((*belt, film), scaled[0], _range(scaled[1:] if old else ()), BELT)  # 0 stays as uncertain as it is
         if "surface_share" in values:
             put((*belt, "surface_share"), values["surface_share"], kept.range_of("surface_share"), BELT)
 
