@@ -24,6 +24,7 @@ from trackres_ros.effects.stepping import (
     look,
     step_effects,
 )
+from trackres_ros.effects.vehicle.drivetrain_efficiency import drives
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.assembly_step import COLUMNS_EACH, FIRST_OF_ASSEMBLIES, advance_assemblies
 from trackres_ros.estimator.belt_heat import loss_force, surface
@@ -192,7 +193,8 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     result.hysteresis_nm, result.bearing_nm, result.wind_nm = total.hysteresis, total.bearing, total.wind
     result.grade_nm, result.inertia_nm = total.grade, total.inertia
     result.resistance_std_nm = max(math.sqrt(variance), LEAST_STD_SHARE * total.unsigned)
-    result.feedforward_torque_nm, result.motor_torque_nm = wanted, driving * number.motor_gain
+    motor_gain = 1.0 / (number.motor_ratio * number.motor_efficiency ** drives(driving, road.sign, weight, arm))
+    result.feedforward_torque_nm, result.motor_torque_nm = wanted, driving * motor_gain
     measured = inputs.measured_torque / number.torque_scale - number.torque_offset
     result.measured_torque_nm, result.residual_nm = measured, measured - driving
     result.heat_w, result.cooling_w = total.heat, total.cooling
