@@ -25,8 +25,10 @@ from trackres_ros.model import resistance
 from trackres_ros.model.operating_point import explain
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.model.track import with_methods
-from trackres_ros.offline.energy import energy_j, steps_of, taken
+from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.offline.energy import RESISTANCE, energy_j, steps_of, summed, taken
 from trackres_ros.offline.simulate import by_column
+from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle import load
 
 SPEED, AIR = 25.0 / 3.6, 10.0
@@ -118,13 +120,25 @@ def test_energy_is_that_of_each_assembly_at_its_own_sprocket(mixed, tmp_path):
     of = {part: energy_j(vehicle, step, rows, column) for part, column in RESISTANCE_PARTS.items()}
     of |= {part: energy_j(vehicle, step, rows, f"{part}_torque_nm") for part in ("resistance", "drive")}
     drag = resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density)
-    assert of["wind"] == pytest.approx(float((step * speed * drag).sum()))
+    assert of["wind"] == pytest.approx(summed(step, speed * drag))
     assert of["resistance"] == pytest.approx(sum(of[part] for part in RESISTANCE_PARTS))
     assert of["drive"] - of["resistance"] == pytest.approx(energy_j(vehicle, step, rows, "inertia_nm"))
     assert rows.as_dict()["drive"]["energy_mj"] == pytest.approx(1e-6 * of["resistance"])
     in_fleet = _replayed(recording, turned)
     assert {part: in_fleet[f"{part}_mj"] for part in of} == pytest.approx({part: 1e-6 * energy for part, energy in of.items()})
     assert astuple(steady(turned, SPEED, AIR)) == pytest.approx(astuple(steady(vehicle, SPEED, AIR)))
+
+
+@pytest.mark.parametrize("step_s", [0.1, 1.0, 4.0, 20.0])
+def test_totals_of_a_drive_do_not_depend_on_its_step(step_s):
+    vehicle, time = load("xgd24d"), np.arange(0.0, 60.0 + step_s / 2.0, step_s)
+    speed = np.interp(time, [0.0, 20.0, 40.0, 60.0], [0.0, 10.0, 10.0, 0.0])
+    radius, torque = vehicle_constants(vehicle).radius, 1000.0
+    found = taken(vehicle, time, {"speed_mps": speed, RESISTANCE: np.where(speed > 0.0, torque, 0.0)})
+    assert found["distance_m"] == pytest.approx(400.0)
+    assert found["under_way_s"] == pytest.approx(60.0 - 2.0 * STANDSTILL_MPS / 0.5)
+    assert found["energy_mj"] == pytest.approx(1e-6 * torque / radius * 400.0)
+    assert found["mean_resistance_nm"] == pytest.approx(torque)
 
 
 def test_an_effect_may_cool_a_belt_below_the_air():

@@ -107,6 +107,22 @@ def test_a_wider_range_in_the_file_is_a_less_sure_torque(part):
     assert less.resistance_torque_nm == known.resistance_torque_nm
 
 
+@pytest.mark.parametrize("name", ["bmw_i3", "husky", "ztbus_hess19"])
+def test_the_standard_deviation_is_the_change_by_all_ranges(name):
+    vehicle, step = load_any(name), 0.1
+    speeds, squares = np.array([0.4, 0.7, 1.0]) * vehicle.chassis.max_speed, np.zeros(3)
+    for part in ("rolling_coefficient", "rolling_rise", "drag_area", "air_density", "wheel_radius", "efficiency"):
+        moved = []
+        for sign in (1, -1):
+            value = vehicle.values[part] + sign * step * vehicle.parameters[f"road_load.{part}"].standard_deviation
+            estimator = Estimator(replace(vehicle, values={**vehicle.values, part: value}))
+            moved.append([at_once(estimator, speed=v, acceleration=0.0).resistance_torque_nm for v in speeds])
+        squares += ((np.array(moved[0]) - moved[1]) / (2 * step)) ** 2
+    known = Estimator(vehicle)
+    found = [at_once(known, speed=v, acceleration=0.0).resistance_std_nm for v in speeds]
+    assert found == pytest.approx(np.sqrt(squares), rel=0.01)
+
+
 def test_plain_python_and_machine_code_give_the_same_bits():
     speeds = np.abs(np.sin(np.arange(200) / 30.0)) * 12.0
     rows = [

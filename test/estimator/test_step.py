@@ -85,13 +85,21 @@ def test_each_assembly_keeps_its_own_temperature(reference):
     assert (front > rear.max() + 1.0).all()
 
 
-def test_other_vehicles_have_other_assemblies_and_a_motor(carrier):
+def test_other_vehicles_have_other_assemblies(carrier):
     _, estimate = drive(carrier, 2.0, 1.0, 100)
     assert len(estimate.belt_degc()) == 2
+
+
+@given(speed=st.sampled_from([-3.0, 3.0]), acceleration=st.floats(-3.0, 3.0))
+def test_gears_lose_power_whether_the_motor_drives_or_brakes(carrier, speed, acceleration):
     chassis = carrier.vehicle.chassis
-    assert estimate["motor_torque_nm"] == pytest.approx(
-        estimate["drive_torque_nm"] / (chassis.motor_ratio * chassis.motor_efficiency)
-    )
+    ratio, efficiency = chassis.motor_ratio, chassis.motor_efficiency
+    inputs = carrier.inputs(speed, ambient=15.0, acceleration=acceleration)
+    estimate = carrier.step(carrier.cold_start(inputs), inputs, 0.0)[1]
+    motor, sprockets = (speed * torque for torque in (estimate["motor_torque_nm"] * ratio, estimate["drive_torque_nm"]))
+    assert motor >= sprockets
+    if abs(sprockets / speed) > 0.01 * carrier.vehicle.size:
+        assert motor == pytest.approx(sprockets / efficiency if sprockets > 0.0 else sprockets * efficiency)
 
 
 def test_no_ratio_no_motor_torque(reference):

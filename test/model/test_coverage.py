@@ -22,7 +22,16 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import config_dir, shipped_road_vehicles, shipped_vehicles
-from trackres_ros.model.coverage import DESTROYED_DEGC, OVERSPEED, balance_degc, beyond_data, check_heat, check_speed, coverage
+from trackres_ros.model.coverage import (
+    DESTROYED_DEGC,
+    OVERSPEED,
+    balance_degc,
+    beyond_data,
+    beyond_loads,
+    check_heat,
+    check_speed,
+    coverage,
+)
 from trackres_ros.model.loss_table import loss_table, reverse_share
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.track import load_range, track_model, with_methods
@@ -194,12 +203,13 @@ def test_a_mirrored_drive_reverses_the_sign_of_every_torque(
     assert math.isclose(rows[1].resistance_std_nm, rows[0].resistance_std_nm, rel_tol=scale)
 
 
-@given(speed=st.floats(0.1, 16.0), belt=st.floats(-90.0, 150.0))
-def test_remarks_and_status_name_the_same_belts(short_estimator: Estimator, speed: float, belt: float) -> None:
+@given(speed=st.floats(0.1, 16.0), belt=st.floats(-90.0, 150.0), share=st.floats(0.1, 2.5))
+def test_remarks_and_status_name_the_same_belts(short_estimator: Estimator, speed: float, belt: float, share: float) -> None:
     vehicle = short_estimator.vehicle
-    inputs = short_estimator.inputs(speed, ambient=15.0)
+    inputs = short_estimator.inputs(speed, ambient=15.0, weight=share * vehicle.weight)
     _, estimate = short_estimator.step(short_estimator.cold_start(inputs, belt), inputs, 0.0)
     remarks = beyond_data(vehicle, speed, {a.name: belt for a in vehicle.assemblies})
+    remarks += beyond_loads(vehicle, {a.name: estimate[f"load_n/{a.name}"] for a in vehicle.assemblies})
     assert bool(remarks) == bool(estimate.reasons & Reason.OUTSIDE_TABLE)
 
 
@@ -217,6 +227,7 @@ def test_commands_say_that_they_extrapolate(short: Path, good: Any, tmp_path: Pa
     assert "but the rubber data end at 60 degC (above that: 100% of the samples)" in good(*simulated, "--initial-degc", "90")
     assert json.loads(good(*simulated, "--initial-degc", "90", "--json"))["remarks"]
     assert "extrapolated" not in good(*simulated, "--initial-degc", "40")
+    assert "carries 7.5 kN, but the table ends at" in good(*simulated, "--initial-degc", "40", "--weight-kn", "30")
     replayed = "replay", "--vehicle", short, "-o", tmp_path / "replayed.csv"
     assert said in good(*replayed, tmp_path / "hot.csv")
     assert json.loads(good(*replayed, tmp_path / "hot.csv", "--json"))["remarks"]

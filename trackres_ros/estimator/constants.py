@@ -117,7 +117,8 @@ class Numbers(NamedTuple):
     two_nodes: bool = False
     rolling_rise: float = 0.0  # s/m, its growth with speed; 0 of tracks
     rolling_rise_std: float = 0.0
-    motor_gain: float = math.nan  # motor torque per sprocket torque; nan where the vehicle file gives none
+    motor_ratio: float = math.nan  # motor speed over sprocket speed; nan where the vehicle file gives none
+    motor_efficiency: float = math.nan
     torque_scale: float = 1.0  # shown over true torque; 1 of tracks
     torque_offset: float = 0.0  # shown at no torque, over that scale
 
@@ -266,9 +267,6 @@ def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
         row.share_of_all = load / loads.sum()
     factors = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
     causes = np.array([np.linalg.inv(spreads[a.track].factor[:3, :3]).ravel() for a in vehicle.assemblies])
-    gain = math.nan
-    if chassis.motor_ratio is not None and chassis.motor_efficiency is not None:
-        gain = 1.0 / (chassis.motor_ratio * chassis.motor_efficiency)
     # The fit gave the drag of the whole area; the air density differs from day to day.
     area = () if vehicle.parameters["chassis.drag_coefficient"].flag == FITTED else ("chassis.frontal_area",)
     return Running(
@@ -286,7 +284,8 @@ def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
             "two_nodes": two_nodes,
             "bearing_relative_std": relative_std(vehicle, "chassis.bearing_friction"),
             "drag_relative_std": relative_std(vehicle, "chassis.drag_coefficient", *area, "chassis.air_density"),
-            "motor_gain": gain,
+            "motor_ratio": math.nan if chassis.motor_ratio is None else chassis.motor_ratio,
+            "motor_efficiency": math.nan if chassis.motor_efficiency is None else chassis.motor_efficiency,
         },
     )
 

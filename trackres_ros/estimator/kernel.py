@@ -24,6 +24,7 @@ from trackres_ros.effects.stepping import (
     look,
     step_effects,
 )
+from trackres_ros.effects.vehicle.drivetrain_efficiency import drives
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.assembly_step import COLUMNS_EACH, FIRST_OF_ASSEMBLIES, advance_assemblies
 from trackres_ros.estimator.belt_heat import loss_force, surface
@@ -191,8 +192,9 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     result.resistance_torque_nm, result.effects_nm, result.drive_torque_nm = resistance, of_effects, driving
     result.hysteresis_nm, result.bearing_nm, result.wind_nm = total.hysteresis, total.bearing, total.wind
     result.grade_nm, result.inertia_nm = total.grade, total.inertia
-    result.resistance_std_nm = max(math.sqrt(variance), LEAST_STD_SHARE * total.unsigned)
-    result.feedforward_torque_nm, result.motor_torque_nm = wanted, driving * number.motor_gain
+    result.resistance_std_nm = max(math.sqrt(variance), LEAST_STD_SHARE * total.unsigned * work[TERM_DRIVE_GAIN])
+    motor_gain = 1.0 / (number.motor_ratio * number.motor_efficiency ** drives(driving, road.sign, weight, arm))
+    result.feedforward_torque_nm, result.motor_torque_nm = wanted, driving * motor_gain
     measured = inputs.measured_torque / number.torque_scale - number.torque_offset
     result.measured_torque_nm, result.residual_nm = measured, measured - driving
     result.heat_w, result.cooling_w = total.heat, total.cooling
@@ -204,27 +206,27 @@ def torque_variance(k: Constants, total: Part, learned: Learned, road: Road, dri
     """Variance of the resistance [Nm^2]: var M of docs/model.md, with those of effects and of a torque by place (ours).
 
     Each cause is summed over the assemblies before squaring: heating of all belts stays one cause. Learned variances replace
-    those of the file.
+    those of the file. The gears' gain is on all torques behind them; that of learned torques has it already.
     """
     number, work = k.number, k.work
+    gain = work[TERM_DRIVE_GAIN]
     variance: float = (
-        work[TERM_VARIANCE]
-        + work[TERM_LOSS_VARIANCE] * squared(total.hysteresis)
+        (work[TERM_VARIANCE] + work[TERM_LOSS_VARIANCE] * squared(total.hysteresis)) * squared(gain)
         + work[TERM_GAIN_VARIANCE] * squared(driving)
-        + squared(torque_of_place(of_place_std, road.speed))
+        + squared(torque_of_place(of_place_std, road.speed) * gain)
     )
     if learned.on > 0.0:
         return variance + learned_variance(learned)
     of_file = (
         total.noise
         + squared(total.consider_ambient)
-        + squared(total.arm * road.rolling_bearing * number.bearing_relative_std)
+        + squared(total.arm * (number.bearing_friction * road.weight) * number.bearing_relative_std)
         + squared(total.arm * road.weight * road.speed * number.rolling_rise_std)
         + squared(total.wind * number.drag_relative_std)
     )
-    variance += of_file
+    variance += of_file * squared(gain)
     for cause in range(4):
-        variance += squared(total.consider[cause])
+        variance += squared(total.consider[cause] * gain)
     return variance
 
 

@@ -34,6 +34,7 @@ DESTROYED_DEGC = 300.0  # and decompose by here: no vehicle has driven so
 COLDEST_DEGC, PASSES = -150.0, 60
 SLOWEST_MPS = 1e-6  # as the kernel's: slower, the loss for each metre no longer changes
 OVERSPEED = 1.2  # of the vehicle file's greatest speed
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,28 @@ def beyond_data(vehicle: AnyVehicle, speed: ArrayLike, belt_degc: Mapping[str, A
                 f"track {name}: a belt is at {where}, but {what} {end:.0f} degC{often}. The torque is extrapolated, and the "
                 "status shows OUTSIDE_TABLE"
             )
+    return remarks
+
+
+def beyond_loads(vehicle: AnyVehicle, load_n: Mapping[str, ArrayLike]) -> list[str]:
+    """Sentences on assemblies with a load [N] outside the table of losses; empty without any. `load_n`: as `beyond_data`."""
+    if isinstance(vehicle, RoadVehicle):
+        return []
+    remarks = []
+    for name in vehicle.tracks:
+        loads = np.stack([np.atleast_1d(load_n[a.name]) for a in vehicle.assemblies if a.track == name])
+        covered = load_range(vehicle, name)
+        for outside, worst, end, side in (
+            (loads < covered.low * (1.0 - ROUNDING), loads.min(), covered.low, "below"),
+            (loads > covered.high * (1.0 + ROUNDING), loads.max(), covered.high, "above"),
+        ):
+            if outside.any():
+                own = ", just above its own weight" if side == "below" else ""
+                remarks.append(
+                    f"track {name}: an assembly carries {worst / 1e3:.4g} kN, but the table ends at {end / 1e3:.4g} kN{own} "
+                    f"({side} that: {np.any(outside, axis=0).mean():.0%} of the samples). Its loss is that at the end of the "
+                    "table, and the status shows OUTSIDE_TABLE"
+                )
     return remarks
 
 

@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Computes distance, time, resistance, energy and belt temperatures of a drive from rows of results."""
+"""Computes distance, time, resistance, energy and belt temperatures of a drive from rows of results.
+
+As in the step, the speed is linear between rows.
+"""
 
 from __future__ import annotations
 
@@ -30,6 +33,26 @@ def steps_of(time_s: Array) -> Array:
     return np.where((step > 0.0) & (step <= longest), step, 0.0)
 
 
+def summed(step_s: Array, rate: Array) -> float:
+    """Sum of a rate over the steps before each row, see `steps_of`, by the mean of both ends of a step.
+
+    Where one end is unknown the other counts; a step with two unknown ends adds nothing.
+    """
+    before = np.concatenate([rate[:1], rate[:-1]])
+    first, last = np.where(np.isnan(before), rate, before), np.where(np.isnan(rate), before, rate)
+    return float(np.nansum(step_s * 0.5 * (first + last)))
+
+
+def under_way_s(step_s: Array, speed: Array) -> Array:
+    """Time of each step with a speed above standstill [s]; 0 where a speed is unknown."""
+    before = np.concatenate([speed[:1], speed[:-1]])
+    low, high = np.minimum(before, speed), np.maximum(before, speed)
+    with np.errstate(invalid="ignore"):
+        stood = (np.clip(STANDSTILL_MPS, low, high) - np.clip(-STANDSTILL_MPS, low, high)) / (high - low)
+    share = np.where(high > low, 1.0 - stood, np.abs(speed) > STANDSTILL_MPS)
+    return np.asarray(step_s * np.nan_to_num(share))
+
+
 def energy_j(vehicle: AnyVehicle, step_s: Array, of: Mapping[str, Array], name: str = RESISTANCE) -> float:
     """Energy of a torque at the sprockets along a drive [J]: of each assembly by its own radius.
 
@@ -39,7 +62,7 @@ def energy_j(vehicle: AnyVehicle, step_s: Array, of: Mapping[str, Array], name: 
     torque = of[name]
     if isinstance(vehicle, Vehicle):
         torque = at_first_radius(torque, _of_assemblies(vehicle, of, name), vehicle.sprocket_radii)
-    return float(np.nansum(step_s * of["speed_mps"] * torque)) / vehicle_constants(vehicle).radius
+    return summed(step_s, of["speed_mps"] * torque) / vehicle_constants(vehicle).radius
 
 
 def _of_assemblies(vehicle: Vehicle, of: Mapping[str, Array], name: str) -> Iterator[Array]:
@@ -65,16 +88,16 @@ def taken(vehicle: AnyVehicle, time_s: Array, of: Mapping[str, Array]) -> dict[s
     """
     step, speed, torque = steps_of(time_s), of["speed_mps"], of[RESISTANCE]
     belts_degc = [values for name, values in of.items() if name.startswith("belt_degc/")]
-    under_way = np.where(np.abs(speed) > STANDSTILL_MPS, step, 0.0)
+    under_way, torque_there = under_way_s(step, speed), np.where(np.abs(speed) > STANDSTILL_MPS, np.abs(torque), np.nan)
     energy_mj = energy_j(vehicle, step, of) / MEGA
-    driven = float(np.nansum(step * np.abs(speed)))
+    driven = summed(step, np.abs(speed))
     belts = {}
     if belts_degc:
         belts = {"coldest_belt_degc": float(np.nanmin(belts_degc)), "warmest_belt_degc": float(np.nanmax(belts_degc))}
     return {
         "distance_m": driven,
         "under_way_s": float(under_way.sum()),
-        "mean_resistance_nm": float(np.nansum(under_way * np.abs(torque))) / max(float(under_way.sum()), 1e-9),
+        "mean_resistance_nm": summed(under_way, torque_there) / max(float(under_way.sum()), 1e-9),
         "largest_resistance_nm": float(np.nanmax(np.abs(torque))),
         "energy_mj": energy_mj,
         "kwh_per_km": energy_mj / MJ_PER_KWH / max(driven / 1000.0, 1e-9) if driven > 0.0 else 0.0,

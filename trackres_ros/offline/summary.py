@@ -17,7 +17,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.learning.columns import lines as lines_of
 from trackres_ros.learning.columns import ranges_of, shown
 from trackres_ros.learning.learner import Learner
-from trackres_ros.model.coverage import beyond_data
+from trackres_ros.model.coverage import beyond_data, beyond_loads
 from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.offline.energy import taken, taken_text
 from trackres_ros.offline.replay import Replayed
@@ -122,11 +122,11 @@ def drive(result: Replayed) -> dict[str, float]:
 
 
 def _remarks(result: Replayed) -> list[str]:
-    """Belts outside of the rubber data, from the samples of the picture."""
+    """Belts outside of the rubber data, and loads outside of the table, from the samples of the picture."""
     estimator = result.session.estimator
     columns = picture_columns(estimator.columns, result.picture)
-    belts = {name: columns[f"belt_degc/{name}"] for name in estimator.assemblies}
-    return beyond_data(estimator.vehicle, columns["speed_mps"], belts)
+    belts, loads = ({name: columns[f"{column}/{name}"] for name in estimator.assemblies} for column in ("belt_degc", "load_n"))
+    return [*beyond_data(estimator.vehicle, columns["speed_mps"], belts), *beyond_loads(estimator.vehicle, loads)]
 
 
 def text(report: dict[str, Any]) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
-from trackres_ros.model.coverage import beyond_data
+from trackres_ros.model.coverage import beyond_data, beyond_loads
 from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.offline.energy import taken
 from trackres_ros.offline.simulate import SimulatedDrive, by_column, series_of
@@ -69,10 +69,13 @@ class SimulationResult(SeriesResult):
 
     @property
     def remarks(self) -> list[str]:
-        """Belt temperatures outside the rubber data."""
+        """Belt temperatures outside the rubber data, and loads outside the table of losses."""
         index = self.estimator.column_index
-        belts = {name: self._rows[:, index[f"belt_degc/{name}"]] for name in self.estimator.assemblies}
-        return beyond_data(self.vehicle, self["speed_mps"], belts)
+        belts, loads = (
+            {name: self._rows[:, index[f"{column}/{name}"]] for name in self.estimator.assemblies}
+            for column in ("belt_degc", "load_n")
+        )
+        return [*beyond_data(self.vehicle, self["speed_mps"], belts), *beyond_loads(self.vehicle, loads)]
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -11,8 +11,15 @@ from __future__ import annotations
 import math
 
 from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Values
+from trackres_ros.jit.compiled import inlined
 
 SMOOTH = 1e-3  # of weight times radius: over it driving turns into braking
+
+
+@inlined
+def drives(drive_torque: float, direction: float, weight: float, radius: float) -> float:
+    """1 where the motor drives and -1 where it brakes, in either direction of travel, smooth between."""
+    return math.tanh(drive_torque * direction / (SMOOTH * weight * radius))
 
 
 class DrivetrainEfficiency(Effect):
@@ -26,5 +33,4 @@ class DrivetrainEfficiency(Effect):
     parameters = (Parameter("efficiency", "1", 0.75, 1.0, 0.92, "of the gears", off=1.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
-        power = at.drive_torque * at.direction / (SMOOTH * at.facts.weight * at.facts.radius)
-        return Terms(drive_gain=p.efficiency ** -math.tanh(power))
+        return Terms(drive_gain=p.efficiency ** -drives(at.drive_torque, at.direction, at.facts.weight, at.facts.radius))
