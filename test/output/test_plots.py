@@ -13,7 +13,7 @@ import pytest
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.offline.simulate import ramp_and_hold, run_drive, simulate
 from trackres_ros.output.plots import estimate_figure
-from trackres_ros.output.style import thinned
+from trackres_ros.output.style import picture, thinned
 
 pytest.importorskip("matplotlib")
 
@@ -77,6 +77,27 @@ def test_a_channel_without_measurements_changes_nothing(estimate, plain, tmp_pat
 def test_a_replay_can_be_read(estimate, drawn, tmp_path, title):
     time_s, columns = estimate
     estimate_figure(time_s, columns, title, path=tmp_path / "p.png")
+    assert not drawn.faults(drawn.figures[0])
+
+
+@pytest.mark.parametrize("name", ["a $b$ c", r"$\frac$ \_", "_$_{^$", "測定 一", "% # & <b>"])
+def test_any_name_gives_the_picture_and_is_drawn_as_it_is(estimate, drawn, tmp_path, name):
+    time_s, columns = estimate
+    belt = columns["belt_degc/front_left"]
+    named = {**{k: v for k, v in columns.items() if "/" not in k}, f"belt_degc/{name}": belt, "belt_degc/other": belt + 9.0}
+    estimate_figure(time_s, named, name, path=tmp_path / f"{name.partition('/')[0]}.png")
+    (figure,) = drawn.figures
+    assert not drawn.faults(figure)
+    assert figure.get_suptitle() == name
+    assert not figure._suptitle.get_parse_math()
+
+
+def test_a_logarithmic_axis_is_labelled_without_maths(drawn, tmp_path):
+    with picture(tmp_path / "l.svg", 3.0, 3.0) as figure:
+        figure.subplots().loglog([0.01, 1000.0], [2.0, 4.0])
+    assert "<text" in (text := (tmp_path / "l.svg").read_text())
+    assert ">0.01<" in text
+    assert "mathdefault" not in text
     assert not drawn.faults(drawn.figures[0])
 
 
