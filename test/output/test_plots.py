@@ -101,6 +101,26 @@ def test_a_logarithmic_axis_is_labelled_without_maths(drawn, tmp_path):
     assert not drawn.faults(drawn.figures[0])
 
 
+@pytest.mark.parametrize("rows", [100, 9000])
+def test_no_line_or_band_crosses_a_gap(drawn, tmp_path, rows):
+    time = np.arange(rows) * 0.1
+    time[rows // 3 :] += 500.0
+    time[rows // 2 :] += 700.0
+    ends = [(time[i - 1], time[i]) for i in (rows // 3, rows // 2)]
+    names = ("speed_mps", "resistance_torque_nm", "resistance_std_nm", "bearing_nm", "belt_degc", "ambient_degc")
+    names += ("learned_drag_coefficient", "learned_drag_coefficient_std")
+    estimate_figure(time, {name: np.sin(time) + 2.0 for name in names}, "gaps", path=tmp_path / "g.png")
+    for axes in drawn.figures[0].axes:
+        assert axes.lines
+        for x in (line.get_xdata() for line in axes.lines):
+            for begin, end in ends:
+                assert not ((x[:-1] <= begin) & (x[1:] >= end)).any()
+                assert np.nanmax(x[x < end]) > begin - 5.0
+        for band in axes.collections:
+            for x in (path.vertices[:, 0] for path in band.get_paths()):
+                assert not any(x.min() <= begin and x.max() >= end for begin, end in ends)
+
+
 def test_it_draws_the_same_bytes_whatever_the_user_set_up(estimate, plain, tmp_path):
     import matplotlib
 
