@@ -172,6 +172,18 @@ def test_vehicle_check_prints_what_follows_with_units(good):
     assert checked["tracks"]["low"]["table"]["largest_error"] < 0.003
 
 
+def test_a_replay_without_its_speeds_does_not_say_that_the_vehicle_stood(folder, good):
+    """A share of one in ten is a remark, here of a speed in km/h that is read as m/s."""
+    for driving, said in ((300, True), (10, False)):
+        speeds = [0.0] * 100 + [3.6 * 12.0] * driving
+        rows = "\n".join(f"{0.1 * i:.1f},{speed}" for i, speed in enumerate(speeds))
+        (folder / "fast.csv").write_text(f"time_s,speed_mps\n{rows}\n")
+        text = good("replay", folder / "fast.csv", "--vehicle", "husky", "-o", folder / "out.csv")
+        remark = f"! {driving} of {100 + driving} speeds refused as too fast for this vehicle: wrong unit?"
+        assert (remark in text) == said
+        assert "The vehicle stood the whole time in the accepted samples" in text
+
+
 def test_replay_of_a_bag_with_a_topics_file(folder, sample, repository, good):
     out = folder / "estimate.csv"
     topics = repository / "config" / "topics" / "sample.yaml"

@@ -12,9 +12,10 @@ import yaml
 
 import trackres_ros as tr
 from trackres_ros.design.compare import ComparisonOptions, asked_of
-from trackres_ros.design.compare_text import designs_text
+from trackres_ros.design.compare_text import designs_text, draw_designs
 from trackres_ros.design.steady import held, steady
 from trackres_ros.design.uncertain import difference_std, moved, slopes_of
+from trackres_ros.fleet.compare import draw_overlay
 from trackres_ros.model.operating_point import explain, explain_road
 from trackres_ros.vehicle import load, load_any, variants
 
@@ -200,3 +201,24 @@ def test_vehicles_without_belts_compare_resistance_and_energy(good):
             assert row["resistance_nm"][which] == pytest.approx(resisting)
             assert row["kwh_per_km"][which] == pytest.approx(row["force_n"][which] / 3600.0)
     assert all(np.all(np.diff([row["force_n"][which] for row in rows]) > 0.0) for which in (0, 1))
+
+
+def test_in_the_picture_two_equal_values_have_equal_bars(drawn, tmp_path):
+    """Of any size and unit; names are drawn as they are, and values without a bar are named."""
+    equal = [{"parameter": f"p{i}", "unit": "Pa", "one": x, "one_std": 0.1 * x, "other": x, "other_std": 0.1 * x,
+              "difference": 0.0, "difference_std": 0.0, "differs": False} for i, x in enumerate((1e-6, 1.0, 1e9))]  # fmt: skip
+    values = [{"path": "chassis.p0"}, {"path": "tracks.belt.width"}]
+    found = {"one": "a $x$ $", "other": r"$\b$", "parameters": equal, "values": values}
+    draw_overlay(found, tmp_path / "compare.png")
+    (figure,) = drawn.figures
+    assert not drawn.faults(figure)
+    (axes,) = figure.axes
+    ends = [c.get_segments()[0][:, 0] for c in axes.collections]
+    np.testing.assert_allclose(ends, [[-1.96 / np.sqrt(2.0), 1.96 / np.sqrt(2.0)]] * 6)
+    assert axes.get_xlabel().endswith("different in the files: tracks.belt.width")
+
+
+def test_designs_of_any_name_are_drawn(drawn, tmp_path):
+    designs = [{"vehicle": name, "coefficient": [[0.02, 0.03]]} for name in ("a $x$ $", r"$\b$")]
+    draw_designs({"designs": designs, "speeds_kmh": [5.0, 9.0], "belts_degc": [20.0]}, tmp_path / "designs.png")
+    assert [axes.get_title(loc="left") for axes in drawn.figures[0].axes] == ["a $x$ $", r"$\b$"]

@@ -13,6 +13,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -26,7 +27,7 @@ from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.report.content import inputs
 from trackres_ros.diagnosis.report.page import provenance, sha256, write_page
 from trackres_ros.diagnosis.report.pictures import autocorrelation, cumulative_power
-from trackres_ros.diagnosis.report.series import bins_by_variable, bins_of_steps, half_interval, uncertainty
+from trackres_ros.diagnosis.report.series import bars, bins_by_variable, bins_of_steps, half_interval, uncertainty, within
 from trackres_ros.diagnosis.report.tiles import MOST_WORDS, by_file, headline, lights, stage_of, tiles
 
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftoppm"), reason="no chromium or pdftoppm on this machine")
@@ -222,6 +223,29 @@ def test_bars_have_intervals(diagnosed):
     expected = [p.torque for p in diagnosed.refitted.predicted]
     halves = [uncertainty(diagnosed, b, expected) for b in diagnosed.at_base.bins if isinstance(b, Bin)]
     assert np.isfinite(halves).sum() > 0.8 * len(halves)
+
+
+def test_bars_of_all_stages_are_over_the_same_steps(diagnosed):
+    """Of the same bins, with other belt temperatures in the last fit too; interval and mean are of the same steps."""
+    d = diagnosed
+    warmer = [replace(p, belt=p.belt + 7.0) for p in d.final.predicted]
+    d = replace(d, final=replace(d.final, predicted=warmer))
+    assert any("belt" in name for name, *_ in bars(d))
+    for name, edges, (base, last) in bars(d):
+        assert [(b.low, b.high, b.samples) for b in base.bins] == [(b.low, b.high, b.samples) for b in last.bins], name
+        np.testing.assert_allclose(last.x - base.x, 0.4, atol=1e-9)
+        for of in (base, last):
+            assert list(of.x.round()) == list(range(len(edges) - 1))
+            for b, half in zip(of.bins, of.half, strict=True):
+                inside = [
+                    g.valid & within(b.variable, b.low, b.high, s, p)
+                    for s, p, g in zip(d.sessions, d.refitted.predicted, d.refitted.problem.segments, strict=False)
+                ]
+                off = [(s.torque - t)[m] for s, t, m in zip(d.sessions, of.stage.torques, inside, strict=True)]
+                laps = np.concatenate([s.block[m] for s, m in zip(d.sessions, inside, strict=True)])
+                assert len(laps) == b.samples
+                assert b.mean_residual == pytest.approx(np.concatenate(off).mean())
+                assert half == pytest.approx(half_interval(np.concatenate(off), laps), nan_ok=True)
 
 
 def test_white_noise_is_white_and_a_wandering_one_is_not():

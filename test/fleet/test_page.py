@@ -5,6 +5,8 @@
 
 import hashlib
 import re
+from html import escape
+from urllib.parse import quote, unquote
 
 import numpy as np
 import pytest
@@ -16,12 +18,14 @@ pytest.importorskip("pyarrow")
 from trackres_ros.fleet.changes import DAY_S
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.page.write import write_pages
+from trackres_ros.fleet.periods import DIAGNOSES, INPUTS
 from trackres_ros.fleet.recordings import find_recordings
 from trackres_ros.fleet.task import Task, analyse
 from trackres_ros.fleet.trends import day_of, trends
 from trackres_ros.fleet.vehicles import one_vehicle
 
 VEHICLES, RECORDINGS, EVERY_DAYS = 50, 20, 4.0
+ODD = "Löwe 1 #7 & 50 %"
 WORN = "truck-07", 10, 0.4  # which, from which recording on, by how much of the file's standard deviation
 pytestmark = [pytest.mark.long, IN_A_BROWSER]
 
@@ -44,7 +48,7 @@ def pages(driven, tmp_path_factory):
             precision[np.triu_indices(p)] = row["precision"]
             precision += np.triu(precision, 1).T
             moved = own + 0.1 * rng.standard_normal(p)
-            name = f"truck-{v + 1:02d}"
+            name = f"truck-{v + 1:02d}" if v else ODD
             if name == WORN[0] and r >= WORN[1]:
                 moved[bearing] += WORN[2]
             start = analysed[0]["start_s"] + EVERY_DAYS * DAY_S * r
@@ -53,6 +57,11 @@ def pages(driven, tmp_path_factory):
             linear = np.array(row["linear"]) + precision @ moved
             more = {"url": url, "vehicle": name, "start_s": start, "day": day_of(start), "content": content}
             dataset.put({**row, **more, "linear": linear.tolist()}, None)
+    place = folder / DIAGNOSES / quote(ODD, safe="") / dataset.rows(["day"])[0]["day"][:7]
+    place.mkdir(parents=True)
+    (place / INPUTS).touch()
+    (place / "report.html").touch()
+    (place / "report.json").write_text('{"verdict": {"status": "none", "sentence": "No physics missing"}}')
     write_pages(folder, trends(dataset, {None: {"bearing_friction": 0.012}}), dataset)
     return folder
 
@@ -60,7 +69,7 @@ def pages(driven, tmp_path_factory):
 def test_on_screen_each_vehicle_is_a_row_without_script_errors(pages, tmp_path):
     done = opened(pages / "index.html", tmp_path, "--dump-dom")
     assert not re.findall(r"CONSOLE.*(?:error|Uncaught)", done.stderr, re.IGNORECASE)
-    assert all(f"truck-{v + 1:02d}" in done.stdout for v in range(VEHICLES))
+    assert all(name in done.stdout for name in (escape(ODD), *(f"truck-{v + 1:02d}" for v in range(1, VEHICLES))))
     assert f"{VEHICLES * RECORDINGS} of {VEHICLES * RECORDINGS} recordings of {VEHICLES} vehicles compared" in done.stdout
     wide, rows, cells = asked(
         pages / "index.html", tmp_path, 1200, "seen.documentElement.scrollWidth",
@@ -85,4 +94,6 @@ def test_on_a_phone_the_page_itself_does_not_scroll_sideways(pages, tmp_path, pa
 def test_every_link_leads_to_a_file(pages):
     for page in (pages / "index.html", *(pages / "vehicles").glob("*.html")):
         for link in re.findall(r'href="([^"#]+)', page.read_text()):
-            assert (page.parent / link).exists(), f"{page.name}: {link}"
+            assert (page.parent / unquote(link)).exists(), f"{page.name}: {link}"
+        assert ">-0.0<" not in page.read_text()
+    assert f'href="../{DIAGNOSES}/{quote(quote(ODD))}/' in (pages / "vehicles" / f"{quote(ODD)}.html").read_text()

@@ -13,7 +13,7 @@ import pytest
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.offline.simulate import ramp_and_hold, run_drive, simulate
 from trackres_ros.output.plots import estimate_figure
-from trackres_ros.output.style import thinned
+from trackres_ros.output.style import picture, thinned
 
 pytest.importorskip("matplotlib")
 
@@ -78,6 +78,47 @@ def test_a_replay_can_be_read(estimate, drawn, tmp_path, title):
     time_s, columns = estimate
     estimate_figure(time_s, columns, title, path=tmp_path / "p.png")
     assert not drawn.faults(drawn.figures[0])
+
+
+@pytest.mark.parametrize("name", ["a $b$ c", r"$\frac$ \_", "_$_{^$", "測定 一", "% # & <b>"])
+def test_any_name_gives_the_picture_and_is_drawn_as_it_is(estimate, drawn, tmp_path, name):
+    time_s, columns = estimate
+    belt = columns["belt_degc/front_left"]
+    named = {**{k: v for k, v in columns.items() if "/" not in k}, f"belt_degc/{name}": belt, "belt_degc/other": belt + 9.0}
+    estimate_figure(time_s, named, name, path=tmp_path / f"{name.partition('/')[0]}.png")
+    (figure,) = drawn.figures
+    assert not drawn.faults(figure)
+    assert figure.get_suptitle() == name
+    assert not figure._suptitle.get_parse_math()
+
+
+def test_a_logarithmic_axis_is_labelled_without_maths(drawn, tmp_path):
+    with picture(tmp_path / "l.svg", 3.0, 3.0) as figure:
+        figure.subplots().loglog([0.01, 1000.0], [2.0, 4.0])
+    assert "<text" in (text := (tmp_path / "l.svg").read_text())
+    assert ">0.01<" in text
+    assert "mathdefault" not in text
+    assert not drawn.faults(drawn.figures[0])
+
+
+@pytest.mark.parametrize("rows", [100, 9000])
+def test_no_line_or_band_crosses_a_gap(drawn, tmp_path, rows):
+    time = np.arange(rows) * 0.1
+    time[rows // 3 :] += 500.0
+    time[rows // 2 :] += 700.0
+    ends = [(time[i - 1], time[i]) for i in (rows // 3, rows // 2)]
+    names = ("speed_mps", "resistance_torque_nm", "resistance_std_nm", "bearing_nm", "belt_degc", "ambient_degc")
+    names += ("learned_drag_coefficient", "learned_drag_coefficient_std")
+    estimate_figure(time, {name: np.sin(time) + 2.0 for name in names}, "gaps", path=tmp_path / "g.png")
+    for axes in drawn.figures[0].axes:
+        assert axes.lines
+        for x in (line.get_xdata() for line in axes.lines):
+            for begin, end in ends:
+                assert not ((x[:-1] <= begin) & (x[1:] >= end)).any()
+                assert np.nanmax(x[x < end]) > begin - 5.0
+        for band in axes.collections:
+            for x in (path.vertices[:, 0] for path in band.get_paths()):
+                assert not any(x.min() <= begin and x.max() >= end for begin, end in ends)
 
 
 def test_it_draws_the_same_bytes_whatever_the_user_set_up(estimate, plain, tmp_path):

@@ -5,13 +5,16 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from trackres_ros.design.compare import DRIVEN, STEADY, interval
 from trackres_ros.text.numbers import alike, decimals, figures
 from trackres_ros.text.table import table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 TABLES = ("Resistance [Nm]", "torque_nm", 1.0, 0), ("Resistance over weight [%]", "coefficient", 100.0, 2)
 PLACES = {"Nm": 0, "degC": 1, "kWh/km": 3}
@@ -102,11 +105,14 @@ def _over_belts(found: Mapping[str, Any], rows: Sequence[Sequence[str]], head: S
 
 def draw_designs(found: Mapping[str, Any], path: Path) -> Path:
     """Resistance over weight of all designs over speed, a line for each belt temperature."""
-    from matplotlib.figure import Figure
+    from trackres_ros.output.style import picture
 
-    from trackres_ros.output.style import write_figure
+    with picture(path, 8.0, 4.5) as figure:
+        _draw_coefficients(figure, found)
+    return path
 
-    figure = Figure(figsize=(8.0, 4.5), layout="constrained")
+
+def _draw_coefficients(figure: "Figure", found: Mapping[str, Any]) -> None:
     axes = figure.subplots(1, len(found["designs"]), sharey=True, squeeze=False)[0]
     marker = "o" if len(found["speeds_kmh"]) == 1 else ""
     for one, design in zip(axes, found["designs"], strict=True):
@@ -120,5 +126,3 @@ def draw_designs(found: Mapping[str, Any], path: Path) -> Path:
     axes[0].set_ylabel("resistance over weight [%]")
     axes[0].set_ylim(bottom=0.0)
     figure.legend(*axes[0].get_legend_handles_labels(), title="belt", loc="outside right center")
-    write_figure(figure, path)
-    return path

@@ -6,7 +6,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,12 @@ from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.pooling import Vehicles, pool, softened
 from trackres_ros.fleet.recordings import ROWS
 from trackres_ros.fleet.trends import NUMBERS, TEXTS, of_one_file, of_present_files, some_of, without_copies, without_overlaps
-from trackres_ros.output.style import write_figure
+from trackres_ros.output.style import picture
 from trackres_ros.text.numbers import alike, figures
 from trackres_ros.text.table import table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -206,13 +209,15 @@ def _uncorrelated(title: str, listed: list[tuple[str, str, float, float]]) -> Si
 
 def draw_overlay(found: Mapping[str, Any], path: Path) -> Path:
     """Each parameter of both with its 95 % interval, over how sure the difference is."""
-    from matplotlib.figure import Figure
+    with picture(path, 8.0, 1.4 + 0.45 * len(found["parameters"])) as figure:
+        _draw_parameters(figure, found)
+    return path
 
-    listed = found["parameters"]
-    figure = Figure(figsize=(8.0, 1.4 + 0.45 * len(listed)), layout="constrained")
-    axes = figure.subplots()
+
+def _draw_parameters(figure: "Figure", found: Mapping[str, Any]) -> None:
+    listed, axes = found["parameters"], figure.subplots()
     for row, q in enumerate(listed):
-        unit = q["difference_std"] or abs(q["difference"]) or 1.0
+        unit = q["difference_std"] or float(np.hypot(q["one_std"], q["other_std"])) or abs(q["difference"]) or 1.0
         middle = 0.5 * (q["one"] + q["other"])
         for side, (which, colour) in enumerate(zip(("one", "other"), COLOURS, strict=True)):
             label = found[which] if row == 0 else None
@@ -223,7 +228,9 @@ def draw_overlay(found: Mapping[str, Any], path: Path) -> Path:
     axes.set_yticks(range(len(listed)), [f"{q['parameter']}{' *' if q['differs'] else ''}" for q in listed])
     axes.invert_yaxis()
     axes.axvline(0.0, color="0.8", zorder=0)
-    axes.set_xlabel("distance from the mean of both, in standard deviations of the difference (* differs)")
+    label = "distance from the mean of both, in standard deviations of the difference (* differs)"
+    drawn = {q["parameter"] for q in listed}
+    if rest := [v["path"] for v in found.get("values", ()) if v["path"].rpartition(".")[2] not in drawn]:
+        label += f"\nnot drawn, but different in the files: {some_of(rest)}"
+    axes.set_xlabel(label)
     figure.legend(loc="outside upper center", ncols=1)
-    write_figure(figure, path)
-    return path

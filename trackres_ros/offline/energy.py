@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.model.resistance import at_first_radius
 from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.output.preview import longest_step
 from trackres_ros.text.numbers import decimals
 from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle import AnyVehicle, Vehicle
@@ -23,14 +24,12 @@ Array = NDArray[np.float64]
 
 RESISTANCE = "resistance_torque_nm"
 MEGA, MJ_PER_KWH = 1e6, 3.6
-LONGEST_STEP_S, UNUSUAL = 1.0, 5.0  # or that many times the usual: data of a longer step are unknown
 
 
 def steps_of(time_s: Array) -> Array:
     """Time from the row before to each row [s]; 0 for the first, after a gap, and where time does not rise."""
     step = np.diff(time_s, prepend=time_s[:1])
-    longest = max(LONGEST_STEP_S, UNUSUAL * float(np.median(step)))
-    return np.where((step > 0.0) & (step <= longest), step, 0.0)
+    return np.where((step > 0.0) & (step <= longest_step(time_s)), step, 0.0)
 
 
 def summed(step_s: Array, rate: Array) -> float:

@@ -27,6 +27,7 @@ from trackres_ros.text.numbers import decimals
 
 Array = NDArray[np.float64]
 
+MANY_REFUSED = 0.1  # of the speeds: more are no faults of single samples
 HEAD = 1  # columns of a picture row before the results: the time
 MOST_KEPT = 10_000_000
 """Samples kept for inspection, a quarter of a gigabyte; ten hours of three channels at 50 Hz are half as many."""
@@ -122,11 +123,20 @@ def drive(result: Replayed) -> dict[str, float]:
 
 
 def _remarks(result: Replayed) -> list[str]:
-    """Belts outside of the rubber data, and loads outside of the table, from the samples of the picture."""
+    """Speeds that no such vehicle has, belts outside of the rubber data and loads outside of the table; from the picture's samples."""
     estimator = result.session.estimator
     columns = picture_columns(estimator.columns, result.picture)
     belts, loads = ({name: columns[f"{column}/{name}"] for name in estimator.assemblies} for column in ("belt_degc", "load_n"))
-    return [*beyond_data(estimator.vehicle, columns["speed_mps"], belts), *beyond_loads(estimator.vehicle, loads)]
+    vehicle = estimator.vehicle
+    return [*_too_fast(result), *beyond_data(vehicle, columns["speed_mps"], belts), *beyond_loads(vehicle, loads)]
+
+
+def _too_fast(result: Replayed) -> Iterator[str]:
+    counts = {count: number for channel, count, number in result.session.counts() if channel == "speed"}
+    refused = sum(counts.get(count, 0) for count in (at.Count.OUT_OF_RANGE, at.Count.IMPLAUSIBLE))
+    every = sum(counts.get(count, 0) for count in (at.Count.ACCEPTED, *at.REFUSALS))
+    if refused > MANY_REFUSED * every:
+        yield f"{refused} of {every} speeds refused as too fast for this vehicle: wrong unit?"
 
 
 def text(report: dict[str, Any]) -> str:
@@ -142,7 +152,8 @@ def text(report: dict[str, Any]) -> str:
             lines.append(f"  counted: {channel}: " + ", ".join(f"{name} {number}" for name, number in refused.items()))
     lines += [f"  status: {item['text']} ({item['steps']} steps)" for item in report["reasons"]]
     lines += [f"  ! {remark}" for remark in report["remarks"]]
-    lines.append(taken_text(report["drive"]))
+    stood = not report["drive"]["under_way_s"] and set(report["counters"].get("speed", ())) - {"accepted"}
+    lines.append(taken_text(report["drive"]) + (" in the accepted samples" if stood else ""))
     lines.append(
         f"At the end, at {decimals(last['speed_mps'] * 3.6, 1)} km/h: resistance "
         f"{decimals(last['resistance_torque_nm'])} +- {decimals(last['resistance_std_nm'])} Nm ("

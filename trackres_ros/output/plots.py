@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.learning.buckets import BELT_DEGC, FILLED_S, SPEED_SHARES
+from trackres_ros.output.preview import longest_step
 from trackres_ros.output.style import (
     BLACK,
     BLUE,
@@ -50,6 +52,19 @@ LEARNED = {
 }  # fmt: skip
 COLOURS = (BLUE, ORANGE, SKY, GREEN)
 LETTERS_FROM = 0.6  # of the darkest: letters on it are white
+
+
+@dataclass(frozen=True, eq=False)
+class TimeAxis:
+    """Times as they are drawn, shape (times,), and the numbers of the first rows after a gap."""
+
+    values: Array
+    gaps: NDArray[np.intp]
+
+    def broken(self, rows: NDArray[np.intp], *series: Array) -> list[Array]:
+        """Times and values of some rows, in their order, with nan where a gap is, so that no line crosses it."""
+        place = np.searchsorted(rows, self.gaps)
+        return [np.insert(values, place, np.nan) for values in (self.values[rows], *series)]
 
 
 def estimate_figure(
@@ -96,7 +111,8 @@ def _draw_estimate(
         if np.shape(values) != time.shape:
             raise InputError(f"column {name}", np.shape(values), f"the shape of the time, {time.shape}")
     in_hours = float(time[-1] - time[0]) > HOURS_FROM_S
-    x = time / 3600.0 if in_hours else time
+    gaps = np.flatnonzero(np.diff(time) > longest_step(time)) + 1
+    x = TimeAxis(time / 3600.0 if in_hours else time, gaps)
     drawn: FigureBase = figure
     if learned := _is_there(columns):
         figure.set_size_inches(
@@ -122,7 +138,7 @@ def _draw_estimate(
     drawn.align_ylabels()
 
 
-def _draw_torque(axes: Axes, x: Array, columns: Mapping[str, Array]) -> None:
+def _draw_torque(axes: Axes, x: TimeAxis, columns: Mapping[str, Array]) -> None:
     if np.isfinite(columns.get("measured_torque_nm", np.nan)).any():
         _line(axes, x, columns["measured_torque_nm"], "measured", VERMILION, linewidth=0.9)
         if "drive_torque_nm" in columns:
@@ -142,7 +158,7 @@ def _draw_torque(axes: Axes, x: Array, columns: Mapping[str, Array]) -> None:
     axes.set_ylabel(f"torque at {'sprockets' if has_belts else 'wheels'} [Nm]")
 
 
-def _draw_belt(axes: Axes, x: Array, columns: Mapping[str, Array]) -> None:
+def _draw_belt(axes: Axes, x: TimeAxis, columns: Mapping[str, Array]) -> None:
     by_assembly = {
         name.partition("/")[2]: np.asarray(values, float) for name, values in columns.items() if name.startswith("belt_degc/")
     }
@@ -164,17 +180,20 @@ def _draw_belt(axes: Axes, x: Array, columns: Mapping[str, Array]) -> None:
     axes.set_ylabel("temperature [°C]")
 
 
-def _line(axes: Axes, x: Array, y: ArrayLike, label: str, colour: str, **look: Any) -> None:
+def _line(axes: Axes, x: TimeAxis, y: ArrayLike, label: str, colour: str, **look: Any) -> None:
     """Draw a line; `look` are keywords of `Axes.plot`."""
-    axes.plot(*thinned(x, y), label=label, color=colour, **{"linewidth": 1.5, **look})
+    rows, shown = thinned(np.arange(len(x.values)), y)
+    axes.plot(*x.broken(rows.astype(int), shown), label=label, color=colour, **{"linewidth": 1.5, **look})
 
 
-def _band(axes: Axes, x: Array, middle: Array, std: Array, colour: str) -> None:
+def _band(axes: Axes, x: TimeAxis, middle: Array, std: Array, colour: str) -> None:
     """One standard deviation to either side; a stretch of many samples keeps its outermost edges."""
-    starts = np.arange(0, len(x), max(1, -(-len(x) // (MOST_POINTS // 2))))
+    count = len(x.values)
+    starts = np.union1d(np.arange(0, count, max(1, -(-count // (MOST_POINTS // 2)))), x.gaps)
     low = np.fmin.reduceat(np.asarray(middle) - np.asarray(std), starts)
     high = np.fmax.reduceat(np.asarray(middle) + np.asarray(std), starts)
-    axes.fill_between(x[starts], low, high, color=colour, alpha=0.15, linewidth=0.0, label="± 1 std")
+    at, low, high = x.broken(starts, low, high)
+    axes.fill_between(at, low, high, color=colour, alpha=0.15, linewidth=0.0, label="± 1 std")
 
 
 def _is_there(columns: Mapping[str, Array]) -> bool:
@@ -182,15 +201,17 @@ def _is_there(columns: Mapping[str, Array]) -> bool:
     return any(f"learned_{name}" in columns for name in LEARNED)
 
 
-def _draw_values(axes: Axes, x: Array, columns: Mapping[str, Array]) -> None:
+def _draw_values(axes: Axes, x: TimeAxis, columns: Mapping[str, Array]) -> None:
     """Values relative to the first, with one standard deviation to either side."""
     for (name, label), colour in zip(LEARNED.items(), COLOURS, strict=True):
         if f"learned_{name}" not in columns:
             continue
         value, std = np.asarray(columns[f"learned_{name}"], float), np.asarray(columns[f"learned_{name}_std"], float)
         first = value[0] if value[0] else 1.0
-        axes.plot(x, value / first, color=colour, label=label)
-        axes.fill_between(x, (value - std) / first, (value + std) / first, color=colour, alpha=0.12, linewidth=0.0)
+        every = np.arange(len(value))
+        axes.plot(*x.broken(every, value / first), color=colour, label=label)
+        at, low, high = x.broken(every, (value - std) / first, (value + std) / first)
+        axes.fill_between(at, low, high, color=colour, alpha=0.12, linewidth=0.0)
     axes.set_ylabel("learned, over the first")
 
 

@@ -6,11 +6,18 @@
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.units import NANOSECOND
 
+LONGEST_STEP_S, UNUSUAL = 1.0, 5.0  # or that many times the usual: data of a longer step are unknown
 PICTURE_SAMPLES = 8000  # kept for the picture; twice as many are thinned to half
+
+
+def longest_step(time_s: NDArray[np.float64]) -> float:
+    """Longest time between two rows [s] that is no gap: after a gap the data before it say nothing."""
+    return max(LONGEST_STEP_S, UNUSUAL * float(np.median(np.diff(time_s, prepend=time_s[:1]))))
 
 
 class ResultPreview:

@@ -10,6 +10,7 @@ input gives the same bytes.
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -57,6 +58,7 @@ LOOK: dict[Any, Any] = {
     "figure.constrained_layout.hspace": 0.03,
     "svg.hashsalt": "trackres",
     "svg.fonttype": "none",
+    "text.parse_math": False,  # names of files and vehicles may have a $
 }
 
 
@@ -102,7 +104,8 @@ def _look() -> Iterator[None]:
     """The style of the package, independent of other settings of matplotlib in the program."""
     import matplotlib
 
-    with matplotlib.rc_context():
+    with matplotlib.rc_context(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)  # a letter without a glyph is drawn as a box
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(LOOK)
         yield
@@ -135,8 +138,19 @@ def svg_of(figure: Figure) -> bytes:
 
 def write_figure(figure: Figure, path: Path) -> None:
     """Write a figure as SVG or PNG, by the suffix of the path; create its folder if needed."""
+    _without_maths(figure)
     path.parent.mkdir(parents=True, exist_ok=True)
     write(path, svg_of(figure) if path.suffix.lower() == ".svg" else png_of(figure))
+
+
+def _without_maths(figure: Figure) -> None:
+    """Label logarithmic axes in plain text: the look of the package reads no maths."""
+    from matplotlib.ticker import LogFormatter, LogFormatterMathtext
+
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        if isinstance(axis.get_major_formatter(), LogFormatterMathtext):
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter(LogFormatter())
 
 
 @contextmanager

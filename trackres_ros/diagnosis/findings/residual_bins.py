@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import kolmogorov
 
+from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.base.variables import BY_NAME, varying
 from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Fit
@@ -57,8 +58,12 @@ class RegimeMap:
         return min((b.p for b in self.bins if b.variable == variable and b.low < high and b.high > low), default=1.0)
 
 
-def regime_map(fit: Fit, rng: np.random.Generator, replicates: int = REPLICATES) -> RegimeMap:
+def regime_map(
+    fit: Fit, rng: np.random.Generator, replicates: int = REPLICATES, predicted: Sequence[Predicted] | None = None
+) -> RegimeMap:
     """Bin the residual of a fit over every variable that varies.
+
+    `predicted`: belt temperatures and the like that divide into bins, if not those of the fit.
 
     Notes
     -----
@@ -70,7 +75,7 @@ def regime_map(fit: Fit, rng: np.random.Generator, replicates: int = REPLICATES)
     e, plain = np.concatenate(rows)[valid], np.concatenate(torque_residuals(fit))[valid]
     pieces = _pieces(rows)[valid]
     members, bins = [], []
-    for name, series in varying(fit.problem.sessions, fit.predicted).items():
+    for name, series in varying(fit.problem.sessions, predicted or fit.predicted).items():
         of = series[valid]
         for low, high in _edges(of):
             inside = (of >= low) & (of <= high)

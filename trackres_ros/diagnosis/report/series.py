@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.base.variables import BY_NAME
 from trackres_ros.diagnosis.findings.found import NamedEffect
-from trackres_ros.diagnosis.findings.residual_bins import Bin
+from trackres_ros.diagnosis.findings.residual_bins import Bin, regime_map
+from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import DriveSession, Mask
 from trackres_ros.output.style import BLUE, GREY, VERMILION
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 
 NOWHERE, IN_TWO = ".", "a"
 INTERVAL = 1.96  # standard deviations, of 95 %
+SEED = 1  # of the test of the last fit in the bins of the base
 
 
 class Stage(NamedTuple):
@@ -131,18 +133,24 @@ def _letters(length: int, inside: Sequence[Mask]) -> str:
 
 
 def uncertainty(d: Diagnosis, b: Bin, expected: Sequence[Array]) -> float:
-    """Half of the 95 % interval of the mean residual of a bin [Nm], over laps; nan if it is in one lap only."""
+    """Half of the 95 % interval of the mean residual of a bin [Nm], over fitted laps; nan if it is in one lap only."""
     off, laps = [], []
-    for i, session in enumerate(d.sessions):
-        inside = within(b.variable, b.low, b.high, session, d.refitted.predicted[i])
+    for i, (session, segment) in enumerate(zip(d.sessions, d.refitted.problem.segments, strict=False)):  # torques come first
+        inside = segment.valid & within(b.variable, b.low, b.high, session, d.refitted.predicted[i])
         off.append((session.torque - expected[i])[inside])
         laps.append(session.block[inside])
     return half_interval(np.concatenate(off), np.concatenate(laps))
 
 
 def bars(d: Diagnosis) -> Iterator[tuple[str, list[float], list[Bars]]]:
-    """Mean residuals by bins of each variable: its label, the edges of the bins, and the bars of each stage after the first."""
-    at_end = bins_by_variable(d.at_end.bins)
+    """Mean residuals by bins of each variable: its label, the edges of the bins, and the bars of each stage after the first.
+
+    The last fit has the bins of the re-fitted base: with other belt temperatures, its own would hold other steps.
+    """
+    at_end = {}
+    if d.modelled:
+        last = regime_map(for_tests(d.final), np.random.default_rng(SEED), predicted=d.refitted.predicted)
+        at_end = bins_by_variable(last.bins)
     for name, of_base in bins_by_variable(d.at_base.bins).items():
         edges = sorted({edge for b in of_base for edge in (b.low, b.high)})
         found = []

@@ -124,7 +124,7 @@ def marked_times(d: Diagnosis) -> tuple[str, list[tuple[float, float]]]:
     left = [b for b in d.at_end.bins if b.p < LACK_OF_FIT_P]
     if d.verdict.status == "unexplained" and left:
         b = largest_of(left)
-        inside = [within(b.variable, b.low, b.high, s, p) for s, p in zip(d.sessions, d.refitted.predicted, strict=True)]
+        inside = [within(b.variable, b.low, b.high, s, p) for s, p in zip(d.sessions, d.final.predicted, strict=True)]
         return range_of(b), list(_times(d, inside))
     if isinstance(lead, NamedEffect) and (d.verdict.names or d.verdict.seen == differs(lead)):
         of, final = lead.location, d.final.predicted

@@ -15,7 +15,7 @@ from trackres_ros.files.own_files import write
 from trackres_ros.fleet.dataset import LOAD_RECORDED, FleetDataset
 from trackres_ros.fleet.periods import verdicts
 from trackres_ros.fleet.trends import change_sentence, day_of, sentences, without_copies
-from trackres_ros.text.numbers import alike, figures
+from trackres_ros.text.numbers import alike, decimals, figures
 from trackres_ros.text.templates import templates
 
 INDEX, VEHICLES = "index.html", "vehicles"
@@ -31,7 +31,9 @@ SHOWN = (
 
 def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -> Path:
     """Write index.html and vehicles/NAME.html; return the path of the first. Raises MissingExtraError without jinja2."""
-    environment = templates("trackres_ros.fleet.page", "the pages of a fleet", "fleet", figures=figures, percent=percent)
+    environment = templates(
+        "trackres_ros.fleet.page", "the pages of a fleet", "fleet", figures=figures, decimals=decimals, percent=percent
+    )
     style = environment.get_template("style.css").render()
     diagnosed = verdicts(folder)
     names = sorted({*found["vehicles"], *found["months"]})
@@ -43,7 +45,7 @@ def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -
     for row in without_copies(dataset.rows(list(SHOWN)))[0]:
         rows.setdefault(row["vehicle"], []).append(row)
     text = environment.get_template("index.html").render(
-        style=style, found=found, months=months, pages=pages, lines=sentences(found), diagnosed=diagnosed, quote=quote,
+        style=style, found=found, months=months, pages=pages, lines=sentences(found), diagnosed=diagnosed,
         shade=lambda mismatch: shade(mismatch, worst), worst=worst, colours=COLOURS,
     )  # fmt: skip
     (folder / VEHICLES).mkdir(exist_ok=True)
