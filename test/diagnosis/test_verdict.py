@@ -208,6 +208,7 @@ def test_a_refuted_term_is_named_and_the_unexplained_is_refuted(left):
     verdict = said(refuted=refuted, **left)
     assert (verdict.status, verdict.grade) == ("unexplained", REFUTED)
     assert "The hold-out laps reject payne: it raises their mean error from 100 to 120 Nm." in verdict.sentence
+    assert "payne (" not in said(refuted=refuted, shares={"payne": 0.6, "none of these": 0.4}, **left).sentence
     none = said(refuted=refuted)
     assert (none.status, none.grade) == ("none", CONFIRMED)
     assert "payne" in none.sentence
@@ -217,6 +218,20 @@ def test_a_dropped_term_is_reported_with_the_value_it_displaces():
     sentence = said(refuted=[Graded("torque_offset", BETTER, (), ("rolling_coefficient",))]).sentence
     assert "drops torque_offset: it pushes rolling_coefficient of the vehicle file to the end of its range." in sentence
     assert "reject" not in sentence
+
+
+@pytest.mark.parametrize(
+    ("graded", "why"),
+    [
+        (Graded("payne", UNSURE, ()), "do not confirm payne: their mean error goes from 100 to 95 Nm"),
+        (Graded("payne", BETTER, ("height",)), "payne is at the limit of its plausible range (height)"),
+        (Graded("payne", BETTER, (), cancels=True), "payne reduces the hold-out error far less than its size suggests"),
+    ],
+)
+def test_a_term_that_is_not_confirmed_is_dropped_for_its_own_reason(graded, why):
+    sentence = said(refuted=[graded]).sentence
+    assert why in sentence
+    assert ("do not confirm" in sentence) == (graded.improvement.grade != CONFIRMED)
 
 
 # Something found
@@ -414,6 +429,17 @@ def test_who_asks_for_it_keeps_what_is_suspected_too():
 
 
 # Terms without a name
+
+
+def test_no_effect_explains_a_term_or_residual_only_without_a_name():
+    for instead in ("", "air_drag"):
+        sentences = [
+            said(terms=[replace(term(), instead=instead)]).sentence,
+            said(at_end=regimes(-70.0), hint=instead).sentence,
+        ]
+        for sentence in sentences:
+            assert ("No effect of the catalogue" in sentence) == (not instead)
+            assert ("Air_drag would explain" in sentence) == bool(instead)
 
 
 def term(name="curve_of_speed", improvement=BETTER, adds=100.0, predictable=True):

@@ -64,6 +64,7 @@ class UnnamedTerm:
     intervals: Mapping[str, Interval]  # 95 %, of its parameters
     seen_nm: float  # mean residual of the re-fitted base where the term acts, in the direction of the term
     graded: Graded
+    instead: str = ""  # the name that would explain it best, if one gains more than the threshold
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from trackres_ros.diagnosis.findings.found import Changed, NamedEffect, UnnamedT
 from trackres_ros.diagnosis.findings.locate import SlowResidual
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.wording import (
+    NO_NAME,
     Possible,
     confirmed_terms,
     differs,
@@ -35,6 +36,7 @@ from trackres_ros.diagnosis.findings.wording import (
     short,
     slow,
     unexplained,
+    upper,
 )
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.confirm import Graded, far_from_file, moved_parameters
@@ -106,8 +108,9 @@ class Findings:
 
     @cached_property
     def listed(self) -> Possible:
-        """Unconfirmed possibilities."""
-        return possible(self.unsure, self.sure, self.shares)
+        """Unconfirmed possibilities, without those that the hold-out laps reject."""
+        rejects = {g.name for g in self.refuted if g.grade == REFUTED}
+        return possible(self.unsure, self.sure, {name: share for name, share in self.shares.items() if name not in rejects})
 
     @property
     def shakes(self) -> list[str]:
@@ -197,7 +200,8 @@ def _unexplained(f: Findings) -> Verdict | None:
         seen, *more = [differs(large[0])]
     else:
         return None
-    nothing = "No effect of the catalogue explains it" if f.left and not f.listed else ""
+    hint = f"{upper(f.hint)} would explain a part of it, but is not confirmed" if f.hint and not f.listed else ""
+    nothing = NO_NAME if f.left and not f.listed and not hint else hint
     grade = REFUTED if f.refuted and not f.unsure else SUSPECTED
     lines = [seen, *more, nothing, *f.shakes, may_be(f.listed), *f.after, f.worth_of_refit]
     return Verdict("unexplained", grade, joined(lines), f.listed, seen)

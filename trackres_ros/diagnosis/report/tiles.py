@@ -55,16 +55,18 @@ def headline(report: dict[str, Any]) -> str:
         parts = [what.answer, *([f"The largest: {changed[0]['text']}"] if changed else []), errors]
     elif not _sure(report):
         seen = verdict.get("seen") or f"{where.answer}: {where.detail}"
-        parts = [seen, f"It may be: {possible}" if possible else "No effect of the catalogue explains it"]
+        nothing = "" if verdict.get("hint") else "No effect of the catalogue explains it"
+        parts = [seen, f"It may be: {possible}" if possible else nothing]
     elif lead is not None and "form" in lead:
         first, *_ = str(lead.get("sentence") or f"{where.answer}: {where.detail}").split(". ")
-        others = f"Also confirmed: {_names(report)}" if _names(report) else "No effect of the catalogue explains this"
+        nothing = "" if lead.get("instead") else "No effect of the catalogue explains this"
+        others = f"Also confirmed: {_names(report)}" if _names(report) else nothing
         parts = [first, errors, others]
     else:
         placed = where.detail if where.answer == "Everywhere" else f"{where.answer}, {where.detail[:1].lower()}{where.detail[1:]}"
         parts = [placed, f"The cause{'s are' if len(_sure(report)) > 1 else ' is'} {_names(report)} ({_grade(report)})", errors]
     text = ""
-    for part in parts:
+    for part in filter(None, parts):
         if len(f"{text} {part}".split()) < MOST_WORDS:
             text = f"{text} {part}.".strip()
     return text or f"{' '.join(parts[0].split()[: MOST_WORDS - 2])} ..."

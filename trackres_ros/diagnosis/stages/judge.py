@@ -156,11 +156,8 @@ def _terms(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[UnnamedTerm]:
         if not chosen.is_named(name):
             adds, term = final.contribution(name), chosen.term(name)
             seen_nm = residual_where_it_acts(final.problem.sessions, adds, of_base)
-            terms.append(
-                UnnamedTerm(
-                    describe(term, final), adds, variable_of(term, final), bounds_of(name, bounds), seen_nm, chosen.graded[name]
-                )
-            )
+            course, within, instead = variable_of(term, final), bounds_of(name, bounds), chosen.instead_of(name)
+            terms.append(UnnamedTerm(describe(term, final), adds, course, within, seen_nm, chosen.graded[name], instead))
     return [t for t in by_improvement(terms) if isinstance(t, UnnamedTerm)]
 
 
