@@ -84,6 +84,7 @@ class Findings:
     shares: Mapping[str, float] = field(default_factory=dict)  # probability of each name over all explanations, if known
     spread: Described | None = None  # the regime with larger oscillations
     sensor: str = ""  # sentence about errors that the fit assumes of the torque sensor, if they matter
+    unusable: str = ""  # why no command would accept a file with the re-fit; empty if one would
     later: tuple[float, float] | None = None  # errors on the fitted and the hold-out laps [Nm], see `locate.only_later`
 
     @cached_property
@@ -145,7 +146,7 @@ def judge(f: Findings) -> Verdict:
     """
     if f.sure:
         return _confirmed(f)
-    if far_from_file(f.refitted):
+    if far_from_file(f.refitted) or f.unusable:
         return _far_from_file(f)
     drift = f.drift if f.drift is not None and f.drift.graded.grade == CONFIRMED else None
     follows_clock = f.has_slow_residual and all(BY_NAME[b.variable].as_clock for b in f.left)
@@ -180,9 +181,13 @@ def _confirmed(f: Findings) -> Verdict:
 
 
 def _far_from_file(f: Findings) -> Verdict:
-    """The verdict for a re-fit implausibly far from the vehicle file."""
-    seen, *more = file_is_off(far_from_file(f.refitted))
-    worth = mean_error(f.held_out.mae["nominal"], f.held_out.mae["refitted"]) + " with that re-fit"
+    """The verdict for a re-fit implausibly far from the vehicle file, or that no command would accept."""
+    outside = [(q, value) for q, value in moved_parameters(f.refitted) if q.outside(value)]
+    seen, *more = file_is_off(far_from_file(f.refitted) or outside)
+    refit = f.held_out.of_refit
+    worth = f"{mean_error(refit.before, refit.after)} with that re-fit"
+    if f.unusable:
+        worth = f"No command would accept a file with them: {f.unusable}"
     lines = [seen, *more, worth, *f.shakes, may_be(f.listed), *f.after]
     return Verdict("unexplained", SUSPECTED, joined(lines), f.listed, seen)
 
@@ -214,8 +219,8 @@ def _nothing_missing(f: Findings) -> Verdict:
     after = [may_be(listed, also=True), *f.after, hint]
     out_of_range = moved_parameters(f.refitted)
     refit = held_out.of_refit
-    worth = mean_error(held_out.mae["nominal"], held_out.mae["refitted"])
-    if refit.grade == CONFIRMED and (out_of_range or refit.after < (1.0 - LEAST_GAIN) * refit.before):
+    worth = mean_error(refit.before, refit.after)
+    if refit.grade == CONFIRMED and refit.after < (1.0 - LEAST_GAIN) * refit.before:
         missing = "The hold-out laps confirm no missing physics" if listed else "No physics is missing"
         which = "values of the vehicle file were off" if changed else "several values of the vehicle file were off together"
         off = [c.text for c in changed[:MOST_CHANGED]]
@@ -225,10 +230,11 @@ def _nothing_missing(f: Findings) -> Verdict:
         values = ", ".join(moved(q, value) for q, value in out_of_range)
         judged = "reject" if refit.grade == REFUTED else "do not confirm"
         lines = ["No physics is missing", f"A re-fit would move parameters of the vehicle file: {values}"]
-        return Verdict("none", refit.grade, joined([*lines, f"The hold-out laps {judged} that", worth, *after]), listed)
-    nominal, re_fitted = (figures(held_out.mae[stage]) for stage in ("nominal", "refitted"))
+        grade = REFUTED if refit.grade == REFUTED else SUSPECTED
+        return Verdict("none", grade, joined([*lines, f"The hold-out laps {judged} that", worth, *after]), listed)
+    nominal, re_fitted = figures(refit.before), figures(refit.after)
     lines = [
-        "No mismatch beyond noise",
+        "No mismatch beyond noise and an error of the torque sensor" if f.sensor else "No mismatch beyond noise",
         f"The mean error on hold-out laps is {nominal} Nm with the vehicle file and {re_fitted} Nm re-fitted",
     ]
     return Verdict("none", CONFIRMED, joined([*lines, *after]), listed)

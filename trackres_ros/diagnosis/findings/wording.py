@@ -135,13 +135,19 @@ def mean_error(before: float, after: float) -> str:
     return f"The mean error on hold-out laps {way} Nm"
 
 
-def assumed_sensor(instrument: Sequence[Active], without: float | None) -> str:
-    """The errors that a fit assumes of the torque sensor, those beyond the usual or all, and the error `without` them [Nm]."""
+def assumed_sensor(instrument: Sequence[Active], without: float | None, refitted: float | None = None) -> str:
+    """The errors that a fit assumes of the torque sensor, those beyond the usual or all, and the error `without` them [Nm].
+
+    If the fit is the `refitted` base, its error [Nm] is given as well: the verdict speaks of the file alone.
+    """
     if without is None:
         return ""
     assumed = [(a.effect.name.removeprefix("torque_"), q, a.values[q.name]) for a in instrument for q in a.effect.parameters]
     unusual = [one for one in assumed if abs(one[2]) > PRIOR_STDS * one[1].start] or assumed
     sizes = (f"{name} {figures(100.0 * x)} %" if q.unit == "1" else f"{name} {figures(x)} {q.unit}" for name, q, x in unusual)
+    if refitted is not None:
+        lowers = f"lowers the re-fit's mean error from {figures(without)} to {figures(refitted)} Nm"
+        return f"An assumed torque sensor error ({', '.join(sizes)}) {lowers}"
     return f"That assumes an error of the torque sensor ({', '.join(sizes)}); without it the mean error is {figures(without)} Nm"
 
 

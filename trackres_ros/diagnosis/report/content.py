@@ -126,8 +126,8 @@ def _verdict(d: Diagnosis) -> dict[str, Any]:
         "may_be": [{"name": name, "share": share} for name, share in d.verdict.may_be],
         "changed": [
             {
-                "name": c.name, "unit": c.unit, "nominal": c.nominal, "value": c.value, "ci95": [c.low, c.high],
-                "torque_nm": c.torque_nm, "text": c.text,
+                "name": c.name, "unit": c.unit, "nominal": c.nominal, "value": c.value,
+                "ci95": None if c.at_bound else [c.low, c.high], "torque_nm": c.torque_nm, "text": c.text,
             }
             for c in d.verdict.changed
         ],

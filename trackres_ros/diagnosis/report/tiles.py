@@ -162,7 +162,9 @@ def _what(r: dict[str, Any]) -> Tile:
         return Tile(name, answer, SURE_OF_NONE.get(verdict.get("grade"), "not judged"))
     sure = _sure(r)
     if not sure:
-        return Tile(name, "Unexplained", f"it may be: {possible}" if possible else "no effect of the catalogue explains it")
+        hint = verdict.get("hint")
+        nothing = f"{_plain(hint)} may be a part of it" if hint else "no effect of the catalogue explains it"
+        return Tile(name, "Unexplained", f"it may be: {possible}" if possible else nothing)
     answers, detail = [], [SURE if any(t.get("form") != "spread" for t in sure) else SURE_OF_SPREAD]
     for term in sure:
         if "form" in term:
@@ -245,6 +247,9 @@ def _share(r: dict[str, Any]) -> float:
     """Share of the mean hold-out error that the last stage removes; 0 if unknown."""
     mae, followed = r["heldout"]["mae"], _followed(r)
     before, after = mae["nominal"], mae[stage_of(r)] if followed is None else followed
+    without = r["heldout"].get("without_sensor_error")
+    if followed is None and without is not None and stage_of(r) == "refitted":
+        after = without  # no file holds an error of the sensor
     return 0.0 if not before or after is None else float((before - after) / before)
 
 
