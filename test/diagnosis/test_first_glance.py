@@ -62,6 +62,12 @@ def test_the_error_without_an_assumed_sensor_is_shown_too():
         assert tiles(r)[2].detail == plain
 
 
+def test_a_gain_by_an_assumed_sensor_alone_is_no_better_file():
+    r = report_of("none", "confirmed", [])
+    r["heldout"] = {"mae": {"nominal": 49.0, "refitted": 39.9, "with_effects": 39.9}, "without_sensor_error": 48.8}
+    assert (tiles(r)[2].answer, tiles(r)[3].answer) == ("Nothing to gain", "Nothing to do")
+
+
 words = st.text("abcdefgh _", min_size=1, max_size=30).filter(str.strip)
 
 

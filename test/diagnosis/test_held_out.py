@@ -69,7 +69,8 @@ def test_errors_are_counted_by_stage_and_by_lap():
     laps = HeldOutLaps(sessions, masks, np.random.default_rng(1))
     off = {"nominal": 20.0, "refitted": -10.0, "with_effects": 2.0}
     expected = {stage: [s.torque - by * (1.0 + (s.block == 5)) for s in sessions] for stage, by in off.items()}
-    found = held_out(laps, expected)
+    as_file = [s.torque + 15.0 * (1.0 + (s.block == 5)) for s in sessions]
+    found = held_out(laps, expected, as_file)
     assert found.laps == ("one: 3", "one: 4", "two: 1", "two: 2")
     for stage, by in off.items():
         each = np.array([1.0, 1.0, 1.0, 2.0]) * by
@@ -79,6 +80,6 @@ def test_errors_are_counted_by_stage_and_by_lap():
         assert found.mae[stage] == pytest.approx(1.25 * abs(by))
         assert found.bias[stage] == pytest.approx(1.25 * by)
         assert found.r2[stage] == pytest.approx(1.0 - 1.75 * by**2 / 100.0)
-    assert (found.of_refit.before, found.of_refit.after) == pytest.approx((25.0, 12.5))
+    assert (found.of_refit.before, found.of_refit.after) == pytest.approx((25.0, 18.75))
     assert (found.of_effects.before, found.of_effects.after) == pytest.approx((12.5, 2.5))
     assert found.of_effects.grade == CONFIRMED

@@ -162,6 +162,10 @@ def test_blocks_count_through_and_the_split_takes_all(gated):
     assert sorted((*chosen.training, *chosen.held_out)) == sorted(set(blocks.tolist()))
     by_name = split(gated.sessions, ["drive_2"])
     assert set(by_name.held_out) == set(gated.sessions[1].block.tolist())
+    longer = [replace(s, name=name) for s, name in zip(gated.sessions, ("test_r1.csv", "r1.csv", "r10.csv"), strict=False)]
+    second = longer[1].block.tolist()
+    assert {split(longer, [name]).held_out for name in ("r1", "r1.csv")} == {tuple(sorted(set(second)))}
+    assert split(longer, ["r1.csv: 1"]).held_out == (min(second),)
     for wrong in ("nothing", 0, 10_000):
         with pytest.raises(InputError, match="holdout"):
             split(gated.sessions, [wrong] if isinstance(wrong, str) else wrong)

@@ -93,9 +93,15 @@ def test_an_error_with_an_assumed_sensor_is_said_without_it_too():
     for gain_at, offset_at, assumed in ((0.015, 2.0, "gain 1.5 %"), (0.001, -20.0, "offset -20 Nm"), (0.001, 2.0, both)):
         values = (("torque_gain", gain, gain_at), ("torque_offset", offset, offset_at))
         acting = [Active(SimpleNamespace(name=name, parameters=(q,)), {q.name: x}) for name, q, x in values]
-        for verdict in (said(sensor=assumed_sensor(acting, 95.0)), said([found()], sensor=assumed_sensor(acting, 95.0))):
-            assert f"({assumed}); without it the mean error is 95 Nm." in verdict.sentence
-        assert not assumed_sensor(acting, None)
+        named = said([found()], sensor=assumed_sensor(acting, 95.0))
+        assert f"({assumed}); without it the mean error is 95 Nm." in named.sentence
+        sensor = assumed_sensor(acting, 95.0, 60.0)
+        sentence = f"An assumed torque sensor error ({assumed}) lowers the re-fit's mean error from 95 to 60 Nm."
+        assert sentence in said(sensor=sensor).sentence
+        assert not assumed_sensor(acting, None, 60.0)
+        only = said(held=worth(Improvement(100.0, 99.5, 0.1, 0.9)), sensor=sensor, changed=(BEARING,))
+        assert only.sentence.startswith("No mismatch beyond noise and an error of the torque sensor.")
+        assert (sentence in only.sentence, only.changed) == (True, ())
 
 
 def test_nothing_beyond_noise():
@@ -103,7 +109,7 @@ def test_nothing_beyond_noise():
     assert (verdict.status, verdict.grade) == ("none", CONFIRMED)
     assert "No mismatch beyond noise" in verdict.sentence
     assert "100 Nm" in verdict.sentence
-    assert "80 Nm" in verdict.sentence
+    assert "95 Nm" in verdict.sentence
     assert not verdict.names
 
 
@@ -132,6 +138,8 @@ def test_a_refit_that_gains_names_the_changed_values():
     assert "grade is 0.002 lower" in verdict.sentence
     assert "falls from 100 to 80 Nm" in verdict.sentence
     assert "several values of the vehicle file were off together" in said().sentence
+    at_end = said(changed=(replace(BEARING, at_bound=True),)).sentence
+    assert "bearing_friction is at the high end of its range, 0.01140 instead of 0.01000." in at_end
 
 
 @pytest.mark.parametrize("gain", [0.0, 0.5])
@@ -154,6 +162,25 @@ def test_several_values_far_out_of_range_reject_the_vehicle_file():
     assert "q1 would be 0.4" in verdict.sentence
     assert "q2" not in verdict.sentence
     assert said(base=refitted(8.0, 1.0)).status == "none"  # one value may be wrong
+
+
+def test_a_value_as_far_as_is_plausible_is_far_out():
+    base = refitted(8.0, -4.0)
+    second = base.problem.base.parameters[1]
+    for low, far in ((second.low, False), (base.base_values["q1"], True)):
+        base.problem.base.parameters = (base.problem.base.parameters[0], replace(second, low=low, by_file=(0.8, 1.2)))
+        assert ("q1 would be 0.6, but the file allows 0.8 to 1.2" in said(base=base).sentence) == far
+
+
+def test_a_refit_that_no_command_accepts_does_not_fit_the_vehicle():
+    base = refitted(3.0, 1.0)
+    base.problem.base.parameters = tuple(replace(q, by_file=(0.8, 1.2)) for q in base.problem.base.parameters)
+    verdict = said(base=base, unusable="a belt that settles at 352 degC", changed=(BEARING,))
+    assert (verdict.status, verdict.seen, verdict.changed) == ("unexplained", "The vehicle file does not fit this vehicle", ())
+    assert "q0 would be 1.3, but the file allows 0.8 to 1.2" in verdict.sentence
+    assert "q1" not in verdict.sentence
+    assert "a belt that settles at 352 degC" in verdict.sentence
+    assert "The mean error" not in verdict.sentence
 
 
 def test_hold_out_laps_that_differ_plainly_more_are_unexplained():
@@ -208,6 +235,7 @@ def test_a_refuted_term_is_named_and_the_unexplained_is_refuted(left):
     verdict = said(refuted=refuted, **left)
     assert (verdict.status, verdict.grade) == ("unexplained", REFUTED)
     assert "The hold-out laps reject payne: it raises their mean error from 100 to 120 Nm." in verdict.sentence
+    assert "payne (" not in said(refuted=refuted, shares={"payne": 0.6, "none of these": 0.4}, **left).sentence
     none = said(refuted=refuted)
     assert (none.status, none.grade) == ("none", CONFIRMED)
     assert "payne" in none.sentence
@@ -217,6 +245,20 @@ def test_a_dropped_term_is_reported_with_the_value_it_displaces():
     sentence = said(refuted=[Graded("torque_offset", BETTER, (), ("rolling_coefficient",))]).sentence
     assert "drops torque_offset: it pushes rolling_coefficient of the vehicle file to the end of its range." in sentence
     assert "reject" not in sentence
+
+
+@pytest.mark.parametrize(
+    ("graded", "why"),
+    [
+        (Graded("payne", UNSURE, ()), "do not confirm payne: their mean error goes from 100 to 95 Nm"),
+        (Graded("payne", BETTER, ("height",)), "payne is at the limit of its plausible range (height)"),
+        (Graded("payne", BETTER, (), cancels=True), "payne reduces the hold-out error far less than its size suggests"),
+    ],
+)
+def test_a_term_that_is_not_confirmed_is_dropped_for_its_own_reason(graded, why):
+    sentence = said(refuted=[graded]).sentence
+    assert why in sentence
+    assert ("do not confirm" in sentence) == (graded.improvement.grade != CONFIRMED)
 
 
 # Something found
@@ -414,6 +456,17 @@ def test_who_asks_for_it_keeps_what_is_suspected_too():
 
 
 # Terms without a name
+
+
+def test_no_effect_explains_a_term_or_residual_only_without_a_name():
+    for instead in ("", "air_drag"):
+        sentences = [
+            said(terms=[replace(term(), instead=instead)]).sentence,
+            said(at_end=regimes(-70.0), hint=instead).sentence,
+        ]
+        for sentence in sentences:
+            assert ("No effect of the catalogue" in sentence) == (not instead)
+            assert ("Air_drag would explain" in sentence) == bool(instead)
 
 
 def term(name="curve_of_speed", improvement=BETTER, adds=100.0, predictable=True):

@@ -123,7 +123,7 @@ def drive(result: Replayed) -> dict[str, float]:
 
 
 def _remarks(result: Replayed) -> list[str]:
-    """Speeds that no such vehicle has, belts outside of the rubber data and loads outside of the table; from the picture's samples."""
+    """Speeds that no such vehicle has, belts outside of the rubber data, loads outside of the table; of the picture's samples."""
     estimator = result.session.estimator
     columns = picture_columns(estimator.columns, result.picture)
     belts, loads = ({name: columns[f"{column}/{name}"] for name in estimator.assemblies} for column in ("belt_degc", "load_n"))

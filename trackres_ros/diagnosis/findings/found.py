@@ -64,6 +64,7 @@ class UnnamedTerm:
     intervals: Mapping[str, Interval]  # 95 %, of its parameters
     seen_nm: float  # mean residual of the re-fitted base where the term acts, in the direction of the term
     graded: Graded
+    instead: str = ""  # the name that would explain it best, if one gains more than the threshold
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +78,7 @@ class Changed:
     low: float  # of its 95 % interval
     high: float
     torque_nm: float  # root mean square of the torque change
+    at_bound: bool = False  # whether it is at the end of its range: then it has no interval
 
     @property
     def text(self) -> str:
@@ -85,6 +87,9 @@ class Changed:
         off = self.value - self.nominal
         share = f"{abs(off / self.nominal):.0%}" if self.nominal else f"{figures(abs(off))}{unit}"
         value, low, high, nominal = alike((self.value, self.low, self.high, self.nominal), self.high - self.low)
+        if self.at_bound:
+            way = "high" if off > 0.0 else "low"
+            return f"{self.name} is at the {way} end of its range, {value}{unit} instead of {nominal}"
         return f"{self.name} is {share} {'higher' if off > 0.0 else 'lower'}, {value} [{low}, {high}]{unit} instead of {nominal}"
 
 
@@ -101,7 +106,7 @@ def changed_values(refitted: Fit, bounds: Mapping[tuple[str, str], Interval]) ->
             for p, other, mask in zip(refitted.predicted, as_in_file, refitted.problem.masks, strict=True)
         ]
         size = float(np.sqrt(np.mean(np.concatenate(change) ** 2)))
-        found.append(Changed(q.name, q.unit, q.nominal, value, interval.low, interval.high, size))
+        found.append(Changed(q.name, q.unit, q.nominal, value, interval.low, interval.high, size, interval.bound_only))
     return tuple(sorted(found, key=lambda c: -c.torque_nm))
 
 

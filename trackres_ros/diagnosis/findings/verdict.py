@@ -17,6 +17,7 @@ from trackres_ros.diagnosis.findings.found import Changed, NamedEffect, UnnamedT
 from trackres_ros.diagnosis.findings.locate import SlowResidual
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.wording import (
+    NO_NAME,
     Possible,
     confirmed_terms,
     differs,
@@ -35,6 +36,7 @@ from trackres_ros.diagnosis.findings.wording import (
     short,
     slow,
     unexplained,
+    upper,
 )
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.confirm import Graded, far_from_file, moved_parameters
@@ -82,6 +84,7 @@ class Findings:
     shares: Mapping[str, float] = field(default_factory=dict)  # probability of each name over all explanations, if known
     spread: Described | None = None  # the regime with larger oscillations
     sensor: str = ""  # sentence about errors that the fit assumes of the torque sensor, if they matter
+    unusable: str = ""  # why no command would accept a file with the re-fit; empty if one would
     later: tuple[float, float] | None = None  # errors on the fitted and the hold-out laps [Nm], see `locate.only_later`
 
     @cached_property
@@ -106,8 +109,9 @@ class Findings:
 
     @cached_property
     def listed(self) -> Possible:
-        """Unconfirmed possibilities."""
-        return possible(self.unsure, self.sure, self.shares)
+        """Unconfirmed possibilities, without those that the hold-out laps reject."""
+        rejects = {g.name for g in self.refuted if g.grade == REFUTED}
+        return possible(self.unsure, self.sure, {name: share for name, share in self.shares.items() if name not in rejects})
 
     @property
     def shakes(self) -> list[str]:
@@ -142,7 +146,7 @@ def judge(f: Findings) -> Verdict:
     """
     if f.sure:
         return _confirmed(f)
-    if far_from_file(f.refitted):
+    if far_from_file(f.refitted) or f.unusable:
         return _far_from_file(f)
     drift = f.drift if f.drift is not None and f.drift.graded.grade == CONFIRMED else None
     follows_clock = f.has_slow_residual and all(BY_NAME[b.variable].as_clock for b in f.left)
@@ -177,9 +181,13 @@ def _confirmed(f: Findings) -> Verdict:
 
 
 def _far_from_file(f: Findings) -> Verdict:
-    """The verdict for a re-fit implausibly far from the vehicle file."""
-    seen, *more = file_is_off(far_from_file(f.refitted))
-    worth = mean_error(f.held_out.mae["nominal"], f.held_out.mae["refitted"]) + " with that re-fit"
+    """The verdict for a re-fit implausibly far from the vehicle file, or that no command would accept."""
+    outside = [(q, value) for q, value in moved_parameters(f.refitted) if q.outside(value)]
+    seen, *more = file_is_off(far_from_file(f.refitted) or outside)
+    refit = f.held_out.of_refit
+    worth = f"{mean_error(refit.before, refit.after)} with that re-fit"
+    if f.unusable:
+        worth = f"No command would accept a file with them: {f.unusable}"
     lines = [seen, *more, worth, *f.shakes, may_be(f.listed), *f.after]
     return Verdict("unexplained", SUSPECTED, joined(lines), f.listed, seen)
 
@@ -197,7 +205,8 @@ def _unexplained(f: Findings) -> Verdict | None:
         seen, *more = [differs(large[0])]
     else:
         return None
-    nothing = "No effect of the catalogue explains it" if f.left and not f.listed else ""
+    hint = f"{upper(f.hint)} would explain a part of it, but is not confirmed" if f.hint and not f.listed else ""
+    nothing = NO_NAME if f.left and not f.listed and not hint else hint
     grade = REFUTED if f.refuted and not f.unsure else SUSPECTED
     lines = [seen, *more, nothing, *f.shakes, may_be(f.listed), *f.after, f.worth_of_refit]
     return Verdict("unexplained", grade, joined(lines), f.listed, seen)
@@ -210,8 +219,8 @@ def _nothing_missing(f: Findings) -> Verdict:
     after = [may_be(listed, also=True), *f.after, hint]
     out_of_range = moved_parameters(f.refitted)
     refit = held_out.of_refit
-    worth = mean_error(held_out.mae["nominal"], held_out.mae["refitted"])
-    if refit.grade == CONFIRMED and (out_of_range or refit.after < (1.0 - LEAST_GAIN) * refit.before):
+    worth = mean_error(refit.before, refit.after)
+    if refit.grade == CONFIRMED and refit.after < (1.0 - LEAST_GAIN) * refit.before:
         missing = "The hold-out laps confirm no missing physics" if listed else "No physics is missing"
         which = "values of the vehicle file were off" if changed else "several values of the vehicle file were off together"
         off = [c.text for c in changed[:MOST_CHANGED]]
@@ -221,10 +230,11 @@ def _nothing_missing(f: Findings) -> Verdict:
         values = ", ".join(moved(q, value) for q, value in out_of_range)
         judged = "reject" if refit.grade == REFUTED else "do not confirm"
         lines = ["No physics is missing", f"A re-fit would move parameters of the vehicle file: {values}"]
-        return Verdict("none", refit.grade, joined([*lines, f"The hold-out laps {judged} that", worth, *after]), listed)
-    nominal, re_fitted = (figures(held_out.mae[stage]) for stage in ("nominal", "refitted"))
+        grade = REFUTED if refit.grade == REFUTED else SUSPECTED
+        return Verdict("none", grade, joined([*lines, f"The hold-out laps {judged} that", worth, *after]), listed)
+    nominal, re_fitted = figures(refit.before), figures(refit.after)
     lines = [
-        "No mismatch beyond noise",
+        "No mismatch beyond noise and an error of the torque sensor" if f.sensor else "No mismatch beyond noise",
         f"The mean error on hold-out laps is {nominal} Nm with the vehicle file and {re_fitted} Nm re-fitted",
     ]
     return Verdict("none", CONFIRMED, joined([*lines, *after]), listed)

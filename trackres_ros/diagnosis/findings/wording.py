@@ -25,6 +25,7 @@ MOST_LISTED = 5
 LEAST_AHEAD = 1.0  # in log-evidence: a rival with a smaller disadvantage fits as well
 MOST_WORDS = 25  # of a sentence
 NONE_OF_THESE = "none of these"
+NO_NAME = "No effect of the catalogue explains this"
 
 FORMS = {
     "gated_curve": "a curve",
@@ -74,7 +75,8 @@ def confirmed_terms(terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOu
 def _of(t: NamedEffect | UnnamedTerm) -> list[str]:
     """Sentences of one term: place and size, cause, values."""
     if isinstance(t, UnnamedTerm):
-        return [t.described.sentence, "No effect of the catalogue explains this", look_for(t.described.mechanisms)]
+        named = f"{upper(t.instead)} would explain it too, but the hold-out laps do not decide for it" if t.instead else NO_NAME
+        return [t.described.sentence, named, look_for(t.described.mechanisms)]
     members = t.step.members
     if len(members) > 1:
         listed = either([f"{name} ({_percent(t.step.weights[name])})" for name in members])
@@ -133,13 +135,19 @@ def mean_error(before: float, after: float) -> str:
     return f"The mean error on hold-out laps {way} Nm"
 
 
-def assumed_sensor(instrument: Sequence[Active], without: float | None) -> str:
-    """The errors that a fit assumes of the torque sensor, those beyond the usual or all, and the error `without` them [Nm]."""
+def assumed_sensor(instrument: Sequence[Active], without: float | None, refitted: float | None = None) -> str:
+    """The errors that a fit assumes of the torque sensor, those beyond the usual or all, and the error `without` them [Nm].
+
+    If the fit is the `refitted` base, its error [Nm] is given as well: the verdict speaks of the file alone.
+    """
     if without is None:
         return ""
     assumed = [(a.effect.name.removeprefix("torque_"), q, a.values[q.name]) for a in instrument for q in a.effect.parameters]
     unusual = [one for one in assumed if abs(one[2]) > PRIOR_STDS * one[1].start] or assumed
     sizes = (f"{name} {figures(100.0 * x)} %" if q.unit == "1" else f"{name} {figures(x)} {q.unit}" for name, q, x in unusual)
+    if refitted is not None:
+        lowers = f"lowers the re-fit's mean error from {figures(without)} to {figures(refitted)} Nm"
+        return f"An assumed torque sensor error ({', '.join(sizes)}) {lowers}"
     return f"That assumes an error of the torque sensor ({', '.join(sizes)}); without it the mean error is {figures(without)} Nm"
 
 
@@ -178,23 +186,22 @@ def doubts(unsure: Sequence[Graded]) -> list[str]:
     for graded in unsure:
         i = graded.improvement
         gain = f"gain {figures(i.low, 2)} to {figures(i.high, 2)} Nm, 95 %"
-        error = f"their mean error goes from {figures(i.before)} to {figures(i.after)} Nm ({gain})"
+        error = f"from {figures(i.before)} to {figures(i.after)} Nm ({gain})"
         if i.grade == CONFIRMED and graded.on_bounds:
             found.append(f"{graded.name} is at the limit of its plausible range ({', '.join(graded.on_bounds)})")
         elif i.grade == CONFIRMED and graded.cancels:
-            found.append(f"{graded.name} improves the hold-out laps far less than its size suggests: {error}")
+            found.append(f"{graded.name} reduces the hold-out error far less than its size suggests: {error}")
         elif i.grade == CONFIRMED and graded.by_others:
-            found.append(f"{graded.name} improves the hold-out laps far more than its size explains: {error}")
+            found.append(f"{graded.name} reduces the hold-out error far more than its size explains: {error}")
         elif i.grade == CONFIRMED and graded.of_unconfirmed:
             found.append("The hold-out laps do not confirm these terms together")
         else:
-            found.append(f"The hold-out laps do not confirm {graded.name}: {error}")
+            found.append(f"The hold-out laps do not confirm {graded.name}: their mean error goes {error}")
     return list(dict.fromkeys(found))
 
 
 def rejected(refuted: Sequence[Graded]) -> list[str]:
     """Terms rejected or not confirmed on hold-out laps, and terms that displace a value of the file."""
-    unsure = ", ".join(g.name for g in refuted if g.grade != REFUTED)
     return [
         *(
             f"The hold-out laps reject {g.name}: it raises their mean error from {figures(g.improvement.before)} to "
@@ -207,7 +214,7 @@ def rejected(refuted: Sequence[Graded]) -> list[str]:
             for g in refuted
             if g.displaces
         ),
-        f"Rejected, because the hold-out laps do not confirm it: {unsure}" if unsure else "",
+        *doubts([g for g in refuted if g.grade != REFUTED]),
     ]
 
 

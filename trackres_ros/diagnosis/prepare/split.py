@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import PurePath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,8 @@ def split(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None
     """Choose the hold-out blocks: the last ones, or `held_out`.
 
     That is the number of the last sessions (of several) or blocks, or the names of recordings, or of laps as in a report
-    ("drive_3.csv: 5"). With names, added recordings do not change the hold-out set.
+    ("drive_3.csv: 5"). With names, added recordings do not change the hold-out set. A part of a name holds out all recordings
+    that have it, unless one is called so.
 
     Raises
     ------
@@ -45,12 +47,14 @@ def _chosen(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | No
     by_session = len(sessions) >= FEWEST_SESSIONS or (isinstance(held_out, int) and held_out < len(sessions) > 1)
     if held_out is not None and not isinstance(held_out, int):
         laps = {lap_name(s, b): b for s, of in zip(sessions, blocks, strict=True) for b in of}
-        by_name = {b for lap, b in laps.items() if any(lap.endswith(name) for name in held_out)}
+        by_name = {b for lap, b in laps.items() if any(lap == name if name in laps else lap.endswith(name) for name in held_out)}
         whole = [name for name in held_out if not any(lap.endswith(name) for lap in laps)]
         unknown = [name for name in whole if not any(name in s.name for s in sessions)]
         if unknown:
             raise InputError("--holdout", unknown[0], f"part of a name among {', '.join(s.name for s in sessions)}")
-        chosen = {i for i, s in enumerate(sessions) if any(name in s.name for name in whole)}
+        called = [(s.name, PurePath(s.name).stem) for s in sessions]
+        exact = {name for names in called for name in names}
+        chosen = {i for i, names in enumerate(called) for name in whole if name in (names if name in exact else names[0])}
         if by_name:
             return _by_laps(sessions, blocks, by_name.union(*(blocks[i] for i in chosen)))
     elif by_session:

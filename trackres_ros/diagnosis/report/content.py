@@ -21,7 +21,7 @@ from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.findings.found import NamedEffect
 from trackres_ros.diagnosis.findings.locate import residual_sources
 from trackres_ros.diagnosis.findings.residual_bins import Bin
-from trackres_ros.diagnosis.findings.wording import likelier
+from trackres_ros.diagnosis.findings.wording import LEAST_AHEAD, joined, likelier, rejected
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.series import runs
@@ -55,7 +55,10 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
         "described": _described(d),
         "route": routes[0] if routes else None,
         "routes": routes,
-        "refuted": [{"name": g.name, "heldout": _improvement(g.improvement)} for g in d.refuted],
+        "refuted": [
+            {"name": g.name, "heldout": _improvement(g.improvement), "grade": g.grade, "why": joined(rejected([g]))}
+            for g in d.refuted
+        ],
         "possible": [{"name": name, "share": share} for name, share in d.shares.items()],
         "written": {
             "base": d.kept.values is not None,
@@ -65,7 +68,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
             "why": d.kept.text,
         },
         "heldout": _held_out(d),
-        "not_visible": [{"name": n.name, "why": n.why} for n in d.steps[-1].separability.of_names.not_visible],
+        "not_visible": [{"name": n.name, "why": n.why} for n in d.alone.separability.of_names.not_visible],
         "rejected": [{"reason": reason, "samples": seconds} for reason, seconds in d.gated.excluded.items()],
         "advice": _advice(d),
         "candidates": [_candidate(i, c, step) for i, step in enumerate(d.steps, 1) for c in step.candidates],
@@ -123,8 +126,8 @@ def _verdict(d: Diagnosis) -> dict[str, Any]:
         "may_be": [{"name": name, "share": share} for name, share in d.verdict.may_be],
         "changed": [
             {
-                "name": c.name, "unit": c.unit, "nominal": c.nominal, "value": c.value, "ci95": [c.low, c.high],
-                "torque_nm": c.torque_nm, "text": c.text,
+                "name": c.name, "unit": c.unit, "nominal": c.nominal, "value": c.value,
+                "ci95": None if c.at_bound else [c.low, c.high], "torque_nm": c.torque_nm, "text": c.text,
             }
             for c in d.verdict.changed
         ],
@@ -204,6 +207,8 @@ def _why(c: Candidate, step: Step) -> str:
         return f"adds only {c.share:.1%} of the torque"
     if step.chosen is None:
         return "hold-out laps do not confirm it"
+    if c.net_evidence > step.chosen.net_evidence - LEAST_AHEAD:
+        return f"fits as well as {step.chosen.name}, but hold-out laps decide for {step.chosen.name}"
     return f"{likelier(step.chosen, c)} times less likely than {step.chosen.name}"
 
 
@@ -252,6 +257,7 @@ def _described(d: Diagnosis) -> list[dict[str, Any]]:
     for t in d.described:
         intervals = {name: _pair(interval) for name, interval in t.intervals.items()}
         found.append({**_term(t.described, t.graded.improvement, t.graded.grade), "seen_nm": t.seen_nm, "parameters": intervals})
+        found[-1]["instead"] = t.instead or None
     if d.drift and d.tracked:
         found.append({**_term(d.drift, d.tracked, d.tracked.grade), "parameters": {}})
     if d.spread:

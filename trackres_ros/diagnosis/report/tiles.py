@@ -55,16 +55,18 @@ def headline(report: dict[str, Any]) -> str:
         parts = [what.answer, *([f"The largest: {changed[0]['text']}"] if changed else []), errors]
     elif not _sure(report):
         seen = verdict.get("seen") or f"{where.answer}: {where.detail}"
-        parts = [seen, f"It may be: {possible}" if possible else "No effect of the catalogue explains it"]
+        nothing = "" if verdict.get("hint") else "No effect of the catalogue explains it"
+        parts = [seen, f"It may be: {possible}" if possible else nothing]
     elif lead is not None and "form" in lead:
         first, *_ = str(lead.get("sentence") or f"{where.answer}: {where.detail}").split(". ")
-        others = f"Also confirmed: {_names(report)}" if _names(report) else "No effect of the catalogue explains this"
+        nothing = "" if lead.get("instead") else "No effect of the catalogue explains this"
+        others = f"Also confirmed: {_names(report)}" if _names(report) else nothing
         parts = [first, errors, others]
     else:
         placed = where.detail if where.answer == "Everywhere" else f"{where.answer}, {where.detail[:1].lower()}{where.detail[1:]}"
         parts = [placed, f"The cause{'s are' if len(_sure(report)) > 1 else ' is'} {_names(report)} ({_grade(report)})", errors]
     text = ""
-    for part in parts:
+    for part in filter(None, parts):
         if len(f"{text} {part}".split()) < MOST_WORDS:
             text = f"{text} {part}.".strip()
     return text or f"{' '.join(parts[0].split()[: MOST_WORDS - 2])} ..."
@@ -160,7 +162,9 @@ def _what(r: dict[str, Any]) -> Tile:
         return Tile(name, answer, SURE_OF_NONE.get(verdict.get("grade"), "not judged"))
     sure = _sure(r)
     if not sure:
-        return Tile(name, "Unexplained", f"it may be: {possible}" if possible else "no effect of the catalogue explains it")
+        hint = verdict.get("hint")
+        nothing = f"{_plain(hint)} may be a part of it" if hint else "no effect of the catalogue explains it"
+        return Tile(name, "Unexplained", f"it may be: {possible}" if possible else nothing)
     answers, detail = [], [SURE if any(t.get("form") != "spread" for t in sure) else SURE_OF_SPREAD]
     for term in sure:
         if "form" in term:
@@ -243,6 +247,9 @@ def _share(r: dict[str, Any]) -> float:
     """Share of the mean hold-out error that the last stage removes; 0 if unknown."""
     mae, followed = r["heldout"]["mae"], _followed(r)
     before, after = mae["nominal"], mae[stage_of(r)] if followed is None else followed
+    without = r["heldout"].get("without_sensor_error")
+    if followed is None and without is not None and stage_of(r) == "refitted":
+        after = without  # no file holds an error of the sensor
     return 0.0 if not before or after is None else float((before - after) / before)
 
 

@@ -68,6 +68,12 @@ class Chosen:
         """A term with its properties outside the fit."""
         return self.explanation.terms.get(name) or Term(self.explanation.candidates[name])
 
+    def instead_of(self, name: str) -> str:
+        """The name with the most evidence that would gain more than the threshold in place of a term; empty without one."""
+        step = self.steps[name]
+        names = [c for c in step.candidates if c.is_name and c.name != name and c.counts(step.threshold)]
+        return max(names, key=lambda c: c.net_evidence).name if names else ""
+
     @property
     def routes(self) -> tuple[Route, ...]:
         """The terms by place."""

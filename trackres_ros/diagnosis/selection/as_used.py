@@ -53,7 +53,7 @@ class AsUsed:
         """Sensed torque of each session [Nm], from a file with other values, or with its own."""
         base, sessions = self._alone if alone else self._around
         if values is not None:
-            key = alone, tuple(values.values())
+            key = alone and self._alone is not self._around, tuple(values.values())
             if key not in self._read:
                 self._read[key] = base.as_written(values)
             base = self._read[key]

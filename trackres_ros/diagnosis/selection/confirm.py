@@ -95,6 +95,11 @@ def moved_parameters(found: Fit, by: float = MOVED) -> list[tuple[BaseParameter,
 
 
 def far_from_file(found: Fit) -> list[tuple[BaseParameter, float]]:
-    """Several base parameters that are `FAR` outside their range: they compensate another error of the file."""
-    far = moved_parameters(found, FAR)
+    """Several base parameters `FAR` outside their range, or as far as is plausible: they compensate another error of the file."""
+    furthest = at_implausible_bounds(found)
+    far = [
+        (q, value)
+        for q, value in moved_parameters(found)
+        if abs(value - q.nominal) > FAR * q.std or (q.name in furthest and q.outside(value))
+    ]
     return far if len(far) > 1 else []

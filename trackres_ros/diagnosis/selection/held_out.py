@@ -105,13 +105,15 @@ class HeldOut:
     r2: dict[str, float]
     bias: dict[str, float]
     by_lap: dict[str, dict[str, Array]]  # each of them by stage and lap, shape (laps,)
-    of_refit: Improvement  # improvement of the re-fitted base over the vehicle file
+    of_refit: Improvement  # of the re-fitted base over the vehicle file; without assumed sensor errors, as a file is used
     of_effects: Improvement  # and of the effects over the re-fitted base
     without_sensor: float | None = None  # mean absolute error without the assumed sensor errors [Nm], if much larger
 
 
-def held_out(laps: HeldOutLaps, expected: Mapping[str, Sequence[Array]]) -> HeldOut:
-    """Compare the three `STAGES`, by their predicted torques of each session [Nm]."""
+def held_out(laps: HeldOutLaps, expected: Mapping[str, Sequence[Array]], as_file: Sequence[Array]) -> HeldOut:
+    """Compare the three `STAGES`, by their predicted torques of each session [Nm]; `as_file` is that of the re-fitted base
+    without assumed sensor errors.
+    """
     numbers = np.unique(laps.blocks)
     error = {stage: laps.measured - laps.of(expected[stage]) for stage in STAGES}
     of_lap = [laps.blocks == b for b in numbers]
@@ -126,7 +128,7 @@ def held_out(laps: HeldOutLaps, expected: Mapping[str, Sequence[Array]]) -> Held
         {stage: _r2(laps.measured, e) for stage, e in error.items()},
         {stage: float(e.mean()) for stage, e in error.items()},
         by_lap,
-        laps.improvement(expected["nominal"], expected["refitted"]),
+        laps.improvement(expected["nominal"], as_file),
         laps.improvement(expected["refitted"], expected["with_effects"]),
     )
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +34,7 @@ from trackres_ros.diagnosis.findings.verdict import judge as verdict_of
 from trackres_ros.diagnosis.findings.wording import assumed_sensor
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.prepare.torque_checks import inconsistent_scale_notes, nothing_to_conclude
 from trackres_ros.diagnosis.search.choice import Chosen
 from trackres_ros.diagnosis.selection.confirm import Graded
@@ -42,6 +43,7 @@ from trackres_ros.diagnosis.selection.intervals import intervals
 from trackres_ros.diagnosis.stages.options import DiagnosisOptions
 from trackres_ros.diagnosis.stages.prepare import PreparedSessions
 from trackres_ros.diagnosis.stages.refit import Refitted
+from trackres_ros.errors import InputError
 from trackres_ros.vehicle.writing.changes import Interval
 
 Bounds = Mapping[tuple[str, str], Interval]
@@ -68,7 +70,8 @@ def judge(
 ) -> Judgement:
     """Judge an explanation."""
     final = chosen.final
-    worth = _worth(prepared, base, chosen)
+    as_file, unusable = _as_file(base, final)
+    worth = _worth(prepared, base, chosen, as_file)
     options.on_stage("residual")
     tested_end = for_tests(final)
     at_end = regime_map(tested_end, rng)
@@ -97,17 +100,31 @@ def judge(
             shares=chosen.shares,
             spread=None if spread is None else spread.described,
             later=later,
-            sensor=assumed_sensor(final.instrument, worth.without_sensor),
+            sensor=assumed_sensor(final.instrument, worth.without_sensor, None if final.effects else worth.mae["with_effects"]),
+            unusable=unusable,
         )
     )
     return Judgement(tuple(found), tuple(terms), drift, tracked, spread, worth, tested_end, at_end, bounds, verdict)
 
 
-def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen) -> HeldOut:
+def _as_file(base: Refitted, final: Fit) -> tuple[Sequence[Array], str]:
+    """Torque of each session from the re-fitted base as a file, thus without assumed errors of the sensor [Nm]; and why no
+    command would accept that file, else empty. With effects in the final fit, another file is written.
+    """
+    values, unusable = base.refitted.base_values, ""
+    if not final.effects:
+        try:
+            return base.use.expected(values, (), alone=False), ""
+        except InputError as error:  # the fit may be infeasible elsewhere: a belt that burns at its greatest speed
+            unusable = str(error.given)
+    return [p.torque for p in base.refitted.problem.predict(values, ())], unusable
+
+
+def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen, as_file: Sequence[Array]) -> HeldOut:
     """Errors on hold-out laps; raises where they allow no conclusion."""
     predicted = {"refitted": base.refitted.predicted, "with_effects": chosen.final.predicted}
     expected = {stage: [p.torque for p in of] for stage, of in predicted.items()}
-    worth = held_out(base.laps, {"nominal": prepared.nominal, **expected})
+    worth = held_out(base.laps, {"nominal": prepared.nominal, **expected}, as_file)
     names = ", ".join(s.name for s in prepared.sessions)
     odd = inconsistent_scale_notes(prepared.sessions, prepared.nominal)
     # Different vehicles also differ by load or hour, so an unnamed term would absorb the difference between them.
@@ -156,11 +173,8 @@ def _terms(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[UnnamedTerm]:
         if not chosen.is_named(name):
             adds, term = final.contribution(name), chosen.term(name)
             seen_nm = residual_where_it_acts(final.problem.sessions, adds, of_base)
-            terms.append(
-                UnnamedTerm(
-                    describe(term, final), adds, variable_of(term, final), bounds_of(name, bounds), seen_nm, chosen.graded[name]
-                )
-            )
+            course, within, instead = variable_of(term, final), bounds_of(name, bounds), chosen.instead_of(name)
+            terms.append(UnnamedTerm(describe(term, final), adds, course, within, seen_nm, chosen.graded[name], instead))
     return [t for t in by_improvement(terms) if isinstance(t, UnnamedTerm)]
 
 
