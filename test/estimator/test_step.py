@@ -11,11 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trackres_ros.effects import Active, catalogue
+from trackres_ros.effects.stepping import EACH, FIRST_OWN
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.files.resources import config_dir
 from trackres_ros.offline.simulate import assembly_values
 from trackres_ros.vehicle import load, load_any
 
@@ -229,3 +232,28 @@ def test_a_block_of_messages_has_as_many_of_each_part(reference):
         parts[short] = parts[short][:2]
         with pytest.raises(InputError, match="one length"):
             reference.session().handle_block(*parts)
+
+
+@pytest.mark.parametrize(("name", "effect"), [("bmw_i3", "warmup"), ("agri3t", "viscous_bearing"), ("agri3t", "roadwheel_tyres")])
+def test_effects_pass_a_long_gap_between_rest_and_drive(name, effect):
+    vehicle = load_any(config_dir() / f"{name}.yaml")
+    known = catalogue(size=vehicle.size, on_tyres=name == "bmw_i3")[effect]
+    estimator = Estimator(replace(vehicle, effects=(Active(known, known.values()),)))
+    fast, hour, ambient = estimator.inputs(0.5 * vehicle.chassis.max_speed), 3600.0, vehicle.chassis.ambient
+
+    def own(state):
+        return float(np.nanmax(state.effects[FIRST_OWN::EACH]))
+
+    def drive(state, inputs, steps, dt):
+        for _ in range(steps):
+            state, _ = estimator.step(state, inputs, dt)
+        return state
+
+    warm = drive(estimator.cold_start(fast), fast, 60, 30.0)
+    rested = own(estimator.rest(warm, ambient, hour))
+    driven = own(drive(warm, fast, 120, 30.0))
+    assert own(drive(warm, fast, 1, hour)) == pytest.approx(0.5 * (rested + driven), rel=1e-3)
+    standing = drive(warm, estimator.inputs(0.0), 3, 1.0)
+    rested = own(estimator.rest(standing, ambient, hour))
+    assert own(drive(standing, estimator.inputs(0.0), 1, hour)) == pytest.approx(rested, rel=1e-6)
+    assert abs(rested - own(standing)) > 0.02 * abs(own(standing))

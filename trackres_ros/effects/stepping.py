@@ -194,6 +194,54 @@ def usable(answer: Array, most_torque: float) -> bool:
 
 
 @inlined
+def is_known(needs: int, looked_at: Array) -> bool:
+    """Whether all that an effect needs is known."""
+    known = True
+    for need in range(1, LOOKED_AT - FACTS):
+        if needs >> need & 1 and not math.isfinite(looked_at[FACTS + need - 1]):
+            known = False
+    return known
+
+
+@inlined
+def call_lag(address: int, looked_at: Array, values: Array, answer: Array) -> bool:
+    """Target, time constant and start of an effect's own state; whether they are usable."""
+    for i in range(3):
+        answer[i] = math.nan
+    call_at(address, looked_at, values, answer)
+    works: bool = abs(answer[0]) <= MOST_STATE and abs(answer[2]) <= MOST_STATE and LEAST_TIME_S <= answer[1] < math.inf
+    return works
+
+
+@inlined
+def after(rows: IntArray, values: Array, work: Array, row: int, state: float, dt: float) -> float:
+    """An effect's own state after some time [s] in the conditions of the work space; unchanged where they are unknown."""
+    looked_at, answer = work[TERMS : TERMS + LOOKED_AT], work[TERMS + LOOKED_AT :]
+    looked_at[AT_OWN] = state
+    if is_known(rows[row, NEEDS], looked_at) and call_lag(rows[row, LAG_AT], looked_at, values[row], answer):
+        return float(state + (answer[0] - state) * -math.expm1(-dt / answer[1]))
+    return state
+
+
+@compiled
+def pass_gap_of_effects(
+    rows: IntArray, values: Array, memory: Array, work: Array, speed: float, weight: float, ambient: float, dt: float
+) -> None:
+    """Pass a gap too long to bridge (ours): as `belt_step.pass_gap` the mean of a rest and of a drive throughout, at a speed
+    [m/s].
+    """
+    for row in range(rows.shape[0]):
+        first = FIRST_OWN + EACH * rows[row, STATE]
+        if rows[row, KIND] == SHIFTED or rows[row, LAG_AT] == 0 or math.isnan(memory[first + OWN]):
+            continue
+        state = memory[first + OWN]
+        look(work, 0.0, 0.0, weight, ambient, math.nan, math.nan, math.nan, 0.0, math.nan)
+        rested = after(rows, values, work, row, state, dt)
+        look(work, speed, 0.0, weight, ambient, math.nan, math.nan, math.nan, 0.0, math.nan)
+        memory[first + OWN] = 0.5 * (rested + after(rows, values, work, row, state, dt))
+
+
+@inlined
 def own_state(address: int, values: Array, looked_at: Array, answer: Array, own: Array, dt: float) -> bool:
     """Advance an effect's own state by a step and write it for the effect; return whether it is usable."""
     looked_at[AT_OWN] = 0.0
@@ -203,12 +251,9 @@ def own_state(address: int, values: Array, looked_at: Array, answer: Array, own:
     if not math.isnan(own[OWN]):
         state = own[OWN] + (own[TARGET] - own[OWN]) * -math.expm1(-dt / own[TIME_CONSTANT])
         looked_at[AT_OWN] = state
-    for i in range(3):
-        answer[i] = math.nan
-    call_at(address, looked_at, values, answer)
-    target, time_constant, start = answer[0], answer[1], answer[2]
-    if not (abs(target) <= MOST_STATE and abs(start) <= MOST_STATE and LEAST_TIME_S <= time_constant < math.inf):
+    if not call_lag(address, looked_at, values, answer):
         return False
+    target, time_constant, start = answer[0], answer[1], answer[2]
     if math.isnan(state):
         state = start
     own[OWN], own[TARGET], own[TIME_CONSTANT] = state, target, time_constant
@@ -259,10 +304,8 @@ def step_effects(rows: IntArray, values: Array, memory: Array, work: Array, dt: 
                 work[TERM_GAIN_VARIANCE] += squared(answer[TERM_DRIVE_GAIN] / drive_gain - 1.0)
             continue
         left_out = True
-        for need in range(1, LOOKED_AT - FACTS):
-            if rows[row, NEEDS] >> need & 1 and not math.isfinite(looked_at[FACTS + need - 1]):
-                outcome = max(outcome, INPUT_UNKNOWN)
-                break
+        if not is_known(rows[row, NEEDS], looked_at):
+            outcome = max(outcome, INPUT_UNKNOWN)
         else:
             first = FIRST_OWN + EACH * rows[row, STATE]
             if own_state(rows[row, LAG_AT], values[row], looked_at, answer, memory[first : first + EACH], dt):

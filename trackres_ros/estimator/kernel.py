@@ -22,6 +22,7 @@ from trackres_ros.effects.stepping import (
     TERM_LOSS_VARIANCE,
     TERM_VARIANCE,
     look,
+    pass_gap_of_effects,
     step_effects,
 )
 from trackres_ros.effects.vehicle.drivetrain_efficiency import drives
@@ -105,9 +106,13 @@ def act(
     if k.effects.shape[0] == 0:
         return ALL_WELL
     drive = motion.last_drive + others - motion.last_others
+    bridged = dt <= k.number.bridge
+    if not bridged:
+        middle = 0.5 * (motion.last_speed + speed)
+        pass_gap_of_effects(k.effects, k.effect_values, effects, k.work, middle, weight, ambient, dt)
     look(k.work, speed, accel, weight, ambient, *turning, drive, belt)
-    # The drive during a gap too long to bridge is unknown: effects keep their states, and the distance stays.
-    return step_effects(k.effects, k.effect_values, effects, k.work, dt if dt <= k.number.bridge else 0.0)
+    # The drive during a gap too long to bridge is unknown: the distance stays.
+    return step_effects(k.effects, k.effect_values, effects, k.work, dt if bridged else 0.0)
 
 
 @inlined
