@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from trackres_ros.effects import Active, catalogue
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.kernel import LEAST_STD_SHARE
 from trackres_ros.estimator.settings import Settings
@@ -168,6 +169,31 @@ def test_uncertainty_of_the_start_fades(xgd24d: Vehicle, cache: Path) -> None:
     walk = drive(with_open_ranges(xgd24d, []), cache, 10.0, replace(CERTAIN, process_noise_k=0.02))["belt_std_k/front_left"]
     assert (np.diff(walk) > -1e-9).all()
     assert walk[-1] == pytest.approx(walk[-600], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "tolerance"),
+    [
+        ("convection", 0.02), ("ground_conduction", 0.02), ("compound_temperature", 0.02), ("frequency", 0.02),
+        ("core_surface", 0.1),  # which takes longer to heat the inside than less film does
+    ],
+)  # fmt: skip
+def test_uncertainty_of_an_effect_is_the_change_it_makes(xgd24d: Vehicle, cache: Path, name: str, tolerance: float) -> None:
+    """Of a warm belt, whose heat it changes; all its ranges add in squares."""
+    effect, certain, speed = catalogue()[name], with_open_ranges(xgd24d, []), 0.8 * xgd24d.chassis.max_speed
+    values, width = effect.values(), {q.name: 0.1 * (q.high - q.low) for q in effect.parameters if q.off is not None}
+
+    def driven(changes: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> Mapping[str, np.ndarray]:
+        return drive(replace(certain, effects=(Active(effect, {**values, **changes}, ranges),)), cache, speed)
+
+    carried = driven({}, {one: (values[one] - width[one], values[one] + width[one]) for one in width})
+    for ours, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
+        squares = 0.0
+        for one, wide in width.items():
+            up, down = (driven({one: values[one] + sign * STEP * wide / 2.0}, {})[column][-1] for sign in (1, -1))
+            squares += ((up - down) / (2.0 * STEP)) ** 2
+        assert carried[ours][-1] == pytest.approx(squares**0.5, rel=tolerance)
+        assert squares**0.5 > 0.1
 
 
 def test_one_quantity_moves_loss_cooling_and_capacity_together(xgd24d: Vehicle, cache: Path) -> None:

@@ -87,6 +87,8 @@ class VehicleConstants(NamedTuple):
     cooled_area: float  # of one assembly's belt; 0 without one
     tension: float  # of one belt; 0 without one
     standstill: float = STANDSTILL_MPS  # speed over which friction changes its sign smoothly
+    cooling: float = 0.0  # of one belt by its film at rest [W/K]
+    cooling_by_speed: float = 0.0  # what it gains with the speed [W/K per m/s]
 
 
 class Conditions(NamedTuple):

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.effects.effect import Active, Conditions, Terms, VehicleConstants
+from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active, Conditions, Terms, VehicleConstants
 from trackres_ros.effects.native import ANSWERED, FACTS, LOOKED_AT, call_at, native
 from trackres_ros.jit.arithmetic import length, squared
 from trackres_ros.jit.compiled import compiled, inlined
@@ -37,8 +37,9 @@ UNFED, FED, FED_WITH_ACCEL, SHIFTED = range(4)
     AT_SPEED, AT_ACCEL, AT_WEIGHT, AT_AMBIENT, AT_YAW_RATE, AT_HEADING, AT_DISTANCE, AT_DRIVE_TORQUE, AT_DIRECTION, AT_CURVATURE,
     AT_BELT, AT_OWN,
 ) = range(FACTS, LOOKED_AT)  # fmt: skip
-RADIUS, WEIGHT, CONTACT_LENGTH, STANDSTILL = (
-    VehicleConstants._fields.index(name) for name in ("radius", "weight", "contact_length", "standstill")
+RADIUS, WEIGHT, CONTACT_LENGTH, STANDSTILL, COOLING, COOLING_BY_SPEED = (
+    VehicleConstants._fields.index(name)
+    for name in ("radius", "weight", "contact_length", "standstill", "cooling", "cooling_by_speed")
 )
 if Conditions._fields[1:] != (
     "speed", "accel", "weight", "ambient", "yaw_rate", "heading", "distance", "drive_torque", "direction", "curvature",
@@ -47,14 +48,14 @@ if Conditions._fields[1:] != (
     raise TypeError("Conditions has other fields than the work space of a step")
 
 # What effects do together in a step. The first are those of `Terms`; fed forward are only the vehicle's own: torque, gain, and
-# the torque that comes with an acceleration. Variances are of torque [Nm^2], and relative ones of loss and of driving torque.
+# the torque that comes with an acceleration. Variances are of torque [Nm^2], and relative ones of loss, driving torque, cooling.
 (
     TERM_TORQUE, TERM_DRIVE_GAIN, TERM_LOSS_FACTOR, TERM_SOFTENING, TERM_FILM_OFFSET, TERM_FILM_SLOPE, TERM_CONDUCTANCE,
     TERM_SINK, TERM_HEAT, TERM_INNER_RESISTANCE, TERM_FED, TERM_FED_GAIN, TERM_FED_INERTIA, TERM_VARIANCE, TERM_LOSS_VARIANCE,
-    TERM_GAIN_VARIANCE,
-) = range(16)  # fmt: skip
-TERMS = 16
-NO_TERMS = (0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+    TERM_GAIN_VARIANCE, TERM_COOLING_VARIANCE,
+) = range(17)  # fmt: skip
+TERMS = 17
+NO_TERMS = (0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 WORK = TERMS + LOOKED_AT + ANSWERED
 
 # What is remembered: distance [m], speed of the last step [m/s]; then of each effect its own state, its target and time constant.
@@ -82,7 +83,6 @@ LOWEST, HIGHEST = (tuple(pair[i] for pair in LIMITS.values()) for i in (0, 1))
 LIMITED = len(LIMITS)
 MOST_STATE = 1e9
 LEAST_TIME_S = 1e-3
-SOFTENED_OVER_K = 20.0  # assumed distance of a belt from the temperature about which a softening turns
 
 # Outcome of the effects of a step: all well; one is outside the range in which it was learned; an input of one is not known; one
 # gives no number, or one outside of the limits.
@@ -290,7 +290,7 @@ def step_effects(rows: IntArray, values: Array, memory: Array, work: Array, dt: 
     neutral(work)
     outcome = ALL_WELL
     left_out = False
-    torque = loss_factor = drive_gain = softening = 0.0
+    torque = loss_factor = drive_gain = softening = cooling = inner_resistance = 0.0
     for row in range(rows.shape[0]):
         kind = rows[row, KIND]
         if kind == SHIFTED:
@@ -298,7 +298,11 @@ def step_effects(rows: IntArray, values: Array, memory: Array, work: Array, dt: 
                 continue
             call_terms(rows[row, TERMS_AT], looked_at, values[row], answer)
             if usable(answer, most_torque):
-                of_loss = answer[TERM_LOSS_FACTOR] / loss_factor - 1.0 + (answer[TERM_SOFTENING] - softening) * SOFTENED_OVER_K
+                of_loss = answer[TERM_LOSS_FACTOR] / loss_factor - 1.0
+                if looked_at[COOLING] > 0.0:  # there are belts; what the inside keeps back is as if the outside took less
+                    of_loss -= (answer[TERM_SOFTENING] - softening) * (looked_at[AT_BELT] - SOFTENING_FROM_DEGC)
+                    of_inside = (answer[TERM_INNER_RESISTANCE] - inner_resistance) * cooling
+                    work[TERM_COOLING_VARIANCE] += squared(cooling_of(answer, looked_at) / cooling - 1.0 - of_inside)
                 work[TERM_VARIANCE] += squared(answer[TERM_TORQUE] - torque)
                 work[TERM_LOSS_VARIANCE] += of_loss * of_loss
                 work[TERM_GAIN_VARIANCE] += squared(answer[TERM_DRIVE_GAIN] / drive_gain - 1.0)
@@ -319,11 +323,19 @@ def step_effects(rows: IntArray, values: Array, memory: Array, work: Array, dt: 
             outcome = max(outcome, EXTRAPOLATED)
         torque, drive_gain = answer[TERM_TORQUE], answer[TERM_DRIVE_GAIN]
         loss_factor, softening = answer[TERM_LOSS_FACTOR], answer[TERM_SOFTENING]
+        cooling, inner_resistance = cooling_of(answer, looked_at), answer[TERM_INNER_RESISTANCE]
         add_terms(work, answer)
         if kind != UNFED:
             work[TERM_FED_GAIN] *= drive_gain
             work[TERM_FED if kind == FED else TERM_FED_INERTIA] += torque
     return outcome
+
+
+@inlined
+def cooling_of(answer: Array, looked_at: Array) -> float:
+    """Conductance of one belt to its surroundings with one effect [W/K]; 0 without belts."""
+    at_rest, by_speed = looked_at[COOLING] * answer[TERM_FILM_OFFSET], looked_at[COOLING_BY_SPEED] * answer[TERM_FILM_SLOPE]
+    return float(at_rest + by_speed * abs(looked_at[AT_SPEED]) + answer[TERM_CONDUCTANCE])
 
 
 @inlined

@@ -10,12 +10,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.effects.stepping import TERM_COOLING_VARIANCE, TERM_LOSS_VARIANCE
 from trackres_ros.estimator.belt_heat import loss_force, surface
 from trackres_ros.estimator.belt_step import BEHIND_BELTS, pass_gap, roll
 from trackres_ros.estimator.belt_uncertainty import belt_variance, correct_belt
 from trackres_ros.estimator.columns import (
     BELT_COLUMNS,
     OF_BELT,
+    OF_COOLING,
     OF_LOSS,
     PARTS,
     Assembly,
@@ -109,11 +111,20 @@ def fill_departures(
         kelvin = 0.0
         for cause in range(3):
             kelvin += assembly.causes_of[3 * cause + which] * mean.consider[cause]
+        part.warming[which] = kelvin
         by[which] = by_temperature * kelvin
         warmer += kelvin * departures[which]
     by[OF_LOSS] += unsigned
     by[OF_BELT] = by_temperature
     return float(warmer * learned.on)
+
+
+@inlined
+def warming_variance(work: Array, part: Part) -> float:
+    """Variance of a belt's temperature [K^2] due to the ranges of effects, as if these departed from the beginning (ours)."""
+    warming = part.warming
+    of_loss, of_cooling = work[TERM_LOSS_VARIANCE], work[TERM_COOLING_VARIANCE]
+    return float(of_loss * squared(warming[OF_LOSS]) + of_cooling * squared(warming[OF_COOLING]))
 
 
 @inlined
@@ -142,9 +153,6 @@ def advance_assembly(
     loss, slope = loss_force(k, assembly, mean.temperature, road.log10_speed, log_load, drive)
     unsigned, by_temperature = assembly.radius * loss, assembly.radius * slope
     part.hysteresis = unsigned * road.sign
-    std = math.sqrt(belt_variance(belt, 1.0, 0.0))
-    if std > k.number.belt_std_warn:
-        reasons |= BELT_UNSURE
     reasons |= outside(k, assembly, mean.temperature, road.log10_speed, log_load)
 
     arm = assembly.radius * share
@@ -152,6 +160,9 @@ def advance_assembly(
     bear(arm, unsigned, road, part)
     fill_causes(assembly, mean, by_temperature, unsigned, part)
     warmer = fill_departures(assembly, mean, by_temperature, unsigned, learned, part)
+    std = math.sqrt(belt_variance(belt, 1.0, 0.0) + warming_variance(k.work, part))
+    if std > k.number.belt_std_warn:
+        reasons |= BELT_UNSURE
     more = learned_hysteresis(part, learned) * road.sign
     result.belt_degc = mean.temperature + warmer
     result.surface_degc = surface(k, assembly, belt, road.ambient, road.speed)[0] + warmer

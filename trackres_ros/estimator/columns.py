@@ -72,6 +72,7 @@ class Part(Row):
     unsigned = Real()  # Nm, resistance without its sign
     twin = Real()  # the assembly that it is computed as
     by = Reals(4)  # Nm per relative departure of loss, cooling and capacity, and per kelvin of belt temperature
+    warming = Reals(3)  # K of the belt, per the first three
     consider = Reals(4)  # Nm, by each of the four causes of uncertainty
 
 

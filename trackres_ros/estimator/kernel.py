@@ -16,6 +16,7 @@ from trackres_ros.effects.stepping import (
     ALL_WELL,
     EXTRAPOLATED,
     FIRST_OWN,
+    TERM_COOLING_VARIANCE,
     TERM_DRIVE_GAIN,
     TERM_FED,
     TERM_GAIN_VARIANCE,
@@ -33,6 +34,8 @@ from trackres_ros.estimator.belt_step import roll
 from trackres_ros.estimator.by_place import is_missing
 from trackres_ros.estimator.columns import (
     BELT_COLUMNS,
+    OF_COOLING,
+    OF_LOSS,
     RESTS,
     TEMPERATURE,
     Assembly,
@@ -213,10 +216,11 @@ def torque_variance(k: Constants, total: Part, learned: Learned, road: Road, dri
     Each cause is summed over the assemblies before squaring: heating of all belts stays one cause. Learned variances replace
     those of the file. The gears' gain is on all torques behind them; that of learned torques has it already.
     """
-    number, work = k.number, k.work
+    number, work, by = k.number, k.work, total.by
     gain = work[TERM_DRIVE_GAIN]
     variance: float = (
-        (work[TERM_VARIANCE] + work[TERM_LOSS_VARIANCE] * squared(total.hysteresis)) * squared(gain)
+        (work[TERM_VARIANCE] + work[TERM_LOSS_VARIANCE] * squared(by[OF_LOSS])) * squared(gain)
+        + work[TERM_COOLING_VARIANCE] * squared(by[OF_COOLING] * gain)
         + work[TERM_GAIN_VARIANCE] * squared(driving)
         + squared(torque_of_place(of_place_std, road.speed) * gain)
     )

@@ -15,6 +15,7 @@ def vehicle_constants(vehicle: AnyVehicle) -> VehicleConstants:
     if isinstance(vehicle, RoadVehicle):
         return vehicle.constants
     chassis, first = vehicle.chassis, vehicle.track_of(vehicle.assemblies[0])
+    area = cooled_area(first.belt)
     return VehicleConstants(
         radius=first.sprocket_radius,
         weight=vehicle.weight,
@@ -22,6 +23,8 @@ def vehicle_constants(vehicle: AnyVehicle) -> VehicleConstants:
         air_density=chassis.air_density,
         contact_length=first.road_wheels.ground_run,
         assemblies=len(vehicle.assemblies),
-        cooled_area=cooled_area(first.belt),
+        cooled_area=area,
         tension=first.belt.pretension,
+        cooling=first.belt.film_offset * area,
+        cooling_by_speed=first.belt.film_slope * area,
     )
