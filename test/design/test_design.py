@@ -15,8 +15,8 @@ import yaml
 import trackres_ros as tr
 from trackres_ros.design import sensitivity as sensing
 from trackres_ros.design.steady import WARMEST_K, steady
-from trackres_ros.design.sweep import SweepRequest, sweep
-from trackres_ros.design.values import meant, scalars, varied
+from trackres_ros.design.sweep import SweepRequest, Swept, draw, sweep
+from trackres_ros.design.values import Varied, meant, scalars, varied
 from trackres_ros.effects import Active, Effect, Parameter, Terms, catalogue
 from trackres_ros.engine import executor
 from trackres_ros.estimator.estimator import Estimator
@@ -295,6 +295,25 @@ def test_a_percentage_scales_file_values_and_moves_tied_ones():
     assert found.columns["cold_nm"][1] == pytest.approx(heavier["torque_nm"]["resistance"], rel=1e-9)
     with pytest.raises(tr.InputError, match="each value once"):
         sweep(SweepRequest("xgd24d", tuple(varied(load("xgd24d"), one) for one in ("load=+20%", "front.load=+10%")), SPEED, AIR))
+
+
+@pytest.mark.parametrize("count", [0, 2, 11])
+def test_a_sweep_of_any_lines_can_be_read(drawn, tmp_path, count):
+    """With large numbers, and its conditions and units; lines that are not drawn are counted."""
+    loads = Varied(("axles.front.load",), "N", (tuple(112000.0 + 1000.0 * i for i in range(3)),))
+    widths = Varied(("belt.width",), "m", (tuple(0.6 + 0.001 * i for i in range(count)),))
+    asked = SweepRequest("a $x$ b.yaml", (loads, *([widths] if count else [])), 50.0 / 3.6, 15.0)
+    points = np.arange(3.0 * max(count, 1))
+    columns = dict.fromkeys(("cold_nm", "warm_nm", "belt_degc", "kwh_per_km"), 100000.0 + points)
+    draw(Swept(asked, columns, {}), tmp_path / "s.png")
+    (figure,) = drawn.figures
+    assert not drawn.faults(figure)
+    assert figure.get_suptitle() == "a $x$ b.yaml: steady at 50 km/h, air 15 degC"
+    legends = [axes.get_legend() for axes in figure.axes if axes.get_legend()]
+    assert len(legends) == (count > 0)
+    for legend in legends:
+        assert legend.get_texts()[0].get_text() == "belt.width 0.6 m"
+        assert legend.get_title().get_text() == ("(and 3 more)" if count == 11 else "")
 
 
 def test_the_command_sweeps_says_what_cannot_be_and_draws(good, tmp_path, monkeypatch):

@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 MOST_POINTS = 100_000
 ALONE = 200  # points without a drive that this process makes itself: an engine takes longer to begin
 OUTCOMES = tuple(field.name for field in fields(Steady))
+MOST_TICKS = 5  # of the first value: more would touch
 MOST_LINES, MANY = 8, 40  # lines of a picture, and points of one that are no longer marked
 DRIVE = "drive_kwh_per_km"
 HEADS = {
@@ -166,34 +167,45 @@ def point(piece: Piece) -> tuple[float, ...] | str:
 
 def draw(found: Swept, path: Path) -> Path:
     """Outcomes over the first value, a line for each of the others'; of two with many values a map of the warm resistance."""
-    from trackres_ros.output.style import picture
+    from trackres_ros.output.style import TITLE_LETTERS, legend_beside, picture, shortened
 
     first, *others = found.asked.varied
     paths = found.asked.paths
     shape = tuple(len(one.points) for one in found.asked.varied)
     label = _label(first, paths)
+    asked = found.asked
+    state = f": steady at {KMH_PER_MPS * asked.speed:g} km/h, air {asked.ambient:g} degC"
+    title = shortened(asked.file, TITLE_LETTERS - len(state)) + state
     if len(others) == 1 and min(shape) > MOST_LINES:
         with picture(path, 7.5, 5.0) as figure:
             axes = figure.subplots()
             grid = found.columns["warm_nm"].reshape(shape)
             shades = axes.pcolormesh(others[0].values[0], first.values[0], grid, shading="nearest", cmap="viridis")
-            axes.set(xlabel=_label(others[0], paths), ylabel=label)
+            axes.set(xlabel=_label(others[0], paths), ylabel=label, title=title)
             figure.colorbar(shades, ax=axes, label="warm resistance [Nm]")
         return path
     shown = [("cold_nm", "cold resistance [Nm]"), ("warm_nm", "warm resistance [Nm]"), ("belt_degc", "belt [degC]")]
     shown.append((DRIVE, "drive [kWh/km]") if DRIVE in found.columns else ("kwh_per_km", "warm [kWh/km]"))
+    every = list(itertools.product(*(one.values[0] for one in others)))
     with picture(path, 9.0, 6.0) as figure:
-        for axes, (name, title) in zip(figure.subplots(2, 2).flat, shown, strict=True):
+        grid = figure.subplots(2, 2)
+        for axes, (name, outcome) in zip(grid.flat, shown, strict=True):
             lines = found.columns[name].reshape(shape[0], -1)
-            for place, of in enumerate(itertools.product(*(one.values[0] for one in others))):
-                if place >= MOST_LINES:
-                    break
-                named = ", ".join(f"{short(o.paths[0], paths)} {figures(v, 4)}" for o, v in zip(others, of, strict=True))
+            for place, of in enumerate(every[:MOST_LINES]):
+                named = ",\n".join(_value(o, v, paths) for o, v in zip(others, of, strict=True))
                 axes.plot(first.values[0], lines[:, place], marker="." if shape[0] <= MANY else "", label=named or None)
-            axes.set(xlabel=label, ylabel=title)
+            axes.locator_params(axis="x", nbins=MOST_TICKS)
+            axes.set(xlabel=label, ylabel=outcome)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=10)
         if others:
-            axes.legend(fontsize=7)
+            more = len(every) - MOST_LINES
+            legend_beside(grid[0, 1], f"(and {more} more)" if more > 0 else None)
     return path
+
+
+def _value(one: Varied, value: float, paths: Sequence[str]) -> str:
+    """A value of a line, with its unit."""
+    return f"{short(one.paths[0], paths)} {figures(value, 4)} {one.unit if one.unit != '1' else ''}".rstrip()
 
 
 def _label(one: Varied, paths: Sequence[str]) -> str:
