@@ -9,9 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from csv_tables import columns_of, rewritten
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.prepare.same_drive import Course, same_drive
 from trackres_ros.diagnosis.prepare.torque_checks import nothing_to_conclude
 from trackres_ros.diagnosis.stages.prepare import prepared
 from trackres_ros.errors import InputError
@@ -19,6 +22,7 @@ from trackres_ros.evaluation.sealed.cases import CATALOGUE, OUTSIDE, Case
 from trackres_ros.evaluation.sealed.generate import make_case
 from trackres_ros.evaluation.synthetic import drives, write_recordings
 from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.samples import Series
 
 
 def judged(paths, loaded):
@@ -216,13 +220,64 @@ def days_later(columns):
     columns["time_s"] += 5 * 86400.0
 
 
-@pytest.mark.parametrize("change", [None, from_zero, rounded, days_later])
+def rows(choose):
+    """A change: the rows that `choose` picks of so many."""
+    return lambda columns: columns.update({name: x[choose(len(x))] for name, x in columns.items()})
+
+
+cut, tail = rows(lambda n: np.arange(n * 2 // 3)), rows(lambda n: np.arange(n // 3, n))
+repeated = rows(lambda n: np.concatenate([np.arange(n // 2), np.arange(n // 2 - 10, n)]))
+
+
+@pytest.mark.parametrize("change", [None, from_zero, rounded, days_later, cut, tail, repeated])
 def test_a_drive_given_twice_is_refused_with_any_clock(recorded, loaded, tmp_path, change):
     one, other = recorded()
     again = rewritten(one, tmp_path, change, "again.csv") if change else one
     with pytest.raises(InputError, match="each drive once") as error:
         judged([one, other, again], loaded)
     assert error.value.where in (f"{one}, {again}", f"{again}, {one}")
+
+
+def course(seconds, speed, torque, at=slice(None), begin=1.7e9):
+    """What two recordings are compared by, of some samples at 10 Hz."""
+    stamp = (10**8 * np.arange(round(10 * seconds)) + int(begin * 1e9))[at]
+    series = {role: Series(stamp, stamp, x[at]) for role, x in (("speed", speed), ("torque", torque))}
+    return Course.of(Recording("x", series), tuple(series))
+
+
+def driven(seconds, seed, speed_step=0.0, torque_step=0.0):
+    """A drive in traffic, as a bus with these resolutions shows it."""
+    random, n = np.random.default_rng(seed), round(10 * seconds)
+    accel = np.repeat(random.uniform(-1.0, 1.0, n // 50 + 1), 50)[:n]
+    speed = 8.0 + np.cumsum(accel - accel.mean()) * 0.1
+    torque = 500.0 * accel + random.normal(0.0, 20.0, n)
+    return [np.round(x / step) * step if step else x for x, step in ((speed, speed_step), (torque, torque_step))]
+
+
+@settings(max_examples=12)
+@given(st.integers(0, 1100), st.integers(800, 1900), st.sampled_from([0.0, 0.1 / 3.6]), st.integers(2, 50))
+def test_any_part_of_a_drive_is_known_again(first, length, step, lacks):
+    speed, torque = driven(300.0, 1, step, 10.0 * step)
+    part = np.arange(first, first + length)
+    again = course(300.0, speed, torque, part, 5e8)
+    assert same_drive(course(300.0, speed, torque), again)
+    assert same_drive(again, course(300.0, speed, torque))
+    with_others = np.sort(np.concatenate([part, part[:lacks]]))  # an overlapping export with repeated rows
+    assert same_drive(course(300.0, speed, torque, slice(0, first + length)), course(300.0, speed, torque, with_others))
+
+
+def test_two_drives_are_not_one_at_any_resolution():
+    for steps in ((0.0, 0.0), (0.1 / 3.6, 1.0), (1.0 / 3.6, 50.0), (1.0, 1e9)):
+        assert not same_drive(course(1800.0, *driven(1800.0, 1, *steps)), course(1500.0, *driven(1500.0, 2, *steps)))
+
+
+def test_a_constant_speed_in_common_is_no_proof():
+    for seconds in (300.0, 310.0):
+        n = round(10 * seconds)
+        settling = 400.0 + 50.0 * np.exp(-np.arange(n) / 3000.0)
+        for speed, torque in ((0.0, 0.0), (5.0, 400.0), (5.0, settling)):
+            full = [np.broadcast_to(x, n).astype(float) for x in (speed, torque)]
+            assert not same_drive(course(seconds, *full), course(seconds, *full, slice(100, None)))
 
 
 def test_a_cycle_driven_twice_with_another_torque_is_two_drives(recorded, loaded, tmp_path):

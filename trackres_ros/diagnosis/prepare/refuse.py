@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations
 from operator import attrgetter
 from typing import TypeVar
 
 import numpy as np
 
+from trackres_ros.diagnosis.prepare.same_drive import Course, common_roles, same_drive
 from trackres_ros.diagnosis.prepare.session import MOST_LAGS, DriveSession
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, SLOWEST_SHARE, STEP_S
 from trackres_ros.diagnosis.prepare.unit_checks import Conversion
@@ -25,7 +27,6 @@ from trackres_ros.units import KMH_PER_MPS
 SHORTEST_S = 120.0
 EARLIEST_CLOCK_S = 6e8  # 1989: an earlier time is relative to the recording's own start
 MOST_OVERLAP = 0.1  # of the shorter: too much for a small clock error
-SAME_NS, SAME_MPS, SAME_NM = 1_000_000, 1e-4, 0.1  # a table rounds by less, and two drives differ by more
 
 Given = TypeVar("Given")
 Used = TypeVar("Used")
@@ -94,37 +95,23 @@ def too_short_pieces(where: str, step: float) -> InputError:
 
 
 def refuse_repeated(recordings: Sequence[Recording]) -> None:
-    """Refuse two recordings of the same file, or of the same speed and torque: they show the same drive twice."""
-    files = [(one, {path.resolve() for path in one.paths}) for one in recordings]
-    for (one, of_one), (other, of_other) in combinations(files, 2):
-        shared = of_one & of_other
-        if shared or _same_drive(one, other):
+    """Refuse two recordings of the same file, or of the same speed and torque, in whole or in part: they show one drive twice."""
+
+    @cache
+    def course(number: int, roles: tuple[str, ...]) -> Course:
+        return Course.of(recordings[number], roles)
+
+    for (i, one), (j, other) in combinations(enumerate(recordings), 2):
+        shared = {path.resolve() for path in one.paths} & {path.resolve() for path in other.paths}
+        roles = common_roles(one, other)
+        if shared or (roles and same_drive(course(i, roles), course(j, roles))):
+            in_both = ", ".join(map(str, sorted(shared))) or "the same samples, for a minute of driving or for all of it,"
             raise InputError(
                 f"{one.name}, {other.name}",
-                f"{', '.join(map(str, sorted(shared)))} in both" if shared else "the same samples at the same times in both",
-                "each drive once: a second copy would count as independent evidence",
+                f"{in_both} in both",
+                "each drive once: a second copy, also of a part, would count as independent evidence",
                 "give one of them",
             )
-
-
-def _same_drive(one: Recording, other: Recording) -> bool:
-    """Whether two recordings have equal speeds at equal times since their starts, but for rounding, and equal torques if any.
-
-    A driving cycle that was simulated twice has equal speeds alone.
-    """
-    both_have_torque = "torque" in one.series and "torque" in other.series
-    return _same_series(one, other, "speed", SAME_MPS) and (not both_have_torque or _same_series(one, other, "torque", SAME_NM))
-
-
-def _same_series(one: Recording, other: Recording, role: str, same: float) -> bool:
-    a, b = one.series.get(role), other.series.get(role)
-    if a is None or b is None or not 0 < len(a) == len(b):
-        return False
-    for every in (1000, 1):  # few samples tell most drives apart
-        if not np.allclose(a.value[::every], b.value[::every], 0.0, same, equal_nan=True):
-            return False
-    apart_ns = (a.stamp_ns - one.start_ns) - (b.stamp_ns - other.start_ns)
-    return bool((np.abs(apart_ns) <= SAME_NS).all())
 
 
 def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
