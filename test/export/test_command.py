@@ -8,6 +8,7 @@ import json
 import re
 import subprocess
 from contextlib import nullcontext
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,10 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.snapshot import save
 from trackres_ros.export.c_source import check_names, in_c
+from trackres_ros.export.exporting import Request, translated
+from trackres_ros.learning.learner import ON, Learner
+from trackres_ros.learning.parameters import STEP
+from trackres_ros.learning.store import go_on, stored
 
 EFFECT = '''
 """A guard that the belt touches."""
@@ -112,18 +117,34 @@ def test_an_effect_that_c_cannot_say_is_refused_with_its_line(own, trackres):
     assert not (own / "out").exists()
 
 
-def test_what_was_learned_is_what_the_state_begins_with(own, trackres):
-    session = tr.Estimator(tr.load_vehicle(own / "mine.yaml")).session()
+@pytest.mark.parametrize("name", ["mine.yaml", "xgd24d"])
+def test_the_export_begins_with_what_a_restarted_node_knows(own, trackres, name, monkeypatch):
+    monkeypatch.chdir(own)
+    estimator, random = tr.Estimator(tr.load_vehicle(name)), np.random.default_rng(3)
+    session, learner = estimator.session(), Learner(estimator, ON)
     session.handle(at.SPEED, 0, 0, 1.0)
-    save(session, own / "off", 0.0)
-    session.learned[at.Learned.on] = 1.0
-    session.learned[at.Learned.departures.start] = 0.1234567
-    save(session, own / "on", 0.0)
-    assert (
-        "without active learned parameters" in trackres("export", "c", "mine.yaml", "-o", "out", "--state", "off", cwd=own).stderr
-    )
-    assert trackres("export", "c", "mine.yaml", "-o", "out", "--state", "on", cwd=own).returncode == 0
-    assert "0.1234567" in (own / "out" / "trackres.c").read_text()
+    s, numbers = learner.learned, list(learner.own)
+    for learned in (s.mean, s.applied):
+        learned[numbers] = random.uniform(0.2, 0.5, len(numbers)) * np.fmin(learner.prior.high[numbers], 0.1)
+        learned[at.OF_BELT] = 3.0 if estimator.assemblies else 0.0
+    s.aim[:] = s.applied
+    s.covariance *= 0.1
+    save(session, own / "off", 0.0, stored(learner))
+    refused = trackres("export", "c", name, "-o", "out", "--state", "off", cwd=own)
+    assert "without active learned parameters" in refused.stderr
+    s.contest.better, s.lasting_nm, s.step_s, s.mean[STEP] = True, 250.0, 10.0, 250.0
+    save(session, own / "on", 0.0, stored(learner))
+    exported = translated(Request(name, state=Path("on")))
+    again, live = Learner(estimator, ON), estimator.session()
+    go_on(live, again, json.loads((own / "on").read_text())["learning"], off_s=0.0)
+    for i in range(30):
+        row = live.handle(at.SPEED, i * 10**8, i * 10**8, 0.0).row.tolist()
+        again.take(i * 10**8, row, live)
+    first = slice(0, at.Learned.sensitivities.start)
+    begins = next(one.start for one in exported.parts.arrays if one.name == "carried_learned")
+    assert begins[first] == pytest.approx(live.learned[first], rel=1e-3, abs=1e-6)
+    assert live.learned[at.Learned.on] == 1.0
+    assert live.learned[at.Learned.torque] == at.Learned(live.learned).departures[at.OF_BELT] == 0.0
 
 
 def test_the_head_names_vehicle_file_hash_and_version(own, good):

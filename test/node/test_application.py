@@ -447,3 +447,15 @@ def test_a_belt_beyond_the_rubber_data_is_warned_of(desk, tmp_path, repository):
     status = next(found[0] for topic, found in reversed(made.statuses) if topic == "status")
     assert status.level == Level.WARN
     assert "the torque is extrapolated" in status.message
+
+
+@pytest.mark.parametrize(("vehicle", "idle"), [("xgd24d", "wheel_speed/tail"), ("husky", "belt, wheel_speed/tail")])
+def test_roles_that_a_vehicle_has_no_place_for_are_said(desk, tmp_path, vehicle, idle):
+    (tmp_path / "topics.yaml").write_text(
+        "speed: {topic: v, type: std_msgs/msg/Float64, field: data}\n"
+        "belt: {topic: b, type: std_msgs/msg/Float64, field: data}\n"
+        "wheel_speed/tail: {topic: w, type: std_msgs/msg/Float64, field: data}\n"
+    )
+    d = desk(vehicle=vehicle, topics=str(tmp_path / "topics.yaml"))
+    assert f"no belt or wheel for {idle} of the topics file" in d.app.began_with
+    assert "topics file" not in desk(vehicle=vehicle).app.began_with

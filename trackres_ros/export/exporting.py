@@ -27,6 +27,8 @@ from trackres_ros.files.output_files import output_folder
 from trackres_ros.files.own_files import write
 from trackres_ros.files.resources import config_dir, find_vehicle
 from trackres_ros.jit.compiled import sources_digest
+from trackres_ros.learning.learner import ON, Learner
+from trackres_ros.learning.store import go_on_from
 from trackres_ros.node.parameters import make_parameters, read_parameters
 from trackres_ros.vehicle import AnyVehicle
 
@@ -86,11 +88,15 @@ def translated(request: Request, tuned: tuple[str, ...] = ()) -> CSource:
 
 
 def _learned(estimator: Estimator, path: Path) -> Any:
-    learned = snapshot.resume(estimator, path).learned
-    if not learned[at.Learned.on] > 0.0:
+    """The learned values with which a live node goes on after a restart: cold, and without what holds only for the moment."""
+    saved, session, learner = snapshot.read_learning(estimator, path), estimator.session(), Learner(estimator, ON)
+    session.begin(estimator.cold_start(estimator.inputs(0.0)))
+    go_on_from(path, session, learner, saved, off_s=0.0)
+    learner.act(session)
+    if not session.learned[at.Learned.on] > 0.0:
         given, allowed = "a state without active learned parameters", "a state of a run with --learning on"
         raise InputError(f"state file {path}", given, allowed, "save it with --learning on, after enough driving")
-    return learned
+    return session.learned
 
 
 def export_c(request: Request, folder: Path) -> list[Path]:

@@ -82,6 +82,7 @@ class LearnerState:
             self.mean[state] = 0.0
             self.covariance[state, :] = self.covariance[:, state] = 0.0
             self.covariance[state, state] = prior.covariance[state, state]
+        self.aim[at.OF_BELT] = self.applied[at.OF_BELT] = 0.0
         if self.ground.feels:
             self.covariance[SLOPE, SLOPE] = self.ground.slope_variance
         self.keep_before()

@@ -149,7 +149,11 @@ class Learner:
             correction.aim(s, self.prior, self.counted)
         correction.follow(s)
         if self.mode == ON:
-            correction.move(s, self.acts, session.learned, second.number, belt_variances(session)[1])
+            self.act(session)
+
+    def act(self, session: Session) -> None:
+        """Let the accepted values act on the session's next steps, as certain as they are now; none if they are not accepted."""
+        correction.move(self.learned, self.acts, session.learned, self.gate.second.number, belt_variances(session)[1])
 
     def _learn(self, session: Session) -> None:
         s, second = self.learned, self.gate.second

@@ -70,8 +70,8 @@ def go_on(session: Session, learner: Learner | None, saved: object, off_s: float
         learner.age(off_s)
 
 
-def go_on_from(path: Path, session: Session, learner: Learner | None, saved: object) -> None:
-    """As `go_on` without time off, from a state file that is named.
+def go_on_from(path: Path, session: Session, learner: Learner | None, saved: object, off_s: float | None = None) -> None:
+    """As `go_on`, from a state file that is named.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def go_on_from(path: Path, session: Session, learner: Learner | None, saved: obj
         If the learned values are not from a learner of this vehicle.
     """
     try:
-        go_on(session, learner, saved)
+        go_on(session, learner, saved, off_s)
     except ValueError as error:
         allowed, remedy = "learned parameters saved by this program", "delete the file to start anew"
         raise InputError(f"state file {path}", str(error), allowed, remedy) from error

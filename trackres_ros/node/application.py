@@ -25,7 +25,7 @@ from trackres_ros.estimator.warm_up import LIVE, CompilerWarmUp, exercise
 from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.clock import NodeClock
 from trackres_ros.node.comparison import Comparison
-from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics
+from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics, without_effect
 from trackres_ros.node.guard import Guard
 from trackres_ros.node.input_reader import InputReader
 from trackres_ros.node.live_learning import LiveLearning
@@ -94,6 +94,8 @@ class Application:
         self._service = ServiceManager()
         self.learning = LiveLearning(self.estimator, parameters.text("learning"), measured)
         self.session, self.began_with = self.keeper.load(self.estimator, self.learning)
+        if idle := without_effect(self.topics, self.estimator.channels, bool(self.estimator.assemblies)):
+            self.began_with += f"; the vehicle has no belt or wheel for {', '.join(idle)} of the topics file: without effect"
         self._state_at = self._rested_at = time.time()
         self._topic_names = [transport.topic_name(given.name) for given in self.inputs]
         named = [replace(given, name=name) for given, name in zip(self.inputs, self._topic_names, strict=True)]

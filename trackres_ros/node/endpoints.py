@@ -63,6 +63,15 @@ def input_topics(topics: Topics, on_route: bool = False, channels: Collection[st
     return tuple(sorted(_by_topic(topics, needed), key=lambda given: "speed" in given.roles))
 
 
+def without_effect(topics: Topics, channels: Collection[str], belts: bool) -> list[str]:
+    """Roles of a belt or a wheel that a vehicle with these channels, with belts or without, does not have."""
+    return [
+        role
+        for role in topics
+        if (base_role(role) == WHEELS and role not in channels) or (base_role(role) == "belt" and not belts)
+    ]
+
+
 def other_topics(topics: Topics, inputs: Sequence[InputTopic]) -> tuple[InputTopic, ...]:
     """Topics of a topics file that the estimate does not need, but a replay or diagnosis of the recording may."""
     needed = {given.name for given in inputs}
