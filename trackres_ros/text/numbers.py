@@ -57,6 +57,11 @@ def alike(values: Sequence[float | None], difference: float, count: int = 2) -> 
     ]
 
 
+def counted(count: int, one: str, more: str = "") -> str:
+    """A count and what it counts: ``1 gap``, ``2 gaps``; `more`: the plural, if it is not made by an s."""
+    return f"{count} {one if count == 1 else more or one + 's'}"
+
+
 def rising(values: Sequence[float], most: int = 4) -> list[str]:
     """Rising numbers, such as the edges of bins: each with the figures that tell it from its neighbours, and at most so many."""
     apart = [0.0, *(b - a for a, b in pairwise(values)), 0.0]
