@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.report.content import inputs
 from trackres_ros.diagnosis.report.interactive import _nm, _places
-from trackres_ros.diagnosis.report.page import provenance, sha256, write_page
+from trackres_ros.diagnosis.report.page import interval, provenance, sha256, write_page
 from trackres_ros.diagnosis.report.pictures import autocorrelation, cumulative_power
 from trackres_ros.diagnosis.report.series import (
     MOST_RECORDINGS,
@@ -271,6 +271,15 @@ def test_the_page_says_of_how_many_recordings_it_draws_some(scrubbed, tmp_path, 
 )
 def test_hover_shows_three_figures_of_the_largest_torque(largest, shown):
     assert _nm("t", _places(np.array([np.nan, 0.0, -largest]))) == shown
+
+
+def test_sentence_and_table_have_the_same_figures(diagnosed):
+    for found in diagnosed.found:
+        for name, value in found.values.items():
+            of = found.intervals[name]
+            shown, ends, _ = interval({"value": value, "ci95": [of.low, of.high]})
+            if not of.bound_only:
+                assert f"{name} {shown} [{ends.replace(' … ', ', ')}]" in found.values_text
 
 
 def test_white_noise_is_white_and_a_wandering_one_is_not():
