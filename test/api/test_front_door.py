@@ -210,8 +210,8 @@ def test_a_recording_says_what_was_found_wrong(folder):
     path.write_text("\n".join([*lines[:100], *lines[300:]]) + "\n")
     recording = tr.read(path)
     assert any(finding.kind == "gap" for finding in recording.findings)
-    assert "1 gaps longer than" in repr(recording)
-    assert "1 gaps longer than" in recording._repr_html_()
+    assert "1 gap longer than" in repr(recording)
+    assert "1 gap longer than" in recording._repr_html_()
 
 
 def test_topics_are_a_file_or_what_stands_in_one(folder, drive):

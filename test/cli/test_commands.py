@@ -14,6 +14,7 @@ import pytest
 from scipy.integrate import trapezoid
 
 from trackres_ros.cli.options import vehicles_to_complete
+from trackres_ros.offline.energy import taken_text
 from trackres_ros.vehicle import load
 
 
@@ -172,7 +173,7 @@ def test_vehicle_check_prints_what_follows_with_units(good):
     assert checked["tracks"]["low"]["table"]["largest_error"] < 0.003
 
 
-def test_a_replay_without_its_speeds_does_not_say_that_the_vehicle_stood(folder, good):
+def test_a_replay_of_refused_speeds_does_not_say_it_stood(folder, good):
     """A share of one in ten is a remark, here of a speed in km/h that is read as m/s."""
     for driving, said in ((300, True), (10, False)):
         speeds = [0.0] * 100 + [3.6 * 12.0] * driving
@@ -182,6 +183,14 @@ def test_a_replay_without_its_speeds_does_not_say_that_the_vehicle_stood(folder,
         remark = f"! {driving} of {100 + driving} speeds refused as too fast for this vehicle: wrong unit?"
         assert (remark in text) == said
         assert "The vehicle stood the whole time in the accepted samples" in text
+
+
+def test_a_small_drive_has_two_figures_of_everything():
+    of = {"distance_m": 4.2, "under_way_s": 21.0, "mean_resistance_nm": 0.31, "largest_resistance_nm": 9.4, "energy_mj": 0.00123}
+    text = taken_text({**of, "kwh_per_km": 0.0813})
+    assert text == (
+        "The drive: 0.0042 km, 0.35 min of driving; mean resistance 0.31 Nm, at most 9.4 Nm; 0.0012 MJ (0.081 kWh/km)"
+    )
 
 
 def test_replay_of_a_bag_with_a_topics_file(folder, sample, repository, good):

@@ -79,10 +79,12 @@ def test_where_two_differ(good, tmp_path):
     content = yaml.safe_load(file.read_text())
     content["chassis"]["bearing_friction"].update(value=0.006, range=[0.005, 0.007])
     content["chassis"]["axles"][1]["load"]["value"] = 120000.0
+    content["chassis"]["ambient"]["value"] = 20.0
     content["model"]["thermal"] = "core_surface"
     file.write_text(yaml.safe_dump(content))
     found = {d["path"]: d for d in json.loads(good("vehicle", "diff", "xgd24d", file, "--json"))["differences"]}
-    assert set(found) == {"name", "model.thermal", "chassis.bearing_friction", "chassis.axles.rear.load"}
+    assert set(found) == {"name", "model.thermal", "chassis.bearing_friction", "chassis.axles.rear.load", "chassis.ambient"}
+    assert found["chassis.ambient"]["ratio"] is None  # a share of degC says nothing
     assert found["chassis.bearing_friction"]["ratio"] == pytest.approx(0.8)
     assert found["chassis.bearing_friction"]["ranges"] == [[0.004, 0.012], [0.005, 0.007]]
     text = good("vehicle", "diff", "xgd24d", file)

@@ -97,6 +97,9 @@ def test_each_load_air_speed_and_drive_has_its_rows(good, softer, tmp_path):
     found = json.loads(good("compare", "xgd24d", softer, *words, *listed, "--json"))["designs"]
     assert len(found["steady"]) == 2 * 2 * 4
     assert len(found["drives"]) == 2 * 2 * 3
+    text = designs_text(found)
+    assert f"On the drive {found['drives'][0]['cycle']}, air -10 degC, 240 kN " in text
+    assert text.count(", air -10 degC, 240 kN: ") == 2
     cold = {(r["speed_kmh"], r["ambient_degc"], r["weight_kn"][0]): r for r in found["steady"] if r["outcome"] == "cold_nm"}
     assert cold[8.0, -10.0, 240.0]["one"] > cold[8.0, 20.0, 240.0]["one"]
     assert cold[8.0, 20.0, 300.0]["one"] > cold[8.0, 20.0, 240.0]["one"]

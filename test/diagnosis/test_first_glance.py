@@ -25,9 +25,18 @@ from hypothesis import strategies as st
 
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.report.content import inputs
-from trackres_ros.diagnosis.report.page import provenance, sha256, write_page
+from trackres_ros.diagnosis.report.interactive import _nm, _places
+from trackres_ros.diagnosis.report.page import interval, provenance, sha256, write_page
 from trackres_ros.diagnosis.report.pictures import autocorrelation, cumulative_power
-from trackres_ros.diagnosis.report.series import bars, bins_by_variable, bins_of_steps, half_interval, uncertainty, within
+from trackres_ros.diagnosis.report.series import (
+    MOST_RECORDINGS,
+    bars,
+    bins_by_variable,
+    bins_of_steps,
+    half_interval,
+    uncertainty,
+    within,
+)
 from trackres_ros.diagnosis.report.tiles import MOST_WORDS, by_file, headline, lights, stage_of, tiles
 
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftoppm"), reason="no chromium or pdftoppm on this machine")
@@ -252,6 +261,31 @@ def test_bars_of_all_stages_are_over_the_same_steps(diagnosed):
                 assert len(laps) == b.samples
                 assert b.mean_residual == pytest.approx(np.concatenate(off).mean())
                 assert half == pytest.approx(half_interval(np.concatenate(off), laps), nan_ok=True)
+
+
+@pytest.mark.parametrize("count", [2, MOST_RECORDINGS, MOST_RECORDINGS + 3])
+def test_the_page_says_of_how_many_recordings_it_draws_some(scrubbed, tmp_path, count):
+    r = copy.deepcopy(scrubbed[1])
+    r["inputs"]["recordings"] = count * r["inputs"]["recordings"][:1]
+    write_page(tmp_path / "p.html", r, [], "t")
+    said = f"Of {count} recordings, the {MOST_RECORDINGS} with the largest error are drawn." in (tmp_path / "p.html").read_text()
+    assert said == (count > MOST_RECORDINGS)
+
+
+@pytest.mark.parametrize(
+    ("largest", "shown"), [(1650.0, "@t{0} Nm"), (22.0, "@t{0.0} Nm"), (0.31, "@t{0.000} Nm"), (0.0, "@t{0} Nm")]
+)
+def test_hover_shows_three_figures_of_the_largest_torque(largest, shown):
+    assert _nm("t", _places(np.array([np.nan, 0.0, -largest]))) == shown
+
+
+def test_sentence_and_table_have_the_same_figures(diagnosed):
+    for found in diagnosed.found:
+        for name, value in found.values.items():
+            of = found.intervals[name]
+            shown, ends, _ = interval({"value": value, "ci95": [of.low, of.high]})
+            if not of.bound_only:
+                assert f"{name} {shown} [{ends.replace(' … ', ', ')}]" in found.values_text
 
 
 def test_white_noise_is_white_and_a_wandering_one_is_not():

@@ -10,9 +10,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from trackres_ros.diagnosis.empirical.terms import Described
+from trackres_ros.diagnosis.findings.found import UnnamedTerm
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import Verdict
 from trackres_ros.diagnosis.report.pictures import MOST_RECORDINGS, draw_all, draw_regimes, draw_times
+from trackres_ros.diagnosis.report.term_pictures import draw_term
 from trackres_ros.diagnosis.report.timeline import begins, draw_timeline, held_out_times, marked_times, panels
 from trackres_ros.text.numbers import figures
 
@@ -126,6 +129,17 @@ def test_a_gap_breaks_the_line(drawn, diagnosed, tmp_path):
         assert np.isnan(y[(x > minutes[0]) & (x < minutes[1])]).all()
 
 
+def test_a_gated_curve_is_drawn_of_steps_with_an_open_gate(drawn, diagnosed, tmp_path):
+    described = Described("gated_curve", "while_fast", "While fast, it needs 100 Nm more", (), 100.0, "grade", "", "while fast")
+    adds = [np.where(s.time % 40.0 < 10.0, 100.0 * np.sign(s.speed), 0.0) for s in diagnosed.sessions]
+    course = [s.time for s in diagnosed.sessions]
+    term = UnnamedTerm(described, adds, course, {}, 0.0, diagnosed.found[0].graded)
+    picture = draw_term(diagnosed, term, tmp_path / "t.png")
+    y = lines(drawn.figures[0].axes[0])["while_fast as fitted"].get_ydata()
+    np.testing.assert_allclose(y, 100.0)
+    assert "from 100 to 100 Nm" in picture.alternative
+
+
 @pytest.mark.parametrize("count", [1, 9, 70])
 def test_any_number_of_recordings_with_any_names(drawn, diagnosed, tmp_path, count):
     of = [i % 2 for i in range(count)]
@@ -135,7 +149,7 @@ def test_any_number_of_recordings_with_any_names(drawn, diagnosed, tmp_path, cou
     assert not drawn.faults(figure)
     assert sum(axes.get_visible() for axes in figure.axes) == min(count, MOST_RECORDINGS)
     if count > MOST_RECORDINGS:
-        assert f"{count - MOST_RECORDINGS} are not drawn" in picture.alternative
+        assert f"error are drawn; {count - MOST_RECORDINGS} are not drawn" in picture.alternative
     else:
         assert "not drawn" not in picture.alternative
 

@@ -101,6 +101,14 @@ def test_a_logarithmic_axis_is_labelled_without_maths(drawn, tmp_path):
     assert not drawn.faults(drawn.figures[0])
 
 
+def test_lines_of_many_assemblies_differ(drawn, tmp_path):
+    columns = {"speed_mps": np.ones(5), "resistance_torque_nm": np.ones(5)}
+    columns |= {f"belt_degc/{i}": np.full(5, 10.0 * i) for i in range(16)}
+    estimate_figure(np.arange(5.0), columns, "t", path=tmp_path / "a.png")
+    lines = drawn.figures[0].axes[2].lines
+    assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 16
+
+
 @pytest.mark.parametrize("rows", [100, 9000])
 def test_no_line_or_band_crosses_a_gap(drawn, tmp_path, rows):
     time = np.arange(rows) * 0.1

@@ -159,7 +159,7 @@ def test_the_report_says_it_all() -> None:
     assert "  speed [m/s]: 200 samples at 10 Hz, " in "\n".join(report)
     assert "  load/front [N]: 3 samples at 10 Hz, 100000 to 100000" in report
     assert "  a note" in report
-    assert "  speed: 1 values are not finite (first at 0.70 s)" in report
+    assert "  speed: 1 value is not finite (first at 0.70 s)" in report
     assert "  torque: no sample at all" in report
 
 

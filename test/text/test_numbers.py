@@ -5,13 +5,14 @@
 
 import math
 import re
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.text.numbers import alike, decimals, figures
+from trackres_ros.text.numbers import alike, counted, decimals, figures, rising
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 BELOW_A_MILLION = st.floats(-999_499.0, 999_499.0)
@@ -31,6 +32,14 @@ def test_no_more_figures_than_asked_and_as_near_as_they_allow(value, count):
     text = figures(value, count)
     assert count_of(text) <= count
     assert float(text) == float(f"{value:.{count}g}")
+
+
+@given(st.lists(BELOW_A_MILLION, min_size=2, max_size=8, unique=True).map(sorted))
+def test_neighbours_among_rising_numbers_differ_in_few_figures(values):
+    texts = rising(values)
+    assert all(count_of(text) <= 4 for text in texts)
+    for (a, one), (b, other) in pairwise(zip(values, texts, strict=True)):
+        assert one != other or b - a < 2e-3 * max(abs(a), abs(b))
 
 
 @given(BELOW_A_MILLION, st.integers(1, 6), st.integers(0, 6))
@@ -96,3 +105,9 @@ def test_nothing_else_writes_few_figures_by_hand():
         if FEW_FIGURES.search(line) and "float(f" not in line
     ]
     assert by_hand == []
+
+
+@given(st.integers(0, 9))
+def test_only_one_thing_is_in_the_singular(count):
+    assert counted(count, "gap") == ("1 gap" if count == 1 else f"{count} gaps")
+    assert counted(count, "value is", "values are") == ("1 value is" if count == 1 else f"{count} values are")

@@ -101,7 +101,7 @@ def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None =
     Notes
       speed: column speed_kmh
     Found
-      speed: 1 gaps longer than 10 s, the longest 27 s (first at 3.00 s)
+      speed: 1 gap longer than 10 s, the longest 27 s (first at 3.00 s)
     """
     from dataclasses import replace
 

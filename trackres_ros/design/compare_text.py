@@ -27,7 +27,8 @@ def designs_text(found: Mapping[str, Any]) -> str:
     """The headline, steady states, drives, and resistance over speed and belt temperature."""
     names = [design["vehicle"] for design in found["designs"]]
     parts = [f"note: {note}" for note in found["notes"]]
-    parts.append(headline(found["drives"][0], names))
+    first, at = found["drives"][0], _which(found["drives"])
+    parts.append(headline({**first, "cycle": first["cycle"] + at}, names))
     parts += _conditions("Steady", found["steady"], "speed_kmh", "km/h", STEADY, names)
     parts += _conditions("Drives from cold", found["drives"], "cycle", "drive", DRIVEN, names)
     parts.append(
@@ -49,10 +50,17 @@ def designs_text(found: Mapping[str, Any]) -> str:
     for design in found["designs"]:
         of = design["drive"]
         parts.append(
-            f"{design['vehicle']}: {decimals(of['kwh_per_km'], 2)} kWh/km against resistance on {decimals(of['km'], 1)} km, "
+            f"{design['vehicle']}{at}: {decimals(of['kwh_per_km'], 2)} kWh/km against resistance on {decimals(of['km'], 1)} km, "
             f"{decimals(of['wh_per_km_and_t'])} Wh/km for each tonne"
         )
     return "\n".join(parts)
+
+
+def _which(drives: Sequence[Mapping[str, Any]]) -> str:
+    """Air temperature and weight of the first drive, as far as there are several."""
+    air = f", air {drives[0]['ambient_degc']:g} degC" if len({row["ambient_degc"] for row in drives}) > 1 else ""
+    several = len({tuple(row["weight_kn"]) for row in drives}) > 1
+    return f"{air}, {figures(drives[0]['weight_kn'][0], 4)} kN" if several else air
 
 
 def headline(row: Mapping[str, Any], names: Sequence[str]) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from trackres_ros.model.resistance import at_first_radius
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.output.preview import longest_step
-from trackres_ros.text.numbers import decimals
+from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle import AnyVehicle, Vehicle
 
@@ -108,9 +108,9 @@ def taken_text(of: Mapping[str, float]) -> str:
     """The same in a sentence."""
     if not of["under_way_s"]:
         return "The vehicle stood the whole time"
-    way, minutes = decimals(of["distance_m"] / 1000.0, 2), decimals(of["under_way_s"] / 60.0, 1)
-    mean, largest = decimals(of["mean_resistance_nm"]), decimals(of["largest_resistance_nm"])
-    energy, each_km = decimals(of["energy_mj"], 1), decimals(of["kwh_per_km"], 2)
+    way, minutes = _shown(of["distance_m"] / 1000.0, 2), _shown(of["under_way_s"] / 60.0, 1)
+    mean, largest = _shown(of["mean_resistance_nm"]), _shown(of["largest_resistance_nm"])
+    energy, each_km = _shown(of["energy_mj"], 1), _shown(of["kwh_per_km"], 2)
     belts = ""
     if "coldest_belt_degc" in of:
         belts = f"; belts {decimals(of['coldest_belt_degc'], 1)} to {decimals(of['warmest_belt_degc'], 1)} degC"
@@ -118,3 +118,8 @@ def taken_text(of: Mapping[str, float]) -> str:
         f"The drive: {way} km, {minutes} min of driving; mean resistance {mean} Nm, at most {largest} Nm; {energy} MJ "
         f"({each_km} kWh/km){belts}"
     )
+
+
+def _shown(value: float, places: int = 0) -> str:
+    """A number with so many decimals; a small one with two figures."""
+    return decimals(value, places) if abs(value) >= 10.0 ** (1 - places) else figures(value, 2)

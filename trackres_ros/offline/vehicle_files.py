@@ -79,7 +79,8 @@ def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
 
 
 def differences(one: str, other: str) -> list[dict[str, Any]]:
-    """Differences of two vehicle files: path, unit, both values, the second over the first if both are numbers, and ranges.
+    """Differences of two vehicle files: path, unit, both values, the second over the first if both are numbers with a
+    true zero, and ranges.
 
     Raises
     ------
@@ -95,7 +96,7 @@ def differences(one: str, other: str) -> list[dict[str, Any]]:
         values = [q.get("value") if isinstance(q, Mapping) else q for q in quantities]
         ranges = [q.get("range") if isinstance(q, Mapping) else None for q in quantities]
         units = [q["unit"] for q in quantities if isinstance(q, Mapping) and "unit" in q]
-        numbers = all(isinstance(v, float | int) and not isinstance(v, bool) for v in values)
+        numbers = "degC" not in units and all(isinstance(v, float | int) and not isinstance(v, bool) for v in values)
         found.append(
             {
                 "path": path,

@@ -51,6 +51,7 @@ LEARNED = {
     "rotating_mass_factor": "mass",
 }  # fmt: skip
 COLOURS = (BLUE, ORANGE, SKY, GREEN)
+LINES = "-", "--", ":"  # of assemblies beyond the palette
 LETTERS_FROM = 0.6  # of the darkest: letters on it are white
 
 
@@ -172,7 +173,14 @@ def _draw_belt(axes: Axes, x: TimeAxis, columns: Mapping[str, Array]) -> None:
             _line(axes, x, mean, "belt, mean", BLACK)
         else:
             for i, (name, values) in enumerate(by_assembly.items()):
-                _line(axes, x, values, name.replace("_", " "), PALETTE[i % len(PALETTE)])
+                _line(
+                    axes,
+                    x,
+                    values,
+                    name.replace("_", " "),
+                    PALETTE[i % len(PALETTE)],
+                    linestyle=LINES[i // len(PALETTE) % len(LINES)],
+                )
     elif "belt_degc" in columns:
         _line(axes, x, columns["belt_degc"], "belt, mean", BLACK)
     if "ambient_degc" in columns:

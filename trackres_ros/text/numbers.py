@@ -5,6 +5,7 @@
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 PLAIN_BELOW = 1e6
 PLAIN_FROM = 1e-4
@@ -53,6 +54,20 @@ def alike(values: Sequence[float | None], difference: float, count: int = 2) -> 
     return [
         MISSING if v is None or math.isnan(v) else decimals(round(v, places) if math.isfinite(v) else v, max(0, places))
         for v in values
+    ]
+
+
+def counted(count: int, one: str, more: str = "") -> str:
+    """A count and what it counts: ``1 gap``, ``2 gaps``; `more`: the plural, if it is not made by an s."""
+    return f"{count} {one if count == 1 else more or one + 's'}"
+
+
+def rising(values: Sequence[float], most: int = 4) -> list[str]:
+    """Rising numbers, such as the edges of bins: each with the figures that tell it from its neighbours, and at most so many."""
+    apart = [0.0, *(b - a for a, b in pairwise(values)), 0.0]
+    nearest = [min((distance for distance in pair if distance > 0.0), default=0.0) for pair in pairwise(apart)]
+    return [
+        figures(round(v, 1 - _exponent(distance)) if distance else v, most) for v, distance in zip(values, nearest, strict=True)
     ]
 
 

@@ -121,4 +121,5 @@ def with_interval(value: float, interval: Interval | None) -> str:
         return figures(value)
     if interval.bound_only:
         return f"{figures(value)}, bounded only between {figures(interval.low)} and {figures(interval.high)}"
-    return f"{figures(value)} [{figures(interval.low)}, {figures(interval.high)}]"
+    shown, low, high = alike((value, interval.low, interval.high), interval.high - interval.low)
+    return f"{shown} [{low}, {high}]"

@@ -11,6 +11,7 @@ from __future__ import annotations
 import base64
 import gzip
 import json
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, smoothed
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.series import (
+    MOST_RECORDINGS,
     bars,
     bins_of_steps,
     clock,
@@ -45,11 +47,10 @@ from trackres_ros.diagnosis.report.timeline import (
 )
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.output.style import GREY, ORANGE, shortened
-from trackres_ros.text.numbers import alike
+from trackres_ros.text.numbers import alike, figures, rising
 
 Array = NDArray[np.float64]
 
-MOST_RECORDINGS = 24
 DOCUMENT = "diagnosis"
 SHOWN_EACH_S = 4.0  # of means over `SMOOTHED_S`
 LONGEST_LAP_S = 1200.0
@@ -168,16 +169,27 @@ def _figure(title: str, height: int, zoom: bool = True, **more: Any) -> Any:
     return drawn
 
 
-def _strips(figure: Any, session: int, unit: float) -> None:
-    """Strips for highlighting; the page's script writes their times."""
+def _strips(figure: Any, session: int, unit: float, counted: bool) -> None:
+    """Strips for highlighting; the page's script writes their times, and sums up those that are counted."""
     from bokeh.models import ColumnDataSource
 
-    source = ColumnDataSource({"x0": [], "x1": []}, name="lit", tags=[session, unit])
+    source = ColumnDataSource({"x0": [], "x1": []}, name="lit", tags=[session, unit, counted])
     figure.vstrip("x0", "x1", source=source, fill_color=ORANGE, fill_alpha=0.45, line_color=None, level="underlay")
 
 
 def _numbers(values: Array, places: int = 1) -> list[float]:
     return [float(v) for v in np.round(values, places)]
+
+
+def _places(torques: Array) -> int:
+    """Decimals of a torque [Nm] that show three figures of the largest; none from 100 Nm on."""
+    largest = float(np.nanmax(np.abs(torques), initial=0.0))
+    return min(6, max(0, 2 - math.floor(math.log10(largest)))) if largest > 0.0 else 0
+
+
+def _nm(column: str, places: int) -> str:
+    """A torque of a column for Bokeh's hover."""
+    return f"@{column}{{0{'.' + '0' * places if places else ''}}} Nm"
 
 
 def _believed(d: Diagnosis, over_all: Sequence[Panel]) -> list[tuple[str, Any]]:
@@ -187,7 +199,7 @@ def _believed(d: Diagnosis, over_all: Sequence[Panel]) -> list[tuple[str, Any]]:
 
     ends, found = begins(d), []
     every = np.concatenate([values for panel in over_all for line in panel.lines for values in line.values])
-    every = every[np.isfinite(every)]
+    every, places = every[np.isfinite(every)], _places(every)
     low, high = (min(0.0, float(every.min())), max(0.0, float(every.max()))) if len(every) else (-1.0, 1.0)
     rim = 0.1 * (high - low) + 1e-9
     across = Range1d(start=0.0, end=ends[-1], bounds="auto")
@@ -214,14 +226,14 @@ def _believed(d: Diagnosis, over_all: Sequence[Panel]) -> list[tuple[str, Any]]:
             # A nan after each session breaks the line before the next.
             columns["t"] += [*_numbers(minutes(d, i)[rows], 3), float("nan")]
             for k, line in enumerate(panel.lines):
-                columns.setdefault(f"y{k}", []).extend([*_numbers(line.values[i][rows]), float("nan")])
+                columns.setdefault(f"y{k}", []).extend([*_numbers(line.values[i][rows], places + 1), float("nan")])
         source = ColumnDataSource(columns)
         lines = [
             figure.line("t", f"y{k}", source=source, color=line.colour, line_dash="solid" if line.solid else "dashed",
                         line_width=(3.4 if line.solid else 2.0) if line.wide else 1.1)
             for k, line in sorted(enumerate(panel.lines), key=lambda of: not of[1].wide)  # the measured lines on top
         ]  # fmt: skip
-        texts = [("time", f"@t{{0.0}} {clock(d)[1]}"), *((line.text, f"@y{k}{{0}} Nm") for k, line in enumerate(panel.lines))]
+        texts = [("time", f"@t{{0.0}} {clock(d)[1]}"), *((line.text, _nm(f"y{k}", places)) for k, line in enumerate(panel.lines))]
         figure.add_tools(HoverTool(renderers=lines[-1:], tooltips=texts, mode="vline"))
         figure.yaxis.axis_label = "torque [Nm]"
         if number == len(over_all) - 1:
@@ -235,25 +247,26 @@ def _over_time(d: Diagnosis, shown: Sequence[int]) -> list[tuple[str, Any]]:
     from bokeh.models import ColumnDataSource, HoverTool, Range1d
     from bokeh.models.annotations import BoxAnnotation, Span
 
+    unit, word = clock(d)
     every = {of.key: [smoothed(s, s.torque - of.torques[i]) for i, s in enumerate(d.sessions)] for of in stages(d)}
     values = np.concatenate([np.concatenate(of) for of in every.values()])
-    values = values[np.isfinite(values)]
+    values, places = values[np.isfinite(values)], _places(values)
     low, high = (float(q) for q in np.quantile(values, (0.001, 0.999))) if len(values) else (-1.0, 1.0)
     rim = 0.1 * (max(high, 0.0) - min(low, 0.0)) + 1e-9
-    across = Range1d(start=0.0, end=max(d.sessions[i].time[-1] for i in shown) / 60.0, bounds="auto")
+    across = Range1d(start=0.0, end=max(d.sessions[i].time[-1] for i in shown) / unit, bounds="auto")
     up = Range1d(start=min(low, 0.0) - rim, end=max(high, 0.0) + rim)
     found = []
     for i in shown:
         session = d.sessions[i]
         rows = slice(0, None, max(1, int(SHOWN_EACH_S * session.pace / session.step)))
-        columns = {key: _numbers(of[i][rows]) for key, of in every.items()}
-        source = ColumnDataSource({"t": _numbers(session.time[rows] / 60.0, 3), **columns})
+        columns = {key: _numbers(of[i][rows], places + 1) for key, of in every.items()}
+        source = ColumnDataSource({"t": _numbers(session.time[rows] / unit, 3), **columns})
         figure = _figure(shortened(Path(session.name).name, TITLE_LETTERS), RESIDUAL_HEIGHT, x_range=across, y_range=up)
         for begin, end in runs(session, np.isin(session.block, d.split.held_out)):
             figure.add_layout(
-                BoxAnnotation(left=begin / 60.0, right=end / 60.0, fill_color=GREY, fill_alpha=0.15, line_color=None)
+                BoxAnnotation(left=begin / unit, right=end / unit, fill_color=GREY, fill_alpha=0.15, line_color=None)
             )
-        _strips(figure, i, 60.0)
+        _strips(figure, i, unit, True)
         figure.add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_width=1))
         lines = [
             figure.line("t", of.key, source=source, color=of.colour, line_width=1.0 if of.key == "nominal" else 1.6)
@@ -261,13 +274,13 @@ def _over_time(d: Diagnosis, shown: Sequence[int]) -> list[tuple[str, Any]]:
         ]
         for change in d.changes or ():
             if change.recording == session.name:
-                figure.add_layout(Span(location=change.time / 60.0, dimension="height", line_color=GREY, line_dash="dashed"))
-        texts = [("time", "@t{0.0} min"), *((of.label, f"@{of.key}{{0}} Nm") for of in stages(d))]
+                figure.add_layout(Span(location=change.time / unit, dimension="height", line_color=GREY, line_dash="dashed"))
+        texts = [("time", f"@t{{0.0}} {word}"), *((of.label, _nm(of.key, places)) for of in stages(d))]
         figure.add_tools(HoverTool(renderers=lines[1:2], tooltips=texts, mode="vline"))
         figure.yaxis.ticker.desired_num_ticks = 4
         figure.yaxis.axis_label = "residual [Nm]"
         if i == shown[-1]:
-            figure.xaxis.axis_label = f"time [min]; means over {lasting(d, SMOOTHED_S)}"
+            figure.xaxis.axis_label = f"time [{word}]; means over {lasting(d, SMOOTHED_S)}"
         found.append(("time", figure))
     return found
 
@@ -281,21 +294,25 @@ def _lap(d: Diagnosis) -> list[tuple[str, Any]]:
     rows = rows[: int(LONGEST_LAP_S * session.pace / session.step)]
     columns = {"measured": np.where(session.used, session.torque, np.nan)[rows], "speed": session.speed[rows]}
     columns |= {of.key: of.torques[index][rows] for of in stages(d)}
-    places = {"speed": 2}
+    places = _places(columns["measured"])
     source = ColumnDataSource(
-        {"t": _numbers(session.time[rows]), **{k: _numbers(v, places.get(k, 1)) for k, v in columns.items()}}
+        {
+            "t": _numbers(session.time[rows], 3),
+            **{k: _numbers(v, 2 if k == "speed" else places + 1) for k, v in columns.items()},
+        }
     )
     torque = _figure(f"{shortened(Path(session.name).name, TITLE_LETTERS - 20)}: measured and simulated", LAP_HEIGHT + 50)
     speed = _figure("speed", LAP_HEIGHT - 30, x_range=torque.x_range)
     for figure in (torque, speed):
-        _strips(figure, index, 1.0)
+        _strips(figure, index, 1.0, False)
     measured = torque.line("t", "measured", source=source, color="#555555", line_width=3, line_alpha=0.6)
     for of in stages(d)[1:]:
         torque.line("t", of.key, source=source, color=of.colour, line_width=1.4)
     line = speed.line("t", "speed", source=source, color="#555555")
-    texts = [("time", "@t{0} s"), ("measured", "@measured{0} Nm"), *((of.label, f"@{of.key}{{0}} Nm") for of in stages(d))]
+    time = ("time", "@t{0} s" if session.step >= 1.0 else "@t{0.00} s")
+    texts = [time, ("measured", _nm("measured", places)), *((of.label, _nm(of.key, places)) for of in stages(d))]
     torque.add_tools(HoverTool(renderers=[measured], tooltips=texts, mode="vline"))
-    speed.add_tools(HoverTool(renderers=[line], tooltips=[("time", "@t{0} s"), ("speed", "@speed{0.00} m/s")], mode="vline"))
+    speed.add_tools(HoverTool(renderers=[line], tooltips=[time, ("speed", "@speed{0.00} m/s")], mode="vline"))
     torque.yaxis.axis_label, speed.yaxis.axis_label, speed.xaxis.axis_label = "torque [Nm]", "speed [m/s]", "time [s]"
     return [("lap", torque), ("lap", speed)]
 
@@ -309,16 +326,17 @@ def _bars(d: Diagnosis) -> list[tuple[str, Any]]:
     for name, edges, of_stages in bars(d):
         unit, ticks = of_stages[0].bins[0].unit, (np.arange(len(edges)) - 0.5).tolist()
         figure = _figure(f"{name} [{unit}]", BARS_HEIGHT, False, y_range=up)
-        drawn = []
+        drawn, places = [], 1 + _places(np.array([b.mean_residual for b in of_stages[0].bins]))
         for stage, bins, x, half in of_stages:
             mean = np.array([b.mean_residual for b in bins])
             ends += [*(mean + np.nan_to_num(half)), *(mean - np.nan_to_num(half))]
             ranges = [" to ".join(alike((b.low, b.high), b.high - b.low)) for b in bins]
             source = ColumnDataSource(
                 {
-                    "x": x.tolist(), "mean": _numbers(mean),
-                    "low": _numbers(mean - half), "high": _numbers(mean + half),
-                    "range": ranges, "seconds": [b.samples for b in bins], "p": [b.p for b in bins],
+                    "x": x.tolist(), "mean": _numbers(mean, places),
+                    "low": _numbers(mean - half, places), "high": _numbers(mean + half, places),
+                    "range": ranges, "seconds": [figures(b.samples * d.sessions[0].step, 4) for b in bins],
+                    "p": [b.p for b in bins],
                     "key": [f"{name}:{n}" for n in range(len(bins))], "of": [stage.label] * len(bins),
                 }
             )  # fmt: skip
@@ -338,7 +356,7 @@ def _bars(d: Diagnosis) -> list[tuple[str, Any]]:
         texts = [("", "@of"), (name, f"@range {unit}"), mean_text, ("of", "@seconds s"), ("p", "@p{0.000}")]
         figure.add_tools(HoverTool(renderers=drawn, tooltips=texts), TapTool(renderers=drawn))
         figure.xaxis.ticker = FixedTicker(ticks=ticks)
-        figure.xaxis.major_label_overrides = dict(zip(ticks, alike(edges, 0.1 * (edges[-1] - edges[0])), strict=True))
+        figure.xaxis.major_label_overrides = dict(zip(ticks, rising(edges), strict=True))
         figure.yaxis.ticker.desired_num_ticks = 4
         found.append(("bars", figure))
     rim = 0.05 * (max(ends) - min(ends)) + 1e-9

@@ -37,7 +37,7 @@ async function start() {
     const [of, letter] = key === null ? [null, ""] : effect ? [key, "0"] : [key.slice(0, cut), key.slice(cut + 1)];
     let seconds = 0;
     for (const source of sources) {
-      const [session, unit] = source.tags;
+      const [session, unit, counted] = source.tags;
       const steps = data.steps[session];
       const letters = (of === null ? null : steps[of]) ?? "";
       const number = Number(letter);
@@ -50,7 +50,7 @@ async function start() {
         while (lit.has(letters[i + 1])) i++;
         x0.push((steps.begin + steps.step * first) / unit);
         x1.push((steps.begin + steps.step * (i + 1)) / unit);
-        if (unit === 60) seconds += steps.step * (i + 1 - first);
+        if (counted) seconds += steps.step * (i + 1 - first);
       }
       source.data = { x0, x1 };
     }

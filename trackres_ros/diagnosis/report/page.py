@@ -20,6 +20,7 @@ import scipy
 
 from trackres_ros.diagnosis.report.interactive import Interactive
 from trackres_ros.diagnosis.report.picture import Picture
+from trackres_ros.diagnosis.report.series import MOST_RECORDINGS
 from trackres_ros.diagnosis.report.tiles import by_file, headline, lights, stage_of, tiles
 from trackres_ros.files.own_files import write
 from trackres_ros.text.numbers import alike, decimals, figures
@@ -75,6 +76,7 @@ def write_page(
         by_file=by_file(report) if "written" in report else ([], []),
         lights=list(lights(report)),
         stage=stage_of(report),
+        most_recordings=MOST_RECORDINGS,
         plots=plots if isinstance(plots, Interactive) else None,
         no_plots=plots if isinstance(plots, str) else "",
         script=Path(__file__).with_name("page.js").read_text(encoding="utf-8"),

@@ -18,6 +18,7 @@ from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.picture import MOST_POINTS, TITLE_LETTERS, WIDTH, Picture
 from trackres_ros.diagnosis.report.series import (
     INTERVAL,
+    MOST_RECORDINGS,
     bars,
     clock,
     half_interval,
@@ -29,7 +30,7 @@ from trackres_ros.diagnosis.report.series import (
 from trackres_ros.diagnosis.report.term_pictures import draw_effect, draw_route, draw_term
 from trackres_ros.diagnosis.report.timeline import draw_timeline
 from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, picture, picture_with_legend, shortened, thinned
-from trackres_ros.text.numbers import alike, decimals, figures
+from trackres_ros.text.numbers import alike, figures, rising
 
 Array = NDArray[np.float64]
 
@@ -37,7 +38,7 @@ LONGEST_SHOWN_S = 400.0
 PIECE_S = 30.0  # mean errors of longer pieces are hardly correlated
 ROUTE_PICTURES = "route.svg", "route_beside.svg"
 DARK = "#333333"
-IN_ONE_COLUMN, MOST_RECORDINGS = 8, 24
+IN_ONE_COLUMN = 8
 LAGS = 30
 SHOWN_FREQUENCIES = 400
 BARTLETT = 1.358  # over the root of the number of frequencies: 95 % of white noise stays within (Kolmogorov and Smirnov)
@@ -83,7 +84,7 @@ def draw_before_after(d: Diagnosis, path: Path) -> Picture:
         lower.plot(time, session.speed[rows], color=GREY)
         lower.set_ylabel("speed [m/s]")
         lower.set_xlabel("time [s]")
-    error = [decimals(float(np.nanmean(np.abs(measured - simulated)))) for simulated in (before, after)]
+    error = [figures(float(np.nanmean(np.abs(measured - simulated)))) for simulated in (before, after)]
     with_terms = f" before and {error[1]} Nm with {', '.join(d.modelled)}" if d.modelled else ""
     text = f"Torque over time on a held-out lap: the mean error is {error[0]} Nm{with_terms}."
     return Picture(path, "Measured against simulated", text)
@@ -124,12 +125,16 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
             [axis for axis in column if axis.get_visible()][-1].set_xlabel(f"time [{word}]")
         body.supylabel("measured minus simulated [Nm]", fontsize=9)
     count, left_out = len(d.sessions), len(d.sessions) - len(shown)
-    worst = f" Of {count} recordings, the {len(shown)} with the largest error;{left_out} are not drawn." if left_out else ""
+    worst = (
+        f" Of {count} recordings, the {len(shown)} with the largest error are drawn; {left_out} are not drawn."
+        if left_out
+        else ""
+    )
     return Picture(
         path,
         "Where: over time",
         f"Measured minus simulated torque over the time of each recording, means over {lasting(d, SMOOTHED_S)}; with gaps where "
-        f"nothing could be compared. With the base re-fitted the root mean square is {decimals(rms_nm)} Nm.{worst}",
+        f"nothing could be compared. With the base re-fitted the root mean square is {figures(rms_nm)} Nm.{worst}",
     )
 
 
@@ -151,7 +156,7 @@ def draw_regimes(d: Diagnosis, path: Path) -> Picture:
                             "*", (x, 0.0), (0, -1 if above else 1), textcoords="offset points", ha="center",
                             va="top" if above else "bottom", color=stage.colour,
                         )  # fmt: skip
-            axis.set_xticks(np.arange(len(edges)) - 0.5, alike(edges, 0.1 * (edges[-1] - edges[0])), fontsize=7)
+            axis.set_xticks(np.arange(len(edges)) - 0.5, rising(edges), fontsize=7)
             axis.margins(y=0.15)
             axis.axhline(0.0, color=GREY, linewidth=0.8)
             axis.set_title(f"{name} [{of_stages[0].bins[0].unit}]", fontsize=8.5)
@@ -164,7 +169,9 @@ def draw_regimes(d: Diagnosis, path: Path) -> Picture:
     texts = []
     for b in d.at_base.significant[:5]:
         low, high = alike((b.low, b.high), b.high - b.low)
-        texts.append(f"{decimals(b.mean_residual, signed=True)} Nm at {b.variable} {low} to {high} {b.unit}")
+        texts.append(
+            f"{'+' if b.mean_residual > 0.0 else ''}{figures(b.mean_residual)} Nm at {b.variable} {low} to {high} {b.unit}"
+        )
     text = (
         "Mean residual by bins of each variable, each with as many samples; the numbers are the edges of the bins, lines "
         "are 95 % intervals over laps, and a star marks bins beyond noise. With the base re-fitted: "

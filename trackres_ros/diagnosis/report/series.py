@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 
 NOWHERE, IN_TWO = ".", "a"
 INTERVAL = 1.96  # standard deviations, of 95 %
+MOST_RECORDINGS = 24  # that are drawn over their time: those with the largest error
 SEED = 1  # of the test of the last fit in the bins of the base
 
 

@@ -25,11 +25,12 @@ from trackres_ros.diagnosis.report.series import INTERVAL, clock, lasting
 from trackres_ros.output.style import BLUE, GREY, VERMILION, picture_with_legend, shortened, thinned
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.route.lookup import SPACING_M
-from trackres_ros.text.numbers import decimals, figures
+from trackres_ros.text.numbers import alike, figures
 
 Array = NDArray[np.float64]
 
 SHOWN_BINS = 24
+OFF_NM = 1e-6  # a term whose gate is closed adds no more
 AGAINST = "torque against travel [Nm]"
 PERCENT = 100.0
 
@@ -52,7 +53,8 @@ def draw_term(d: Diagnosis, term: UnnamedTerm, path: Path) -> Picture:
     adds = against_travel(d.sessions, term.adds)
     if term.course:
         label = f"{of.variable} [{of.unit}]" if of.unit else of.variable or of.gate
-        return _over(d, term.course, adds, left_over, label, of.name, of.sentence, path)
+        course = [np.where(np.abs(x) > OFF_NM, c, np.nan) for c, x in zip(term.course, adds, strict=True)]
+        return _over(d, course if of.gate else term.course, adds, left_over, label, of.name, of.sentence, path)
     if of.stretches:
         return _by_stretch(d, of, path)
     if of.form == "level_change":
@@ -129,8 +131,8 @@ def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], of: Desc
 def _over(
     d: Diagnosis, course: list[Array], adds_: list[Array], left_over: list[Array], label: str, name: str, title: str, path: Path
 ) -> Picture:
-    """The residual without a term, and the term's torque, over its variable."""
-    used = np.concatenate([s.used for s in d.sessions])
+    """The residual without a term, and the term's torque, over its variable, where that is known."""
+    used = np.concatenate([s.used & np.isfinite(c) for s, c in zip(d.sessions, course, strict=True)])
     adds, residual, x = (np.concatenate(series)[used] for series in (adds_, left_over, course))
     _, place = evenly_filled(x, SHOWN_BINS)
     count = np.bincount(place)
@@ -152,7 +154,8 @@ def _over(
         )
         axis.plot(middle[shown], term[shown], color=VERMILION, label=f"{name} as fitted")
         _label(axis, label, AGAINST, title)
-    least, most = decimals(term[shown].min()), decimals(term[shown].max())
+    ends = float(term[shown].min()), float(term[shown].max())
+    least, most = alike(ends, ends[1] - ends[0])
     text = f"Residual without {name}, and the fitted term, over {label}; from {least} to {most} Nm."
     return Picture(path, f"The term: {name}", text)
 
