@@ -288,6 +288,10 @@ def test_the_sentence_gives_the_size_of_the_pictured_residual():
     assert "from 40 Nm less to 63 Nm more" in both.residual(here, bins, 20.0)
     assert "root mean square of 20 Nm" in replace(one_way, follows=0.0).residual(here, bins, 20.0)
     assert "about 63 Nm more" in both.residual(here, regimes(), 20.0)
+    everywhere, small = replace(one_way, low=0.0), replace(here, mean_residual=-3.0)
+    assert "about 63 Nm more" in everywhere.residual(here, bins, 20.0)
+    assert "root mean square of 20 Nm" in everywhere.residual(small, bins, 20.0)
+    assert "about 3 Nm less" in one_way.residual(small, bins, 20.0)
 
 
 def test_an_edge_that_is_nothing_on_its_scale_is_zero():
@@ -482,6 +486,15 @@ def test_what_has_no_name_is_described_with_what_to_look_for():
     verdict = said([found()], [term()])
     assert verdict.status == "named"
     assert "Look for a fan" in verdict.sentence
+
+
+def test_an_error_with_an_unpredictable_term_holds_only_live():
+    for predictable in (True, False):
+        for by in (BETTER, Improvement(80.0, 79.0, 0.5, 1.5)):
+            sentence = said(terms=[term("spells", by, predictable=predictable)]).sentence
+            assert ("60 Nm. The model cannot predict a curve of the speed: that error holds only" in sentence) == (
+                not predictable
+            )
 
 
 def test_an_unconfirmed_term_is_suspected_and_a_weak_one_dropped():
