@@ -172,7 +172,7 @@ def test_a_value_as_far_as_is_plausible_is_far_out():
         assert ("q1 would be 0.6, but the file allows 0.8 to 1.2" in said(base=base).sentence) == far
 
 
-def test_a_refit_that_no_command_accepts_does_not_fit_the_vehicle():
+def test_a_refit_no_command_accepts_does_not_fit_the_vehicle():
     base = refitted(3.0, 1.0)
     base.problem.base.parameters = tuple(replace(q, by_file=(0.8, 1.2)) for q in base.problem.base.parameters)
     verdict = said(base=base, unusable="a belt that settles at 352 degC", changed=(BEARING,))
@@ -255,7 +255,7 @@ def test_a_dropped_term_is_reported_with_the_value_it_displaces():
         (Graded("payne", BETTER, (), cancels=True), "payne reduces the hold-out error far less than its size suggests"),
     ],
 )
-def test_a_term_that_is_not_confirmed_is_dropped_for_its_own_reason(graded, why):
+def test_an_unconfirmed_term_is_dropped_for_its_own_reason(graded, why):
     sentence = said(refuted=[graded]).sentence
     assert why in sentence
     assert ("do not confirm" in sentence) == (graded.improvement.grade != CONFIRMED)
@@ -462,7 +462,7 @@ def test_who_asks_for_it_keeps_what_is_suspected_too():
 # Terms without a name
 
 
-def test_no_effect_explains_a_term_or_residual_only_without_a_name():
+def test_no_effect_explains_it_only_where_no_name_would():
     for instead in ("", "air_drag"):
         sentences = [
             said(terms=[replace(term(), instead=instead)]).sentence,
