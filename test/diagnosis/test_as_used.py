@@ -14,7 +14,7 @@ import pytest
 import trackres_ros as tr
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.base.base import BaseParameter
-from trackres_ros.diagnosis.base.instrument import usual_offset
+from trackres_ros.diagnosis.base.instrument import instrument, usual_offset
 from trackres_ros.diagnosis.base.patterns import WATCHED
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
@@ -62,6 +62,15 @@ class Errors:
 
     def surely_better(self, after, before):
         return self.confirms
+
+    def beside(self, terms):
+        plain, names = self, tuple(terms)
+
+        class Beside(Errors):
+            def error(self, values, effects=(), alone=False):
+                return plain.error(values, (*effects, *names), alone)
+
+        return Beside({})
 
 
 @pytest.fixture
@@ -174,6 +183,16 @@ def test_a_clock_driven_pattern_is_neither_written_nor_reported(fitted_again):
     assert "spells" not in kept.text
 
 
+@pytest.mark.parametrize(("error", "rolling"), [(20.0, 2.0), (31.0, 0.0)])
+def test_values_are_never_those_that_average_a_passing_term(fitted_again, error, rolling):
+    """Neither the re-fit without the spells is written (3), nor values that are worse than the file's beside them."""
+    spells = effect("spells", acts_on=WATCHED)
+    errors = {(2.0, "spells"): error, (0.0, "spells"): 30.0, (3.0, ""): 50.0, (0.0, ""): 100.0}
+    kept = choose_written([], ["spells"], Fitted(2.0, spells), Fitted(3.0), Errors(errors), {}, ["spells"])
+    assert (kept.values or FILE)["rolling"] == rolling
+    assert "compared with the torque without spells" in kept.text
+
+
 # Ranges of the vehicle file, by fits
 
 
@@ -249,8 +268,9 @@ def resting(session, torque, seconds):
 def test_a_sensor_that_reads_none_at_rest_for_long_has_no_offset(loaded, effects, reading, seconds, contradicted):
     (session,) = drives(loaded.base, 10.0, 1, 6.0, np.random.default_rng(1), step=1.0)
     gated = Gated((resting(session, reading, seconds),), (), ())
-    after, may_be_found = without_an_offset(gated, loaded.base, effects)
+    after, base, may_be_found = without_an_offset(gated, loaded.base, effects)
     assert ("torque_offset" not in may_be_found) == contradicted
+    assert ("torque_offset" not in {effect.name for effect in instrument(base)}) == contradicted
     assert ("the sensor has no offset" in " ".join(after.notes)) == contradicted
     assert effects.keys() - may_be_found.keys() <= {"torque_offset"}
 

@@ -172,7 +172,7 @@ def test_a_value_as_far_as_is_plausible_is_far_out():
         assert ("q1 would be 0.6, but the file allows 0.8 to 1.2" in said(base=base).sentence) == far
 
 
-def test_a_refit_that_no_command_accepts_does_not_fit_the_vehicle():
+def test_a_refit_no_command_accepts_does_not_fit_the_vehicle():
     base = refitted(3.0, 1.0)
     base.problem.base.parameters = tuple(replace(q, by_file=(0.8, 1.2)) for q in base.problem.base.parameters)
     verdict = said(base=base, unusable="a belt that settles at 352 degC", changed=(BEARING,))
@@ -255,7 +255,7 @@ def test_a_dropped_term_is_reported_with_the_value_it_displaces():
         (Graded("payne", BETTER, (), cancels=True), "payne reduces the hold-out error far less than its size suggests"),
     ],
 )
-def test_a_term_that_is_not_confirmed_is_dropped_for_its_own_reason(graded, why):
+def test_an_unconfirmed_term_is_dropped_for_its_own_reason(graded, why):
     sentence = said(refuted=[graded]).sentence
     assert why in sentence
     assert ("do not confirm" in sentence) == (graded.improvement.grade != CONFIRMED)
@@ -288,6 +288,10 @@ def test_the_sentence_gives_the_size_of_the_pictured_residual():
     assert "from 40 Nm less to 63 Nm more" in both.residual(here, bins, 20.0)
     assert "root mean square of 20 Nm" in replace(one_way, follows=0.0).residual(here, bins, 20.0)
     assert "about 63 Nm more" in both.residual(here, regimes(), 20.0)
+    everywhere, small = replace(one_way, low=0.0), replace(here, mean_residual=-3.0)
+    assert "about 63 Nm more" in everywhere.residual(here, bins, 20.0)
+    assert "root mean square of 20 Nm" in everywhere.residual(small, bins, 20.0)
+    assert "about 3 Nm less" in one_way.residual(small, bins, 20.0)
 
 
 def test_an_edge_that_is_nothing_on_its_scale_is_zero():
@@ -458,7 +462,7 @@ def test_who_asks_for_it_keeps_what_is_suspected_too():
 # Terms without a name
 
 
-def test_no_effect_explains_a_term_or_residual_only_without_a_name():
+def test_no_effect_explains_it_only_where_no_name_would():
     for instead in ("", "air_drag"):
         sentences = [
             said(terms=[replace(term(), instead=instead)]).sentence,
@@ -482,6 +486,15 @@ def test_what_has_no_name_is_described_with_what_to_look_for():
     verdict = said([found()], [term()])
     assert verdict.status == "named"
     assert "Look for a fan" in verdict.sentence
+
+
+def test_an_error_with_an_unpredictable_term_holds_only_live():
+    for predictable in (True, False):
+        for by in (BETTER, Improvement(80.0, 79.0, 0.5, 1.5)):
+            sentence = said(terms=[term("spells", by, predictable=predictable)]).sentence
+            assert ("60 Nm. The model cannot predict a curve of the speed: that error holds only" in sentence) == (
+                not predictable
+            )
 
 
 def test_an_unconfirmed_term_is_suspected_and_a_weak_one_dropped():

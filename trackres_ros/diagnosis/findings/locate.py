@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 
 ACTING_SHARE = 0.5  # of its 95th percentile
 BOTH_WAYS_SHARE = 0.25  # of the larger side: an effect with more than this on the other side changes its sign
+MEANS_LITTLE = (
+    0.05  # of the torque of an effect that acts everywhere: a smaller mean residual has no direction, the re-fit takes it
+)
 FOLLOWS_LEAST = 0.3  # of the mean square: a smaller share means that the effect follows no variable
 JOINED_S, SHORTEST_S = 10.0, 5.0
 SLOW_S = 30.0
@@ -127,7 +130,9 @@ class Location:
 
         `here` is the mean residual where the effect acts, `rms_nm` the root mean square of the residual over time.
         """
-        if self.follows < FOLLOWS_LEAST:
+        everywhere = not self.text and not self.both_ways
+        little = abs(here.mean_residual) < MEANS_LITTLE * max(self.largest, -self.smallest)
+        if self.follows < FOLLOWS_LEAST or (everywhere and little):
             size = f"with a root mean square of {in_nm(rms_nm)} Nm"
             return f"the vehicle needs sometimes more and sometimes less torque than the re-fitted model, {size}"
         means = [b.mean_residual for b in at_base.bins if b.variable == self.variable]

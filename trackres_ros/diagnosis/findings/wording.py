@@ -62,12 +62,15 @@ def confirmed_terms(terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOu
     large = [t for t in terms if not is_small(t)]
     small = [t for t in terms if is_small(t)]
     worth = mean_error(held_out.mae["refitted"], held_out.mae["with_effects"])
+    by_chance = " and ".join(short(t) for t in terms if isinstance(t, UnnamedTerm) and not t.described.predictable)
+    live = f"The model cannot predict {by_chance}: that error holds only while a live estimate tracks it" if by_chance else ""
     if not large:
-        return ["The missing physics is small", worth, *(line for t in small for line in _of(t))]
+        return ["The missing physics is small", worth, live, *(line for t in small for line in _of(t))]
     gains = [(t, t.graded.improvement.before - t.graded.improvement.after) for t in small]
     return [
         *(line for t in large for line in _of(t)),
         worth,
+        live,
         *(f"{short(t)} is confirmed but small: it reduces that error by {figures(max(g, 0.0), 2)} Nm" for t, g in gains),
     ]
 

@@ -233,7 +233,8 @@ def _errors(r: dict[str, Any]) -> str:
     if followed is not None:
         return f"{nominal} Nm with the file, {refitted} re-fitted, {figures(followed)} when the live estimate tracks it"
     if stage_of(r) == "with_effects":
-        return f"{nominal} Nm with the file, {refitted} re-fitted, {with_it} with it{plain}"
+        live = any(t.get("heldout") and not t.get("predictable", True) for t in _sure(r))
+        return f"{nominal} Nm with the file, {refitted} re-fitted, {with_it} with it{' tracked live' if live else ''}{plain}"
     return f"{nominal} Nm with the file, {refitted} re-fitted{plain}"
 
 

@@ -8,6 +8,7 @@ and the sensor lines are compared together with the written vehicle.yaml.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -47,7 +48,14 @@ class AsUsed:
             plain = (replace(s, grade=r.grade, given=r.given, torque_by_place=r.torque_by_place) for s, r in pairs)
             self._alone = base.alone, tuple(plain)
         self._laps = laps
+        self._beside: tuple[Active, ...] = ()
         self._read = dict[tuple[bool, tuple[float, ...]], Base]()
+
+    def beside(self, terms: Sequence[Active]) -> AsUsed:
+        """The same evaluation with some terms of the clock acting in each error."""
+        found = copy.copy(self)
+        found._beside = tuple(terms)
+        return found
 
     def expected(self, values: Values | None, effects: Sequence[Active], alone: bool) -> list[Array]:
         """Sensed torque of each session [Nm], from a file with other values, or with its own."""
@@ -61,7 +69,8 @@ class AsUsed:
 
     def error(self, values: Values | None, effects: Sequence[Active] = (), alone: bool = False) -> float:
         """Mean absolute error on hold-out laps [Nm]."""
-        return float(np.abs(self._laps.measured - self._laps.of(self.expected(values, effects, alone))).mean())
+        expected = self.expected(values, [*effects, *self._beside], alone)
+        return float(np.abs(self._laps.measured - self._laps.of(expected)).mean())
 
     def surely_better(self, after: Fit, before: Fit) -> bool:
         """Whether the error of one fit is significantly smaller, without surroundings."""
@@ -129,22 +138,36 @@ class _Option:
 
 
 def choose_written(
-    believed: Collection[str], confirmed: Collection[str], final: Fit, refitted: Fit, use: AsUsed, bounds: Bounds
+    believed: Collection[str],
+    confirmed: Collection[str],
+    final: Fit,
+    refitted: Fit,
+    use: AsUsed,
+    bounds: Bounds,
+    passing: Collection[str] = (),
 ) -> FileChanges:
     """Changes to write: the first of `_options` that is no worse in use than the vehicle file.
 
     `believed` are the names of the effects that may be written, `confirmed` those confirmed on hold-out laps. Confirmed sensor
     effects correct the torque for judging vehicle.yaml. `final` has all found effects, with the intervals `bounds`, and
-    `refitted` none.
+    `refitted` none. A re-fit without `passing` terms, confirmed spells or a change of level, would average what is with and
+    without them. So values are fitted, and judged, together with them.
     """
     written = tuple(a for a in final.effects if a.effect.name in believed and a.effect.acts_on != WATCHED)
+    terms = tuple(a for a in final.effects if a.effect.name in passing)
+    if terms:
+        use, refitted = use.beside(terms), _with_refitted_base((), final)
     first = ""
     for option in _options(written, final, refitted):
         why = _refused(option, confirmed, refitted, use)
         if not why:
-            return _kept(option, final, confirmed, use, bounds, first)
+            return _kept(option, final, confirmed, use, bounds, f"{_compared(terms)}{first}")
         first = first or f"; not {option.text}, as {why}"
-    return _kept(_Option(None, ()), final, confirmed, use, bounds, first)
+    return _kept(_Option(None, ()), final, confirmed, use, bounds, f"{_compared(terms)}{first}")
+
+
+def _compared(terms: Sequence[Active]) -> str:
+    return f"; errors are compared with the torque without {', '.join(a.effect.name for a in terms)}" if terms else ""
 
 
 def _options(written: tuple[Active, ...], final: Fit, refitted: Fit) -> Iterator[_Option]:

@@ -32,7 +32,8 @@ def conclude(
     kinds = {name: effect.belongs_to for name, effect in prepared.effects.items()}
     believed = believed_in(judged.found, judged.described, judged.verdict, kinds, keep_suspected)
     confirmed = [g.name for g in chosen.graded.values() if g.confirmed]
-    kept = choose_written(believed, confirmed, final, base.refitted, base.use, judged.bounds)
+    passing = [name for name in confirmed if chosen.term(name).chain is not None or chosen.term(name).change is not None]
+    kept = choose_written(believed, confirmed, final, base.refitted, base.use, judged.bounds, passing)
     expected = base.use.expected(kept.values, kept.effects, alone=False)
     watched = [chosen.term(t.described.name) for t in judged.described if may_be_kept(t, judged.verdict, keep_suspected)]
     tracked = judged.tracked

@@ -135,8 +135,9 @@ def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen, as_file: 
     if refused:
         raise refused
     final = chosen.final
-    plain = final.problem.predict(final.base_values, final.effects)  # a vehicle file holds no assumed errors of the sensor
-    error = float(np.abs(base.laps.measured - base.laps.of([p.torque for p in plain])).mean())
+    if final.effects:  # a vehicle file holds no assumed errors of the sensor
+        as_file = [p.torque for p in final.problem.predict(final.base_values, final.effects)]
+    error = float(np.abs(base.laps.measured - base.laps.of(as_file)).mean())
     return replace(worth, without_sensor=error) if error > MUCH_LARGER * worth.mae["with_effects"] else worth
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -64,18 +65,23 @@ def prepare(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diagn
         for name, effect in known.items()
         if effect.only_of in ("", "rolls" if base.rolls else "slides")
     }
-    gated, effects = without_an_offset(gated, base, effects)
+    gated, base, effects = without_an_offset(gated, base, effects)
+    vehicle = replace(vehicle, base=base)
     return PreparedSessions(vehicle, gated, split(gated.sessions, options.holdout), nominal, recorded, effects)
 
 
-def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -> tuple[Gated, dict[str, Effect]]:
-    """Remove a sensor offset from the candidate effects if the torque sensor reads zero at rest for long; with a note."""
+def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -> tuple[Gated, Base, dict[str, Effect]]:
+    """Remove a sensor offset from the candidate effects, and from the base's instrument, if the torque sensor reads zero at rest
+    for long; with a note.
+    """
     none = usual_offset(base)
     seconds = seconds_without_torque(gated.sessions, none)
     if not seconds or TorqueOffset.name not in effects:
-        return gated, dict(effects)
+        return gated, base, dict(effects)
     note = f"the torque is 0 Nm at rest, within {figures(none)} Nm over {seconds:.0f} s: the sensor has no offset"
-    return replace(gated, notes=(*gated.notes, note)), {n: e for n, e in effects.items() if n != TorqueOffset.name}
+    known = copy.copy(base)
+    known.includes = (*base.includes, TorqueOffset.name)  # so no fit adds one
+    return replace(gated, notes=(*gated.notes, note)), known, {n: e for n, e in effects.items() if n != TorqueOffset.name}
 
 
 def seconds_without_torque(sessions: Sequence[DriveSession], most: float) -> float:
