@@ -69,7 +69,8 @@ def replay_command(
     described = tr.load_vehicle(vehicle, method=method, thermal=thermal, surroundings=surroundings)
     with progress("replaying", None) as advance:
         result = tr.replay(recording, described, output=output, progress=advance, **asked)
-    written = [str(path) for path in (output, asked["save_vehicle"]) if path]
+    saved = result.learned_file
+    written = [str(path) for path in (output, saved.path if saved and not saved.why_not else None) if path]
     try:
         result.plot(picture)
         written.append(str(picture))

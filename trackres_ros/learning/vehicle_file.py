@@ -6,15 +6,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.learning.correction import told_std
+from trackres_ros.learning.correction import accepted, told_std
 from trackres_ros.learning.filter import known_of_others
 from trackres_ros.learning.learner import Learner
-from trackres_ros.learning.parameters import VEHICLES_OWN
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.road import SECTION
@@ -28,26 +28,51 @@ FIGURES = 6
 REASON = "learned by trackres while driving"
 
 
-def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> list[str]:
-    """Write a vehicle file with the learned parameters; return the paths of the changed values."""
-    counts = [state for state in VEHICLES_OWN if learner.acts and learner.counted[state]]
+@dataclass(frozen=True)
+class LearnedFile:
+    """What a vehicle file got: values of the file by their paths in it."""
+
+    path: Path
+    changed: Mapping[str, tuple[float, float]]  # value before, and the one written
+    kept: Mapping[str, float]  # not known well enough
+    why_not: str = ""  # reason why no file was written; empty if it was
+
+
+def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> LearnedFile:
+    """Write a vehicle file with the learned parameters, unless none is accepted.
+
+    It has the values that were learned. Those acting follow them at a limited rate, so they may be half-way.
+    """
+    counts = [state for state in learner.own if learner.acts and learner.counted[state]]
+    places = _of_wheels() if isinstance(vehicle, RoadVehicle) else _of_tracks(vehicle)
+    kept = {name: _value(vehicle, name) for state in learner.own if state not in counts for name in places[state][0]}
+    if not counts:
+        fits = "the learned parameters fit no better than the vehicle file"
+        return LearnedFile(path, {}, kept, fits if learner.counted.any() else learner.text)
     minutes = learner.learned.seconds / 60.0
     comment = f"Written by trackres replay --save-vehicle, learned from {minutes:.0f} min of driving"
     stds = _stds(learner, counts)
-    applied = learner.learned.applied.tolist()
-    written: list[str] = []
+    found = accepted(learner.learned, learner.prior, learner.counted).tolist()
+    changed: dict[str, tuple[float, float]] = {}
 
     def with_learned(text: str) -> str:
         document = Document(text)
-        written.extend(name for state in counts for name in _set(document, vehicle, state, applied[state], stds[state]))
-        return (document.text() or f"# {comment}\n{document.plain()}") if written else text
+        for state in counts:
+            changed.update(_set(document, vehicle, places[state], found[state], stds[state]))
+        return document.text() or f"# {comment}\n{document.plain()}"
 
     changes = FileChanges(None, (), {}, amend=with_learned)
     if isinstance(vehicle, RoadVehicle):
         write_road_vehicle(vehicle, path, changes, comment)
     else:
         write_track_vehicle(vehicle, path, changes, comment)
-    return written
+    return LearnedFile(path, changed, kept)
+
+
+def _value(vehicle: AnyVehicle, path: str) -> float:
+    value = vehicle.parameters[path].value
+    assert isinstance(value, float)
+    return value
 
 
 def _stds(learner: Learner, counts: list[int]) -> dict[int, float]:
@@ -58,29 +83,30 @@ def _stds(learner: Learner, counts: list[int]) -> dict[int, float]:
     return {state: told_std(state, float(covariance[state, state])) for state in counts}
 
 
-def _set(document: Document, vehicle: AnyVehicle, state: int, departure: float, std: float) -> list[str]:
-    """Put a departure into the values of the file that it is of; their paths."""
-    places = _of_wheels() if isinstance(vehicle, RoadVehicle) else _of_tracks(vehicle)
-    paths, factor = places[state]
+def _set(document: Document, vehicle: AnyVehicle, place: Place, departure: float, std: float) -> dict[str, tuple[float, float]]:
+    """Put a departure into the values of the file that it is of; these before and after, by path."""
+    paths, factor = place
+    changed = {}
     for path in paths:
-        old = vehicle.parameters[path]
-        assert isinstance(old.value, float)
+        old, before_it = vehicle.parameters[path], _value(vehicle, path)
         section, _, name = path.rpartition(".")
         limit = {"rubber": RUBBER, "chassis": CHASSIS, SECTION: ROAD_LOAD}.get(section, BELT)[name]
         value, low, high = (
-            min(max(old.value * (1.0 + factor * x), limit.low), limit.high)
+            min(max(before_it * (1.0 + factor * x), limit.low), limit.high)
             for x in (departure, departure - REACH_STD * std, departure + REACH_STD * std)
         )
-        before = f"{REASON}; before it {old.value:g} ({old.flag}): {old.reason}"
+        before = f"{REASON}; before it {before_it:g} ({old.flag}): {old.reason}"
         reason = old.reason if old.reason.startswith(REASON) else before
         new = {"value": _figures(value), "range": [_figures(low), _figures(high)], "flag": FITTED, "reason": reason}
         for key, given in new.items():
             document.set((*path.split("."), key), given)
-    return list(paths)
+        changed[path] = before_it, _figures(value)
+    return changed
 
 
-Places = Mapping[int, tuple[tuple[str, ...], float]]
-"""Values of the file behind each departure, and their change for a departure of 1."""
+Place = tuple[tuple[str, ...], float]
+"""Values of the file behind a departure, and their change for a departure of 1."""
+Places = Mapping[int, Place]
 
 
 def _of_tracks(vehicle: Vehicle) -> Places:
