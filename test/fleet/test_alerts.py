@@ -23,7 +23,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.evaluation.fleet.draw import draw_fleet, write_recording
 from trackres_ros.fleet.alerts import COLUMNS, checked_url
 from trackres_ros.fleet.changes import DAY_S
-from trackres_ros.fleet.compare import compare
+from trackres_ros.fleet.compare import REPORT, compare, compare_text
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.page.write import write_pages
 from trackres_ros.fleet.recordings import FoundRecording
@@ -201,6 +201,39 @@ def test_a_recording_without_a_day_alters_no_search_for_changes(dataset):
     assert "3 recordings not searched for changes" in "\n".join(sentences(found))
     page = write_pages(dataset.folder, found, dataset).read_text()
     assert all(f"{one['url']}: its clock gives no day" in page for one in found["undated"])
+
+
+def report(folder, effects, **refitted):
+    """A folder of a diagnosis with values and their intervals."""
+
+    def each(values):
+        return {name: {"unit": "Nm", "value": value, "ci95": ci95} for name, (value, ci95) in values.items()}
+
+    folder.mkdir()
+    content = {
+        "base": {"refitted": each(refitted)},
+        "effects": [{"name": name, "parameters": each(of)} for name, of in effects.items()],
+    }
+    (folder / REPORT).write_text(json.dumps(content))
+    return str(folder)
+
+
+def test_each_parameter_of_two_reports_is_compared_or_listed(tmp_path):
+    one = report(tmp_path / "1", {}, a=(1.0, [0.9, 1.1]), b=(2.0, [1.0, 3.0]), c=(3.0, None), d=(4.0, [3.0, 5.0]))
+    of_other = {"drag": {"size": (7.0, [6.0, 8.0]), "end": (8.0, None)}}
+    other = report(tmp_path / "2", of_other, a=(1.15, [1.05, 1.25]), b=(9.0, [8.0, 10.0]), c=(5.0, None), d=(6.0, [None, 7.0]))
+    found = compare(one, other)
+    assert [(q["parameter"], q["differs"]) for q in found["parameters"]] == [("a", False), ("b", True)]
+    assert [(q["parameter"], q["one"], q["other"], q["why"]) for q in found["not_compared"]] == [
+        ("d", 4.0, 6.0, "only a bound is known in other"),
+        ("c", 3.0, 5.0, "only a bound is known in one and in other"),
+        ("drag.size", None, 7.0, "not in one"),
+        ("drag.end", None, 8.0, "not in one"),
+    ]
+    for line in compare_text(found).splitlines()[3:5]:  # the column and the verdict have one threshold
+        change, reach, differs = line.split()[-3:]
+        assert (abs(float(change)) > float(reach)) == (differs == "yes")
+    assert compare_text(found).count("Not compared: ") == 4
 
 
 @pytest.mark.parametrize("other", [{"nominal": [0.009, 1.0]}, {"vehicle_values": "w"}], ids=["fitted", "any"])

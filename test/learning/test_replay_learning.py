@@ -3,8 +3,10 @@
 
 """Learning over a recording: the numbers of the live session, to the bit and twice, and a vehicle file that starts from them."""
 
+import copy
 import csv
 import json
+import re
 
 import numpy as np
 import pytest
@@ -101,6 +103,23 @@ def test_the_vehicle_file_it_leaves_starts_from_what_was_learned(recording, watc
     assert again["resistance_std_nm"][-1] < 0.5 * watched["resistance_std_nm"][-1]
 
 
+def test_the_vehicle_file_has_what_is_printed_even_if_that_lags(watched, tmp_path):
+    learner, before = copy.deepcopy(watched.learner), tr.load_vehicle("xgd24d")
+    learner.learned.applied[:] = 0.0
+    done = write_learned(learner, before, tmp_path / "v.yaml")
+    after, said = tr.load_vehicle(tmp_path / "v.yaml"), str(watched).splitlines()
+    assert learner.counted[at.OF_LOSS]
+    assert done.changed["rubber.loss_modulus_scale"][1] == pytest.approx(1.2, abs=0.02)
+    for path, (old, new) in done.changed.items():
+        assert (before.parameters[path].value, after.parameters[path].value) == (old, new)
+        assert any(line.startswith(f"  {path} ") and " -> " in line for line in said)
+    for path, value in done.kept.items():
+        assert before.parameters[path].value == after.parameters[path].value == value
+        assert any(line.startswith(f"  {path} ") and "as before" in line for line in said)
+    assert done.kept
+    assert not set(done.kept) & set(done.changed)
+
+
 def test_no_unlearned_vehicle_file_is_there_first(recording, watched, tmp_path, monkeypatch):
     seen = []
     monkeypatch.setattr("os.fsync", lambda _: seen.extend(path.read_bytes() for path in tmp_path.glob("v.yaml*")))
@@ -108,13 +127,18 @@ def test_no_unlearned_vehicle_file_is_there_first(recording, watched, tmp_path, 
     assert set(seen) == {(tmp_path / "v.yaml").read_bytes()} == {recording.with_name("learned.yaml").read_bytes()}
 
 
-def test_what_does_not_count_is_not_written(recording, tmp_path):
+def test_without_anything_learned_no_file_is_written_with_why(recording, tmp_path, good):
     lines = recording.read_text().splitlines(keepends=True)
     (tmp_path / "short.csv").write_text("".join(lines[:600]))
-    done = tr.replay(tmp_path / "short.csv", "xgd24d", learning="watch", save_vehicle=tmp_path / "same.yaml")
-    assert {*done.written, tmp_path / "short.csv"} == {path for path in tmp_path.rglob("*.*") if path.is_file()}
-    before, after = tr.load_vehicle("xgd24d"), tr.load_vehicle(tmp_path / "same.yaml")
-    assert {path: q.value for path, q in before.parameters.items()} == {path: q.value for path, q in after.parameters.items()}
+    asked = ["replay", tmp_path / "short.csv", "--vehicle", "xgd24d", "--learning", "watch"]
+    out, same = tmp_path / "out.csv", tmp_path / "same.yaml"
+    said = good(*asked, "--save-vehicle", same, "-o", out)
+    assert re.search(f"(?m)^Not written: {re.escape(str(same))}: learning: .* of the required driving is done$", said)
+    assert str(same) not in said.splitlines()[-1]
+    result = json.loads(good(*asked, "--save-vehicle", same, "-o", out, "--json"))
+    assert str(same) not in result["written"]
+    assert result["learning"]["vehicle_file"]["changed"] == {}
+    assert not same.exists()
 
 
 def test_the_command_says_what_was_learned_and_draws_it(recording, tmp_path, good, trackres):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,7 +53,7 @@ def replay(
         `off`; `watch` learns vehicle parameters from the measured torque without using them; `on` uses them, like the live
         node.
     save_vehicle
-        Vehicle file to write at the end, with the learned parameters.
+        Vehicle file to write at the end, with the learned parameters. Without any, none is written, and the result says why.
     output
         File to write during the replay, in the format of `ReplayResult.save`. Its rows are then not kept, so memory does not
         grow.
@@ -139,7 +140,9 @@ def replay(
         saved_at = int(done.session.memory.times[at.SPEED, at.Times.last_arrival]) * NANOSECOND
         save(done.session, state, saved_at, learned_before if learner is None else stored(learner))
     if learned_file is not None and learner is not None:
-        written += write_learned(learner, estimator.vehicle, learned_file)
+        saved = write_learned(learner, estimator.vehicle, learned_file)
+        done = replace(done, learned_file=saved)
+        written += saved.written
     title = one_line(f"{', '.join(path.name for path in paths) or source.name}: {estimator.vehicle.title}")
     findings = source.all_findings() if isinstance(source, KeptSource) else source.findings
     rows = kept if file is None else None

@@ -4,7 +4,7 @@
 """Compares two days, vehicles, reports or designs: differences beyond their uncertainty."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,6 +46,7 @@ class Side:
     value: Array
     covariance: Array
     design: bool = False  # a vehicle file
+    bounds: Mapping[str, tuple[float, str]] = field(default_factory=dict)  # values and units without an interval: at a bound
     outdated: tuple[dict[str, str], ...] = ()  # recordings of a fleet that are not used, see `trends.of_present_files`
 
 
@@ -85,9 +86,31 @@ def compare(one: str, other: str) -> dict[str, Any]:
         apart = change[known] / std[known]
         chance = float(chdtrc(int(known.sum()), apart @ np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) @ apart))
     return {
-        "one": sides[0].title, "other": sides[1].title, "parameters": listed, "chance_of_all": chance,
-        "outdated": [row for s in sides for row in s.outdated],
+        "one": sides[0].title, "other": sides[1].title, "parameters": listed, "threshold_std": most, "chance_of_all": chance,
+        "not_compared": _not_compared(*sides), "outdated": [row for s in sides for row in s.outdated],
     }  # fmt: skip
+
+
+def _not_compared(one: Side, other: Side) -> list[dict[str, Any]]:
+    """Parameters that only one has, or that have no interval in one, with both values and the reason."""
+    values = [
+        {**{name: (float(x), unit) for name, x, unit in zip(s.names, s.value, s.units, strict=True)}, **s.bounds}
+        for s in (one, other)
+    ]
+    listed = []
+    for name in dict.fromkeys([*values[0], *values[1]]):
+        if name in one.names and name in other.names:
+            continue
+        absent = [side for side, of in zip(("one", "other"), values, strict=True) if name not in of]
+        at_bound = [side for side, of in (("one", one.bounds), ("other", other.bounds)) if name in of]
+        (first, unit), (second, _) = (of.get(name, (None, "")) for of in values)
+        listed.append(
+            {
+                "parameter": name, "unit": unit or values[1].get(name, (None, ""))[1], "one": first, "other": second,
+                "why": f"not in {absent[0]}" if absent else f"only a bound is known in {' and in '.join(at_bound)}",
+            }
+        )  # fmt: skip
+    return listed
 
 
 def compare_text(found: Mapping[str, Any]) -> str:
@@ -95,10 +118,11 @@ def compare_text(found: Mapping[str, Any]) -> str:
     rows = []
     for q in found["parameters"]:
         spread = max(q["difference_std"], 1e-3 * abs(q["difference"]), 1e-12)
-        one, other, change, std = alike((q["one"], q["other"], q["difference"], TWO_SIDED_95 * q["difference_std"]), spread)
+        reach = found["threshold_std"] * q["difference_std"]
+        one, other, change, std = alike((q["one"], q["other"], q["difference"], reach), spread)
         unit = "" if q["unit"] == "1" else q["unit"]
         rows.append((q["parameter"], unit, one, other, change, std, "yes" if q["differs"] else "no"))
-    head = ("parameter", "unit", "one", "other", "difference", "+- 95 %", "differs")
+    head = ("parameter", "unit", "one", "other", "difference", "+- (95 % for all)", "differs")
     differs = [q["parameter"] for q in found["parameters"] if q["differs"]]
     if differs:
         end = f"Beyond its uncertainty: {', '.join(differs)}."
@@ -109,7 +133,12 @@ def compare_text(found: Mapping[str, Any]) -> str:
         )
     else:
         end = "None of these parameters differs beyond its uncertainty."
-    return "\n".join([f"one: {found['one']}", f"other: {found['other']}", table(rows, head), end])
+    lines = [f"one: {found['one']}", f"other: {found['other']}", table(rows, head), end]
+    for q in found["not_compared"]:
+        values = (f"{side} {'-' if q[side] is None else figures(q[side], 4)}" for side in ("one", "other"))
+        unit = "" if q["unit"] == "1" else f" [{q['unit']}]"
+        lines.append(f"Not compared: {q['parameter']}{unit}: {', '.join(values)}: {q['why']}")
+    return "\n".join(lines)
 
 
 def side(given: str) -> Side:
@@ -181,16 +210,18 @@ def _of_report(path: Path) -> Side:
         parameters = dict(content["base"]["refitted"])
         for effect in content["effects"]:
             parameters |= {f"{effect['name']}.{name}": q for name, q in effect["parameters"].items()}
+        known = {name for name, q in parameters.items() if q["ci95"] and None not in q["ci95"]}
         listed = [
             (name, str(q["unit"]), float(q["value"]), (q["ci95"][1] - q["ci95"][0]) / (2.0 * TWO_SIDED_95))
             for name, q in parameters.items()
-            if q["ci95"] and None not in q["ci95"]
+            if name in known
         ]
+        bounds = {name: (float(q["value"]), str(q["unit"])) for name, q in parameters.items() if name not in known}
         if not all(std >= 0.0 for *_, std in listed):
             raise ValueError("an interval whose end is before its beginning")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(str(path), f"{type(error).__name__}: {error}", "report.json of trackres diagnose") from None
-    return _uncorrelated(str(path.parent), listed)
+    return replace(_uncorrelated(str(path.parent), listed), bounds=bounds)
 
 
 def _of_design(given: str) -> Side:

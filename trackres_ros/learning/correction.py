@@ -44,13 +44,17 @@ def sure(s: LearnerState, prior: Prior) -> Mask:
 
 def aim(s: LearnerState, prior: Prior, counted: Mask) -> None:
     """Target of the acting departures: all accepted ones, with the file's values for the rest."""
-    s.aim[:] = 0.0
+    s.aim[:] = accepted(s, prior, counted)
+
+
+def accepted(s: LearnerState, prior: Prior, counted: Mask) -> Array:
+    """The accepted departures, with the file's values for the rest, shape (LEARNABLE,)."""
     if not counted.any():
-        return
+        return np.zeros(at.LEARNABLE)
     of_vehicle = counted.copy()
     of_vehicle[at.OF_BELT] = True
     found = given_others(s.mean[: at.LEARNABLE], s.covariance[: at.LEARNABLE, : at.LEARNABLE], of_vehicle)
-    s.aim[:] = np.clip(found, prior.low[: at.LEARNABLE], prior.high[: at.LEARNABLE])
+    return np.clip(found, prior.low[: at.LEARNABLE], prior.high[: at.LEARNABLE])
 
 
 def follow(s: LearnerState) -> None:

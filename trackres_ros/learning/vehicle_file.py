@@ -5,15 +5,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.learning.correction import told_std
+from trackres_ros.learning.correction import accepted, told_std
 from trackres_ros.learning.filter import known_of_others
 from trackres_ros.learning.learner import Learner
-from trackres_ros.learning.parameters import REACH_STD, VEHICLES_OWN, limits_of, places
+from trackres_ros.learning.parameters import REACH_STD, limits_of, places
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle
 from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.writing.changes import FileChanges
@@ -24,24 +26,52 @@ FIGURES = 6
 REASON = "learned by trackres while driving"
 
 
-def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> list[Path]:
-    """Write a vehicle file with the learned parameters; return it and the files copied for it."""
-    counts = [state for state in VEHICLES_OWN if learner.acts and learner.counted[state]]
+@dataclass(frozen=True)
+class LearnedFile:
+    """What a vehicle file got: values of the file by their paths in it."""
+
+    path: Path
+    written: tuple[Path, ...]  # it and the files copied for it
+    changed: Mapping[str, tuple[float, float]]  # value before, and the one written
+    kept: Mapping[str, float]  # not known well enough
+    why_not: str = ""  # reason why no file was written; empty if it was
+
+
+def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> LearnedFile:
+    """Write a vehicle file with the learned parameters, unless none is accepted.
+
+    It has the values that were learned. Those acting follow them at a limited rate, so they may be half-way.
+    """
+    counts = [state for state in learner.own if learner.acts and learner.counted[state]]
+    of_file = places(vehicle)
+    kept = {name: _value(vehicle, name) for state in learner.own if state not in counts for name in of_file[state][0]}
+    if not counts:
+        fits = "the learned parameters fit no better than the vehicle file"
+        return LearnedFile(path, (), {}, kept, fits if learner.counted.any() else learner.text)
     minutes = learner.learned.seconds / 60.0
     comment = f"Written by trackres replay --save-vehicle, learned from {minutes:.0f} min of driving"
     stds = _stds(learner, counts)
-    applied = learner.learned.applied.tolist()
+    found = accepted(learner.learned, learner.prior, learner.counted).tolist()
+    changed: dict[str, tuple[float, float]] = {}
 
     def with_learned(text: str) -> str:
         document = Document(text)
         for state in counts:
-            _set(document, vehicle, state, applied[state], stds[state])
-        return (document.text() or f"# {comment}\n{document.plain()}") if counts else text
+            changed.update(_set(document, vehicle, state, found[state], stds[state]))
+        return document.text() or f"# {comment}\n{document.plain()}"
 
     changes = FileChanges(None, (), {}, by="trackres replay", amend=with_learned)
     if isinstance(vehicle, RoadVehicle):
-        return write_road_vehicle(vehicle, path, changes, comment)
-    return write_track_vehicle(vehicle, path, changes, comment)
+        written = write_road_vehicle(vehicle, path, changes, comment)
+    else:
+        written = write_track_vehicle(vehicle, path, changes, comment)
+    return LearnedFile(path, tuple(written), changed, kept)
+
+
+def _value(vehicle: AnyVehicle, path: str) -> float:
+    value = vehicle.parameters[path].value
+    assert isinstance(value, float)
+    return value
 
 
 def _stds(learner: Learner, counts: list[int]) -> dict[int, float]:
@@ -52,23 +82,25 @@ def _stds(learner: Learner, counts: list[int]) -> dict[int, float]:
     return {state: told_std(state, float(covariance[state, state])) for state in counts}
 
 
-def _set(document: Document, vehicle: AnyVehicle, state: int, departure: float, std: float) -> None:
-    """Put a departure into the values of the file that it is of."""
+def _set(document: Document, vehicle: AnyVehicle, state: int, departure: float, std: float) -> dict[str, tuple[float, float]]:
+    """Put a departure into the values of the file that it is of; these before and after, by path."""
     paths, factor = places(vehicle)[state]
+    changed = {}
     for path in paths:
-        old, limit = vehicle.parameters[path], limits_of(path)
-        assert isinstance(old.value, float)
-        if old.value == 0.0:  # scaled it stays 0, and is as uncertain as before
+        old, before_it, limit = vehicle.parameters[path], _value(vehicle, path), limits_of(path)
+        if before_it == 0.0:  # scaled it stays 0, and is as uncertain as before
             continue
         value, *span = (
-            min(max(old.value * (1.0 + factor * x), limit.low), limit.high)
+            min(max(before_it * (1.0 + factor * x), limit.low), limit.high)
             for x in (departure, departure - REACH_STD * std, departure + REACH_STD * std)
         )
-        before = f"{REASON}; before it {old.value:g} ({old.flag}): {old.reason}"
+        before = f"{REASON}; before it {before_it:g} ({old.flag}): {old.reason}"
         reason = old.reason if old.reason.startswith(REASON) else before
         new = {"value": _figures(value), "range": sorted(map(_figures, span)), "flag": FITTED, "reason": reason}
         for key, given in new.items():
             document.set((*path.split("."), key), given)
+        changed[path] = before_it, _figures(value)
+    return changed
 
 
 def _figures(value: float) -> float:

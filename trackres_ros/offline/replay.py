@@ -24,6 +24,7 @@ from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.files.output_files import BAG_SUFFIX
 from trackres_ros.learning.columns import LearningColumns, column_names
 from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.vehicle_file import LearnedFile
 from trackres_ros.offline.disturbance import DisturbanceColumns
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.preview import ResultPreview
@@ -48,6 +49,7 @@ class Replayed:
     picture: Array  # (samples, 1 + columns): time [s] and results, thinned
     last: Array  # last row of results
     learner: Learner | None = None
+    learned_file: LearnedFile | None = None  # that it was asked to write
 
 
 def channel_indices(session: Session, roles: Sequence[str], learns: bool = False) -> NDArray[np.int16]:

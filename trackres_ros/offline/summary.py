@@ -17,13 +17,14 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.learning.columns import lines as lines_of
 from trackres_ros.learning.columns import ranges_of, shown
 from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.vehicle_file import LearnedFile
 from trackres_ros.model.coverage import beyond_data, beyond_loads
 from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.offline.energy import taken, taken_text
 from trackres_ros.offline.replay import Replayed
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import Finding, SampleBlock, Source
-from trackres_ros.text.numbers import counted, decimals
+from trackres_ros.text.numbers import counted, decimals, figures
 
 Array = NDArray[np.float64]
 
@@ -86,7 +87,7 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
     """The report as a dict ready for JSON: the recording's name, the notes of its reading, and its defects."""
     estimator = result.session.estimator
     last = {name: _finite(float(result.last[i])) for i, name in enumerate(estimator.columns) if name != "reasons"}
-    learned = {} if result.learner is None else {"learning": _learned(result.learner)}
+    learned = {} if result.learner is None else {"learning": {**_learned(result.learner), **_saved(result.learned_file)}}
     torque = result.picture[:, HEAD + at.Results.resistance_torque_nm]
     counters: dict[str, dict[str, int]] = {}
     for channel, count, number in result.session.counts():
@@ -163,6 +164,7 @@ def text(report: dict[str, Any]) -> str:
     if "learning" in report:
         lines.append(f"Learning ({report['learning']['mode']}): {report['learning']['text']}")
         lines += [f"  {item['text']}" for item in report["learning"]["parameters"]]
+        lines += _saved_lines(report["learning"].get("vehicle_file"))
     if belts:
         lines.append("Belts: " + ", ".join(f"{name} {decimals(value, 1)} degC" for name, value in belts.items()))
     return "\n".join(map(one_line, lines))
@@ -179,6 +181,26 @@ def _learned(learner: Learner) -> dict[str, Any]:
         "coverage": values[0],
         "parameters": [{"name": name, "text": text, **dict(known)} for name, text, known in each],
     }
+
+
+def _saved(file: LearnedFile | None) -> dict[str, Any]:
+    """What the vehicle file got that the replay was asked to write."""
+    if file is None:
+        return {}
+    changed = {name: {"before": before, "written": value} for name, (before, value) in file.changed.items()}
+    return {"vehicle_file": {"path": str(file.path), "changed": changed, "kept": dict(file.kept), "why_not": file.why_not}}
+
+
+def _saved_lines(file: dict[str, Any] | None) -> list[str]:
+    if file is None:
+        return []
+    if file["why_not"]:
+        return [f"Not written: {file['path']}: {file['why_not']}"]
+    lines = [f"In {file['path']}"]
+    for name, of in file["changed"].items():
+        before, value = (figures(x, 4) for x in (of["before"], of["written"]))
+        lines.append(f"  {name} {before} -> {value}")
+    return lines + [f"  {name} {figures(value, 4)} as before: not known well enough" for name, value in file["kept"].items()]
 
 
 def _finite(value: float) -> float | None:

@@ -19,6 +19,7 @@ from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.files.output_files import not_an_input, output_file
 from trackres_ros.learning.columns import column_names
 from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.vehicle_file import LearnedFile
 from trackres_ros.offline.disturbance import DisturbanceColumns
 from trackres_ros.offline.replay import Replayed, result_writer
 from trackres_ros.offline.summary import picture_columns, summary, text
@@ -87,6 +88,11 @@ class ReplayResult(SeriesResult):
     def learner(self) -> Learner | None:
         """The learner; None if learning was off."""
         return self._replayed.learner
+
+    @property
+    def learned_file(self) -> LearnedFile | None:
+        """What the vehicle file of `save_vehicle` got, and why if nothing; None if none was asked for."""
+        return self._replayed.learned_file
 
     @property
     def _of_rows(self) -> tuple[str, ...]:
