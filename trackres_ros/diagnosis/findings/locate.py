@@ -23,9 +23,7 @@ Array = NDArray[np.float64]
 
 ACTING_SHARE = 0.5  # of its 95th percentile
 BOTH_WAYS_SHARE = 0.25  # of the larger side: an effect with more than this on the other side changes its sign
-MEANS_LITTLE = (
-    0.05  # of the torque of an effect that acts everywhere: a smaller mean residual has no direction, the re-fit takes it
-)
+MEANS_LITTLE = 0.05  # of an effect's torque: where it acts everywhere, a smaller mean residual is what the re-fit left of it
 FOLLOWS_LEAST = 0.3  # of the mean square: a smaller share means that the effect follows no variable
 JOINED_S, SHORTEST_S = 10.0, 5.0
 SLOW_S = 30.0
