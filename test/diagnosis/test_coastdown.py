@@ -188,6 +188,7 @@ def test_fewer_than_three_coast_downs_confirm_nothing(tmp_path, rolled, times):
     found = tr.coastdown(written(tmp_path / "roll.csv", rolled[: begins[times - 1]], "time_s,speed_mps"), "xgd24d")
     assert len(found.coastdown.rolled.stretches) == times
     assert any(p.determined for p in found.coastdown.parameters)
+    assert repr(found).count("not told") == sum(not p.determined for p in found.coastdown.parameters) > 0
     assert not found.better
     assert "record three or more" in found.why_not
 

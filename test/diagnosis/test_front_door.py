@@ -52,6 +52,13 @@ def test_it_finds_what_the_command_finds(scrub_result, scrubbed):
     assert [f"  {stage}" for stage in (*stages, "report")] == done.stderr.splitlines()
 
 
+def test_it_says_where_a_replay_has_no_recorded_acceleration(found):
+    other, d = copy.copy(found), found.diagnosis
+    for given, says in ((frozenset({"accel"}), False), (frozenset(), True)):
+        other.diagnosis = replace(d, gated=replace(d.gated, sessions=[replace(s, given=given) for s in d.gated.sessions]))
+        assert ("\nNo acceleration was recorded: a replay computes it from past speeds alone" in repr(other)) == says
+
+
 def test_the_report_is_the_commands(written, found, scrubbed):
     folder, _, _ = scrubbed
     names = {path.relative_to(folder) for path in folder.rglob("*") if path.is_file()}

@@ -79,6 +79,7 @@ def said(found=(), terms=(), refuted=(), base=None, at_end=None, slow=QUIET, hin
     for sentence in re.split(r"(?<=\.) ", verdict.sentence):
         assert 2 < len(sentence.split()) <= MOST_WORDS, sentence
         assert sentence.endswith(".")
+        assert not re.match("an? |the ", sentence), sentence
     assert ".." not in verdict.sentence
     return verdict
 
@@ -354,6 +355,8 @@ def test_a_confirmed_term_that_removes_little_is_last_and_small():
     verdict = said([found("payne", improvement=little), found()])
     assert verdict.sentence.endswith("payne is confirmed but small: it reduces that error by 1 Nm.")
     assert "The cause is payne" not in verdict.sentence
+    unnamed = said([found()], terms=[term(improvement=little)])
+    assert unnamed.sentence.endswith("A curve of the speed is confirmed but small: it reduces that error by 1 Nm.")
     alone = said([found("payne", improvement=little)], held=worth(with_effects=79.0))
     assert (alone.status, alone.grade) == ("named", CONFIRMED)
     assert alone.sentence.startswith("The missing physics is small. The mean error on hold-out laps falls from 80 to 79 Nm.")

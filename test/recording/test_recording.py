@@ -110,6 +110,10 @@ def test_zero_is_a_time_in_a_table_and_unset_in_a_bag() -> None:
     series = {"speed": (time, np.sin(time))}
     assert "zero_stamp" not in found(Recording.from_source(Given(series, zero_is_unset=False)))
     assert found(Recording.from_source(Given(series, zero_is_unset=True)))["zero_stamp"].count == 1
+    for before in (1e3, 1.7e9):  # a first time of 0, and then others
+        late = {"speed": (np.append(0.0, before + time), np.append(0.0, np.sin(time)))}
+        assert found(Recording.from_source(Given(late, zero_is_unset=False)))["gap"].count == 1
+        assert "gap" not in found(Recording.from_source(Given(late, zero_is_unset=True)))
 
 
 def test_aligned_holds_what_had_arrived() -> None:

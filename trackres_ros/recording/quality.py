@@ -54,7 +54,7 @@ def findings_of(role: str, samples: Series, start_ns: int, zero_is_unset: bool =
     note("non_finite", bad, f"{counted(bad.size, 'value is', 'values are')} not finite")
     unset = np.flatnonzero(samples.stamp_ns == 0) if zero_is_unset else bad[:0]
     note("zero_stamp", unset, f"{counted(unset.size, 'stamp is', 'stamps are')} zero (never set)")
-    _look_at_stamps(samples, note)
+    _look_at_stamps(samples, np.flatnonzero(samples.stamp_ns != 0) if zero_is_unset else np.arange(len(samples)), note)
     value = samples.value[finite]
     runs = np.flatnonzero(np.concatenate(([True], value[1:] != value[:-1])))
     step = _quantum(value, runs)
@@ -73,9 +73,8 @@ class _Note(Protocol):
     def __call__(self, kind: str, at: NDArray[np.intp], text: str) -> None: ...
 
 
-def _look_at_stamps(samples: Series, note: _Note) -> None:
-    """Note duplicate and backward stamps, gaps, and an offset from log time; zero stamps are another matter."""
-    rows = np.flatnonzero(samples.stamp_ns != 0)
+def _look_at_stamps(samples: Series, rows: NDArray[np.intp], note: _Note) -> None:
+    """Note duplicate and backward stamps, gaps, and an offset from log time; `rows` are those whose stamp was set."""
     if not rows.size:
         return
     stamp = samples.stamp_ns[rows]

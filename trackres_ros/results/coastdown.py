@@ -66,7 +66,7 @@ class CoastdownResult:
             at = alike([p.before, p.value, p.interval.low, p.interval.high], p.interval.high - p.interval.low)
             std = "" if math.isinf(p.before_std) else figures(2.0 * p.before_std, 2)
             together = f"only together with {', '.join(p.with_others)}" if p.with_others and p.determined else ""
-            found_at = (at[1], at[2], at[3]) if p.determined else ("not identified", "", "")
+            found_at = (at[1], at[2], at[3]) if p.determined else ("not told", "", "")
             rows.append((p.name, at[0], std, *found_at, "" if p.unit == "1" else p.unit, together))
         widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
         align = ("<", ">", ">", ">", ">", ">", "<", "<")

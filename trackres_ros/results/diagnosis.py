@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from trackres_ros.diagnosis.report.interactive import Interactive
 
 REPORT_FILE, VEHICLE_FILE = "report.json", "vehicle.yaml"
+REPLAYED = "No acceleration was recorded: a replay computes it from past speeds alone, so its error is larger than this one."
 DATA_FILES = (REPORT_FILE, VEHICLE_FILE, SURROUNDINGS_FILE)
 
 
@@ -180,8 +181,9 @@ class DiagnosisResult:
         return dict(self._content)
 
     def __repr__(self) -> str:
-        why = self.diagnosis.kept.text
-        return "\n".join([self.sentence, f"{why[0].upper()}{why[1:]}.", *self.to_do])
+        why, d = self.diagnosis.kept.text, self.diagnosis
+        derived = not isinstance(d.base, OwnBase) and not all("accel" in s.given for s in d.gated.sessions)
+        return "\n".join([self.sentence, f"{why[0].upper()}{why[1:]}.", *([REPLAYED] if derived else []), *self.to_do])
 
     def _repr_html_(self) -> str:
         rows = []

@@ -42,8 +42,8 @@ Possible = tuple[tuple[str, float | None], ...]
 
 
 def joined(sentences: Sequence[str]) -> str:
-    """Sentences one after the other; empty ones are dropped."""
-    return " ".join(f"{s.rstrip('.')}." for s in sentences if s)
+    """Sentences one after the other, with a capital unless a name comes first; empty ones are dropped."""
+    return " ".join(f"{(upper(s) if s.startswith(('a ', 'an ')) else s).rstrip('.')}." for s in sentences if s)
 
 
 def upper(text: str) -> str:
