@@ -80,6 +80,25 @@ def test_a_place_where_nothing_is_says_so_and_the_others_go_on(folder, place):
     assert len(others) == 2
 
 
+def test_a_name_that_is_not_utf8_is_a_broken_row(folder, in_this_process, monkeypatch):
+    fleet, dataset = fleet_of(folder, "vehicles: {a: xgd24d}"), FleetDataset(folder / "results")
+    in_this_process(fleet_run)
+    monkeypatch.setattr(fleet_run, "analyse", lambda task: {**good_row(1, "a"), "url": task.url, "stamp": task.stamp})
+    (folder / "a" / "two.mcap").unlink()
+    for name in (b"a/Vers\xfcch.csv", b"a/\xfc/x.csv", b"a/\xff/metadata.yaml"):
+        path = folder / os.fsdecode(name)
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
+    places = [str(folder / "a"), str(folder / "a" / "*.csv"), str(folder / os.fsdecode(b"\xfe"))]
+    for _ in range(2):  # also with its rows already there
+        counts = fleet_run.run(places, fleet, dataset)
+        assert (counts.found, counts.broken) == (5, 4)
+    assert names(find_recordings(places), folder) == ["a/Vers\\xfcch.csv", "a/one.csv", "a/\\xfc/x.csv", "a/\\xff", "\\xfe"]
+    reasons = {one["url"]: one["reason"] for one in dataset.rows() if one["status"] == "broken"}
+    assert all(reason.startswith(f"{url}: ") for url, reason in reasons.items())
+    assert sum("not UTF-8" in reason for reason in reasons.values()) == 3
+
+
 def test_an_unknown_kind_of_url_is_one_line():
     with pytest.raises(InputError, match="fsspec knows"):
         list(find_recordings(["nonsense://x"]))

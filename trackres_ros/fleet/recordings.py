@@ -5,7 +5,7 @@
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -36,10 +36,16 @@ def find_recordings(given: Sequence[str]) -> Iterator[FoundRecording]:
     """
     seen: set[str] = set()
     for place in given:
-        for found in _at(place):
+        for found in map(_printable, _at(place)):
             if found.url not in seen:
                 seen.add(found.url)
                 yield found
+
+
+def _printable(found: FoundRecording) -> FoundRecording:
+    """The same, if all programs can write its name; else its name with escapes, as a place that cannot be read."""
+    url = found.url.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    return found if url == found.url else replace(found, url=url, problem=found.problem or "its name is not UTF-8; rename it")
 
 
 def is_there(url: str) -> bool:
