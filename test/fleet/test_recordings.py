@@ -23,7 +23,7 @@ from trackres_ros.fleet import periods
 from trackres_ros.fleet import run as fleet_run
 from trackres_ros.fleet import task as fleet_task
 from trackres_ros.fleet.dataset import FleetDataset
-from trackres_ros.fleet.recordings import FoundRecording, find_recordings
+from trackres_ros.fleet.recordings import LOCK, FoundRecording, find_recordings
 from trackres_ros.fleet.task import AGAIN, Task, analyse, broken
 from trackres_ros.fleet.trends import without_copies, without_overlaps
 from trackres_ros.fleet.vehicles import digest, digest_of_values, one_vehicle, read_fleet
@@ -97,6 +97,39 @@ def test_a_name_that_is_not_utf8_is_a_broken_row(folder, in_this_process, monkey
     reasons = {one["url"]: one["reason"] for one in dataset.rows() if one["status"] == "broken"}
     assert all(reason.startswith(f"{url}: ") for url, reason in reasons.items())
     assert sum("not UTF-8" in reason for reason in reasons.values()) == 3
+
+
+@pytest.mark.parametrize("form", ["{}", "{}/*", "file://{}"])
+def test_a_folder_that_cannot_be_read_is_a_row_until_it_can(folder, form, in_this_process, monkeypatch):
+    fleet, dataset = fleet_of(folder, "vehicles: {a: xgd24d, c: xgd24d}"), FleetDataset(folder / "results")
+    in_this_process(fleet_run)
+    monkeypatch.setattr(fleet_run, "analyse", lambda task: {**good_row(1, "a"), "url": task.url, "stamp": task.stamp})
+    scandir = os.scandir
+
+    def refused(path):
+        if path in closed:
+            raise PermissionError(errno.EACCES, "Permission denied", path)
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refused)
+    dataset.folder.mkdir()
+    (dataset.folder / LOCK).touch()
+    (folder / "a" / "deep" / "deeper").mkdir(parents=True)
+    (folder / "a" / "deep" / "deeper" / "x.csv").touch()
+    everything = ["a/deep/deeper/x.csv", "a/one.csv", "a/two.mcap", "b/three.csv.gz", "c/bag"]
+    for names_of, there in (
+        ((), everything),
+        (("a/deep/deeper", "c"), ["a/deep/deeper", *everything[1:4], "c"]),
+        (("a",), ["a", *everything[3:]]),
+        ((), everything),
+    ):
+        closed = [f"{folder}/{name}" for name in names_of]
+        found = list(find_recordings([form.format(folder)]))
+        assert sorted(names(found, folder)) == there
+        assert [one.problem for one in found if one.url in closed] == ["PermissionError: Permission denied"] * len(closed)
+        fleet_run.run([form.format(folder)], fleet, dataset)
+        of_now = {one["url"] for one in dataset.rows() if "Permission" in (one["reason"] or "")}
+        assert of_now == set(closed)
 
 
 def test_an_unknown_kind_of_url_is_one_line():

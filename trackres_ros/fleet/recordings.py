@@ -72,7 +72,7 @@ def _at(place: str) -> Iterator[FoundRecording]:
     try:
         yield from _listed(system, path, place)
     except (OSError, ValueError) as error:  # a bucket without access, a network failure: reported, and the others continue
-        yield FoundRecording(place, "", one_line(f"{type(error).__name__}: {getattr(error, 'strerror', None) or error}"))
+        yield FoundRecording(place, "", _why(error))
 
 
 def _listed(system: Any, path: str, place: str) -> Iterator[FoundRecording]:
@@ -109,26 +109,23 @@ def _holds_results(system: Any, folder: str) -> bool:
     return _is_local(system) and system.isfile(f"{folder}/{LOCK}") and system.isdir(f"{folder}/{ROWS}")
 
 
-def _inside(system: Any, top: str) -> Iterator[FoundRecording]:
-    closed: list[str] = []  # folders of bags and of results
-    for folder, folders, files in system.walk(top, detail=True):
-        folders_here = sorted(folders)
-        if isinstance(folders, dict):
-            for name in folders_here:  # in the order of names, which a top-down walk uses
-                folders[name] = folders.pop(name)
-        if any(folder.startswith(f"{one}/") for one in closed):
-            continue
+def _inside(system: Any, folder: str) -> Iterator[FoundRecording]:
+    """Recordings in a folder, by name, then those in its folders; a folder that cannot be read is one with a problem."""
+    errors: list[OSError] = []
+    # One level at a time: a walk of fsspec asks `on_error` about its first folder alone, and leaves out others that fail.
+    for _, folders, files in system.walk(folder, maxdepth=1, detail=True, on_error=errors.append):
         if LOCK in files and ROWS in folders:
-            folders.clear()
-            closed.append(folder)
-            continue
+            return
         if OF_A_BAG in files:
-            closed.append(folder)
             yield FoundRecording(_url(system, folder), _stamp([files[name] for name in sorted(files)]))
-            continue
+            return
         for name in sorted(files):
             if name.lower().endswith(SUFFIXES):
                 yield FoundRecording(_url(system, str(PurePosixPath(folder) / name)), _stamp([files[name]]))
+        for name in sorted(folders):
+            yield from _inside(system, folders[name]["name"].rstrip("/"))
+    for error in errors:
+        yield FoundRecording(_url(system, folder), "", _why(error))
 
 
 def _url(system: Any, path: str) -> str:
@@ -138,6 +135,10 @@ def _url(system: Any, path: str) -> str:
 
 def _is_local(system: Any) -> bool:
     return (system.protocol if isinstance(system.protocol, str) else system.protocol[0]) in ("file", "local")
+
+
+def _why(error: Exception) -> str:
+    return one_line(f"{type(error).__name__}: {getattr(error, 'strerror', None) or error}")
 
 
 def _stamp(infos: Sequence[dict[str, Any]]) -> str:

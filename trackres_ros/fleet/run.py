@@ -93,7 +93,7 @@ class _Run:
         within = f"{dataset.folder.resolve()}/"
         for url, before in list(self._index.items()):
             # A place that could not be read may be readable now; earlier versions took results for recordings.
-            if (not before.stamp and url in recordings) or url.startswith(within):
+            if not before.stamp or url.startswith(within):
                 self._index.pop(url).file.unlink(missing_ok=True)
 
     def tasks(self) -> Iterator[Task]:
