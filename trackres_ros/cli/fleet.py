@@ -3,7 +3,9 @@
 
 """Runs `trackres fleet` and `trackres trend`."""
 
-from collections.abc import Mapping, Sequence
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -124,8 +126,8 @@ def run_command(
         head = f"{counts.found} recordings: {counts.kept} unchanged, {counts.good} new, {counts.broken} unusable"
         return "\n".join([head, *sentences(found), f"{pages}"])
 
-    emit({"run": done, **found, "page": str(pages)}, as_json, text)
-    return _alerted(output, rows, webhook, exit_code)
+    result = {"run": done, **found, "page": str(pages)}
+    return _reported(_alerted(output, rows, webhook, exit_code), result, as_json, text)
 
 
 @fleet_group.command("sample", cls=Command)
@@ -201,8 +203,8 @@ def trend_command(
     found["alerts"] = rows = alerts(found)
     if file is not None:
         write_alerts(file, rows)
-    emit(found, as_json, lambda: with_written("\n".join(sentences(found)), [file] if file else []))
-    return _alerted(folder, rows, webhook, exit_code)
+    code = _alerted(folder, rows, webhook, exit_code)
+    return _reported(code, found, as_json, lambda: with_written("\n".join(sentences(found)), [file] if file else []))
 
 
 def _alerted(folder: Path, rows: Sequence[Mapping[str, Any]], webhook: str | None, exit_code: bool) -> int:
@@ -213,6 +215,18 @@ def _alerted(folder: Path, rows: Sequence[Mapping[str, Any]], webhook: str | Non
         click.echo(f"trackres: the webhook failed: {why}", err=True)
         return NOT_SENT
     return CHANGED if exit_code and rows else 0
+
+
+def _reported(code: int, result: dict[str, Any], as_json: bool, text: Callable[[], str]) -> int:
+    """Print the results after the alerts, whose exit code stays where nobody can read standard output."""
+    try:
+        emit(result, as_json, text)
+    except OSError as error:
+        if not code:
+            raise
+        click.echo(f"trackres: standard output: {error.strerror}", err=True)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python writes the rest at its end
+    return code
 
 
 def _limit(given: str) -> tuple[str, float]:
