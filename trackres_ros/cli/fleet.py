@@ -139,7 +139,7 @@ def run_command(
 @options.folder("Folder to write into.")
 @options.json
 def sample_command(output: Path, as_json: bool, **drawn: Any) -> None:
-    """Write a simulated fleet in which up to three vehicles change; answers.json lists them.
+    """Write a simulated fleet in which up to three vehicles change; answers.json lists them, and the options.
 
     A vehicle needs two recordings to change, so give --days at least twice --every.
 
