@@ -86,6 +86,8 @@ def run_command(
     needs("trackres fleet", "fleet", *EXTRA)
     if (vehicle is None) == (vehicles is None):
         raise InputError("--vehicle, --vehicles", "both" if vehicle else "neither", "one of them")
+    if vehicles is not None and topics is not None:
+        raise InputError("--vehicles, --topics", "both", "--topics with --vehicle alone", f"name it in {vehicles} as topics")
     from trackres_ros.fleet.alerts import FILE, alerts, checked_url, write_alerts
     from trackres_ros.fleet.dataset import FleetDataset
     from trackres_ros.fleet.page.write import write_pages
@@ -147,6 +149,7 @@ def sample_command(output: Path, as_json: bool, **drawn: Any) -> None:
     trackres fleet sample -o try --vehicles 20 --days 90
     trackres fleet try/recordings --vehicles try/fleet.yaml -o results
     """
+    needs("trackres fleet sample", "fleet", "numba")
     from trackres_ros.evaluation.fleet.sample import write_sample
 
     watch(output)
