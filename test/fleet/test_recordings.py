@@ -23,7 +23,7 @@ from trackres_ros.fleet import periods
 from trackres_ros.fleet import run as fleet_run
 from trackres_ros.fleet import task as fleet_task
 from trackres_ros.fleet.dataset import FleetDataset
-from trackres_ros.fleet.recordings import LOCK, FoundRecording, find_recordings
+from trackres_ros.fleet.recordings import LOCK, FoundRecording, find_recordings, is_there
 from trackres_ros.fleet.task import AGAIN, Task, analyse, broken
 from trackres_ros.fleet.trends import without_copies, without_overlaps
 from trackres_ros.fleet.vehicles import digest, digest_of_values, one_vehicle, read_fleet
@@ -52,6 +52,20 @@ def test_a_folder_yields_its_recordings_and_a_bag_folder_is_one(folder):
 @pytest.mark.parametrize("form", ["{}/a/*.csv", "file://{}/a/*.csv", "{}/a/one.csv"])
 def test_paths_globs_and_urls_lead_to_the_same(folder, form):
     assert names(find_recordings([form.format(folder)]), folder) == ["a/one.csv"]
+
+
+@pytest.mark.parametrize("name", ["a[1].csv", "[ab]", "x::y.csv", "x::y", "what?", "*", "é ü.csv"])
+@pytest.mark.parametrize("form", ["{}/", "", "./"])
+def test_a_path_that_exists_is_no_glob_and_no_url(folder, monkeypatch, name, form):
+    monkeypatch.chdir(folder)
+    path = folder / name if "." in name else folder / name / "z.csv"
+    path.parent.mkdir(exist_ok=True)
+    path.touch()
+    (found,) = find_recordings([form.format(folder) + name])
+    assert (found.url, found.problem) == (str(path), "")
+    assert is_there(found.url)
+    path.unlink()
+    assert not is_there(found.url)
 
 
 def test_each_recording_comes_once_however_often_it_is_named(folder):

@@ -50,20 +50,31 @@ def _printable(found: FoundRecording) -> FoundRecording:
 
 def is_there(url: str) -> bool:
     """Whether a recording that was once found still exists."""
+    system, path = _opened(url)
+    return bool(system.exists(path))
+
+
+def _opened(place: str) -> tuple[Any, str]:
+    """The file system of a place, and its path there. A path that exists is one, even with `::`, which chains URLs."""
+    from fsspec import filesystem
     from fsspec.core import url_to_fs
 
-    system, path = url_to_fs(url)
-    return bool(system.exists(path))
+    if "://" not in place:
+        local = filesystem("file")
+        if local.exists(place):
+            return local, local._strip_protocol(place)
+    system, path = url_to_fs(place)
+    return system, path
 
 
 def _at(place: str) -> Iterator[FoundRecording]:
     try:
-        from fsspec.core import url_to_fs
+        import fsspec  # noqa: F401
     except ImportError:
         raise MissingExtraError("trackres fleet", "fsspec", "fleet") from None
     protocol = place.partition("://")[0] if "://" in place else ""
     try:
-        system, path = url_to_fs(place)
+        system, path = _opened(place)
     except ImportError as error:
         module = "s3fs" if protocol in ("s3", "s3a") else str(error).split()[1] if len(str(error).split()) > 1 else protocol
         raise InputError(place, f"{protocol}://", "a URL that an installed library opens", f"pip install {module}") from None
@@ -76,7 +87,7 @@ def _at(place: str) -> Iterator[FoundRecording]:
 
 
 def _listed(system: Any, path: str, place: str) -> Iterator[FoundRecording]:
-    if any(sign in path for sign in WILD):
+    if any(sign in path for sign in WILD) and not (_is_local(system) and system.exists(path)):
         matches = sorted(system.glob(path))
         if not matches:
             yield FoundRecording(place, "", "nothing matches it")
