@@ -52,6 +52,7 @@ NEEDED = [
     (("prove", "loop", "-o", "out"), ("matplotlib",)),
     (("prove", "real", "--data", "here", "-o", "out"), ("matplotlib",)),
     (("fleet", "drive.csv", "--vehicle", "agri3t", "-o", "out"), ("distributed", "fsspec", "pyarrow", "jinja2")),
+    (("fleet", "sample", "-o", "out"), ("numba",)),
     (("trend", "here"), ("pyarrow",)),
     (("prove", "fleet", "-o", "out"), ("distributed",)),
     (("reproduce", "-o", "out"), ("matplotlib",)),

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
 from threading import Thread
 
 import numpy as np
@@ -101,6 +102,16 @@ def test_changes_are_a_table_a_message_and_an_exit_code(dataset, trackres, tmp_p
         (written,) = csv.DictReader(file)
     assert tuple(written) == COLUMNS == tuple(alert)
     assert written["text"] == alert["text"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_an_alert_is_sent_though_nothing_can_be_printed(dataset):
+    with hook(204) as (url, received), Path("/dev/full").open("w") as full:
+        words = ("trend", dataset.folder, "--webhook", url, "--exit-code")
+        done = subprocess.run([sys.executable, "-m", "trackres_ros", *words], stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 3
+    assert done.stderr == "trackres: standard output: No space left on device\n"
+    assert len(received) == 1
 
 
 @pytest.mark.parametrize("answer", [302, 500])

@@ -23,7 +23,7 @@ from trackres_ros.fleet import periods
 from trackres_ros.fleet import run as fleet_run
 from trackres_ros.fleet import task as fleet_task
 from trackres_ros.fleet.dataset import FleetDataset
-from trackres_ros.fleet.recordings import FoundRecording, find_recordings
+from trackres_ros.fleet.recordings import LOCK, FoundRecording, find_recordings, is_there
 from trackres_ros.fleet.task import AGAIN, Task, analyse, broken
 from trackres_ros.fleet.trends import without_copies, without_overlaps
 from trackres_ros.fleet.vehicles import digest, digest_of_values, one_vehicle, read_fleet
@@ -54,6 +54,20 @@ def test_paths_globs_and_urls_lead_to_the_same(folder, form):
     assert names(find_recordings([form.format(folder)]), folder) == ["a/one.csv"]
 
 
+@pytest.mark.parametrize("name", ["a[1].csv", "[ab]", "x::y.csv", "x::y", "what?", "*", "é ü.csv"])
+@pytest.mark.parametrize("form", ["{}/", "", "./"])
+def test_a_path_that_exists_is_no_glob_and_no_url(folder, monkeypatch, name, form):
+    monkeypatch.chdir(folder)
+    path = folder / name if "." in name else folder / name / "z.csv"
+    path.parent.mkdir(exist_ok=True)
+    path.touch()
+    (found,) = find_recordings([form.format(folder) + name])
+    assert (found.url, found.problem) == (str(path), "")
+    assert is_there(found.url)
+    path.unlink()
+    assert not is_there(found.url)
+
+
 def test_each_recording_comes_once_however_often_it_is_named(folder):
     found = names(find_recordings([str(folder / "a"), str(folder), str(folder / "a" / "one.csv")]), folder)
     assert found[:2] == ["a/one.csv", "a/two.mcap"]
@@ -78,6 +92,58 @@ def test_a_place_where_nothing_is_says_so_and_the_others_go_on(folder, place):
     assert first.problem
     assert not any(other.problem for other in others)
     assert len(others) == 2
+
+
+def test_a_name_that_is_not_utf8_is_a_broken_row(folder, in_this_process, monkeypatch):
+    fleet, dataset = fleet_of(folder, "vehicles: {a: xgd24d}"), FleetDataset(folder / "results")
+    in_this_process(fleet_run)
+    monkeypatch.setattr(fleet_run, "analyse", lambda task: {**good_row(1, "a"), "url": task.url, "stamp": task.stamp})
+    (folder / "a" / "two.mcap").unlink()
+    for name in (b"a/Vers\xfcch.csv", b"a/\xfc/x.csv", b"a/\xff/metadata.yaml"):
+        path = folder / os.fsdecode(name)
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
+    places = [str(folder / "a"), str(folder / "a" / "*.csv"), str(folder / os.fsdecode(b"\xfe"))]
+    for _ in range(2):  # also with its rows already there
+        counts = fleet_run.run(places, fleet, dataset)
+        assert (counts.found, counts.broken) == (5, 4)
+    assert names(find_recordings(places), folder) == ["a/Vers\\xfcch.csv", "a/one.csv", "a/\\xfc/x.csv", "a/\\xff", "\\xfe"]
+    reasons = {one["url"]: one["reason"] for one in dataset.rows() if one["status"] == "broken"}
+    assert all(reason.startswith(f"{url}: ") for url, reason in reasons.items())
+    assert sum("not UTF-8" in reason for reason in reasons.values()) == 3
+
+
+@pytest.mark.parametrize("form", ["{}", "{}/*", "file://{}"])
+def test_a_folder_that_cannot_be_read_is_a_row_until_it_can(folder, form, in_this_process, monkeypatch):
+    fleet, dataset = fleet_of(folder, "vehicles: {a: xgd24d, c: xgd24d}"), FleetDataset(folder / "results")
+    in_this_process(fleet_run)
+    monkeypatch.setattr(fleet_run, "analyse", lambda task: {**good_row(1, "a"), "url": task.url, "stamp": task.stamp})
+    scandir = os.scandir
+
+    def refused(path):
+        if path in closed:
+            raise PermissionError(errno.EACCES, "Permission denied", path)
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refused)
+    dataset.folder.mkdir()
+    (dataset.folder / LOCK).touch()
+    (folder / "a" / "deep" / "deeper").mkdir(parents=True)
+    (folder / "a" / "deep" / "deeper" / "x.csv").touch()
+    everything = ["a/deep/deeper/x.csv", "a/one.csv", "a/two.mcap", "b/three.csv.gz", "c/bag"]
+    for names_of, there in (
+        ((), everything),
+        (("a/deep/deeper", "c"), ["a/deep/deeper", *everything[1:4], "c"]),
+        (("a",), ["a", *everything[3:]]),
+        ((), everything),
+    ):
+        closed = [f"{folder}/{name}" for name in names_of]
+        found = list(find_recordings([form.format(folder)]))
+        assert sorted(names(found, folder)) == there
+        assert [one.problem for one in found if one.url in closed] == ["PermissionError: Permission denied"] * len(closed)
+        fleet_run.run([form.format(folder)], fleet, dataset)
+        of_now = {one["url"] for one in dataset.rows() if "Permission" in (one["reason"] or "")}
+        assert of_now == set(closed)
 
 
 def test_an_unknown_kind_of_url_is_one_line():
@@ -349,7 +415,9 @@ def test_equal_content_counts_once_where_it_is_found(tmp_path, monkeypatch, in_t
         counted, _ = without_copies(dataset.rows(["url", "vehicle", "status", "copy_of"]))
         diagnosed = [url for one in periods.periods(dataset, fleet, found.urls, ()) for url in one.urls]
         assert sorted(diagnosed) == sorted(one["url"] for one in counted if one["status"] == "good")
-        assert {one["url"] for one in counted} == {f"{tmp_path}/depot/{name}" for name in ("a/1.csv", "b/2.csv", counts)}
+        both = () if day or before else ("b/y.csv",)  # broken ones that are found are no copies
+        expected = {f"{tmp_path}/depot/{name}" for name in ("a/1.csv", "b/2.csv", counts, *both)}
+        assert {one["url"] for one in counted} == expected
 
 
 def test_a_report_stays_unless_its_recordings_are_at_fault(tmp_path, monkeypatch, in_this_process):

@@ -216,6 +216,7 @@ def test_an_engine_that_is_not_there_is_one_line(recordings, trackres, address, 
     ("given", "part"),
     [
         (("--vehicle", "xgd24d"), "both"),
+        (("--topics", "sample"), "--topics with --vehicle alone"),
         (("--hide", "gradde"), "did you mean grade"),
         (("--engine",), "requires an argument"),
     ],

@@ -60,6 +60,34 @@ def test_the_smallest_sample_is_analysed(good, tmp_path):
     assert done["status"] == "good", done["reason"]
 
 
+def test_only_a_sample_with_the_same_options_is_completed(good, trackres, tmp_path):
+    folder = tmp_path / "try"
+    words = ("fleet", "sample", "-o", folder, "--vehicles", "1", "--days", "1", "--minutes", "3", "--every")
+    good(*words, "0.25", "--seed", "2")
+    answers = json.loads((folder / "answers.json").read_text())
+    assert answers["options"] == {"vehicles": 1, "days": 1, "every": 0.25, "minutes": 3.0, "seed": 2}
+    assert [one["vehicle"] for one in answers["changes"]] == ["truck-01"]
+    removed = folder / "recordings" / "truck-01" / "drive_0002.csv"  # as if the first time had been interrupted
+    before = {path: path.read_bytes() for path in folder.rglob("*.*")}
+    removed.unlink()
+    good(*words, "0.25", "--seed", "2")
+    assert {path: path.read_bytes() for path in folder.rglob("*.*")} == before
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    for text in ("", "[]", "{}", '{"options": 1}', '{"options": {"seed": "x"}}'):
+        (mine / "fleet.yaml").write_text("vehicles: {a: agri3t}")
+        (mine / "answers.json").write_text(text)
+        done = trackres("fleet", "sample", "-o", mine)
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+        assert "other content" in done.stderr
+        assert (mine / "fleet.yaml").read_text() == "vehicles: {a: agri3t}"
+    for more in (("0.25", "--seed", "1"), ("0.5", "--seed", "2")):
+        done = trackres(*words, *more)
+        assert done.returncode == 2
+        assert "--vehicles 1 --days 1 --every 0.25 --minutes 3.0 --seed 2" in done.stderr
+    assert {path: path.read_bytes() for path in folder.rglob("*.*")} == before
+
+
 def test_a_short_recording_holds_enough_driving(tmp_path, monkeypatch):
     """If a driver stands at first, that drive is drawn again, and the recording can be compared."""
     drawn = []

@@ -3,7 +3,9 @@
 
 """Runs `trackres fleet` and `trackres trend`."""
 
-from collections.abc import Mapping, Sequence
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -84,6 +86,8 @@ def run_command(
     needs("trackres fleet", "fleet", *EXTRA)
     if (vehicle is None) == (vehicles is None):
         raise InputError("--vehicle, --vehicles", "both" if vehicle else "neither", "one of them")
+    if vehicles is not None and topics is not None:
+        raise InputError("--vehicles, --topics", "both", "--topics with --vehicle alone", f"name it in {vehicles} as topics")
     from trackres_ros.fleet.alerts import FILE, alerts, checked_url, write_alerts
     from trackres_ros.fleet.dataset import FleetDataset
     from trackres_ros.fleet.page.write import write_pages
@@ -124,8 +128,8 @@ def run_command(
         head = f"{counts.found} recordings: {counts.kept} unchanged, {counts.good} new, {counts.broken} unusable"
         return "\n".join([head, *sentences(found), f"{pages}"])
 
-    emit({"run": done, **found, "page": str(pages)}, as_json, text)
-    return _alerted(output, rows, webhook, exit_code)
+    result = {"run": done, **found, "page": str(pages)}
+    return _reported(_alerted(output, rows, webhook, exit_code), result, as_json, text)
 
 
 @fleet_group.command("sample", cls=Command)
@@ -137,7 +141,7 @@ def run_command(
 @options.folder("Folder to write into.")
 @options.json
 def sample_command(output: Path, as_json: bool, **drawn: Any) -> None:
-    """Write a simulated fleet in which up to three vehicles change; answers.json lists them.
+    """Write a simulated fleet in which up to three vehicles change; answers.json lists them, and the options.
 
     A vehicle needs two recordings to change, so give --days at least twice --every.
 
@@ -145,6 +149,7 @@ def sample_command(output: Path, as_json: bool, **drawn: Any) -> None:
     trackres fleet sample -o try --vehicles 20 --days 90
     trackres fleet try/recordings --vehicles try/fleet.yaml -o results
     """
+    needs("trackres fleet sample", "fleet", "numba")
     from trackres_ros.evaluation.fleet.sample import write_sample
 
     watch(output)
@@ -201,8 +206,8 @@ def trend_command(
     found["alerts"] = rows = alerts(found)
     if file is not None:
         write_alerts(file, rows)
-    emit(found, as_json, lambda: with_written("\n".join(sentences(found)), [file] if file else []))
-    return _alerted(folder, rows, webhook, exit_code)
+    code = _alerted(folder, rows, webhook, exit_code)
+    return _reported(code, found, as_json, lambda: with_written("\n".join(sentences(found)), [file] if file else []))
 
 
 def _alerted(folder: Path, rows: Sequence[Mapping[str, Any]], webhook: str | None, exit_code: bool) -> int:
@@ -213,6 +218,18 @@ def _alerted(folder: Path, rows: Sequence[Mapping[str, Any]], webhook: str | Non
         click.echo(f"trackres: the webhook failed: {why}", err=True)
         return NOT_SENT
     return CHANGED if exit_code and rows else 0
+
+
+def _reported(code: int, result: dict[str, Any], as_json: bool, text: Callable[[], str]) -> int:
+    """Print the results after the alerts, whose exit code stays where nobody can read standard output."""
+    try:
+        emit(result, as_json, text)
+    except OSError as error:
+        if not code:
+            raise
+        click.echo(f"trackres: standard output: {error.strerror}", err=True)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python writes the rest at its end
+    return code
 
 
 def _limit(given: str) -> tuple[str, float]:

@@ -5,7 +5,7 @@
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -36,28 +36,45 @@ def find_recordings(given: Sequence[str]) -> Iterator[FoundRecording]:
     """
     seen: set[str] = set()
     for place in given:
-        for found in _at(place):
+        for found in map(_printable, _at(place)):
             if found.url not in seen:
                 seen.add(found.url)
                 yield found
 
 
+def _printable(found: FoundRecording) -> FoundRecording:
+    """The same, if all programs can write its name; else its name with escapes, as a place that cannot be read."""
+    url = found.url.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    return found if url == found.url else replace(found, url=url, problem=found.problem or "its name is not UTF-8; rename it")
+
+
 def is_there(url: str) -> bool:
     """Whether a recording that was once found still exists."""
+    system, path = _opened(url)
+    return bool(system.exists(path))
+
+
+def _opened(place: str) -> tuple[Any, str]:
+    """The file system of a place, and its path there. A path that exists is one, even with `::`, which chains URLs."""
+    from fsspec import filesystem
     from fsspec.core import url_to_fs
 
-    system, path = url_to_fs(url)
-    return bool(system.exists(path))
+    if "://" not in place:
+        local = filesystem("file")
+        if local.exists(place):
+            return local, local._strip_protocol(place)
+    system, path = url_to_fs(place)
+    return system, path
 
 
 def _at(place: str) -> Iterator[FoundRecording]:
     try:
-        from fsspec.core import url_to_fs
+        import fsspec  # noqa: F401
     except ImportError:
         raise MissingExtraError("trackres fleet", "fsspec", "fleet") from None
     protocol = place.partition("://")[0] if "://" in place else ""
     try:
-        system, path = url_to_fs(place)
+        system, path = _opened(place)
     except ImportError as error:
         module = "s3fs" if protocol in ("s3", "s3a") else str(error).split()[1] if len(str(error).split()) > 1 else protocol
         raise InputError(place, f"{protocol}://", "a URL that an installed library opens", f"pip install {module}") from None
@@ -66,11 +83,11 @@ def _at(place: str) -> Iterator[FoundRecording]:
     try:
         yield from _listed(system, path, place)
     except (OSError, ValueError) as error:  # a bucket without access, a network failure: reported, and the others continue
-        yield FoundRecording(place, "", one_line(f"{type(error).__name__}: {getattr(error, 'strerror', None) or error}"))
+        yield FoundRecording(place, "", _why(error))
 
 
 def _listed(system: Any, path: str, place: str) -> Iterator[FoundRecording]:
-    if any(sign in path for sign in WILD):
+    if any(sign in path for sign in WILD) and not (_is_local(system) and system.exists(path)):
         matches = sorted(system.glob(path))
         if not matches:
             yield FoundRecording(place, "", "nothing matches it")
@@ -103,26 +120,23 @@ def _holds_results(system: Any, folder: str) -> bool:
     return _is_local(system) and system.isfile(f"{folder}/{LOCK}") and system.isdir(f"{folder}/{ROWS}")
 
 
-def _inside(system: Any, top: str) -> Iterator[FoundRecording]:
-    closed: list[str] = []  # folders of bags and of results
-    for folder, folders, files in system.walk(top, detail=True):
-        folders_here = sorted(folders)
-        if isinstance(folders, dict):
-            for name in folders_here:  # in the order of names, which a top-down walk uses
-                folders[name] = folders.pop(name)
-        if any(folder.startswith(f"{one}/") for one in closed):
-            continue
+def _inside(system: Any, folder: str) -> Iterator[FoundRecording]:
+    """Recordings in a folder, by name, then those in its folders; a folder that cannot be read is one with a problem."""
+    errors: list[OSError] = []
+    # One level at a time: a walk of fsspec asks `on_error` about its first folder alone, and leaves out others that fail.
+    for _, folders, files in system.walk(folder, maxdepth=1, detail=True, on_error=errors.append):
         if LOCK in files and ROWS in folders:
-            folders.clear()
-            closed.append(folder)
-            continue
+            return
         if OF_A_BAG in files:
-            closed.append(folder)
             yield FoundRecording(_url(system, folder), _stamp([files[name] for name in sorted(files)]))
-            continue
+            return
         for name in sorted(files):
             if name.lower().endswith(SUFFIXES):
                 yield FoundRecording(_url(system, str(PurePosixPath(folder) / name)), _stamp([files[name]]))
+        for name in sorted(folders):
+            yield from _inside(system, folders[name]["name"].rstrip("/"))
+    for error in errors:
+        yield FoundRecording(_url(system, folder), "", _why(error))
 
 
 def _url(system: Any, path: str) -> str:
@@ -132,6 +146,10 @@ def _url(system: Any, path: str) -> str:
 
 def _is_local(system: Any) -> bool:
     return (system.protocol if isinstance(system.protocol, str) else system.protocol[0]) in ("file", "local")
+
+
+def _why(error: Exception) -> str:
+    return one_line(f"{type(error).__name__}: {getattr(error, 'strerror', None) or error}")
 
 
 def _stamp(infos: Sequence[dict[str, Any]]) -> str:

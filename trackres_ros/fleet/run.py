@@ -93,7 +93,7 @@ class _Run:
         within = f"{dataset.folder.resolve()}/"
         for url, before in list(self._index.items()):
             # A place that could not be read may be readable now; earlier versions took results for recordings.
-            if (not before.stamp and url in recordings) or url.startswith(within):
+            if not before.stamp or url.startswith(within):
                 self._index.pop(url).file.unlink(missing_ok=True)
 
     def tasks(self) -> Iterator[Task]:
@@ -140,7 +140,10 @@ class _Run:
         self.counts.reason = self.counts.reason or reason
 
     def mark_copies(self) -> None:
-        """Of recordings with equal content one counts, whatever its name and vehicle: the rows of the others name it."""
+        """Of recordings with equal content one counts, whatever its name and vehicle: the rows of the others name it.
+
+        A broken one that is found stays broken: many have the same content, such as none.
+        """
         by_content: dict[str, list[str]] = {}
         for url, row in self._index.items():
             by_content.setdefault(row.content or url, []).append(url)
@@ -148,6 +151,7 @@ class _Run:
             first, *others = sorted(urls, key=self._rank)
             for url, copy_of in ((first, ""), *((other, first) for other in others)):
                 row = self._index[url]
+                copy_of = "" if row.broken and url in self.counts.urls else copy_of
                 if row.copy_of != copy_of:
                     self._dataset.put({**self._dataset.of(row), "copy_of": copy_of}, row.file)
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
@@ -27,9 +27,12 @@ from trackres_ros.evaluation.fleet.draw import (
     draw_fleet,
     write_recording,
 )
+from trackres_ros.files.jsons import parse_json
+from trackres_ros.files.own_files import read, write
 
 SAMPLE_CHANGES = ((BEARING, RAMP, 0.4), (BEARING, STEP, 0.2), (LOSS, STEP, 0.15))
 ANSWERS, FLEET, RECORDINGS = "answers.json", "fleet.yaml", "recordings"
+MOST_BYTES = 1 << 20  # of answers.json
 BEARING_LIMIT = 0.012  # upper limit of a bearing in the vehicle file
 
 
@@ -42,19 +45,34 @@ def write_sample(
     seed: int,
     on_begin: Callable[[int], Callable[[float], None]],
 ) -> list[DrawnVehicle]:
-    """A simulated fleet for trials, in which up to three vehicles change; answers.json lists them.
+    """A simulated fleet for trials, in which up to three vehicles change; answers.json lists them, and the options.
 
-    InputError if a recording is longer than the time between two, or the folder has other content.
+    InputError if a recording is longer than the time between two, or the folder has other content or a sample with others.
     """
+    options = {"vehicles": vehicles, "days": days, "every": every, "minutes": minutes, "seed": seed}
     fleet = draw_fleet(vehicles, days, every, minutes, SAMPLE_CHANGES, seed)
-    if folder.exists() and any(folder.iterdir()) and not (folder / FLEET).exists():
-        raise InputError("-o", str(folder), "a folder that is empty, or that holds an earlier sample")
-    write_recordings(folder, fleet, minutes, on_begin)
-    answers = [
+    _check_same(folder, options)
+    changes = [
         {"vehicle": v.name, **asdict(v.hidden), "since_s": START_S + v.days[v.hidden.first] * DAY_S} for v in fleet if v.hidden
     ]
-    (folder / ANSWERS).write_text(json.dumps(answers, indent=1) + "\n", encoding="utf-8")
+    folder.mkdir(parents=True, exist_ok=True)
+    write(folder / ANSWERS, (json.dumps({"options": options, "changes": changes}, indent=1) + "\n").encode())
+    write_recordings(folder, fleet, minutes, on_begin)
     return fleet
+
+
+def _check_same(folder: Path, options: Mapping[str, float]) -> None:
+    """Raise InputError if a folder has other content than a sample with these options, perhaps an interrupted one."""
+    if not folder.exists() or not any(folder.iterdir()):
+        return
+    allowed = "a folder that is empty, or that holds an earlier sample with the same options"
+    try:
+        kept = parse_json(read(folder / ANSWERS, MOST_BYTES))["options"]
+        given = " ".join(f"--{name} {kept[name]}" for name in options)
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError("-o", f"{folder}, which has other content", allowed, "give another folder") from None
+    if kept != options:
+        raise InputError("-o", f"{folder}, a sample with {given}", allowed, "give these options or another folder")
 
 
 def write_recordings(
