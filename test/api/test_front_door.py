@@ -65,6 +65,7 @@ STARTED_BY = {  # commands that start an application of their own, and import it
     "options.py": {"trackres_ros.api.arguments", "trackres_ros.recording.bindings"},
     "play.py": {"trackres_ros.node.dds.player"},
     "prove.py": {"trackres_ros.evaluation"},
+    "replay.py": {"trackres_ros.files.output_files", "trackres_ros.recording.opening"},
     "reproduce.py": {"trackres_ros.evaluation.reproduce"},
     "topics.py": {"trackres_ros.recording.topics_files"},
     "simulate.py": {"trackres_ros.offline.energy"},

@@ -3,7 +3,7 @@
 
 """Checks the places of results before any work is done for them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
@@ -58,6 +58,14 @@ def output_folder(path: str | PathLike[str], where: str = "output") -> Path:
     if folder.exists() and not folder.is_dir():
         raise InputError(where, str(folder), "a folder; a file of that name exists")
     return folder
+
+
+def no_two_alike(outputs: Mapping[str, Path | None]) -> None:
+    """Check that no output replaces another; keys are the names of their arguments. Raises InputError for the same file."""
+    found: dict[Path, str] = {}
+    for where, file in outputs.items():
+        if file is not None and (other := found.setdefault(file.resolve(), where)) != where:
+            raise InputError(f"{other}, {where}", str(file), "a file for each output")
 
 
 def not_an_input(file: Path | None, inputs: Iterable[str | PathLike[str] | None], where: str) -> None:
