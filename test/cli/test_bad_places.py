@@ -13,6 +13,7 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.cli.main import cli
+from trackres_ros.files.output_files import output_folder
 
 SECRET = "root:x:0:0"
 
@@ -90,6 +91,40 @@ def inputs(good, tmp_path_factory):
     (folder / "params.yaml").write_text("gap_s: 2.0\n")
     (folder / "around.yaml").write_text("schema: 1\nvehicle: vehicle\neffects: {}\n")
     return folder
+
+
+@pytest.mark.parametrize("place", ["/proc/nope/out", "/dev/null/out", "d.csv/out"])
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        ("diagnose d.csv --vehicle vehicle.yaml", "-o"),
+        ("compare vehicle.yaml vehicle.yaml", "-o"),
+        ("coastdown d.csv --vehicle vehicle.yaml", "--save-vehicle .yaml"),
+        ("coastdown d.csv --vehicle vehicle.yaml", "--picture .png"),
+        ("export c vehicle.yaml", "-o"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_refused_first(trackres, inputs, monkeypatch, words, option, place):
+    def never(*_args, **_more):
+        raise AssertionError("work began")
+
+    for work in ("trackres_ros.diagnose", "trackres_ros.coastdown", "trackres_ros.fleet.compare.compare"):
+        monkeypatch.setattr(work, never)
+    before = sorted(inputs.rglob("*"))
+    option, *suffix = option.split()
+    done = trackres(*words.split(), option, "".join([place, *suffix]), cwd=inputs)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert place in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert sorted(inputs.rglob("*")) == before
+
+
+def test_a_check_of_a_place_leaves_nothing_there(tmp_path):
+    assert output_folder(tmp_path / "new" / "folder") == tmp_path / "new" / "folder"
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "report.json").mkdir()
+    with pytest.raises(tr.InputError, match="can be replaced"):
+        output_folder(tmp_path, names=["report.json"])
 
 
 OF_REPLAY = (
