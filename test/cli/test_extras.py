@@ -63,6 +63,8 @@ NEEDED = [
     (("replay", "drive.csv", "--vehicle", "agri3t", "-o", "out.mcap"), ("rosbags",)),
     (("live", "--edge", "dds", "--vehicle", "agri3t"), ("cyclonedds",)),
     (("live", "--edge", "dds", "--vehicle", "agri3t", "--record", "out.mcap"), ("rosbags",)),
+    (("compare", "agri3t", "xgd24d", "-o", "out"), ("matplotlib",)),
+    (("coastdown", "drive.csv", "--vehicle", "agri3t", "--picture", "out.png"), ("matplotlib",)),
     (("play", "lap.mcap"), ("cyclonedds",)),
 ]
 
@@ -80,11 +82,13 @@ def test_without_any_of_them_the_rest_works(tmp_path):
     works = [
         ("simulate", "--vehicle", "agri3t", "--speed-kmh", "5", "--duration-s", "5", "-o", "out.csv"),
         ("replay", "drive.csv", "--vehicle", "agri3t", "-o", "out.csv"),
+        ("sweep", "agri3t", "--vary", "loss_modulus_scale=0.9,1.1", "-o", "out.csv"),
         ("explain", "--vehicle", "agri3t", "--speed-kmh", "5", "--belt-degc", "20"),
         ("effects",),
     ]
-    for code, _, err, _ in without(OPTIONAL.split(), [([], words) for words in works], tmp_path):
+    for code, out, err, _ in without(OPTIONAL.split(), [([], words) for words in works], tmp_path):
         assert code == 0, err
+        assert out, err
         assert "Traceback" not in err
 
 
