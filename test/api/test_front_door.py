@@ -46,7 +46,10 @@ PRINTING = {
     "trackres_ros.model.resistance": "the parts of a torque, by name",
 }
 STARTED_BY = {  # commands that start an application of their own, and import it
-    "compare.py": {"trackres_ros.design", "trackres_ros.fleet", "trackres_ros.offline.vehicle_files"},
+    "coastdown.py": {"trackres_ros.files.output_files"},
+    "compare.py": {
+        "trackres_ros.design", "trackres_ros.files.output_files", "trackres_ros.fleet", "trackres_ros.offline.vehicle_files",
+    },
     "compound.py": {"trackres_ros.compound.run"},
     "design.py": {
         "trackres_ros.design", "trackres_ros.files.output_files", "trackres_ros.output.table", "trackres_ros.vehicle",
@@ -65,6 +68,7 @@ STARTED_BY = {  # commands that start an application of their own, and import it
     "options.py": {"trackres_ros.api.arguments", "trackres_ros.recording.bindings"},
     "play.py": {"trackres_ros.node.dds.player"},
     "prove.py": {"trackres_ros.evaluation"},
+    "replay.py": {"trackres_ros.files.output_files", "trackres_ros.recording.opening"},
     "reproduce.py": {"trackres_ros.evaluation.reproduce"},
     "topics.py": {"trackres_ros.recording.topics_files"},
     "simulate.py": {"trackres_ros.offline.energy"},

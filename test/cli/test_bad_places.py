@@ -3,6 +3,7 @@
 
 """Paths that are empty, disks that are full, and files that a vehicle file names but that are no rubber files."""
 
+import os
 import resource
 import signal
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.cli.main import cli
+from trackres_ros.files.output_files import output_folder
 
 SECRET = "root:x:0:0"
 
@@ -91,6 +93,40 @@ def inputs(good, tmp_path_factory):
     return folder
 
 
+@pytest.mark.parametrize("place", ["/proc/nope/out", "/dev/null/out", "d.csv/out"])
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        ("diagnose d.csv --vehicle vehicle.yaml", "-o"),
+        ("compare vehicle.yaml vehicle.yaml", "-o"),
+        ("coastdown d.csv --vehicle vehicle.yaml", "--save-vehicle .yaml"),
+        ("coastdown d.csv --vehicle vehicle.yaml", "--picture .png"),
+        ("export c vehicle.yaml", "-o"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_refused_first(trackres, inputs, monkeypatch, words, option, place):
+    def never(*_args, **_more):
+        raise AssertionError("work began")
+
+    for work in ("trackres_ros.diagnose", "trackres_ros.coastdown", "trackres_ros.fleet.compare.compare"):
+        monkeypatch.setattr(work, never)
+    before = sorted(inputs.rglob("*"))
+    option, *suffix = option.split()
+    done = trackres(*words.split(), option, "".join([place, *suffix]), cwd=inputs)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert place in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert sorted(inputs.rglob("*")) == before
+
+
+def test_a_check_of_a_place_leaves_nothing_there(tmp_path):
+    assert output_folder(tmp_path / "new" / "folder") == tmp_path / "new" / "folder"
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "report.json").mkdir()
+    with pytest.raises(tr.InputError, match="can be replaced"):
+        output_folder(tmp_path, names=["report.json"])
+
+
 OF_REPLAY = (
     "replay d.csv --vehicle vehicle.yaml --surroundings around.yaml --topics topics.yaml --params params.yaml --learning watch"
 )
@@ -120,6 +156,33 @@ def test_no_output_replaces_an_input(trackres, inputs, words):
     assert ("which it would overwrite" in done.stderr) or ("which is another kind of file" in done.stderr)
     assert len(done.stderr.strip().splitlines()) == 1
     assert {path: path.read_bytes() for path in inputs.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize("outputs", [
+    "-o x.csv --save-state x.csv", "-o x.csv --save-state ./x.png", "-o y.csv --save-state x.yaml --save-vehicle x.yaml",
+])  # fmt: skip
+def test_no_output_of_a_replay_replaces_another(trackres, inputs, tmp_path, outputs):
+    done = trackres("replay", inputs / "d.csv", "--vehicle", "agri3t", "--learning", "watch", *outputs.split(), cwd=tmp_path)
+    assert (done.returncode, done.stdout, list(tmp_path.iterdir())) == (2, "", [])
+    assert "a file for each output" in done.stderr
+    assert "--save-state" in done.stderr
+
+
+def test_recordings_of_different_names_have_different_results(good, inputs, tmp_path):
+    names = [b"2025.06.19.csv", b"2025.06.22.CSV", b"caf\xe9.csv", b"caf\xea.csv"]
+    for name in names:
+        recording = tmp_path / os.fsdecode(name)
+        recording.write_bytes((inputs / "d.csv").read_bytes())
+        good("replay", recording, "--vehicle", "agri3t", cwd=tmp_path)
+    tables = sorted(path.name for path in tmp_path.glob("*_replay.parquet"))
+    assert tables == [f"{name}_replay.parquet" for name in ("2025.06.19", "2025.06.22", "caf\\xe9", "caf\\xea")]
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".parquet", ".mf4", ".mcap"])
+def test_an_output_may_have_a_name_that_is_not_utf_8(good, inputs, tmp_path, suffix):
+    out = tmp_path / (os.fsdecode(b"caf\xe9") + suffix)
+    good("replay", inputs / "d.csv", "--vehicle", "agri3t", "-o", out)
+    assert out.is_file()
 
 
 def test_no_saved_result_replaces_an_input(inputs, monkeypatch):

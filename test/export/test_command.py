@@ -148,10 +148,22 @@ def test_the_export_begins_with_what_a_restarted_node_knows(own, trackres, name,
 
 
 def test_the_head_names_vehicle_file_hash_and_version(own, good):
-    good("export", "c", "mine.yaml", "-o", "out", cwd=own)
+    for _ in range(2):  # an export is replaced by another
+        good("export", "c", "mine.yaml", "-o", "out", cwd=own)
     head = (own / "out" / "trackres.h").read_text()[:900]
     digest = json.loads((own / "out" / "trackres_export.json").read_text())["vehicle_sha256"]
     assert all(part in head for part in ("mine.yaml", digest, tr.__version__))
+
+
+@pytest.mark.parametrize("name", ["main.c", "CMakeLists.txt", "trackres.c", "trackres.h"])
+def test_an_export_replaces_only_an_export(own, trackres, name):
+    foreign = own / "out" / name
+    foreign.parent.mkdir()
+    foreign.write_text("of another program")
+    done = trackres("export", "c", "mine.yaml", "-o", "out", cwd=own)
+    assert done.returncode == 2
+    assert f"another {name}" in done.stderr
+    assert [path.read_text() for path in foreign.parent.iterdir()] == ["of another program"]
 
 
 @given(st.lists(st.text("abABz_-09", min_size=1, max_size=4), unique=True, max_size=6))

@@ -91,7 +91,7 @@ def replay(
     from trackres_ros.estimator.snapshot import resume as resumed
     from trackres_ros.estimator.topic_settings import settings_for
     from trackres_ros.estimator.warm_up import BLOCKS, LIVE, first_run
-    from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
+    from trackres_ros.files.output_files import BAG_SUFFIX, no_two_alike, not_an_input, output_file
     from trackres_ros.learning.learner import MODES, OFF, Learner
     from trackres_ros.learning.store import go_on_from, stored
     from trackres_ros.learning.vehicle_file import write_learned
@@ -121,6 +121,7 @@ def replay(
     not_an_input(state, inputs, "save_state")  # it may replace the state to resume
     for where, place in (("output", file), ("save_vehicle", learned_file)):
         not_an_input(place, [*inputs, resume], where)
+    no_two_alike({"output": file, "save_state": state, "save_vehicle": learned_file})
     learns = one_of(learning, "learning", MODES) != OFF
     if learned_file is not None and not learns:
         raise InputError("save_vehicle", str(save_vehicle), "a replay that learns", "give learning='watch' too")

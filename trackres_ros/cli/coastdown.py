@@ -10,7 +10,7 @@ import click
 
 import trackres_ros as tr
 from trackres_ros.cli import options
-from trackres_ros.cli.common import Command, emit, progress, with_written
+from trackres_ros.cli.common import Command, emit, needs, progress, with_written
 from trackres_ros.cli.partial_output import watch
 
 
@@ -39,6 +39,13 @@ def coastdown_command(save_vehicle: Path | None, picture: Path | None, as_json: 
     trackres coastdown roll_1.csv roll_2.csv --vehicle xgd24d --picture rolls.png
     trackres coastdown roll.mcap --vehicle my.yaml --topics topics.yaml --save-vehicle rolled.yaml
     """
+    from trackres_ros.files.output_files import output_file, picture_file
+
+    if save_vehicle is not None:
+        output_file(save_vehicle, (".yaml",), "save_vehicle")
+    if picture is not None:
+        needs("a picture", "plots", "matplotlib")
+        picture_file(picture, "picture")
     watch(save_vehicle, picture)
     with progress("coast-down", None):
         found = tr.coastdown(**asked)

@@ -51,9 +51,13 @@ def compare_command(one: str, other: str, cycle: tuple[str, ...], output: Path |
     """
     from trackres_ros.design.compare import ComparisonOptions, asked_of, compare_designs, wheels_compared, wheels_text
     from trackres_ros.design.compare_text import designs_text, draw_designs
+    from trackres_ros.files.output_files import output_folder as usable_folder
     from trackres_ros.fleet.compare import compare, compare_text, draw_overlay
     from trackres_ros.offline.vehicle_files import differences, differences_text
 
+    if output is not None:
+        needs("a picture", "plots", "matplotlib")
+        usable_folder(output)
     with print_warnings():
         found = compare(one, other)
     asked, designs = asked_of((one, other), ComparisonOptions(**asked_for, cycles=cycle)), None
@@ -69,7 +73,6 @@ def compare_command(one: str, other: str, cycle: tuple[str, ...], output: Path |
         with progress("operating points", asked.points) as advance:
             found["designs"] = designs = compare_designs(asked, advance)
     if output is not None:
-        needs("a picture", "plots", "matplotlib")
         found["written"] = str(draw_overlay(found, output_folder(output) / "compare.png"))
         if designs is not None:
             found["written"] += f", {draw_designs(designs, output / 'designs.png')}"

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from trackres_ros import MissingExtraError
 from trackres_ros.cli import options
 from trackres_ros.cli.common import Command, emit, needs, picture_beside, progress, with_written
 from trackres_ros.cli.partial_output import watch
@@ -93,8 +94,11 @@ def sweep_command(
     if file is not None and picture is not None:
         write_table(file, found.columns)
         written.append(str(file))
-        needs("a picture", "plots", "matplotlib")
-        written.append(str(draw(found, picture)))
+        try:
+            needs("a picture", "plots", "matplotlib")
+            written.append(str(draw(found, picture)))
+        except MissingExtraError as error:
+            click.echo(f"trackres: no picture: {error}", err=True)
     emit({**found.as_dict(), "written": written}, as_json, lambda: with_written(found.text(), written))
 
 

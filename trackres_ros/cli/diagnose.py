@@ -48,10 +48,11 @@ def diagnose_command(
     the weather or the ground go to surroundings.yaml instead; sensor corrections are printed as lines for the topics file.
     The exit code is 0 for any verdict.
     """
-    from trackres_ros.files.output_files import not_an_input
+    from trackres_ros.files.output_files import not_an_input, output_folder
     from trackres_ros.results.diagnosis import DATA_FILES
 
-    for name in DATA_FILES:  # before hours of work
+    output_folder(output, names=DATA_FILES)  # before hours of work
+    for name in DATA_FILES:
         not_an_input(output / name, [*recordings, asked["vehicle"], asked["surroundings"]], "output")
     watch(output)
     held = None if holdout is None else int(holdout) if holdout.isdecimal() else [name.strip() for name in holdout.split(",")]

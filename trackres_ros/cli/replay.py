@@ -3,6 +3,7 @@
 
 """Runs `trackres replay`: sends a recording through the estimator."""
 
+import os
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -63,8 +64,11 @@ def replay_command(
     Messages are processed in the order they were logged and by their own stamps, so the same recording always gives the same
     bits.
     """
+    from trackres_ros.files.output_files import no_two_alike
+
     output = output or _table_of(recording[0])
     picture = picture_beside(output)
+    no_two_alike({"output": picture, "save_state": asked["save_state"]})
     watch(output, picture, asked["save_state"], asked["save_vehicle"])
     described = tr.load_vehicle(vehicle, method=method, thermal=thermal, surroundings=surroundings)
     with progress("replaying", None) as advance:
@@ -83,5 +87,8 @@ def replay_command(
 
 
 def _table_of(recording: Path) -> Path:
-    """The default table of a replay."""
-    return Path(f"{recording.name.split('.')[0] or 'recording'}_replay{'.parquet' if find_spec('pyarrow') else '.csv.gz'}")
+    """The default table of a replay; bytes of the name that are no UTF-8 are escaped, for whoever prints it."""
+    from trackres_ros.recording.opening import stem
+
+    name = os.fsencode(stem(recording)).decode(errors="backslashreplace") or "recording"
+    return Path(f"{name}_replay{'.parquet' if find_spec('pyarrow') else '.csv.gz'}")

@@ -105,14 +105,15 @@ def export_c(request: Request, folder: Path) -> list[Path]:
     Raises
     ------
     InputError
-        See `translated`, and if the folder cannot be created.
+        See `translated`; if the folder cannot be created, or holds such files of another program.
     """
     output_folder(folder)
     source = translated(request)
     estimator, files = source.estimator, source.files()
+    if foreign := [name for name in files if (folder / name).exists() and not (folder / LIST).exists()]:
+        given = f"a folder with another {' and '.join(foreign)}"
+        raise InputError(str(folder), given, "a new folder, or one written by trackres export c", "choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in files.items():
-        write(folder / name, text.encode())
     listed = {
         "format": FORMAT,
         "version": VERSION,
@@ -127,7 +128,9 @@ def export_c(request: Request, folder: Path) -> list[Path]:
         "values": values_key(estimator),
         "files": {name: hashlib.sha256(text.encode()).hexdigest() for name, text in files.items()},
     }
-    write(folder / LIST, (json.dumps(listed, indent=2) + "\n").encode())
+    write(folder / LIST, (json.dumps(listed, indent=2) + "\n").encode())  # first: it shows whose files these are
+    for name, text in files.items():
+        write(folder / name, text.encode())
     return [folder / name for name in (*files, LIST)]
 
 

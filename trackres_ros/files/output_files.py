@@ -3,10 +3,13 @@
 
 """Checks the places of results before any work is done for them."""
 
-from collections.abc import Iterable, Sequence
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from trackres_ros.errors import InputError, MissingExtraError
 
@@ -34,6 +37,8 @@ def output_file(path: str | PathLike[str], suffixes: Sequence[str] = OUTPUT_SUFF
         raise InputError(where, str(file), "a file in a folder that exists", f"create it first: mkdir -p {file.parent}")
     if file.is_dir():
         raise InputError(where, str(file), "a file; a folder of that name exists")
+    if not file.exists():
+        _try_to_write(file.parent, file, where)
     if file.suffix.lower() in WRITTEN_WITH:
         feature, module, extra = WRITTEN_WITH[file.suffix.lower()]
         if find_spec(module) is None:
@@ -41,23 +46,51 @@ def output_file(path: str | PathLike[str], suffixes: Sequence[str] = OUTPUT_SUFF
     return file
 
 
-def picture_file(path: str | PathLike[str]) -> Path:
+def picture_file(path: str | PathLike[str], where: str = "path") -> Path:
     """The path, if its suffix is a known format of pictures; its folder is created. Raises InputError otherwise."""
     file = Path(path)
-    try:
-        if file.name.lower().endswith(PICTURE_SUFFIXES):
-            file.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError("path", str(file), f"a file in a folder that can be created: {error.strerror}") from error
-    return output_file(file, PICTURE_SUFFIXES, "path")
+    if file.name.lower().endswith(PICTURE_SUFFIXES):
+        _try_to_write(file.parent, file, where)
+        file.parent.mkdir(parents=True, exist_ok=True)
+    return output_file(file, PICTURE_SUFFIXES, where)
 
 
-def output_folder(path: str | PathLike[str], where: str = "output") -> Path:
-    """The path, if it is a folder or can be created. Raises InputError if it is a file."""
+def output_folder(path: str | PathLike[str], where: str = "output", names: Iterable[str] = ()) -> Path:
+    """The path, if it is or can be a folder in which files of some names can be written; nothing is left in it.
+
+    Raises InputError otherwise; `where` names the argument.
+    """
     folder = Path(path)
     if folder.exists() and not folder.is_dir():
         raise InputError(where, str(folder), "a folder; a file of that name exists")
+    _try_to_write(folder, folder, where)
+    for file in (folder / name for name in names):
+        if file.exists() and not (file.is_file() and os.access(file, os.W_OK)):
+            raise InputError(where, str(file), "a file that can be replaced", "remove it, or choose another folder")
     return folder
+
+
+def _try_to_write(folder: Path, given: Path, where: str) -> None:
+    """Make a folder and a file in it, and remove both: only the attempt shows whether a file system lets us."""
+    missing = [one for one in (folder, *folder.parents) if not one.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise InputError(where, str(given), f"a place that can be written to: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):
+            for one in missing:
+                one.rmdir()
+
+
+def no_two_alike(outputs: Mapping[str, Path | None]) -> None:
+    """Check that no output replaces another; keys are the names of their arguments. Raises InputError for the same file."""
+    found: dict[Path, str] = {}
+    for where, file in outputs.items():
+        if file is not None and (other := found.setdefault(file.resolve(), where)) != where:
+            raise InputError(f"{other}, {where}", str(file), "a file for each output")
 
 
 def not_an_input(file: Path | None, inputs: Iterable[str | PathLike[str] | None], where: str) -> None:

@@ -132,8 +132,9 @@ class TableWriter:
         if self._out is None:
             # Bytes of equal weight are grouped: smooth values differ in the last ones alone.
             others: Any = [name for name in self.names if name not in real]
+            file = self._files.enter_context(self._part.open("wb"))  # the library opens no name that is not UTF-8
             writer = parquet.ParquetWriter(
-                str(self._part), table.schema, write_page_checksum=True, compression="zstd", use_dictionary=others,
+                file, table.schema, write_page_checksum=True, compression="zstd", use_dictionary=others,
                 use_byte_stream_split=real,
             )  # fmt: skip
             self._out = self._files.enter_context(writer)

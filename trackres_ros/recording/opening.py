@@ -52,6 +52,13 @@ def suffixes() -> tuple[str, ...]:
     return tuple(dict.fromkeys(suffix for kind in (*shipped_kinds(), *further_kinds()) for suffix in kind.suffixes))
 
 
+def stem(path: Path) -> str:
+    """Name of a recording without the suffix of its kind; other dots stay, such as those of a date."""
+    kind = _by_name(path.name, shipped_kinds()) or (None if path.is_dir() else _by_name(path.name, further_kinds()))
+    ends = [suffix for suffix in (kind.suffixes if kind else ()) if path.name.lower().endswith(suffix)]
+    return path.name[: len(path.name) - max(map(len, ends), default=0)]
+
+
 def open_source(paths: Sequence[Path], topics: Topics | None = None) -> BoundSource:
     """Return the source for the recording at some paths.
 
