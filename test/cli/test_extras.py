@@ -8,9 +8,12 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 
 import pytest
 from waiting import wait_for
+
+from trackres_ros.cli import main as cli_main
 
 # Runs each command in a fork of a process that has loaded the command line alone, without the modules that are blocked.
 FORKS = """
@@ -92,6 +95,38 @@ def test_without_any_of_them_the_rest_works(tmp_path):
         assert "Traceback" not in err
 
 
+def into(stdout, stderr, *words):
+    """Exit code of a command with these two streams, given as descriptors; None is a stream that the caller has closed."""
+    streams = [None if to is None else os.fdopen(os.dup(to), "w") for to in (stdout, stderr)]
+    with redirect_stdout(streams[0]), redirect_stderr(streams[1]):
+        with pytest.raises(SystemExit) as ended:
+            cli_main.main([str(word) for word in words])
+        for stream in (sys.stdout, sys.stderr):
+            stream.close()
+    return ended.value.code
+
+
+def test_a_closed_or_full_stream_changes_no_result(tmp_path):
+    out, err = tmp_path / "out.csv", tmp_path / "err"
+    simulate = ("simulate", "--vehicle", "agri3t", "--speed-kmh", 5, "--duration-s", 5, "-o", out)
+    unread, closed = os.pipe()
+    os.close(unread)
+    full, errors = os.open("/dev/full", os.O_WRONLY), os.open(err, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    for stdout, stderr, code in ((None, errors, 0), (errors, None, 0), (closed, errors, 0), (full, errors, 2)):
+        for words in (simulate, (*simulate, "--json")):
+            os.truncate(err, 0)
+            assert into(stdout, stderr, *words) == code, (stdout, stderr, words)
+            assert out.stat().st_size > 100
+            out.unlink()
+            if stderr is not None:
+                assert err.read_text().count("\n") == (code != 0)
+                assert ("standard output: No space left" in err.read_text()) == (code != 0)
+    assert into(closed, errors, "--help") == 0
+    assert into(full, None, "repla", "--json") == 2
+    for one in (closed, full, errors):
+        os.close(one)
+
+
 def test_an_interrupted_command_lists_the_files_it_has_written(tmp_path):
     pytest.importorskip("matplotlib")
     command = [sys.executable, "-m", "trackres_ros", "reproduce", "-o", str(tmp_path / "figures")]
@@ -152,8 +187,6 @@ def test_an_interrupt_during_eval_of_a_string_exits_with_130(tmp_path):
 
 
 def test_a_command_interrupted_before_it_wrote_says_so(tmp_path, monkeypatch, capsys):
-    from trackres_ros.cli import main as cli_main
-
     def stop(*_args, **_kwargs):
         raise KeyboardInterrupt
 

@@ -88,7 +88,12 @@ def emit(result: dict[str, Any], as_json: bool, text: Callable[[], str]) -> None
     """Print a result as JSON or as text."""
     import json  # not for a help text, which it would delay
 
-    click.echo(json.dumps(result, indent=2, allow_nan=False) if as_json else text())
+    shown = json.dumps(result, indent=2, allow_nan=False) if as_json else text()
+    try:
+        click.echo(shown)
+    except OSError as error:  # it names no file, and those of the command are written
+        error.filename = "standard output"
+        raise
 
 
 @contextmanager

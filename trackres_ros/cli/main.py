@@ -4,8 +4,10 @@
 """Gathers the commands of `trackres`, and turns bad input into exit codes."""
 
 import os
+import select
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 import click
 
@@ -84,6 +86,9 @@ for command in (
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; bad input ends with exit code 2 and one line that says what to do, with --json as JSON."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by the caller; progress bars and libraries expect a stream
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8"))
     partial_output.begin()
     given = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in given
@@ -100,9 +105,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _fail(InputError(path, " ".join(given), text, f"see {path} --help"), f"{text} (see {path} --help)", as_json)
     except InputError as error:
         _fail(error, str(error), as_json)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
+    except SystemExit as ended:  # click ends with 1 where a pipe is closed, such as one to head
+        if ended.code == 1 and _nobody_reads():
+            _to_nowhere()
+            sys.exit(0)
+        raise
     except OSError as error:
         where, why = str(error.filename or partial_output.places() or "system"), str(error.strerror or error)
         _fail(InputError(where, why, "a usable file or device"), one_line(f"{where}: {why}"), as_json)
@@ -122,12 +129,30 @@ def _refuse_empty(given: Sequence[str]) -> None:
             raise InputError(where, "", "a text that is not empty", "if it comes from a shell variable, that variable is not set")
 
 
-def _fail(error: InputError, text: str, as_json: bool) -> None:
-    if as_json:
-        import json
+def _nobody_reads() -> bool:
+    """Whether standard output is a pipe whose reader has closed it."""
+    watched = select.poll()
+    watched.register(sys.stdout.fileno(), 0)  # errors alone
+    return bool(watched.poll(0))
 
-        click.echo(json.dumps({"error": error.as_dict()}))
-    else:
+
+def _to_nowhere() -> None:
+    """Have standard output go nowhere from now on, also what it still holds."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _fail(error: InputError, text: str, as_json: bool) -> None:
+    try:
+        if as_json:
+            import json
+
+            click.echo(json.dumps({"error": error.as_dict()}))
+            sys.exit(BAD_INPUT)
+        sys.stdout.flush()
+    except OSError:  # such as a full disk: at least one line on standard error says so
+        _to_nowhere()
+    with suppress(OSError):
         click.echo(f"trackres: error: {text}", err=True)
     sys.exit(BAD_INPUT)
 
