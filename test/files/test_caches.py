@@ -15,6 +15,7 @@ import pytest
 from waiting import wait_for
 
 from trackres_ros.files import cache, own_files
+from trackres_ros.files import cached_arrays as cached_arrays_module
 from trackres_ros.files.cached_arrays import cached_arrays
 from trackres_ros.jit import compiled as compiling
 from trackres_ros.jit.code_cache import LIGHT
@@ -62,6 +63,20 @@ def test_a_damaged_table_is_computed_anew_and_written_again(tmp_path):
         assert (tmp_path / "key.arrays").read_bytes() == whole
         again()
         assert len(computed) == count, name
+
+
+def test_the_cache_keeps_the_newest_tables_up_to_its_limit(tmp_path, monkeypatch):
+    cached_arrays("first", SHAPES, lambda: ARRAYS, tmp_path)
+    size = (tmp_path / "first.arrays").stat().st_size
+    os.utime(tmp_path / "first.arrays", ns=(0, 0))
+    (tmp_path / "of_others").write_bytes(bytes(10 * size))
+    monkeypatch.setattr(cached_arrays_module, "MOST_KEPT", 3 * size)
+    for count in range(1, 6):
+        found = cached_arrays(f"key{count}", SHAPES, lambda: ARRAYS, tmp_path)
+        os.utime(tmp_path / f"key{count}.arrays", ns=(count, count))
+        assert all(np.array_equal(found[name], ARRAYS[name]) for name in SHAPES)
+    assert {path.name for path in tmp_path.glob("*.arrays")} == {"key3.arrays", "key4.arrays", "key5.arrays"}
+    assert (tmp_path / "of_others").is_file()
 
 
 def test_the_table_of_another_key_is_not_taken(tmp_path):

@@ -8,7 +8,6 @@ import select
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 
 import click
 
@@ -89,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; bad input ends with exit code 2 and one line that says what to do, with --json as JSON."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by the caller; progress bars and libraries expect a stream
-            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8"))
     partial_output.begin()
     given = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in given

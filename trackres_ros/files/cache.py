@@ -12,6 +12,7 @@ import logging
 import os
 import pwd
 import stat
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -68,6 +69,24 @@ def drop(folder: Path, name: str) -> None:
         (folder / name).unlink(missing_ok=True)
     except OSError:
         return
+
+
+def trim(folder: Path | None, pattern: str, most: int) -> None:
+    """Remove the oldest of some files, if they have more than `most` bytes together. Who needs one again computes it.
+
+    Other processes may use the folder at the same time: a file that has vanished is not there, an open one stays readable.
+    """
+    found = []
+    for path in () if folder is None else folder.glob(pattern):
+        with suppress(OSError):
+            known = path.lstat()
+            found.append((known.st_mtime_ns, known.st_size, path))
+    over = sum(size for _, size, _ in found) - most
+    for _, size, path in sorted(found):
+        if over <= 0:
+            return
+        drop(path.parent, path.name)
+        over -= size
 
 
 def why_not(folder: Path) -> str:

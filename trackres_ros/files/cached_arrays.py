@@ -10,12 +10,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.files.cache import fetched, keep, usable
+from trackres_ros.files.cache import fetched, keep, trim, usable
 from trackres_ros.files.own_files import SEAL
 from trackres_ros.files.resources import cache_dir
 
 Array = NDArray[np.float64]
 
+SUFFIX = ".arrays"
+MOST_KEPT = 500 << 20  # bytes of all tables: those of some 250 diagnoses, each of which fits vehicles of its own
 STORED = np.dtype("<f8")
 
 
@@ -26,9 +28,9 @@ def cached_arrays(
 
     `key`: file name without suffix; must change with all inputs of the arrays. `shapes`: by name; arrays are stored one after the
     other, so the shapes define the size of the file. `cache`: the folder, by default `files.resources.cache_dir`; if it cannot be
-    used the next start computes again.
+    used the next start computes again. The oldest tables are removed where all have more than `MOST_KEPT` bytes.
     """
-    folder, name = usable(cache or cache_dir()), f"{key}.arrays"
+    folder, name = usable(cache or cache_dir()), f"{key}{SUFFIX}"
     sizes = [math.prod(shape) for shape in shapes.values()]
     stored = fetched(folder, name, sum(sizes) * STORED.itemsize + SEAL().digest_size)
     if stored is not None and len(stored) == sum(sizes) * STORED.itemsize:
@@ -37,4 +39,5 @@ def cached_arrays(
         return {name: part.reshape(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
     arrays = {name: np.asarray(value, dtype=float) for name, value in compute().items()}
     keep(folder, name, b"".join(np.ascontiguousarray(arrays[each], dtype=STORED).tobytes() for each in shapes))
+    trim(folder, f"*{SUFFIX}", MOST_KEPT)
     return arrays
