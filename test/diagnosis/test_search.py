@@ -21,7 +21,8 @@ from trackres_ros.diagnosis.search.cross_validation import FOLDS, CrossValidatio
 from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Search
 from trackres_ros.diagnosis.selection.as_used import AsUsed
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, SUSPECTED, HeldOutLaps
-from trackres_ros.diagnosis.selection.naming import compared
+from trackres_ros.diagnosis.selection.naming import Pool, compared, one_round
+from trackres_ros.diagnosis.selection.visibility import EffectColumns
 from trackres_ros.diagnosis.stages import refit as refit_stage
 from trackres_ros.diagnosis.stages.options import BY_DEFAULT
 from trackres_ros.effects import catalogue
@@ -329,6 +330,17 @@ def with_worse_base(judged, worse):
         return right if explanation.key else replace(right, final=worse, score=choice._validation.score(worse))
 
     return of
+
+
+@pytest.mark.parametrize(("cold_nm", "time_constant"), [(500.0, 300.0), (2400.0, 150.0)])
+def test_a_slow_effect_is_named_whatever_its_size(driven, known, cold_nm, time_constant):
+    found = driven(adds=lambda session, drive: cold_nm * np.exp(-session.time / time_constant))
+    assert found.noise.phi.sum() > 0.95  # near a random walk
+    names = {name: known[name] for name in ("warmup", "delay", "mullins")}
+    step = one_round(found, Pool(names, EffectColumns(found), 10.0), 0, np.random.default_rng(1))
+    best = step.candidates[0]
+    assert best.name == "warmup"
+    assert best.counts(step.threshold)
 
 
 def test_the_search_gives_a_base_likelier_than_its_own(driven, known):

@@ -22,6 +22,8 @@ from trackres_ros.effects.learned import EmpiricalEffect
 from trackres_ros.progress import counted
 
 MOST_REFITTED = {False: 6, True: 3}  # names, and forms
+MOST_SLOW = 3  # names, and forms: with the largest gains under noise that stays short
+HIDDEN = 2.0  # times its first-order gain: least gain under short noise of an effect that the first order hides
 FAR_BEHIND = 15.0  # in log-likelihood, to first order: no re-fit recovers that
 BORNE_OUT = 0.25  # of its first-order gain: least gain of a fit that confirms it
 THROUGH_TEMPERATURE = ("heat", "cooling")  # except for strongly non-linear effects
@@ -128,7 +130,11 @@ def _refitted(current: Fit, screened: Screened) -> list[Candidate]:
     The best one sets the limit for the others, unless its fit does not confirm its first-order gain. A delay, which is
     similar to a sensor lag only by non-linear terms, would otherwise exclude the true effect.
     """
-    fitted, misleading = dict[str, Candidate](), set[str]()
+    fitted, misleading, slow = dict[str, Candidate](), set[str](), _may_be_slow(screened)
+
+    def refitted(name: str, starts: Sequence[tuple[EffectSensitivity, Gain]]) -> Candidate:
+        return _refit(current, [*starts, *slow.pop(name, ())], screened.form_error_gain.get(name, 0.0))
+
     while True:
         looked_at = _may_be_best(screened, misleading)
         new = []
@@ -137,11 +143,30 @@ def _refitted(current: Fit, screened: Screened) -> list[Candidate]:
             room = MOST_REFITTED[kind] + sum(name in misleading for name in of_kind) - sum(name in fitted for name in of_kind)
             new += [name for name in of_kind if name not in fitted][: max(0, room)]
         if not new:
-            return list(fitted.values())
+            break
         for name in counted(new, "fits of candidate effects", len(new)):
-            fitted[name] = _refit(current, looked_at[name], screened.form_error_gain.get(name, 0.0))
+            fitted[name] = refitted(name, looked_at[name])
         first_order = {name: max(gain.value for s, gain in screened.gains if s.effect.name == name) for name in fitted}
         misleading = {name for name, c in fitted.items() if c.gain < BORNE_OUT * first_order[name]}
+    return [*fitted.values(), *(refitted(name, ()) for name in list(slow))]
+
+
+def _may_be_slow(screened: Screened) -> dict[str, list[tuple[EffectSensitivity, Gain]]]:
+    """Effects that may explain a slow residual although the first order hides them, by name, with their best start.
+
+    Under noise near a random walk a slow effect gains next to nothing until its shape is right, such as a time constant: the
+    larger it is, the less. Under noise that stays short it gains all the same, and its fit finds the shape.
+    """
+    first_order = dict[str, float]()
+    for s, gain in screened.gains:
+        first_order.setdefault(s.effect.name, gain.value)
+    best = {False: dict[str, list[tuple[EffectSensitivity, Gain]]](), True: dict[str, list[tuple[EffectSensitivity, Gain]]]()}
+    for s, gain in screened.short_gains:
+        of_kind = best[isinstance(s.effect, EmpiricalEffect)]
+        if gain.value > screened.threshold and len(of_kind) < MOST_SLOW:
+            of_kind.setdefault(s.effect.name, [(s, gain)])
+    slow = (best[False] | best[True]).items()
+    return {name: starts for name, starts in slow if starts[0][1].value > HIDDEN * first_order[name]}
 
 
 def _may_be_best(screened: Screened, misleading: Collection[str]) -> dict[str, list[tuple[EffectSensitivity, Gain]]]:

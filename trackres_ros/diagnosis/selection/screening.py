@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from trackres_ros.diagnosis.inference.fitting import LARGE, Fit
-from trackres_ros.diagnosis.inference.noise import Noise, autoregression, improved, shortened, solved
+from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, SHORT_ROOT, Noise, autoregression, improved, shortened, solved
 from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, whole_past
 from trackres_ros.diagnosis.selection.form_error import other_forms
 from trackres_ros.diagnosis.selection.visibility import EffectSensitivity, base_columns
@@ -49,6 +49,7 @@ class Screened:
     form_error_gain: Mapping[str, float]  # part that other forms of the fitted effects explain
     threshold: float  # gain of the best candidate by noise alone with 5 % probability
     reached: Array  # largest gain of each replicate of the bootstrap
+    short_gains: tuple[tuple[EffectSensitivity, Gain], ...] = ()  # the same under noise kept short; none if the fit's is short
 
 
 def screen(
@@ -68,9 +69,11 @@ def screen(
     movers = [linear.mover(c) for c in candidates]
     residual = linear.lagged(np.concatenate(fit.residuals))
     found = linear.gains(residual, movers)
-    gains = sorted(zip(candidates, found, strict=True), key=lambda pair: -pair[1].value)
+    gains = _best_first(candidates, found)
     if not gains:
         return Screened((), {}, np.inf, np.zeros(0))
+    short = linear.short_gains(residual, movers)
+    short_gains = _best_first(candidates, short) if short else ()
     form_error_gain: dict[str, float] = {}
     if forms.shape[1]:
         strict = _Linear(fit, own, forms[:, :0])
@@ -78,7 +81,7 @@ def screen(
         names = dict.fromkeys(c.effect.name for c in candidates)
         form_error_gain = {name: max(0.0, _best(name, candidates, plain) - _best(name, candidates, found)) for name in names}
     if by_noise is not None:
-        return Screened(tuple(gains), form_error_gain, by_noise, np.zeros(0))
+        return Screened(gains, form_error_gain, by_noise, np.zeros(0), short_gains)
     few = linear if linear.rows <= MOST_DRAWN_ROWS else _Linear(fit, own, forms, MOST_DRAWN_ROWS)
     movers = movers if few is linear else [few.mover(c) for c in candidates]
     rank = few.ranking(movers)
@@ -95,7 +98,7 @@ def screen(
     reached = largest_of(first)
     if 1.0 / PLAINLY < gains[0][1].value / largest_by_noise(reached) < PLAINLY:
         reached = np.concatenate((reached, largest_of(replicates - first)))
-    return Screened(tuple(gains), form_error_gain, largest_by_noise(reached), reached)
+    return Screened(gains, form_error_gain, largest_by_noise(reached), reached, short_gains)
 
 
 def largest_by_noise(reached: Array) -> float:
@@ -106,6 +109,10 @@ def largest_by_noise(reached: Array) -> float:
     if len(reached) < 2:
         return np.inf
     return float(reached.mean() + GUMBEL_95 * reached.std(ddof=1))
+
+
+def _best_first(candidates: Sequence[EffectSensitivity], gains: Sequence[Gain]) -> tuple[tuple[EffectSensitivity, Gain], ...]:
+    return tuple(sorted(zip(candidates, gains, strict=True), key=lambda pair: -pair[1].value))
 
 
 def _best(name: str, candidates: Sequence[EffectSensitivity], gains: Sequence[Gain]) -> float:
@@ -191,6 +198,15 @@ class _Linear:
 
         return [gain(mover) for mover in counted(movers, "screening of the candidates", len(movers))]
 
+    def short_gains(self, residual: Lagged, movers: Sequence[_Mover]) -> list[Gain]:
+        """The same under noise kept away from a random walk; none if the fit's noise is."""
+        short = self._short
+        if short is None:
+            return []
+        null = self._turned(residual, self.own, short, False, SHORT_ROOT)[0]
+        found = [self._turned(residual, m, short, False, SHORT_ROOT) for m in movers]
+        return [Gain(value - null, moved[len(self.own.prior) :], True) for value, moved in found]
+
     def ranking(self, movers: Sequence[_Mover]) -> Callable[[Lagged], Array]:
         """Function for the gain of each mover on a residual, without bounds and new noise: cheap, for ranking."""
         count, noises = len(self.own.prior), self._fit.noises
@@ -228,7 +244,14 @@ class _Linear:
             return found
         return max(found, Gain(*self._turned(residual, mover, self._short, centred_on_fit), True), key=lambda gain: gain.value)
 
-    def _turned(self, residual: Lagged, mover: _Mover, begin: Mapping[str, Noise], centred_on_fit: bool) -> tuple[float, Array]:
+    def _turned(
+        self,
+        residual: Lagged,
+        mover: _Mover,
+        begin: Mapping[str, Noise],
+        centred_on_fit: bool,
+        largest_root: float = LARGEST_ROOT,
+    ) -> tuple[float, Array]:
         """Likelihood and parameter changes, from alternating coefficients and noise, with an initial noise."""
         pull = np.zeros_like(mover.pull) if centred_on_fit else mover.pull
         noises, left = dict(begin), residual
@@ -242,7 +265,10 @@ class _Linear:
                 parts_x.append(weight[:, np.newaxis] * columns[kind])
             moved = _bounded(np.concatenate(parts_x), np.concatenate(parts_e), mover.low, mover.high)
             left = {kind: rows - mover.columns[kind] @ moved for kind, rows in residual.items()}
-            noises = {kind: improved(left[kind][1:].T, left[kind][0], noise) for kind, noise in noises.items()}
+            noises = {
+                kind: improved(left[kind][1:].T, left[kind][0], noise, largest_root=largest_root)
+                for kind, noise in noises.items()
+            }
         total = sum(float(noise.log_density(_white(left[kind], noise)).sum()) for kind, noise in noises.items())
         return total - 0.5 * float(((mover.prior * moved - pull) ** 2).sum()), moved
 
