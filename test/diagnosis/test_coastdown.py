@@ -303,7 +303,7 @@ def test_the_command_writes_what_is_better_and_says_what_is_not(tmp_path, rolled
     written(tmp_path / "roll.csv", rolled, "time_s,speed_mps")
     shown = good("coastdown", "roll.csv", "--vehicle", "xgd24d", "--save-vehicle", "new.yaml", "--picture", "roll.png")
     assert "4 coast-downs" in shown
-    assert "Written: new.yaml, roll.png" in shown
+    assert "Written: new.yaml, rubber/nr_sbr_10hz.csv, roll.png" in shown
     assert (tmp_path / "roll.png").stat().st_size > 10000
     again = json.loads(good("coastdown", "roll.csv", "--vehicle", "new.yaml", "--save-vehicle", "newer.yaml", "--json"))
     assert again["held_out_nm"]["file"] < 10.0
