@@ -137,7 +137,8 @@ def test_nothing_pushes_a_car_that_stands_whatever_was_learned():
 
 
 def test_what_was_learned_of_a_car_becomes_its_file(level, tmp_path):
-    assert write_learned(level.learner, level.estimator.vehicle, tmp_path / "learned.yaml").written == (tmp_path / "learned.yaml",)
+    file = write_learned(level.learner, level.estimator.vehicle, tmp_path / "learned.yaml")
+    assert file.written == (tmp_path / "learned.yaml",)
     before, after = tr.load_vehicle("bmw_i3").values, tr.load_vehicle(tmp_path / "learned.yaml").values
     assert after["rolling_coefficient"] == pytest.approx((1.0 + MORE_ROLLING) * before["rolling_coefficient"], rel=0.05)
     assert after["mass"] == before["mass"]

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import trackres_ros as tr
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.learning.correction import accepted
 from trackres_ros.learning.disturbances import LASTING_SHARE
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import SLOW, VEHICLES_OWN, limits_of, places
@@ -255,14 +256,15 @@ def test_a_written_file_has_each_learned_value_within_its_range(sure, tmp_path_f
     for state, share in zip(learner.own, shares, strict=False):
         low, high = learner.prior.low[state], learner.prior.high[state]
         assert low <= 0.0 <= high
-        s.applied[state] = low + share * (high - low)
+        s.mean[state] = low + share * (high - low)
+    found = accepted(s, learner.prior, learner.counted)
     write_learned(learner, vehicle, file)
     written = tr.load_vehicle(file).parameters
     for state in learner.own:
         paths, factor = places(vehicle)[state]
         for path in paths:
             old, new = vehicle.parameters[path], written[path]
-            assert new.value == pytest.approx(old.value * (1.0 + factor * s.applied[state]), rel=1e-5)  # as it acts live
+            assert new.value == pytest.approx(old.value * (1.0 + factor * found[state]), rel=1e-5)  # as it acts live at last
             assert new.low <= new.value <= new.high
             assert new.high > new.low
             assert new == old or old.value
