@@ -26,6 +26,7 @@ from trackres_ros.model.loss_table import LOG_SPEED, LossTable, fingerprint
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient
 from trackres_ros.model.track import belt_network, load_range
+from trackres_ros.text.numbers import figures
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 
@@ -124,8 +125,9 @@ def beyond_loads(vehicle: AnyVehicle, load_n: Mapping[str, ArrayLike]) -> list[s
         ):
             if outside.any():
                 own = ", just above its own weight" if side == "below" else ""
+                carried, last = figures(worst / 1e3, 4), figures(end / 1e3, 4)
                 remarks.append(
-                    f"track {name}: an assembly carries {worst / 1e3:.4g} kN, but the table ends at {end / 1e3:.4g} kN{own} "
+                    f"track {name}: an assembly carries {carried} kN, but the table ends at {last} kN{own} "
                     f"({side} that: {np.any(outside, axis=0).mean():.0%} of the samples). Its loss is that at the end of the "
                     "table, and the status shows OUTSIDE_TABLE"
                 )
