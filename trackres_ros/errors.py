@@ -119,6 +119,11 @@ def one_line(text: str) -> str:
     return cut if cut.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in cut)
 
 
+def encodable(name: str) -> str:
+    """A name that all programs can write: bytes that are not UTF-8 are escaped."""
+    return name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+
+
 def nearest(given: str, names: Iterable[str]) -> str:
     """Return ``did you mean X?`` for the nearest of some names, or nothing."""
     import difflib  # only for an error: it takes as long to import as all else here

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.text.numbers import alike, counted, decimals, figures, rising
+from trackres_ros.text.numbers import alike, decimals, figures, number_of, rising
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 BELOW_A_MILLION = st.floats(-999_499.0, 999_499.0)
@@ -109,5 +109,5 @@ def test_nothing_else_writes_few_figures_by_hand():
 
 @given(st.integers(0, 9))
 def test_only_one_thing_is_in_the_singular(count):
-    assert counted(count, "gap") == ("1 gap" if count == 1 else f"{count} gaps")
-    assert counted(count, "value is", "values are") == ("1 value is" if count == 1 else f"{count} values are")
+    assert number_of(count, "gap") == ("1 gap" if count == 1 else f"{count} gaps")
+    assert number_of(count, "value is", "values are") == ("1 value is" if count == 1 else f"{count} values are")

@@ -3,11 +3,12 @@
 
 """Commands with readable errors, and what all of them print: results, progress, warnings."""
 
+import os
 import sys
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -94,6 +95,21 @@ def emit(result: dict[str, Any], as_json: bool, text: Callable[[], str]) -> None
     except OSError as error:  # it names no file, and those of the command are written
         error.filename = "standard output"
         raise
+
+
+def to_nowhere() -> None:
+    """Have standard output go nowhere from now on, also what it still holds: Python writes that at its end."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextmanager
+def picture_if_possible() -> Iterator[None]:
+    """Draw a picture beside results that are of use without it: a missing library is a note."""
+    try:
+        yield
+    except MissingExtraError as error:
+        click.echo(f"trackres: no picture: {error}", err=True)
 
 
 @contextmanager

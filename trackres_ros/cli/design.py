@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from trackres_ros import MissingExtraError
 from trackres_ros.cli import options
-from trackres_ros.cli.common import Command, emit, needs, picture_beside, progress, with_written
+from trackres_ros.cli.common import Command, emit, needs, picture_beside, picture_if_possible, progress, with_written
 from trackres_ros.cli.partial_output import watch
 from trackres_ros.files.output_files import not_an_input, output_file
 from trackres_ros.units import KMH_PER_MPS
@@ -94,11 +93,9 @@ def sweep_command(
     if file is not None and picture is not None:
         write_table(file, found.columns)
         written.append(str(file))
-        try:
+        with picture_if_possible():
             needs("a picture", "plots", "matplotlib")
             written.append(str(draw(found, picture)))
-        except MissingExtraError as error:
-            click.echo(f"trackres: no picture: {error}", err=True)
     emit({**found.as_dict(), "written": written}, as_json, lambda: with_written(found.text(), written))
 
 

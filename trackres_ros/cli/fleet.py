@@ -3,8 +3,6 @@
 
 """Runs `trackres fleet` and `trackres trend`."""
 
-import os
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -14,7 +12,7 @@ import click
 
 from trackres_ros import InputError
 from trackres_ros.cli import options
-from trackres_ros.cli.common import Command, emit, needs, print_warnings, progress, with_written
+from trackres_ros.cli.common import Command, emit, needs, print_warnings, progress, to_nowhere, with_written
 from trackres_ros.cli.partial_output import watch
 from trackres_ros.files.output_files import output_file
 
@@ -228,7 +226,7 @@ def _reported(code: int, result: dict[str, Any], as_json: bool, text: Callable[[
         if not code:
             raise
         click.echo(f"trackres: standard output: {error.strerror}", err=True)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python writes the rest at its end
+        to_nowhere()
     return code
 
 

@@ -5,12 +5,11 @@
 
 import json
 import math
-import os
-import sys
 import threading
 from collections.abc import Callable
 from typing import Any
 
+from trackres_ros.cli.common import to_nowhere
 from trackres_ros.node.report import Overview
 
 PERIOD_S = 1.0
@@ -41,7 +40,7 @@ class LiveJson:
             try:
                 print(json.dumps(as_dict(self._overview(), over), allow_nan=False), flush=True)
             except BrokenPipeError:  # the output has no reader any more, which does not end the node
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                to_nowhere()
                 return
             except OSError:  # a full disk: the next line may fit again
                 continue

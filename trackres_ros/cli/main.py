@@ -14,7 +14,7 @@ import click
 from trackres_ros import InputError, __version__
 from trackres_ros.cli import partial_output
 from trackres_ros.cli.coastdown import coastdown_command
-from trackres_ros.cli.common import Commands
+from trackres_ros.cli.common import Commands, to_nowhere
 from trackres_ros.cli.compare import compare_command
 from trackres_ros.cli.compound import compound_group
 from trackres_ros.cli.design import sensitivity_command, sweep_command
@@ -107,7 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _fail(error, str(error), as_json)
     except SystemExit as ended:  # click ends with 1 where a pipe is closed, such as one to head
         if ended.code == 1 and _nobody_reads():
-            _to_nowhere()
+            to_nowhere()
             sys.exit(0)
         raise
     except OSError as error:
@@ -136,12 +136,6 @@ def _nobody_reads() -> bool:
     return bool(watched.poll(0))
 
 
-def _to_nowhere() -> None:
-    """Have standard output go nowhere from now on, also what it still holds."""
-    with suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
 def _fail(error: InputError, text: str, as_json: bool) -> None:
     try:
         if as_json:
@@ -151,7 +145,7 @@ def _fail(error: InputError, text: str, as_json: bool) -> None:
             sys.exit(BAD_INPUT)
         sys.stdout.flush()
     except OSError:  # such as a full disk: at least one line on standard error says so
-        _to_nowhere()
+        to_nowhere()
     with suppress(OSError):
         click.echo(f"trackres: error: {text}", err=True)
     sys.exit(BAD_INPUT)

@@ -3,7 +3,6 @@
 
 """Runs `trackres replay`: sends a recording through the estimator."""
 
-import os
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -12,9 +11,9 @@ import click
 
 import trackres_ros as tr
 from trackres_ros.cli import options
-from trackres_ros.cli.common import Command, emit, picture_beside, progress
+from trackres_ros.cli.common import Command, emit, picture_beside, picture_if_possible, progress
 from trackres_ros.cli.partial_output import watch
-from trackres_ros.errors import one_line
+from trackres_ros.errors import encodable, one_line
 
 
 @click.command("replay", cls=Command)
@@ -74,11 +73,9 @@ def replay_command(
     with progress("replaying", None) as advance:
         result = tr.replay(recording, described, output=output, progress=advance, **asked)
     written = [str(path) for path in result.written]
-    try:
+    with picture_if_possible():
         result.plot(picture)
         written.append(str(picture))
-    except tr.MissingExtraError as error:
-        click.echo(f"trackres: no picture: {error}", err=True)
     emit(
         {**result.as_dict(), "written": written},
         as_json,
@@ -90,5 +87,5 @@ def _table_of(recording: Path) -> Path:
     """The default table of a replay; bytes of the name that are no UTF-8 are escaped, for whoever prints it."""
     from trackres_ros.recording.opening import stem
 
-    name = os.fsencode(stem(recording)).decode(errors="backslashreplace") or "recording"
+    name = encodable(stem(recording)) or "recording"
     return Path(f"{name}_replay{'.parquet' if find_spec('pyarrow') else '.csv.gz'}")

@@ -103,10 +103,10 @@ def _not_compared(one: Side, other: Side) -> list[dict[str, Any]]:
             continue
         absent = [side for side, of in zip(("one", "other"), values, strict=True) if name not in of]
         at_bound = [side for side, of in (("one", one.bounds), ("other", other.bounds)) if name in of]
-        (first, unit), (second, _) = (of.get(name, (None, "")) for of in values)
+        (first, unit), (second, of_other) = (of.get(name, (None, "")) for of in values)
         listed.append(
             {
-                "parameter": name, "unit": unit or values[1].get(name, (None, ""))[1], "one": first, "other": second,
+                "parameter": name, "unit": unit or of_other, "one": first, "other": second,
                 "why": f"not in {absent[0]}" if absent else f"only a bound is known in {' and in '.join(at_bound)}",
             }
         )  # fmt: skip

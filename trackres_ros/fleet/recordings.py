@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 from typing import Any
 
-from trackres_ros.errors import InputError, MissingExtraError, one_line
+from trackres_ros.errors import InputError, MissingExtraError, encodable, one_line
 from trackres_ros.recording.opening import AMBIGUOUS, suffixes
 
 SUFFIXES = tuple(suffix for suffix in suffixes() if suffix not in AMBIGUOUS)
@@ -44,7 +44,7 @@ def find_recordings(given: Sequence[str]) -> Iterator[FoundRecording]:
 
 def _printable(found: FoundRecording) -> FoundRecording:
     """The same, if all programs can write its name; else its name with escapes, as a place that cannot be read."""
-    url = found.url.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    url = encodable(found.url)
     return found if url == found.url else replace(found, url=url, problem=found.problem or "its name is not UTF-8; rename it")
 
 

@@ -15,7 +15,7 @@ from trackres_ros.fleet.changes import DAY_S, FALSE_ALARMS, RAMP, YEAR_S, Vehicl
 from trackres_ros.fleet.dataset import LOAD_RECORDED, FleetDataset
 from trackres_ros.fleet.pooling import Pooled, Vehicles, pool, type_of
 from trackres_ros.fleet.task import FIRST_DAY_S, NO_DAY
-from trackres_ros.text.numbers import counted, figures
+from trackres_ros.text.numbers import figures, number_of
 
 TWO_SIDED_95 = 1.96
 SHOWN = "bearing_friction", "loss_modulus_scale"  # over time, changed or not
@@ -300,7 +300,7 @@ def sentences(found: Mapping[str, Any]) -> list[str]:
     """Findings as lines of text."""
     changed = [change_sentence(name, c) for name, v in found["vehicles"].items() for c in v["changes"]]
     count = len(found["vehicles"])
-    head = [f"{found['compared']} of {found['recordings']} recordings of {counted(count, 'vehicle')} compared"]
+    head = [f"{found['compared']} of {found['recordings']} recordings of {number_of(count, 'vehicle')} compared"]
     if not changed:
         head.append("No vehicle has changed significantly")
     rate = found["false_alarms_per_vehicle_year"]
@@ -309,11 +309,11 @@ def sentences(found: Mapping[str, Any]) -> list[str]:
     lines = [*head, *changed, tail]
     unloaded = sum(v["without_load"] for v in found["vehicles"].values())
     if unloaded:
-        have = counted(unloaded, "recording has", "recordings have")
+        have = number_of(unloaded, "recording has", "recordings have")
         lines.append(f"{have} no load: the mismatch may come from the payload, and has no colour")
     for kind, why in LEFT_OUT.items():
         if found[kind]:
-            lines.append(f"{counted(len(found[kind]), 'recording')} {why}: {found[kind][0]['url']}")
+            lines.append(f"{number_of(len(found[kind]), 'recording')} {why}: {found[kind][0]['url']}")
     if found["broken"]:
-        lines.append(f"{counted(len(found['broken']), 'unusable recording')}, the first: {found['broken'][0]['reason']}")
+        lines.append(f"{number_of(len(found['broken']), 'unusable recording')}, the first: {found['broken'][0]['reason']}")
     return lines

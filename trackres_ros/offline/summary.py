@@ -24,7 +24,7 @@ from trackres_ros.offline.energy import taken, taken_text
 from trackres_ros.offline.replay import Replayed
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import Finding, SampleBlock, Source
-from trackres_ros.text.numbers import counted, decimals, figures
+from trackres_ros.text.numbers import decimals, figures, number_of
 
 Array = NDArray[np.float64]
 
@@ -144,14 +144,16 @@ def text(report: dict[str, Any]) -> str:
     """The report for people."""
     last = report["last"]
     belts = {name.partition("/")[2]: value for name, value in last.items() if name.startswith("belt_degc/")}
-    lines = [f"{counted(report['messages'], 'message')}, {counted(report['steps'], 'step')} over {report['duration_s']:.1f} s"]
+    lines = [
+        f"{number_of(report['messages'], 'message')}, {number_of(report['steps'], 'step')} over {report['duration_s']:.1f} s"
+    ]
     lines += [f"  note: {note}" for note in report["notes"]]
     lines += [f"  found: {item['role'] and item['role'] + ': '}{item['text']}" for item in report["findings"]]
     for channel, counts in report["counters"].items():
         refused = {name: number for name, number in counts.items() if name != "accepted"}
         if refused:
             lines.append(f"  counted: {channel}: " + ", ".join(f"{name} {number}" for name, number in refused.items()))
-    lines += [f"  status: {item['text']} ({counted(item['steps'], 'step')})" for item in report["reasons"]]
+    lines += [f"  status: {item['text']} ({number_of(item['steps'], 'step')})" for item in report["reasons"]]
     lines += [f"  ! {remark}" for remark in report["remarks"]]
     stood = not report["drive"]["under_way_s"] and set(report["counters"].get("speed", ())) - {"accepted"}
     lines.append(taken_text(report["drive"]) + (" in the accepted samples" if stood else ""))

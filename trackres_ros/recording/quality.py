@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.recording.roles import ROLES, base_role
 from trackres_ros.recording.samples import Finding, FloatArray, Series
-from trackres_ros.text.numbers import counted, figures
+from trackres_ros.text.numbers import figures, number_of
 
 MOVING_MPS, DROP_SAMPLES = 0.5, 3
 """A short drop to 0 is a dropout where the samples on both sides are faster [m/s]; assumed: above the noise of a
@@ -51,9 +51,9 @@ def findings_of(role: str, samples: Series, start_ns: int, zero_is_unset: bool =
             found.append(Finding(role, kind, int(at.size), (int(clock[first]) - begin) / 1e9, text))
 
     bad = np.flatnonzero(~finite)
-    note("non_finite", bad, f"{counted(bad.size, 'value is', 'values are')} not finite")
+    note("non_finite", bad, f"{number_of(bad.size, 'value is', 'values are')} not finite")
     unset = np.flatnonzero(samples.stamp_ns == 0) if zero_is_unset else bad[:0]
-    note("zero_stamp", unset, f"{counted(unset.size, 'stamp is', 'stamps are')} zero (never set)")
+    note("zero_stamp", unset, f"{number_of(unset.size, 'stamp is', 'stamps are')} zero (never set)")
     _look_at_stamps(samples, np.flatnonzero(samples.stamp_ns != 0) if zero_is_unset else np.arange(len(samples)), note)
     value = samples.value[finite]
     runs = np.flatnonzero(np.concatenate(([True], value[1:] != value[:-1])))
@@ -80,9 +80,9 @@ def _look_at_stamps(samples: Series, rows: NDArray[np.intp], note: _Note) -> Non
     stamp = samples.stamp_ns[rows]
     step = np.diff(stamp)
     same, back = np.flatnonzero(step == 0), np.flatnonzero(step < 0)
-    note("duplicate_stamp", rows[same + 1], f"{counted(same.size, 'stamp equals', 'stamps equal')} the previous one")
+    note("duplicate_stamp", rows[same + 1], f"{number_of(same.size, 'stamp equals', 'stamps equal')} the previous one")
     if back.size:
-        earlier, most = counted(back.size, "stamp is", "stamps are"), _span(int(-step[back].min()))
+        earlier, most = number_of(back.size, "stamp is", "stamps are"), _span(int(-step[back].min()))
         text = f"{earlier} earlier than the previous one, by up to {most}"
         note("backward_stamp", rows[back + 1], text)
     offset = int(np.median(stamp - samples.arrival_ns[rows]))
@@ -94,7 +94,7 @@ def _look_at_stamps(samples: Series, rows: NDArray[np.intp], note: _Note) -> Non
         limit = max(GAP_NS, GAP_FACTOR * int(np.median(forward)))
         gaps = np.flatnonzero(step > limit)
         if gaps.size:
-            text = f"{counted(gaps.size, 'gap')} longer than {_span(limit)}, the longest {_span(int(step[gaps].max()))}"
+            text = f"{number_of(gaps.size, 'gap')} longer than {_span(limit)}, the longest {_span(int(step[gaps].max()))}"
             note("gap", rows[gaps], text)
 
 
@@ -106,7 +106,7 @@ def _look_for_stuck(samples: Series, rows: NDArray[np.intp], runs: NDArray[np.in
     if stuck.any():
         at = np.flatnonzero(np.repeat(stuck, last - runs + 1))
         longest = _span(int(lasting[stuck].max()))
-        text = f"{counted(int(stuck.sum()), 'period')} with one non-zero value for more than 60 s, at most {longest}"
+        text = f"{number_of(int(stuck.sum()), 'period')} with one non-zero value for more than 60 s, at most {longest}"
         note("stuck", rows[at], text)
 
 
@@ -118,7 +118,7 @@ def _look_for_drops(samples: Series, note: _Note) -> None:
     start, stop = start[inside], stop[inside]
     moving = (np.abs(samples.value[start - 1]) > MOVING_MPS) & (np.abs(samples.value[stop]) > MOVING_MPS)
     at = start[moving]
-    note("dropout", at, f"{counted(at.size, 'dropout')} to exactly 0 for {DROP_SAMPLES} samples or fewer while moving")
+    note("dropout", at, f"{number_of(at.size, 'dropout')} to exactly 0 for {DROP_SAMPLES} samples or fewer while moving")
 
 
 def _quantum(value: FloatArray, runs: NDArray[np.intp]) -> float:

@@ -57,7 +57,7 @@ def alike(values: Sequence[float | None], difference: float, count: int = 2) -> 
     ]
 
 
-def counted(count: int, one: str, more: str = "") -> str:
+def number_of(count: int, one: str, more: str = "") -> str:
     """A count and what it counts: ``1 gap``, ``2 gaps``; `more`: the plural, if it is not made by an s."""
     return f"{count} {one if count == 1 else more or one + 's'}"
 
