@@ -33,6 +33,25 @@ def handlers():
         signal.signal(number, handler)
 
 
+def test_a_signal_waits_until_all_are_listened_to(handlers, monkeypatch):
+    """A process that listens to one of them ends by no other: what is sent in between comes afterwards."""
+    for number in WHAT:
+        signal.signal(number, signal.SIG_DFL)
+    install, pending = signal.signal, set()
+
+    def install_while_another_comes(number, handler):
+        install(number, handler)
+        signal.raise_signal(SAVE)  # to this thread: at the start of a node there is no other
+        pending.update(signal.sigpending())
+
+    monkeypatch.setattr(signal, "signal", install_while_another_comes)
+    requests = SignalRequests()
+    requests.listen()
+    assert pending == {SAVE}
+    assert requests._waiting == [SAVE]
+    assert not signal.sigpending() & set(WHAT)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_signals_that_end_a_process_end_the_node_in_order(handlers, number):
     signal.signal(number, signal.SIG_DFL)

@@ -43,9 +43,11 @@ class SignalRequests:
 
     def listen(self) -> None:
         """Begin to listen; from then on no signal ends the process by itself. Under nohup a closed terminal ends nothing."""
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, WHAT)  # all at once: who sees the first taken may send another
         for number in WHAT:
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._take)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def started(self) -> None:
         """Begin to carry out requests at once, as the node runs."""
