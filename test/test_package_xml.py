@@ -11,6 +11,8 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 
+from trackres_ros.errors import MissingExtraError
+
 KEYS = {"yaml": "python3-yaml", "llvmlite": "python3-numba"}
 """Keys that are neither the module nor ``python3-`` before it; llvmlite comes with numba."""
 NAMED_ALIKE = (
@@ -25,6 +27,7 @@ EXTRAS = {
     "zstandard": "rosbags",
 }
 """Modules that extras bring, each with the requirement in setup.py by which they come."""
+FOR_DEVELOPERS = {"test", "mutation", "docs", "release", "coverage"}
 MESSAGE = re.compile(r"([a-z][a-z0-9_]*)/(?:msg|srv)/[A-Z]")
 
 
@@ -59,6 +62,23 @@ def test_all_that_is_imported_is_a_dependency_or_of_an_extra(repository, depende
             assert re.search(rf'"{EXTRAS[name]}[^\w-]', required), f"{name}: no requirement {EXTRAS[name]} in setup.py"
         else:
             assert depended & {name, f"python3-{name}", KEYS.get(name)}, f"{name} is imported, and package.xml does not say so"
+
+
+def test_what_an_error_says_to_install_brings_the_module():
+    """Some names of modules are those of other people's packages."""
+    own = {module: name for module, name in EXTRAS.items() if name != "rosbags"}
+    for module, name in own.items():
+        assert f"pip install {name} (" in MissingExtraError("this", module, "extra").remedy
+
+
+def test_the_readme_has_a_row_for_each_extra_of_users(repository):
+    required = (repository / "setup.py").read_text(encoding="utf-8").partition("extras_require={")[2].partition("\n    },")[0]
+    extras = set(re.findall(r'^        "(\w+)":', required, re.MULTILINE)) - FOR_DEVELOPERS - {"all"}
+    table = (repository / "README.md").read_text(encoding="utf-8").partition("| Extra | For |")[2].partition("\n\n")[0]
+    named = {
+        name for row in table.splitlines() for name in re.findall(r"`(\w+)`", row.rpartition("|")[0].split("|")[1] if row else "")
+    }
+    assert named == extras
 
 
 def test_message_packages_of_the_node_are_dependencies(repository, depended):

@@ -10,6 +10,8 @@ from collections.abc import Iterable, Iterator, Mapping
 MOST_SHOWN, MOST_OF_TEXT = 80, 200  # characters of the given value: of data, and of a text, which may be a sentence of ours
 MOST_OF_PART = 1000  # characters of each other part
 SHORT_NUMBER_BITS = 200
+DISTRIBUTIONS = {"can": "python-can", "sklearn": "scikit-learn"}
+"""What pip installs for a module, where the two have different names."""
 
 
 class InputError(ValueError):
@@ -65,11 +67,12 @@ class MissingExtraError(InputError):
     """
 
     def __init__(self, feature: str, module: str, extra: str, remark: str = "") -> None:
+        distribution = DISTRIBUTIONS.get(module, module)
         super().__init__(
             feature,
             f"no Python module {module}",
             f"an installed {module}",
-            f"install it with: pip install {module} (or this package with its extra [{extra}]){remark and f'; {remark}'}",
+            f"install it with: pip install {distribution} (or this package with its extra [{extra}]){remark and f'; {remark}'}",
         )
 
 

@@ -67,6 +67,12 @@ def test_the_vehicle_file_begins_with_the_verdict(scrubbed):
     assert found["verdict"]["sentence"] in (out / "vehicle.yaml").read_text().replace("# ", "")
 
 
+def test_each_written_file_is_listed_with_its_place(scrubbed):
+    out, _, done = scrubbed
+    listed = done.output.rpartition(f"{out}: ")[2].split("\n")[0].split(", ")
+    assert sorted(listed) == sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
+
+
 def test_the_page_says_the_same_as_the_report(scrubbed):
     out, found, _ = scrubbed
     page = (out / "report.html").read_text()

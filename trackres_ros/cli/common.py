@@ -20,8 +20,6 @@ from trackres_ros.cli.partial_output import watch
 from trackres_ros.errors import nearest
 from trackres_ros.progress import listening
 
-DISTRIBUTIONS = {"sklearn": "scikit-learn"}  # if its name is not that of the module
-
 
 class Command(click.Command):
     """A command whose errors name the option that the user typed."""
@@ -63,7 +61,7 @@ def needs(feature: str, extra: str, *modules: str) -> None:
     """Check for an optional library before any work begins."""
     for module in modules:
         if find_spec(module) is None:
-            raise MissingExtraError(feature, DISTRIBUTIONS.get(module, module), extra)
+            raise MissingExtraError(feature, module, extra)
 
 
 def output_folder(path: Path) -> Path:

@@ -61,7 +61,11 @@ def diagnose_command(
         on_stage("report")
         with print_warnings():
             found.report(output, page=not no_page)
-    emit(found.as_dict(), as_json, lambda: f"{found!r}\n{output}: {', '.join(path.name for path in found.written)}")
+    emit(
+        found.as_dict(),
+        as_json,
+        lambda: f"{found!r}\n{output}: {', '.join(str(path.relative_to(output)) for path in found.written)}",
+    )
 
 
 @click.command("effects", cls=Command)
