@@ -339,7 +339,7 @@ def test_a_message_that_hides_another_one_is_named(files, tmp_path):
     reason = r"BrakeSpeed in more.dbc: no sample, as .*read as Motion in bus.dbc.*\{1: bus.dbc, 2: more.dbc\}"
     with pytest.raises(InputError, match=reason):
         Recording.from_source(open_source([files["BLF"][0]], Topics.parse(lines, "t.yaml", tmp_path)))
-    lines |= {"load": {"channel": "Motion/AxleLoad"}}
+    lines |= {"load": {"channel": "Motion/GrossLoad"}}
     found = Recording.from_source(open_source([files["BLF"][0]], Topics.parse(lines, "t.yaml", tmp_path)))
     assert [finding.kind for finding in found.findings if re.match(reason, finding.text)] == ["empty"]
 
@@ -378,7 +378,7 @@ def test_guessed_lines_are_a_topics_file(files, good, tmp_path):
 
 def test_the_vehicles_speed_is_preferred_to_its_parts_speeds():
     named = [("AxleSpeed", "km/h"), ("WheelBasedVehicleSpeed", "km/h"), ("WheelSpeedFL", "km/h"), ("VehicleSpd", "rpm")]
-    bindings, others = guess_channels([Channel(*one) for one in named], ())
+    bindings, others, _ = guess_channels([Channel(*one) for one in named], ())
     assert bindings["speed"].column == "WheelBasedVehicleSpeed"
     assert others["speed"] == ["AxleSpeed"]
 

@@ -12,7 +12,7 @@ from trackres_ros.errors import InputError, nearest
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import TIME, Topics
 from trackres_ros.recording.channel_file import Channel, ChannelFile, ChosenChannel
-from trackres_ros.recording.guess import guess_channels, topics_line, words
+from trackres_ros.recording.guess import guess_channels, note_of_parts, topics_line, words
 from trackres_ros.recording.role_units import UNITS, conversion, is_quantity
 from trackres_ros.recording.roles import POSITION, ROLES, base_role
 
@@ -58,11 +58,13 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     chosen = [*of_file, *known]
     there, guessed = {base_role(one.role) for one in chosen}, dict[str, TopicBinding]()
     if file.has_times and not listed and "speed" not in there:
-        guessed, others = guess_channels([one for one in file.channels if names.is_single(one.name)], there)
+        guessed, others, parts = guess_channels([one for one in file.channels if names.is_single(one.name)], there)
         for role, binding in guessed.items():
             chosen.append(names.chosen(role, binding, origin, []))
             possible = f"; also possible: {listed_names(others[role])}" if others[role] else ""
             notes.append(f"{topics_line(role, chosen[-1].binding)}  # guessed{possible}")
+        for role, some in parts.items():
+            notes.append(note_of_parts(role, [names.chosen(role, one, origin, []).binding for one in some]))
     if not any(one.role == "speed" for one in chosen):
         allowed = "a column speed_mps or speed_kmh"
         remedy = "or give it in a topics file: speed: {column: NAME, scale: 1.0}"
