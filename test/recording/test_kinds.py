@@ -24,6 +24,7 @@ from hypothesis import strategies as st
 import trackres_ros as tr
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import TIME, Topics
+from trackres_ros.recording.can_signals import is_unavailable
 from trackres_ros.recording.channel_file import Channel, ChannelFile
 from trackres_ros.recording.channel_source import _in_order
 from trackres_ros.recording.choosing import COLUMNS, TIME_S, choose
@@ -195,6 +196,27 @@ def test_parts_with_other_times_are_added_between_samples(tmp_path):
     assert len(torque) == len(left) - 1  # before the first sample of the right one there is none
     with pytest.raises(InputError, match=r"2 columns Trq.*left/Trq, right/Trq"):
         tr.read(path, topics={"torque": {"channel": "Trq"}})
+
+
+def test_a_speed_of_two_groups_is_refused_with_both_names(tmp_path):
+    from asammdf import MDF, Signal
+
+    path, t = tmp_path / "two.mf4", np.arange(20) / 10.0
+    with MDF() as mdf:
+        for group in ("ecu1", "ecu2"):
+            mdf.append([Signal(t.copy(), t, name="VehSpd", unit="km/h")], acq_name=group)
+        mdf.save(path)
+    with pytest.raises(InputError, match=r"ecu1/VehSpd, ecu2/VehSpd'; allowed: .* whose name a single group has"):
+        tr.read(path)
+    assert len(tr.read(path, topics={"speed": {"channel": "ecu2/VehSpd"}}).series["speed"]) == 20
+
+
+@given(st.sampled_from(["error", "Fault", "invalid"]), st.sampled_from(" _-"), st.sampled_from(["", "Signal"]))
+def test_a_value_without_an_error_is_available(word, mark, before):
+    assert is_unavailable(f"{before}{mark}{word}")
+    assert is_unavailable(f"{word}{mark}in no state")
+    assert not is_unavailable(f"{before}{mark}No{mark}{word}")
+    assert not is_unavailable(f"{before}{mark}{word}{mark}free")
 
 
 def test_marked_and_unfinished_records_of_mdf(tmp_path):
