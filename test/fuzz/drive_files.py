@@ -20,7 +20,7 @@ BU_: Ecu
 BO_ 256 Motion: 8 Ecu
  SG_ VehicleSpeed : 0|16@1+ (0.01,0) [0|655] "km/h" Ecu
  SG_ Mode M : 16|2@1+ (1,0) [0|3] "" Ecu
- SG_ AxleLoad m1 : 24|24@1+ (1,0) [0|16777215] "N" Ecu
+ SG_ GrossLoad m1 : 24|24@1+ (1,0) [0|16777215] "N" Ecu
  SG_ BeltTemp m2 : 24|8@1+ (1,-40) [-40|210] "degC" Ecu
 BO_ 2566845950 Ambient: 8 Ecu
  SG_ AmbientTemp : 24|16@1+ (0.03125,-273) [-273|1735] "degC" Ecu
@@ -34,7 +34,7 @@ BA_ "VFrameFormat" BO_ 2566897687 3;
 """A speed, a multiplexed load; of J1939 an air temperature (PGN 65269, any control unit) and a torque in 17 bytes (PGN 65472)."""
 TOPICS: dict[str, Any] = {
     "speed": {"channel": "VehicleSpeed", "unit": "km/h"},
-    "load": {"channel": "AxleLoad", "unit": "N"},
+    "load": {"channel": "GrossLoad", "unit": "N"},
     "ambient": {"channel": "AmbientTemp", "unit": "degC"},
     "torque": {"channel": "DriveTorque", "unit": "Nm"},
 }
@@ -77,7 +77,7 @@ class Drive:
         """Times, values and unit by channel."""
         return {
             "VehicleSpeed": (self.speed_s, self.speed_kmh, "km/h"),
-            "AxleLoad": (self.load_s, self.load_n, "N"),
+            "GrossLoad": (self.load_s, self.load_n, "N"),
             "AmbientTemp": (self.ambient_s, self.ambient_degc, "degC"),
             "DriveTorque": (self.torque_s, self.torque_nm, "Nm"),
         }

@@ -10,7 +10,9 @@ import gzip
 import os
 import socket
 import sqlite3
+import tracemalloc
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,6 +31,7 @@ from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.readers.csv_table import MAX_ROW_BYTES, CsvTable
 from trackres_ros.recording.reading import OWN_FAULT, reading
 from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.samples import SampleBlock
 
 pytest.importorskip("rosbags")
 
@@ -511,3 +514,22 @@ def test_what_is_too_long_to_be_looked_at_is_said_and_not_kept(tmp_path, monkeyp
         assert sum(map(len, source.blocks())) == 30_000
         assert any(finding.kind == "too_long" for finding in source.all_findings()) is dropped
         assert any(finding.kind == "stuck" for finding in source.all_findings()) is not dropped
+
+
+def test_the_search_for_defects_joins_one_role_at_a_time():
+    roles, rows = ("load", "torque", "ambient", "speed"), 50_000
+    of_role, stamp = np.tile(np.arange(4, dtype=np.int16), rows), np.repeat(np.arange(rows) * 10_000_000, 4)
+    value = np.where((stamp // 10**9 % 100 < 80) | (of_role == 2), 5.0, np.arange(4 * rows))  # at times stuck
+    kept = [SampleBlock(*(one[at : at + 20_000] for one in (of_role, stamp, stamp, value))) for at in range(0, 4 * rows, 20_000)]
+    long = SimpleNamespace(
+        name="run", roles=roles, notes=(), findings=(), torque_candidates=(), zero_is_unset=False, blocks=lambda *_: iter(kept)
+    )
+    source = KeptSource(long, keep=True)
+    assert sum(map(len, source.blocks())) == 4 * rows
+    tracemalloc.start()
+    found = source.all_findings()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found == Recording.from_source(long).findings
+    assert {one.role for one in found if one.kind == "stuck"} == {"torque", "speed"}
+    assert peak < 1.5 * (of_role.nbytes + 2 * stamp.nbytes + value.nbytes), peak

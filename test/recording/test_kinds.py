@@ -24,6 +24,7 @@ from hypothesis import strategies as st
 import trackres_ros as tr
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import TIME, Topics
+from trackres_ros.recording.can_signals import is_unavailable
 from trackres_ros.recording.channel_file import Channel, ChannelFile
 from trackres_ros.recording.channel_source import _in_order
 from trackres_ros.recording.choosing import COLUMNS, TIME_S, choose
@@ -197,6 +198,27 @@ def test_parts_with_other_times_are_added_between_samples(tmp_path):
         tr.read(path, topics={"torque": {"channel": "Trq"}})
 
 
+def test_a_speed_of_two_groups_is_refused_with_both_names(tmp_path):
+    from asammdf import MDF, Signal
+
+    path, t = tmp_path / "two.mf4", np.arange(20) / 10.0
+    with MDF() as mdf:
+        for group in ("ecu1", "ecu2"):
+            mdf.append([Signal(t.copy(), t, name="VehSpd", unit="km/h")], acq_name=group)
+        mdf.save(path)
+    with pytest.raises(InputError, match=r"ecu1/VehSpd, ecu2/VehSpd'; allowed: .* whose name a single group has"):
+        tr.read(path)
+    assert len(tr.read(path, topics={"speed": {"channel": "ecu2/VehSpd"}}).series["speed"]) == 20
+
+
+@given(st.sampled_from(["error", "Fault", "invalid"]), st.sampled_from(" _-"), st.sampled_from(["", "Signal"]))
+def test_a_value_without_an_error_is_available(word, mark, before):
+    assert is_unavailable(f"{before}{mark}{word}")
+    assert is_unavailable(f"{word}{mark}in no state")
+    assert not is_unavailable(f"{before}{mark}No{mark}{word}")
+    assert not is_unavailable(f"{before}{mark}{word}{mark}free")
+
+
 def test_marked_and_unfinished_records_of_mdf(tmp_path):
     from asammdf import MDF, Signal
 
@@ -339,7 +361,7 @@ def test_a_message_that_hides_another_one_is_named(files, tmp_path):
     reason = r"BrakeSpeed in more.dbc: no sample, as .*read as Motion in bus.dbc.*\{1: bus.dbc, 2: more.dbc\}"
     with pytest.raises(InputError, match=reason):
         Recording.from_source(open_source([files["BLF"][0]], Topics.parse(lines, "t.yaml", tmp_path)))
-    lines |= {"load": {"channel": "Motion/AxleLoad"}}
+    lines |= {"load": {"channel": "Motion/GrossLoad"}}
     found = Recording.from_source(open_source([files["BLF"][0]], Topics.parse(lines, "t.yaml", tmp_path)))
     assert [finding.kind for finding in found.findings if re.match(reason, finding.text)] == ["empty"]
 
@@ -378,7 +400,7 @@ def test_guessed_lines_are_a_topics_file(files, good, tmp_path):
 
 def test_the_vehicles_speed_is_preferred_to_its_parts_speeds():
     named = [("AxleSpeed", "km/h"), ("WheelBasedVehicleSpeed", "km/h"), ("WheelSpeedFL", "km/h"), ("VehicleSpd", "rpm")]
-    bindings, others = guess_channels([Channel(*one) for one in named], ())
+    bindings, others, _ = guess_channels([Channel(*one) for one in named], ())
     assert bindings["speed"].column == "WheelBasedVehicleSpeed"
     assert others["speed"] == ["AxleSpeed"]
 

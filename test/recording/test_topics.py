@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,6 +19,9 @@ from trackres_ros.recording.binding import FieldStep, TopicBinding, field_steps
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import Channel
 from trackres_ros.recording.guess import guess, guess_channels
+from trackres_ros.recording.role_units import UNITS, conversion
+from trackres_ros.recording.roles import ROLES
+from trackres_ros.units import GRAVITY
 
 SPEED = {"topic": "/vehicle/speed", "type": "geometry_msgs/msg/TwistStamped", "field": "twist.linear.x"}
 
@@ -119,7 +124,7 @@ def test_guess_prefers_types_and_names_the_rest() -> None:
             "/robot/odom_filtered": "nav_msgs/msg/Odometry",
             "/cmd_vel": "geometry_msgs/msg/TwistStamped",
             "/twist": "geometry_msgs/msg/TwistStamped",
-            "/axle/load_kn": "std_msgs/msg/Float64",
+            "/chassis/load_kn": "std_msgs/msg/Float64",
             "/payload": "std_msgs/msg/Float64",
             "/drive/torque": "std_msgs/msg/Float64",
             "/feedforward_torque": "std_msgs/msg/Float64",
@@ -131,7 +136,7 @@ def test_guess_prefers_types_and_names_the_rest() -> None:
     )
     assert {role: (topics[role].topic, topics[role].field, topics[role].scale) for role in topics} == {
         "speed": ("/odom", "twist.twist.linear.x", 1.0),
-        "load": ("/axle/load_kn", "data", 1000.0),
+        "load": ("/chassis/load_kn", "data", 1000.0),
         "torque": ("/drive/torque", "data", 1.0),
         "ambient": ("/track/ambient_temperature", "temperature", 1.0),
         "belt": ("/track/temperature", "temperature", 1.0),
@@ -145,6 +150,7 @@ def test_guess_prefers_types_and_names_the_rest() -> None:
     assert not any(sentence.startswith("accel") or "cmd_vel" in sentence for sentence in said)
 
 
+NUMBER = "std_msgs/msg/Float64"
 KMH = 1 / 3.6
 NAMED = {"/vehicle/speed": 1.0, "/vehicleSpeed": 1.0, "/speed_kmh": KMH, "/velocity_km_h": KMH, "/wheelVelocityKph": KMH}
 
@@ -156,7 +162,58 @@ def test_guess_takes_the_unit_of_a_bare_number_from_its_name(topic: str, scale: 
     assert ("km/h" in said[0]) == (scale != 1.0)
 
 
-TORQUES = ("torque_nm", "torque_knm", "drive/torque", "axle/rear/torque_nm")
+NAMES = {"speed": "speed", "load": "weight", "torque": "torque", "brake": "brake_pressure"}
+IN_NAMES = [*(one for units in UNITS.values() for one in units if len(one) > 1 and one != "ms"), "percent"]
+
+
+def guessed(role: str, topic: str) -> TopicBinding | None:
+    """The binding of a role in a bag with one bare number."""
+    try:
+        return guess({topic: NUMBER} | ({} if role == "speed" else {"/odom": "nav_msgs/msg/Odometry"}))[0].bindings.get(role)
+    except InputError:  # without a speed
+        return None
+
+
+@pytest.mark.parametrize("role", NAMES)
+@pytest.mark.parametrize("unit", IN_NAMES)
+def test_a_unit_in_a_name_is_used_or_forbids_the_guess(role: str, unit: str) -> None:
+    topic, known = f"/vehicle/{NAMES[role]}_{re.sub('[ /]', '_', unit)}", conversion(unit, ROLES[role].unit)
+    of_file = guess_channels([Channel(topic, "")], ()).bindings.get(role)
+    assert [one and (one.scale, one.offset) for one in (guessed(role, topic), of_file)] == [known, known]
+
+
+LETTERS = [("load", "weight_t", 1e3 * GRAVITY), ("load", "weight_f", 1.0), ("speed", "speed_ms", 1.0), ("speed", "speed_m", 1.0)]
+
+
+@pytest.mark.parametrize(("role", "topic", "scale"), [*LETTERS, ("load", "load_kn_raw", 1e3)])
+def test_one_letter_is_a_unit_only_of_its_own_role(role: str, topic: str, scale: float) -> None:
+    found = guessed(role, f"/{topic}")
+    assert found is not None
+    assert found.scale == scale
+
+
+OF_PARTS = ["drive/{}/torque", "torque_{}", "Trq_{}", "axle/{}/load", "load_{}_kn"]
+
+
+@pytest.mark.parametrize("named", OF_PARTS)
+@pytest.mark.parametrize(
+    "parts", [("left", "right"), ("L", "R"), ("front", "rear"), ("FL", "FR", "RL", "RR"), ("axle1", "axle2")]
+)
+def test_a_part_of_a_torque_or_load_is_not_guessed(named: str, parts: tuple[str, ...]) -> None:
+    role, unit = ("load", "kN") if "load" in named else ("torque", "Nm")
+    names = [named.format(part) for part in parts]
+    for there in (names, names[:1]):
+        topics, notes = guess({"/speed": SPEED["type"], **{f"/{name}": NUMBER for name in there}})
+        assert set(topics) == {"speed"}
+        line = yaml.safe_load(next(note for note in notes if note.startswith(role)).rpartition("topics file: ")[2])
+        assert len(Topics.parse(line).bindings[role].sources) == len(there)
+        found = guess_channels([Channel(name, unit) for name in there], ())
+        assert (found.bindings, [one.column for one in found.parts[role]]) == ({}, there)
+    whole = guess_channels([Channel(name, unit) for name in (*names, role)], ())
+    assert (whole.bindings[role].column, whole.others[role], whole.parts) == (role, [], {})
+
+
+TORQUES = ("torque_nm", "torque_knm", "drive/torque", "chassis/torque_nm")
 
 
 @settings(max_examples=30)
@@ -177,7 +234,6 @@ def test_all_guesses_are_of_one_vehicle(vehicles: list[str], torques: list[str],
     assert all(topics[role].topic.startswith(of_vehicle) for role in topics)
 
 
-NUMBER = "std_msgs/msg/Float64"
 WANTED = ("TrqReq", "torque_request", "requested_torque", "DrvTrqDmd", "torque_demand", "demandedTorque", "TrqSoll", "cmd/torque")
 OF_A_PART = ("EngTrq", "MotTrq", "eMotTrq", "emot1_torque", "engine/torque", "ENG_TRQ", "vehicle/mot/torque")
 RIGHT = ("torque", "DrvTrq", "TrqSprocket", "drive/torque", "torque_frequency_domain", "trq_engaged", "TrqMotion")
@@ -187,7 +243,7 @@ RIGHT = ("torque", "DrvTrq", "TrqSprocket", "drive/torque", "torque_frequency_do
 @pytest.mark.parametrize("right", [None, *RIGHT])
 def test_no_torque_wanted_or_of_a_motor_is_guessed(wrong: str, right: str | None) -> None:
     names = [wrong, *([right] if right else [])]
-    by_unit, _ = guess_channels([Channel(name, "Nm") for name in names], ())
+    by_unit, *_ = guess_channels([Channel(name, "Nm") for name in names], ())
     by_type, _ = guess({"/speed": SPEED["type"], **{f"/{name}": NUMBER for name in names}})
     assert (by_unit["torque"].column if "torque" in by_unit else None) == right
     assert (by_type["torque"].topic if "torque" in by_type else None) == (right and f"/{right}")
@@ -196,7 +252,7 @@ def test_no_torque_wanted_or_of_a_motor_is_guessed(wrong: str, right: str | None
 @pytest.mark.parametrize("measured", ["torque_measured", "ActualDriveTorque", "DrvTrqAct", "TrqIst"])
 @pytest.mark.parametrize("other", RIGHT)
 def test_a_torque_that_says_measured_is_preferred(measured: str, other: str) -> None:
-    by_unit, others = guess_channels([Channel(name, "Nm") for name in (other, measured)], ())
+    by_unit, others, _ = guess_channels([Channel(name, "Nm") for name in (other, measured)], ())
     by_type, _ = guess({"/speed": SPEED["type"], f"/{other}": NUMBER, f"/{measured}": NUMBER})
     assert (by_unit["torque"].column, others["torque"], by_type["torque"].topic) == (measured, [other], f"/{measured}")
 

@@ -25,8 +25,10 @@ MOST_DATABASE_BYTES = 2**26
 """Of a file; the largest of a vehicle maker are a few megabytes."""
 MOST_IDENTIFIERS = 2**14
 """Kept messages; a bus has some hundreds, but a malicious file any number."""
-NOT_AVAILABLE = re.compile(r"\b(sna|n/?a|not ?(available|avail|valid)|invalid|error|fault|init|undefined)\b", re.IGNORECASE)
-"""In the name of a value, of a database or of an MDF file: the signal is not available."""
+NOT_AVAILABLE = re.compile(
+    r"(?<!\bno[ -])\b(sna|n/?a|not ?(available|avail|valid)|invalid|error|fault|init|undefined)\b(?![ -]free\b)", re.IGNORECASE
+)
+"""In the name of a value, of a database or of an MDF file: the signal is not available. "No error" is a value."""
 J1939_LAST_VALID = 0xFA
 """SAE J1939-71: a signal of 8 bits or more with a first byte above it is in error, not available, or a special code."""
 J1939_ANY_SOURCE = (0xFE, 0xFF)

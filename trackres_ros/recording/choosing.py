@@ -12,7 +12,7 @@ from trackres_ros.errors import InputError, nearest
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import TIME, Topics
 from trackres_ros.recording.channel_file import Channel, ChannelFile, ChosenChannel
-from trackres_ros.recording.guess import guess_channels, topics_line, words
+from trackres_ros.recording.guess import guess_channels, note_of_parts, topics_line, words
 from trackres_ros.recording.role_units import UNITS, conversion, is_quantity
 from trackres_ros.recording.roles import POSITION, ROLES, base_role
 
@@ -58,20 +58,22 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     chosen = [*of_file, *known]
     there, guessed = {base_role(one.role) for one in chosen}, dict[str, TopicBinding]()
     if file.has_times and not listed and "speed" not in there:
-        guessed, others = guess_channels([one for one in file.channels if names.is_single(one.name)], there)
+        guessed, others, parts = guess_channels([one for one in file.channels if names.is_single(one.name)], there)
         for role, binding in guessed.items():
             chosen.append(names.chosen(role, binding, origin, []))
             possible = f"; also possible: {listed_names(others[role])}" if others[role] else ""
             notes.append(f"{topics_line(role, chosen[-1].binding)}  # guessed{possible}")
+        for role, some in parts.items():
+            notes.append(note_of_parts(role, [names.chosen(role, one, origin, []).binding for one in some]))
     if not any(one.role == "speed" for one in chosen):
         allowed = "a column speed_mps or speed_kmh"
         remedy = "or give it in a topics file: speed: {column: NAME, scale: 1.0}"
         if file.has_times:
             allowed, remedy = (
-                f"{allowed}, or a speed with a unit",
+                f"{allowed}, or a speed with a unit whose name a single group has",
                 "or give it in a topics file: speed: {channel: NAME, unit: km/h}",
             )
-        given = "; ".join([f"columns {listed_names(names.all) or 'none'}", *_left_out(file)])
+        given = "; ".join([f"columns {names.listed or 'none'}", *_left_out(file)])
         raise InputError(file.name, given, allowed, remedy)
     for name in ((time.name,) if time else ()) + tuple(one.name for one in chosen):
         names.check_single(name)
@@ -99,6 +101,13 @@ class _Names:
             if one.group:
                 self._places.setdefault(f"{one.group}/{one.name}", []).append(place)
 
+    @property
+    def listed(self) -> str:
+        """The names, of several groups with the group before it."""
+        channels = self._file.channels
+        each = [f"{one.group}/{one.name}" if one.group and not self.is_single(one.name) else one.name for one in channels]
+        return listed_names(list(dict.fromkeys(each)))
+
     def is_single(self, name: str) -> bool:
         return len(self._places[name]) == 1
 
@@ -118,7 +127,7 @@ class _Names:
             for one, why in self._file.left_out.items():
                 if binding.column in (one.name, f"{one.group}/{one.name}"):
                     raise InputError(where, binding.column, "a channel that can be read", why)
-            raise InputError(where, binding.column, listed_names(self.all), nearest(binding.column, self._places))
+            raise InputError(where, binding.column, self.listed, nearest(binding.column, self._places))
         place = self._places[binding.column][0]
         return ChosenChannel(place, binding.column, role, _in_unit(self._file.channels[place], role, binding, origin, notes))
 

@@ -5,9 +5,9 @@
 
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import yaml
 
@@ -15,10 +15,8 @@ from trackres_ros.errors import InputError
 from trackres_ros.recording.binding import IN_DEGREES, TopicBinding
 from trackres_ros.recording.bindings import EXAMPLE, TIME, Topics
 from trackres_ros.recording.channel_file import Channel
-from trackres_ros.recording.role_units import UNITS as UNITS_OF_ROLES
-from trackres_ros.recording.role_units import conversion
+from trackres_ros.recording.role_units import UNITS, Conversion, conversion
 from trackres_ros.recording.roles import POSITION, ROLES, Role, base_role
-from trackres_ros.units import DEGREE
 
 NOT_MEASURED = re.compile(
     r"\b(cmd|commands?|commanded|req|requests?|requested|demands?|demanded|dmd|target|desired|set ?point|soll|reference|ref|goal|"
@@ -29,18 +27,15 @@ MEASURED = re.compile(r"\b(measured|meas|actual|act|ist)\b")
 """Words in the name of a torque that was measured; it is preferred."""
 WHEEL = re.compile(r"\bwheels?\b(?! based vehicle)")
 """Of a channel: a wheel speed is not that of the vehicle; the wheel-based vehicle speed of J1939 is."""
+ADDED = ("load", "torque")
+"""Roles whose values are the sum of those of the parts of the vehicle."""
+PART = re.compile(r"\b(left|right|front|rear|axles?|[lr]|[lr]hs?|[fr][lr]|links|rechts|vorne?|hinten|[vh][lr])\d*\b")
+"""Words in the name of a load or torque of a part: a side, an axle or a corner; it is not guessed as that of the vehicle."""
 SCALARS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
 COUNTS = tuple(f"std_msgs/msg/{name}" for name in ("UInt8", "UInt16", "UInt32", "Int8", "Int16", "Int32"))
-UNITS = {
-    "speed": (("km/h", r"km ?p?h\b|kph\b"), ("m/s", r"\bmps\b|\bm s\b")),
-    "load": (("kN", r"\bkn\b"), ("kg", r"\bkg\b"), ("N", r"\bn\b")),
-    "torque": (("kNm", r"\bkn ?m\b"), ("Nm", r"\bn ?m\b")),
-    "ambient": (("degC", r"\bdeg ?c\b"),),
-    "belt": (("degC", r"\bdeg ?c\b"),),
-    "brake": (("bar", r"\bbar\b"), ("kPa", r"\bkpa\b")),
-    "steering_angle": (("degrees", r"\bdeg(rees?)?\b"),),
-}
-"""Units the name of a bare number may carry: unit, and pattern."""
+NOT_GUESSED = "not guessed from"
+OF_ONE_LETTER = "mnt"
+"""Units of one letter that a name may end with; others may be anything, such as a front axle."""
 
 
 class _Rule(NamedTuple):
@@ -94,10 +89,12 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
             spoken = words(topic)
             if available[topic] not in rule.types or not re.search(rule.words, spoken):
                 continue
-            if not re.search(rule.not_words, spoken) and not NOT_MEASURED.search(spoken):
-                unit, scale = _unit_of(rule, spoken)
-                angle: Literal["deg", ""] = "deg" if rule.role in POSITION else ""
-                binding = TopicBinding(topic, available[topic], rule.field, scale=scale, unit=angle)
+            unit = _unit_of(rule, spoken)
+            if unit is not None and not re.search(rule.not_words, spoken) and not NOT_MEASURED.search(spoken):
+                by_unit, angle = _converted(rule.role, unit), "deg" if rule.role in POSITION else ""
+                binding = TopicBinding(
+                    topic, available[topic], rule.field, scale=by_unit.scale, offset=by_unit.offset, unit=angle
+                )
                 found.setdefault(rule.role, []).append((binding, unit))
     if "speed" not in found:
         listed = "; ".join(f"{topic} ({kind})" for topic, kind in sorted(available.items())) or "no topic at all"
@@ -105,16 +102,22 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
             "speed", listed, "a topic with a type that holds the vehicle's speed", f"give it in a topics file: {EXAMPLE}"
         )
     of_vehicle = _namespace_of_vehicle(found)
-    notes = []
+    bindings, notes = dict[str, TopicBinding](), []
     for role, options in found.items():
-        options.sort(key=lambda one: (not one[0].topic.startswith(of_vehicle), not _says_measured(role, words(one[0].topic))))
+        options.sort(key=lambda one: _doubts(role, one[0].topic, of_vehicle))
         binding, unit = options[0]
-        others = ", ".join(other.topic for other, _ in options[1:])
+        best = _doubts(role, binding.topic, of_vehicle)
+        if best.of_a_part:
+            alike = [one for one, _ in options if _doubts(role, one.topic, of_vehicle)[:2] == best[:2]]
+            notes.append(note_of_parts(role, alike))
+            continue
+        bindings[role] = binding
+        others = ", ".join(other.topic for other, _ in options[1:] if not _is_part(role, other.topic))
         notes.append(
             f"{role}: guessed from {binding.topic} ({binding.type}, {binding.field}) in {unit}"
             + (f"; also possible: {others}" if others else "")
         )
-    return Topics(MappingProxyType({role: options[0][0] for role, options in found.items()}), "guessed"), notes
+    return Topics(MappingProxyType(bindings), "guessed"), notes
 
 
 def _namespace_of_vehicle(found: Mapping[str, Sequence[tuple[TopicBinding, str]]]) -> str:
@@ -133,22 +136,60 @@ def _namespace_of_vehicle(found: Mapping[str, Sequence[tuple[TopicBinding, str]]
     return ""
 
 
-def guess_channels(channels: Sequence[Channel], there: Collection[str]) -> tuple[dict[str, TopicBinding], dict[str, list[str]]]:
+class Guesses(NamedTuple):
+    """Channels by role: the guessed ones, names of other candidates, and those that measure a part of a role without a guess."""
+
+    bindings: dict[str, TopicBinding]
+    others: dict[str, list[str]]
+    parts: dict[str, list[TopicBinding]]
+
+
+def guess_channels(channels: Sequence[Channel], there: Collection[str]) -> Guesses:
     """Guess by name and unit the channels of roles without one; without a unit there is no guess.
 
-    `channels`: with unique names; `there`: roles that have a channel. Returns `bindings`: by role, without the unit, which the
-    file gives, and `others`: by role: names of other candidates.
+    `channels`: with unique names; `there`: roles that have a channel. Returns bindings without the unit that the file gives.
     """
-    bindings: dict[str, TopicBinding] = {}
-    others: dict[str, list[str]] = {}
+    found = Guesses({}, {}, {})
     for role, about in ROLES.items():
         options = [] if role in there or not about.words else [one for one in channels if _may_be(one, role, about)]
-        if options:
-            first, *rest = sorted(options, key=lambda one: _rank(role, one.name))
-            unit = "" if first.unit else _unit_in(role, words(first.name))
-            bindings[role] = TopicBinding(column=first.name, scale=_scale(role, unit) if unit else 1.0)
-            others[role] = [one.name for one in rest]
-    return bindings, others
+        whole = sorted((one for one in options if not _is_part(role, one.name)), key=lambda one: _rank(role, one.name))
+        if whole:
+            found.bindings[role] = _of_channel(role, whole[0])
+            found.others[role] = [one.name for one in whole[1:]]
+        elif options:
+            found.parts[role] = [_of_channel(role, one) for one in options]
+    return found
+
+
+def _of_channel(role: str, channel: Channel) -> TopicBinding:
+    unit = "" if channel.unit or role in POSITION else _unit_in(role, words(channel.name))
+    scale, offset = _converted(role, unit or ROLES[role].unit)
+    return TopicBinding(column=channel.name, scale=scale, offset=offset)
+
+
+def note_of_parts(role: str, parts: Sequence[TopicBinding]) -> str:
+    """Note on sources that measure a part of a role each, with the line of a topics file for their sum."""
+    names = ", ".join(one.topic or one.column for one in parts)
+    line, whole = topics_line(role, parts[0]), "it"
+    if len(parts) > 1:
+        each = ", ".join(topics_line(role, one).removeprefix(f"{role}: ") for one in parts)
+        line, whole = f"{role}: {{sum: [{each}]}}", "their sum"
+    return (
+        f"{role}: {NOT_GUESSED} {names}, which may be of a side or an axle only; if {whole} is that of the whole vehicle, write "
+        f"in a topics file: {line}"
+    )
+
+
+class _Doubts(NamedTuple):
+    """Key that sorts the topics for a role, the best one first."""
+
+    other_vehicle: bool
+    of_a_part: bool
+    not_said_measured: bool
+
+
+def _doubts(role: str, topic: str, of_vehicle: str) -> _Doubts:
+    return _Doubts(not topic.startswith(of_vehicle), _is_part(role, topic), not _says_measured(role, words(topic)))
 
 
 def _rank(role: str, name: str) -> tuple[bool, bool, int, str]:
@@ -176,7 +217,7 @@ def topics_line(role: str, binding: TopicBinding) -> str:
     inside = "s" if role == TIME else ROLES[base_role(role)].unit
     keys = ("topic", "type", "field") if binding.topic else ("column",)
     line: dict[str, object] = {"channel" if key == "column" else key: getattr(binding, key) for key in keys}
-    unit = next((name for name, one in UNITS_OF_ROLES[inside].items() if one == (binding.scale, binding.offset)), "")
+    unit = next((name for name, one in UNITS[inside].items() if one == (binding.scale, binding.offset)), "")
     if unit and not (role in POSITION and not binding.unit):
         line["unit"] = unit
     elif (binding.scale, binding.offset) != (1.0, 0.0):
@@ -190,19 +231,41 @@ def words(topic: str) -> str:
     return " ".join(re.split(r"[^a-z0-9]+", spaced))
 
 
-def _unit_of(rule: _Rule, words: str) -> tuple[str, float]:
+def _is_part(role: str, name: str) -> bool:
+    """Whether a name is that of a part of what the whole vehicle has."""
+    return role in ADDED and bool(PART.search(words(name)))
+
+
+def _unit_of(rule: _Rule, spoken: str) -> str | None:
+    """The unit of a topic; None if its name has that of another quantity."""
     if rule.role in POSITION:
-        return "degrees", DEGREE
-    unit = (_unit_in(rule.role, words) if rule.field == "data" else "") or ROLES[rule.role].unit
-    return unit, _scale(rule.role, unit)
+        return "degrees"
+    of_name = _unit_in(rule.role, spoken) if rule.field == "data" else ""
+    return of_name if of_name is None else of_name or ROLES[rule.role].unit
 
 
-def _unit_in(role: str, words: str) -> str:
-    """The unit that the words of a name carry, if any."""
-    return next((unit for unit, pattern in UNITS.get(role, ()) if re.search(pattern, words)), "")
+def _unit_in(role: str, spoken: str) -> str | None:
+    """The unit that the words of a name carry; empty without one, None if they end with that of another quantity."""
+    inside = ROLES[role].unit
+    for text, ends in _texts(spoken.split()):
+        of_text = "m/s" if (role, text) == ("speed", "ms") else text  # a speed is not in milliseconds
+        found = conversion(of_text, inside)
+        if found and (len(text) > 1 or (ends and text in OF_ONE_LETTER)):
+            return next(unit for unit, one in UNITS[inside].items() if one == found)
+        if ends and len(text) > 1 and any(conversion(text, other) for other in UNITS):
+            return None
+    return ""
 
 
-def _scale(role: str, unit: str) -> float:
+def _texts(each: Sequence[str]) -> Iterator[tuple[str, bool]]:
+    """Texts of one to three words that may be a unit, and whether they end the name; the last and longest come first."""
+    for end in range(len(each), 0, -1):
+        for count in (3, 2, 1):
+            several = each[max(end - count, 0) : end]
+            yield from ((mark.join(several), end == len(each)) for mark in ("", "/"))
+
+
+def _converted(role: str, unit: str) -> Conversion:
     found = conversion(unit, ROLES[role].unit)
     assert found is not None
-    return found.scale
+    return found

@@ -5,11 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,28 +68,16 @@ class Recording:
     @classmethod
     def from_source(cls, source: Source) -> Recording:
         """Read a source to its end, and find defects in its samples. Raises InputError for content that it cannot read."""
-        parts: list[list[tuple[IntArray, IntArray, FloatArray]]] = [[] for _ in source.roles]
-        order = [np.empty(0, np.int16)]
-        for block in source.blocks():
-            order.append(block.role)
-            for index, part in enumerate(parts):
-                rows = np.flatnonzero(block.role == index)
-                if rows.size == len(block):
-                    part.append((block.stamp_ns, block.arrival_ns, block.value))
-                elif rows.size:
-                    part.append((block.stamp_ns[rows], block.arrival_ns[rows], block.value[rows]))
-        series = {role: _joined(part) for role, part in zip(source.roles, parts, strict=True)}
-        start_ns = _start_ns(series, source.zero_is_unset)
-        found = [*source.findings]
-        for role, samples in series.items():
-            found += findings_of(role, samples, start_ns, source.zero_is_unset)
+        blocks = list(source.blocks())
+        series = {role: _series_of(blocks, index) for index, role in enumerate(source.roles)}
+        found = (*source.findings, *_defects(series.__getitem__, source))
         return cls(
             source.name,
             MappingProxyType(series),
             source.notes,
-            tuple(found),
+            found,
             source.zero_is_unset,
-            np.concatenate(order),
+            np.concatenate([np.empty(0, np.int16), *(block.role for block in blocks)]),
             torque_candidates=source.torque_candidates,
         )
 
@@ -125,7 +113,7 @@ class Recording:
     @property
     def start_ns(self) -> int:
         """Stamp of time 0 [ns]: the earliest valid one of speed, or of the first role with samples."""
-        return _start_ns(self.series, self.zero_is_unset)
+        return _start_ns(self.series.__getitem__, self)
 
     def time_s(self, role: str) -> FloatArray:
         """Return the stamps of a role from the start of the recording [s], shape (n,).
@@ -204,18 +192,32 @@ class Recording:
         return [*lines, *(f"  {role}: {text}" if role else f"  {text}" for role, text in self._findings())]
 
 
-def _joined(parts: list[tuple[IntArray, IntArray, FloatArray]]) -> Series:
-    if not parts:
-        return Series(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
-    stamp_ns, arrival_ns, value = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Series(stamp_ns, arrival_ns, value)
+def _series_of(blocks: Sequence[SampleBlock], index: int) -> Series:
+    """The samples of one role."""
+    rows = [block.role == index for block in blocks]
+
+    def joined(name: str, kind: type) -> NDArray[Any]:
+        return np.concatenate([np.empty(0, kind), *(getattr(block, name)[at] for block, at in zip(blocks, rows, strict=True))])
+
+    return Series(joined("stamp_ns", np.int64), joined("arrival_ns", np.int64), joined("value", np.float64))
 
 
-def _start_ns(series: Mapping[str, Series], zero_is_unset: bool) -> int:
-    for role in sorted(series, key=lambda role: role != "speed"):
-        stamp_ns = series[role].stamp_ns
+def defects_of(blocks: Sequence[SampleBlock], source: Source) -> tuple[Finding, ...]:
+    """Defects of the samples of a source; joins one role after another, as all together may be large."""
+    return tuple(_defects(lambda role: _series_of(blocks, source.roles.index(role)), source))
+
+
+def _defects(series: Callable[[str], Series], source: Source) -> Iterator[Finding]:
+    start_ns = _start_ns(series, source)
+    for role in source.roles:
+        yield from findings_of(role, series(role), start_ns, source.zero_is_unset)
+
+
+def _start_ns(series: Callable[[str], Series], source: Source) -> int:
+    for role in sorted(source.roles, key=lambda role: role != "speed"):
+        stamp_ns = series(role).stamp_ns
         if stamp_ns.size:
-            return int(stamp_ns.min(where=stamp_ns != 0, initial=stamp_ns.max()) if zero_is_unset else stamp_ns.min())
+            return int(stamp_ns.min(where=stamp_ns != 0, initial=stamp_ns.max()) if source.zero_is_unset else stamp_ns.min())
     return 0
 
 

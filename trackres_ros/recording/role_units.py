@@ -39,7 +39,7 @@ UNITS: Mapping[str, Mapping[str, Conversion]] = MappingProxyType(
 SPELLINGS = {
     "kph": "km/h", "kmh": "km/h", "kmph": "km/h", "mps": "m/s", "c": "degC", "celsius": "degC", "f": "degF", "kelvin": "K",
     "m/s/s": "m/s2", "bool": "1", "ftlb": "lbfft", "lbft": "lbfft", "ftlbf": "lbfft", "degree": "deg",
-    "degrees": "deg", "kgf": "kg", "ton": "t",
+    "degrees": "deg", "kgf": "kg", "ton": "t", "percent": "%",
 }  # fmt: skip
 """Other spellings, as `_plain` simplifies them, in lower case."""
 

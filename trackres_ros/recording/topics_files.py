@@ -9,7 +9,7 @@ from typing import Any
 
 from trackres_ros.files.resources import shipped_topics
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.guess import topics_line
+from trackres_ros.recording.guess import NOT_GUESSED, topics_line
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.roles import base_role
 from trackres_ros.text.table import table
@@ -30,7 +30,7 @@ def guessed_topics(recording: Sequence[Path], topics: Topics | None) -> list[str
     for role, binding in source.bindings.items():
         others = [note.partition(ALSO)[2] for note in source.notes if note.startswith(f"{role}: ") and ALSO in note]
         lines.append(topics_line(role, binding) + (f"  # or {others[0]}" if others else ""))
-    return lines
+    return [*lines, *(f"# {note}" for note in source.notes if f": {NOT_GUESSED} " in note)]
 
 
 def shipped() -> list[dict[str, Any]]:
