@@ -8,6 +8,7 @@ import pytest
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.model.resistance import direction
 from trackres_ros.vehicle import load, variants
 
 BY_FILE = {
@@ -80,3 +81,16 @@ def test_a_torque_that_goes_on_is_against_travel_either_way(reference):
         session.learned[at.Learned.on], session.learned[at.Learned.torque] = 1.0, 100.0
         more = session.handle(at.SPEED, 10**18, 10**18, speed).resistance_torque_nm
         assert more - plain == pytest.approx(np.copysign(100.0, speed), rel=1e-6)
+
+
+@pytest.mark.parametrize("which", [at.OF_LOSS, at.OF_BEARING])
+def test_at_rest_the_learned_deviation_is_that_of_a_crawl(reference, which):
+    found = []
+    for speed in (0.0, 1e-6, 0.02, -0.02):
+        session = reference.session()
+        learned = at.Learned(session.learned)
+        session.learned[at.Learned.on], learned.factor[which * (at.LEARNABLE + 1)] = 1.0, 0.5
+        found.append(session.handle(at.SPEED, 10**18, 10**18, speed).resistance_std_nm)
+        assert found[-1] * direction(speed) == pytest.approx(np.copysign(0.5 * learned.sensitivities[which], speed), rel=1e-9)
+    assert found[0] == pytest.approx(found[1], rel=1e-3)
+    assert found[2] == pytest.approx(found[3], rel=1e-12)

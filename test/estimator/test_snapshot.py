@@ -21,6 +21,7 @@ from trackres_ros.estimator import snapshot
 from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
 from trackres_ros.route.follower import NOTHING_YET
 
+HEAD = snapshot.HEAD.decode()
 START = 1_700_000_000_000_000_000
 MS = 1_000_000
 
@@ -76,9 +77,10 @@ def test_a_clock_that_went_back_counts_as_no_time_off(reference, tmp_path):
         (lambda text: text.replace('"belts"', '"bolts"'), "checksum"),
         (lambda text: text.replace("0x1.", "oops", 1), "checksum"),
         (lambda text: text + " ", "checksum"),
-        (lambda text: "[" * 100_000, "damaged"),
-        (lambda text: '{"a":' * 100_000, "damaged"),
-        (lambda text: '{"format": ' + "9" * 5000 + "}", "damaged"),
+        (lambda text: "[" * 100_000, "another kind"),
+        (lambda text: HEAD + ', "a": ' + "[" * 100_000, "damaged"),
+        (lambda text: HEAD + ', "a": ' + '{"a":' * 100_000, "damaged"),
+        (lambda text: HEAD + ', "a": ' + "9" * 5000 + "}", "damaged"),
     ],
 )
 def test_a_file_that_is_not_right_says_why(reference, tmp_path, damage, said):
@@ -91,6 +93,26 @@ def test_a_file_that_is_not_right_says_why(reference, tmp_path, damage, said):
         snapshot.resume(reference, path)
     with pytest.raises(InputError, match=said):
         snapshot.after_time_off(reference, path, now=2.0)
+
+
+@pytest.mark.parametrize(
+    ("data", "is_state"),
+    [
+        (b"time_s,speed_mps\n0.0,5.0\n", False),
+        (b"\x89MCAP0\r\n", False),
+        (b'{"format": "trackres-report"}', False),
+        (b"x" * (snapshot.LARGEST + 1), False),
+        (snapshot.HEAD, True),
+        (bytes(300), True),
+        (b"", True),
+    ],
+)
+def test_only_what_may_be_a_state_is_to_be_deleted(reference, tmp_path, data, is_state):
+    (tmp_path / "given").write_bytes(data)
+    with pytest.raises(InputError) as refusal:
+        snapshot.resume(reference, tmp_path / "given")
+    assert ("delete" in str(refusal.value)) is is_state
+    assert ("damaged" in str(refusal.value)) is is_state
 
 
 def test_a_state_of_another_vehicle_is_refused(reference, carrier, tmp_path):

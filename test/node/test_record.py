@@ -16,6 +16,7 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
 import trackres_ros as tr  # noqa: E402
+from trackres_ros.estimator.columns import LOAD  # noqa: E402
 from trackres_ros.node import message_handler  # noqa: E402
 from trackres_ros.node.inbox import Inbox  # noqa: E402
 from trackres_ros.node.record import Recorder  # noqa: E402
@@ -123,8 +124,11 @@ def test_replayed_with_the_same_topics_it_gives_the_same_torque(drive):
     assert float(np.mean(series["torque"].value) / np.mean(replayed["drive_torque_nm"])) == pytest.approx(1.3, abs=0.05)
 
 
-def in_haste(wire, depth, chance):
-    """Passes messages on as a transport whose process pauses now and then: the middleware holds a queue for each topic."""
+def in_haste(wire, depth, chance, unknown=1 / 3):
+    """Passes messages on as a transport whose process pauses now and then: the middleware holds a queue for each topic.
+
+    Of a share of them it does not know the time of sending.
+    """
     app = wire.desk.app
     queues = [deque() for _ in app.inputs]
 
@@ -142,7 +146,7 @@ def in_haste(wire, depth, chance):
 
     def hand(index, message, arrived):
         raw, kind, sent_ns = message
-        app.messages.receive(index, STORE.deserialize_cdr(raw, kind), chance.choice([sent_ns, sent_ns, 0]), arrived, raw)
+        app.messages.receive(index, STORE.deserialize_cdr(raw, kind), sent_ns * (chance.random() >= unknown), arrived, raw)
 
     inbox = Inbox([partial(take, queue) for queue in queues], hand, app.clock.arrival, app.messages.dropped, depth)
 
@@ -180,6 +184,35 @@ def test_inputs_sent_back_to_back_replay_as_live(desk, tmp_path, simulated):
         found = sorted(bytes(raw) for c, _, raw in reader.messages() if not c.topic.startswith("/trackres/"))
     assert found == sorted(raw for *_, raw in wire.sent)
     assert list(tmp_path.glob("*.mcap*")) == [tmp_path / "live.mcap"]
+
+
+def test_messages_held_in_a_pause_replay_with_their_stamps(desk, tmp_path):
+    unstamped = "\n".join(f"{role}: {{topic: {role}, type: {NUMBER}, field: data}}" for role in ("ambient", "load"))
+    (tmp_path / "topics.yaml").write_text(f"speed: {{topic: speed, type: {TWIST}, field: twist.linear.x}}\n{unstamped}\n")
+    d = desk(topics=str(tmp_path / "topics.yaml"), learning="off", input_depth=1000)
+    handle, now_ns, chance, stamps = d.app.session.handle, d.app.clock.now_ns, random.Random(4), []
+
+    def watched(channel, stamp, *others):
+        if channel == LOAD:
+            stamps.append(stamp)
+        return handle(channel, stamp, *others)
+
+    d.app.session.handle = watched
+    d.app.clock.now_ns = lambda steady: now_ns(steady) + chance.randrange(2000)  # it is read after the steady clock
+    wire = Wire(d, tmp_path / "live.mcap")
+    publish, work = in_haste(wire, 1000, chance, unknown=0.0)
+    for _ in range(2):
+        publish("ambient", NUMBER, 12.0)  # fetched last and handled first, so all others are held
+        for _ in range(20):
+            d.forward(0.02, tick=False)
+            publish("load", NUMBER, 240e3)
+            publish("speed", TWIST, 5.0)
+        work()
+    wire.recorder.end()
+    apart = stamps - tr.read(tmp_path / "live.mcap", topics=tmp_path / "topics.yaml").series["load"].stamp_ns
+    assert (apart.reshape(2, 20) == apart[::20, None]).all()
+    replayed = tr.replay(tmp_path / "live.mcap", "xgd24d", topics=tmp_path / "topics.yaml")
+    assert list(replayed.session.counts()) == list(d.app.session.counts())
 
 
 def test_each_round_of_simulated_time_is_a_file_of_its_own(desk, tmp_path):

@@ -87,13 +87,16 @@ SPOILT = {
     "damaged": [
         lambda path: path.write_text(""),
         lambda path: path.write_text(path.read_text()[:200]),
-        lambda path: path.write_text("[" * 100_000),
-        lambda path: path.write_bytes(os.urandom(300)),
+        lambda path: path.write_bytes(path.read_bytes()[:100] + os.urandom(200)),
     ],
     "version 99": [lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "version": 99}))],
     "vehicle": [lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "key": "x"}))],
     "saved_at": [lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "saved_at": "abc"}))],
-    "another kind": [lambda path: path.write_text("[1, 2]")],
+    "another kind": [
+        lambda path: path.write_text("[1, 2]"),
+        lambda path: path.write_text("[" * 100_000),
+        lambda path: path.write_bytes(os.urandom(300)),
+    ],
     "a folder": [lambda path: (path.unlink(), path.mkdir())],
     "a named pipe": [lambda path: (path.unlink(), os.mkfifo(path))],
     "a device": [lambda path: (path.unlink(), path.symlink_to("/dev/zero"))],
@@ -135,7 +138,7 @@ def test_what_a_power_cut_leaves_of_a_state_is_replaced(desk, warm, left):
 
 def test_the_reason_of_a_cold_start_is_given_once(desk, warm):
     path, _ = warm
-    path.write_text("spoilt")
+    path.write_text("")
     d = desk(state_file=str(path))
     d.drive(12.0)
     d.forward(2.0)

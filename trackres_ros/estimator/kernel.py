@@ -225,7 +225,7 @@ def torque_variance(k: Constants, total: Part, learned: Learned, road: Road, dri
         + squared(torque_of_place(of_place_std, road.speed) * gain)
     )
     if learned.on > 0.0:
-        return variance + learned_variance(learned)
+        return variance + learned_variance(total, learned, road.rolling_bearing, gain)
     of_file = (
         total.noise
         + squared(total.consider_ambient)

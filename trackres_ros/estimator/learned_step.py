@@ -61,16 +61,17 @@ def learn_from(total: Part, learned: Learned, sign: float, drive_gain: float) ->
 
 
 @inlined
-def learned_variance(learned: Learned) -> float:
+def learned_variance(total: Part, learned: Learned, rolling_bearing: float, drive_gain: float) -> float:
     """Variance of the resistance due to the learned departures and the slow disturbance [Nm^2]: s'FF's + slow^2.
 
-    s are the sensitivities, F the factor of the departures' covariance. Inertia is no resistance, so its s is excluded.
+    s are the sensitivities without the sign of travel, as at rest friction has a size too; `rolling_bearing` is that of the
+    bearings [N]. F is the factor of the departures' covariance. Inertia is no resistance, so its s is excluded.
     """
-    variance, factor, sensitivities = squared(learned.slow), learned.factor, learned.sensitivities
-    for column in range(LEARNABLE):
-        moved = 0.0
-        for row in range(column, LEARNABLE):
-            if row != OF_MASS:
-                moved += factor[row * LEARNABLE + column] * sensitivities[row]
-        variance += moved * moved
+    variance, factor, by = squared(learned.slow), learned.factor, total.by
+    bearing, wind = total.arm * rolling_bearing * drive_gain, abs(learned.sensitivities[OF_DRAG])
+    for column in range(OF_MASS):
+        moved = factor[OF_BEARING * LEARNABLE + column] * bearing + factor[OF_DRAG * LEARNABLE + column] * wind
+        for row in range(BELTS):
+            moved += factor[row * LEARNABLE + column] * by[row] * drive_gain
+        variance += squared(moved)
     return float(variance)

@@ -90,7 +90,10 @@ def is_other_kind(file: Path) -> bool:
     Raises OSError if it cannot be read.
     """
     with file.open("rb") as now:
-        head = now.read(len(HEAD))
+        return _is_other_head(now.read(len(HEAD)))
+
+
+def _is_other_head(head: bytes) -> bool:
     return head not in (HEAD, bytes(len(head)))
 
 
@@ -263,14 +266,13 @@ def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
     try:
         data = own_files.read(path, LARGEST)
     except OSError as error:
-        remedy = "" if isinstance(error, FileNotFoundError) else REMEDY
-        raise InputError(where, error.strerror or str(error), "a file written by this program", remedy) from error
+        raise InputError(where, error.strerror or str(error), "a file written by this program") from error
+    if _is_other_head(data[: len(HEAD)]):  # it may be a recording, so no remedy deletes it
+        raise InputError(where, "another kind of file", f"a file of format {FORMAT}")
     try:
-        content = parse_json(data)
+        content: dict[str, Any] = parse_json(data)
     except ValueError as error:
         raise InputError(where, "a damaged file", whole, REMEDY) from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InputError(where, "another kind of file", f"a file of format {FORMAT}", REMEDY)
     version = content.get("version")
     if version != VERSION:
         given = f"version {version}" if isinstance(version, int) and 0 <= version < 1000 else "no version"

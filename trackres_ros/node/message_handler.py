@@ -49,7 +49,7 @@ class MessageHandler:
         self._widths = [len(given.roles) for given in inputs]
         self._is_speed = ["speed" in given.roles for given in inputs]
         self._order = SendingOrder()
-        self._handled_ns = 0  # recorded arrival of the last handled message
+        self._handled_ns = self._handled_now_ns = 0  # arrival of the last handled message, as recorded and by the node's time
         self._before_clock: list[Arrived] = []
 
     def receive(
@@ -128,13 +128,16 @@ class MessageHandler:
             self._handle(message)
 
     def _handle(self, message: Arrived) -> None:
-        """Record a message and process its samples, by an arrival after that of the last one: so a replay keeps their order."""
+        """Record a message and process its samples, by an arrival after that of the last one: so a replay keeps their order.
+
+        Messages held back are 1 ns apart by both clocks. Their own readings differ by more than that, so their stamps would run
+        backward.
+        """
         _, steady, now, place, stamp_ns, values, raw = message
         recorded = self._clock.recorded_ns(steady, now)
-        held_ns = self._handled_ns + 1 - recorded
-        if 0 < held_ns < LONGEST_HELD_NS:
-            recorded, now = recorded + held_ns, now + held_ns
-        self._handled_ns = recorded
+        if 0 <= self._handled_ns - recorded < LONGEST_HELD_NS - 1:
+            recorded, now = self._handled_ns + 1, self._handled_now_ns + 1
+        self._handled_ns, self._handled_now_ns = recorded, now
         self._record(place, raw, recorded)
         samples = self._guard.essential("taking a message", self.reader.samples, place, stamp_ns, values, now)
         for channel, stamp, value in samples or ():
