@@ -244,8 +244,6 @@ def gather(
         reasons |= CLOCK_JUMPED
     elif outcome == ACCEPTED_AFTER_DOUBT:
         reasons |= SPEED_IMPLAUSIBLE
-        if abs(speed) <= k.number.speed_slack:  # the outputs have reached zero by now, see `not_enabled`
-            motion.feedforward_target = 0.0
     if motion.started == at.START_ANEW:
         reasons |= TIME_RESET
     patience, quantum = 1, motion.quantum
