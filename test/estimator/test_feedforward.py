@@ -41,6 +41,37 @@ def rows_of(estimator, steps):
     return rows
 
 
+def at_speeds(session, enables):
+    """The feed-forward at one speed a second, with the enables that come at times [s] in between."""
+    found = []
+    for now in sorted([*range(10), *enables]):
+        now_ns = START_NS + round(now * 1e9)
+        if now in enables:
+            session.handle(at.ENABLE, now_ns, now_ns, enables[now])
+        else:
+            found.append(session.handle(at.SPEED, now_ns, now_ns, 8.0))
+    return found
+
+
+@pytest.mark.parametrize("hold", [0.0, 60.0])
+def test_a_disable_between_two_speeds_is_in_the_next_step(hold):
+    session = Estimator(load("xgd24d"), Settings(enable_hold_s=hold, speed_max_age_s=5.0)).session()
+    rows = at_speeds(session, {-0.1: 1.0, 3.1: 0.0, 6.2: 1.0, 6.8: 0.0, 6.9: 1.0})
+    fed = [row.feedforward_torque_nm for row in rows]
+    disabled = [bool(int(row.reasons) & at.Reason.DISABLED) for row in rows]
+    assert disabled == [now in (4, 5, 6) for now in range(10)]
+    assert min(fed[1:4]) > 3000.0
+    assert fed[4:7] == [0.0] * 3
+    assert fed[7] == pytest.approx(20000.0 * FEEDFORWARD_STEP_S)  # its target was zero until this step
+    assert min(fed[8:]) > 3000.0
+
+
+def test_an_enable_that_never_came_is_needed_only_with_a_hold():
+    for hold, needed in ((0.0, False), (0.5, True)):
+        fed = at_speeds(Estimator(load("xgd24d"), Settings(enable_hold_s=hold, speed_max_age_s=5.0)).session(), {})
+        assert (fed[-1].feedforward_torque_nm == 0.0) == needed
+
+
 def left_of(settings, pause):
     return min(1.0, max(0.0, 1.0 - (pause - settings.speed_max_age_s) / settings.feedforward_fade_s))
 

@@ -25,6 +25,7 @@ def model(tmp_path_factory, good):
     good("vehicle", "new", "mine", "--like", "agri3t", cwd=folder)
     text = re.sub("(name|axle): frame", r"\1: main-frame", (folder / "mine.yaml").read_text())
     effects = "effects:\n  drivetrain_drag: {drag: {value: 10.0, range: [5.0, 15.0]}}\n  air_drag: {share: 0.5}\n"
+    effects += "  compound_temperature: {slope: 0.0}\n"
     (folder / "mine.yaml").write_text(text + effects)
     good("export", "fmu", "mine.yaml", "-o", "model.fmu", cwd=folder)
     return folder / "model.fmu"
@@ -62,6 +63,7 @@ def test_fmpy_finds_nothing_wrong(model):
     units = {v.name: v.unit for v in description.modelVariables}
     assert (units["inputs.speed_mps"], units["resistance_torque_nm"], units["belt_degc.left"]) == ("m/s", "N.m", "degC")
     assert "inputs.weight_n.main_frame" in units
+    assert units["effects.compound_temperature.slope"] is None  # 1/K is not the unit 1
     tunable = {v.name: float(v.start) for v in description.modelVariables if v.variability == "tunable"}
     assert tunable["effects.drivetrain_drag.drag"] == 10.0
     assert tunable["bearing_friction"] == tr.load_vehicle(model.parent / "mine.yaml").chassis.bearing_friction
@@ -96,6 +98,20 @@ def drive(slave, first, count):
         slave.doStep(i * STEP_S, STEP_S)
         torques.append(slave.get("resistance_torque_nm"))
     return torques
+
+
+def test_a_long_step_feeds_forward_what_short_steps_do(instance):
+    instance.put("feedforward_rate", 2000.0)
+    state, found = instance.getFMUState(), []
+    for step in (STEP_S, 2.0):
+        instance.setFMUState(state)
+        for i in range(round(20.0 / step)):
+            instance.put("inputs.speed_mps", min(3.0, (i + 1) * step))
+            instance.doStep(i * step, step)
+        found.append(instance.get("feedforward_torque_nm"))
+    assert found[0] > 100.0
+    assert found[1] == pytest.approx(found[0], rel=1e-3)
+    instance.freeFMUState(state)
 
 
 def test_a_state_that_was_kept_goes_on_as_before(instance):

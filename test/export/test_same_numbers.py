@@ -4,6 +4,7 @@
 """The exported C gives the numbers of the live step: of a session that takes the same messages."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -14,10 +15,14 @@ from trackres_ros.effects.effect import Active
 from trackres_ros.effects.learned import NAMES, learned
 from trackres_ros.effects.registry import catalogue
 from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, followed, rate_towards
+from trackres_ros.estimator.guards import not_enabled
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.snapshot import after_time_off, resume, save
 from trackres_ros.export import step
 from trackres_ros.files.resources import shipped_road_vehicles, shipped_vehicles
+from trackres_ros.jit.compiled import interpreted
+from trackres_ros.node.publisher import OutputPublisher
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 
 pytestmark = pytest.mark.skipif(not have("gcc"), reason="gcc is not installed")
@@ -170,6 +175,64 @@ def test_between_two_speeds_the_feedforward_goes_on_as_live(tmp_path):
     assert shown[-1] == 0.0
 
 
+def stops_and_disables(seed, ticks):
+    """At each tick a speed [m/s] and an enable, nan where none comes: dropouts, stops within a sample and disables."""
+    random = np.random.default_rng(seed)
+
+    def stretches(*values):
+        return np.concatenate([np.full(random.integers(5, 60), random.choice(values)) for _ in range(ticks // 5)])[:ticks]
+
+    driving = 6.0 + 2.0 * np.sin(np.arange(ticks) / 150.0)
+    sent, every = random.random(ticks) < 0.8, random.choice([1, 2, 5])
+    speed = np.where(stretches(0.0, 1.0, 1.0, 1.0) > 0.0, driving, 0.0)
+    there = (stretches(0.0, 1.0, 1.0, 1.0) > 0.0) & sent & (np.arange(ticks) % every == 0)
+    return np.where(there, speed, np.nan), np.where(sent, stretches(0.0, 1.0, 1.0, 1.0, np.nan), np.nan)
+
+
+@pytest.fixture(scope="module")
+def enabled(tmp_path_factory):
+    """An export that needs an enable, and its new state."""
+    settings = Settings(enable_hold_s=0.3, feedforward_rate=5000.0)
+    built = Built(tr.load_vehicle("ztbus_hess19"), tmp_path_factory.mktemp("enabled"), settings)
+    return built, bytes(built.state)
+
+
+GUARD, FOLLOWED = interpreted(not_enabled), interpreted(followed)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_stopped_or_disabled_c_pushes_no_more_than_live(enabled, seed):
+    built, built.state[:] = enabled
+    session, k = built.estimator.session(), built.estimator.constants
+    live = OutputPublisher((), built.estimator, None)
+    tick_ns = round(FEEDFORWARD_STEP_S * SECOND_NS)
+    goal = target = age_s = 0.0
+    shown, guarded = [], set()
+    for now, speed, enable in zip(itertools.count(tick_ns, tick_ns), *stops_and_disables(seed, 1500), strict=False):
+        result, outputs = built.step({"speed_mps": speed, "enable": enable}, FEEDFORWARD_STEP_S)
+        if np.isfinite(enable):
+            session.handle(at.ENABLE, now, now, enable)
+        estimate = session.handle(at.SPEED, now, now, speed) if np.isfinite(speed) else None
+        assert result == (estimate is not None)
+        if estimate is not None:
+            assert outputs["feedforward_torque_nm"] == pytest.approx(estimate.feedforward_torque_nm, rel=EQUAL)
+            target, age_s = float(session.motion[at.Motion.feedforward_target]), 0.0
+            live.take(estimate.row.tolist(), now, now)
+        unfed = GUARD(k, session.memory, now)
+        if live.row:
+            goal = FOLLOWED(k.number, live.row[at.Results.feedforward_torque_nm], target, age_s - FEEDFORWARD_STEP_S)
+        live.publish(now, now, lambda _: (), *((0.0, 0.0) if unfed else (goal, target)))
+        assert int(outputs["reasons"]) & unfed == unfed
+        shown.append((float(outputs["feedforward_torque_nm"]), live.feedforward))
+        guarded.add(unfed)
+        age_s += FEEDFORWARD_STEP_S
+    of_c, of_live = np.abs(shown).T
+    a_tick_later = (k.number.feedforward_rate + interpreted(rate_towards)(k.number, 0.0)) * FEEDFORWARD_STEP_S
+    assert (of_c <= of_live + a_tick_later + 1e-6).all()
+    assert of_c.max() > 500.0
+    assert guarded == {0, at.Reason.SPEED_IMPLAUSIBLE, at.Reason.DISABLED, at.Reason.ENABLE_OLD}
+
+
 EARTH_M, ROUND_M = 6371008.8, 300.0  # a round course of that radius
 
 
@@ -312,3 +375,5 @@ def test_float_loses_no_small_step_of_a_belt_or_an_effect(tmp_path):
         column = built.estimator.columns.index(name)
         assert np.ptp(expected[:, column]) > 0.5
         assert np.abs(found[:, column] - expected[:, column]).max() < 1e-4
+    std = expected[:, at.Results.resistance_std_nm]
+    assert (np.abs(found[:, at.Results.resistance_std_nm] - std) <= 2e-3 * std).all()

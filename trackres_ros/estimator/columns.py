@@ -104,12 +104,14 @@ class Motion(Row):
     cov_accel = Real()
     quantum = Real()  # m/s, smallest step observed in the speed
     last_speed = Real()  # m/s; "last" values are those of the last step
-    feedforward = Real()  # Nm, of the last step
+    feedforward = Real()  # Nm, of the last step, or of its last turn since then, see `between_steps`
     last_drive = Real()  # Nm
     started = Real()  # 0 before the first speed, 1 after it; RESTS, START_ANEW
     feedforward_target = Real()  # Nm, which the feed-forward is on its way to
     rolls = Real()  # 1, or 0 at standstill
     last_others = Real()  # Nm, last drive torque without belts and effects
+    turned = Real()  # s, age of the speed at that turn; the change of this time is in the value
+    unfed = Real()  # 1 while the feed-forward is on its way to zero instead of its target, else 0
 
 
 # What can be learned of a vehicle while it drives, as departures from its file: of the loss, the cooling and the heat capacity of

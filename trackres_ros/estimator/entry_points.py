@@ -17,6 +17,7 @@ from trackres_ros.effects.stepping import neutral, rest_effects
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED
 from trackres_ros.estimator.belt_step import roll
+from trackres_ros.estimator.between_steps import turn
 from trackres_ros.estimator.by_place import follow_along, position_came
 from trackres_ros.estimator.columns import Assembly, Motion, Results, Times
 from trackres_ros.estimator.constants import Constants
@@ -54,6 +55,7 @@ def feed(
 ) -> bool:
     """Take one message in. An accepted speed makes a step and fills `out`; returns whether it did."""
     motion = Motion(carried.motion)
+    turn(k, memory, motion, arrival)
     outcome, elapsed = admit(k, memory, channel, stamp, arrival, value, motion.quantum)
     if outcome == ACCEPTED_AFTER_RESET:
         forget_others(memory, channel)
@@ -61,6 +63,7 @@ def feed(
     if outcome >= 0 and (channel == at.LATITUDE or channel == at.LONGITUDE):
         position_came(k, memory.times, memory.values, memory.followed)
     if outcome < 0 or channel != at.SPEED:
+        turn(k, memory, motion, arrival)
         return False
     inputs = gather(k, memory, outcome, elapsed, motion, loads, belt_measured)
     if motion.started <= 0.0:
@@ -132,6 +135,7 @@ def rest(k: Constants, carried: Carried, ambient: float, ambient_std: float, sec
     motion = Motion(carried.motion)
     motion.filtered_speed = motion.filtered_accel = motion.last_speed = motion.rolls = 0.0
     motion.feedforward = motion.feedforward_target = motion.last_drive = motion.last_others = 0.0
+    motion.turned = motion.unfed = 0.0
     if motion.started > 0.0:
         motion.started = at.RESTS
     rest_effects(k.effects, k.effect_values, carried.effects, k.work, ambient, seconds)

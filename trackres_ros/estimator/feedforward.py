@@ -56,10 +56,16 @@ def finite(torque: float) -> float:
 
 
 @inlined
-def followed(number: Numbers, value: float, target: float, age: float) -> float:
-    """Feed-forward [Nm] some time [s] after a step, on its way to the target; the first output is the step's."""
+def followed(number: Numbers, value: float, target: float, lasted: float) -> float:
+    """Feed-forward [Nm] after some time [s] on its way from a value to a target."""
     there = finite(target)
-    return towards(finite(value), there, rate_towards(number, there) * max(0.0, age - FEEDFORWARD_STEP_S))
+    return towards(finite(value), there, rate_towards(number, there) * max(0.0, lasted))
+
+
+@inlined
+def present_target(motion: Motion) -> float:
+    """What the feed-forward is on its way to [Nm]."""
+    return 0.0 if motion.unfed > 0.0 else motion.feedforward_target
 
 
 @inlined
@@ -86,10 +92,10 @@ def feedforward(
     if not abs(wanted) <= number.feedforward_limit:
         wanted = math.copysign(number.feedforward_limit, wanted) if abs(wanted) > number.feedforward_limit else 0.0
         reasons |= CLAMPED
-    last = followed(number, motion.feedforward, motion.feedforward_target, dt)
+    last = followed(number, motion.feedforward, present_target(motion), dt - motion.turned)
     last *= fade(dt, number.speed_max_age, number.feedforward_fade)
     moved = towards(last, wanted, rate_towards(number, wanted) * min(dt, FEEDFORWARD_STEP_S))
     if moved != wanted:
         reasons |= LIMITED
-    motion.feedforward_target = wanted
+    motion.feedforward_target, motion.turned, motion.unfed = wanted, FEEDFORWARD_STEP_S, 1.0 - fed
     return moved, reasons

@@ -181,12 +181,12 @@ def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
 def not_enabled(k: Constants, memory: Memory, now: int) -> int:
     """Reason why the feed-forward is zero at an arrival [ns], else 0.
 
-    It is not enabled, or the enable has expired, or the vehicle may stand: even then nothing may push it.
+    It is not enabled, or a required enable has expired, or the vehicle may stand: even then nothing may push it.
     """
     if Times(memory.times[at.SPEED]).doubts > 0 and seems_to_stand(k, Tracked(memory.tracked)):
         return SPEED_IMPLAUSIBLE
     if k.number.enable_hold_ns == 0:
-        return 0
+        return DISABLED if memory.values[at.ENABLE] <= 0.0 else 0
     enable = held(memory, at.ENABLE, now, k.number.enable_hold_ns)
     if math.isnan(enable):
         return ENABLE_OLD
@@ -244,8 +244,6 @@ def gather(
         reasons |= CLOCK_JUMPED
     elif outcome == ACCEPTED_AFTER_DOUBT:
         reasons |= SPEED_IMPLAUSIBLE
-        if abs(speed) <= k.number.speed_slack:  # the outputs have reached zero by now, see `not_enabled`
-            motion.feedforward_target = 0.0
     if motion.started == at.START_ANEW:
         reasons |= TIME_RESET
     patience, quantum = 1, motion.quantum

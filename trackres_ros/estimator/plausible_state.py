@@ -35,6 +35,7 @@ STARTED = (at.START_ANEW, 0.0, at.RESTS, 1.0)
 FARTHEST_NS = 1 << 62
 MOST_SUSPECTS = 1000
 FARTHEST_FOLLOWED = 1e9  # metres, Nm, and seconds
+LONGEST_TURN = 1e10  # s: times are at most so far apart
 LARGEST_EFFECT = 1e12  # distance [m], time constant [s], or the state of an effect in any unit
 
 
@@ -59,6 +60,8 @@ def check_state(estimator: Estimator, belts: Array, motion: Array) -> None:
         ("mark of rolling", left.rolls, 0.0, 1.0),
         ("drive torque", left.last_drive, -torque, torque),
         ("drive torque but for belts and effects", left.last_others, -torque, torque),
+        ("turn of the feed-forward", left.turned, 0.0, LONGEST_TURN),
+        ("mark of no feed-forward", left.unfed, 0.0, 1.0),
     ):
         _within(name, value, low, high)
     if left.started not in STARTED:

@@ -62,7 +62,7 @@ class Variable:
     name: str
     place: str
     causality: str
-    unit: str = "1"
+    unit: str = "1"  # empty for one that is not in UNITS
     text: str = ""
     start: float | None = None
     rows: int = 1
@@ -86,7 +86,7 @@ def export_fmu(request: Request, path: Path) -> Path:
     variables = list(_variables(source))
     token = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, f'trackres/{source.version()}/{len(variables)}')}}}"
     texts = {name: text for name, text in source.files().items() if name in ("trackres.c", "trackres.h")}
-    texts["fmi3.c"] = filled((TEMPLATES / "fmi3.c").read_text(encoding="utf-8"), _places(variables, token))
+    texts["fmi3.c"] = filled((TEMPLATES / "fmi3.c").read_text(encoding="utf-8"), _places(source, variables, token))
     with tempfile.TemporaryDirectory() as folder:
         for name, text in texts.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
@@ -137,7 +137,7 @@ def _of_effects(source: CSource) -> Iterator[Variable]:
             place = _in_state("effect_values", first * width + i)
             unit, text = q.unit.replace("Nm", "N.m").replace("^", ""), f"{q.text} [{q.unit}]"
             yield Variable(
-                f"effects/{active.effect.name}/{q.name}", place, "parameter", unit if unit in UNITS else "1", text,
+                f"effects/{active.effect.name}/{q.name}", place, "parameter", unit if unit in UNITS else "", text,
                 float(active.values[q.name]), rows, f"{width} * sizeof(double)",
             )  # fmt: skip
 
@@ -156,10 +156,12 @@ def _unit(name: str) -> str:
     return BY_SUFFIX.get(name.partition("/")[0].rpartition("_")[2], "1")
 
 
-def _places(variables: list[Variable], token: str) -> dict[str, str]:
+def _places(source: CSource, variables: list[Variable], token: str) -> dict[str, str]:
     lines = [f"    {{{v.place}, {v.rows}, {v.stride}, {v.also}, {v.causality.upper()}}}, /* {v.name} */" for v in variables]
     counts = {"VARIABLE_COUNT": len(variables), "OF_REASONS": len(variables), "OF_LEVEL": len(variables) + 1}
-    return {"TOKEN": token, "VARIABLES": "\n".join(lines), **{name: str(count) for name, count in counts.items()}}
+    longest = repr(float(source.estimator.settings.speed_max_age_s))
+    texts = {"TOKEN": token, "LONGEST_S": longest, "VARIABLES": "\n".join(lines)}
+    return texts | {name: str(count) for name, count in counts.items()}
 
 
 def _description(source: CSource, variables: list[Variable], token: str) -> bytes:
@@ -173,16 +175,17 @@ def _description(source: CSource, variables: list[Variable], token: str) -> byte
     can: dict[str, Any] = dict.fromkeys(abilities, "true")
     Xml.SubElement(root, "CoSimulation", modelIdentifier=MODEL, **can)
     units = Xml.SubElement(root, "UnitDefinitions")
-    for name in sorted({v.unit for v in variables}):
+    for name in sorted({v.unit for v in variables if v.unit}):
         Xml.SubElement(Xml.SubElement(units, "Unit", name=name), "BaseUnit", UNITS[name])
     known = Xml.SubElement(root, "ModelVariables")
     for reference, v in enumerate(variables):
         more: dict[str, Any] = {"description": v.text} if v.text else {}
+        more |= {"unit": v.unit} if v.unit else {}
         more |= {} if v.start is None else {"start": "NaN" if v.start != v.start else repr(v.start)}
         variability = "tunable" if v.causality == "parameter" else "continuous"
         Xml.SubElement(
             known, "Float64", name=".".join(map(in_c, v.name.split("/"))), valueReference=str(reference), causality=v.causality,
-            variability=variability, unit=v.unit, **more,
+            variability=variability, **more,
         )  # fmt: skip
     outputs = [reference for reference, v in enumerate(variables) if v.causality == "output"]
     for reference, (kind, name) in enumerate((("UInt32", "reasons"), ("Int32", "level")), len(variables)):

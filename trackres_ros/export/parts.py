@@ -179,6 +179,7 @@ class Parts:
             step.step: [*feeds, given, REAL, out],
             step.take_message: [*feeds, INT, INT, INT, REAL, out],
             step.feedforward_now: [records["k"], records["memory"], self._array("carried_motion"), INT],
+            step.reasons_now: [records["k"], records["memory"], INT],
             step.is_stale: [records["k"], records["memory"], INT],
             step.rest_after: [*feeds[:3], REAL, REAL],
         }

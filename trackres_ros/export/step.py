@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.between_steps import age_of_speed, fed_now
 from trackres_ros.estimator.columns import Motion, Times
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.entry_points import feed, rest
-from trackres_ros.estimator.feedforward import fade, followed
-from trackres_ros.estimator.guards import Memory, forget_others
+from trackres_ros.estimator.feedforward import fade
+from trackres_ros.estimator.guards import Memory, forget_others, not_enabled
 from trackres_ros.estimator.plausible_state import FARTHEST_NS
 from trackres_ros.estimator.records import Carried
 from trackres_ros.estimator.snapshot import LONGEST_OFF
@@ -29,6 +30,7 @@ IntArray = NDArray[np.int64]
 
 STEPPED, WAITED, WRONG_TIME = 1, 0, -2
 FARTHEST_S = 1e9  # of one step to the next: more is no time
+SPEED_IMPLAUSIBLE = int(at.Reason.SPEED_IMPLAUSIBLE)
 NOW, LATEST = range(2)  # of the clock: its time, and the latest one since the last accepted speed
 
 
@@ -96,24 +98,23 @@ def take_message(
     return outcome_of(clock, feed(k, memory, carried, loads, belt_measured, channel, stamp, arrival, value, out))
 
 
-def age_of_speed(memory: Memory, latest: int) -> float:
-    """How long ago the last accepted speed came [s], by the latest time [ns]; infinite without one."""
-    times = Times(memory.times[at.SPEED])
-    return float((latest - times.last_arrival) * NANOSECOND) if times.seen else math.inf
-
-
 def feedforward_now(k: Constants, memory: Memory, motion: Array, latest: int) -> float:
-    """The feed-forward [Nm] between two speeds: on its way to its target, and fading once the speed is old."""
-    age, last = age_of_speed(memory, latest), Motion(motion)
-    if not age < math.inf or last.started <= 0.0:
+    """The feed-forward [Nm] between two speeds, at the latest time [ns]; it fades once the speed is old."""
+    if Times(memory.times[at.SPEED]).seen == 0 or Motion(motion).started <= 0.0:
         return 0.0
-    on_its_way = followed(k.number, last.feedforward, last.feedforward_target, age)
-    return on_its_way * fade(age, k.number.speed_max_age, k.number.feedforward_fade)
+    fed, _, _ = fed_now(k, memory, motion, latest)
+    return fed * fade(age_of_speed(memory, latest), k.number.speed_max_age, k.number.feedforward_fade)
+
+
+def reasons_now(k: Constants, memory: Memory, latest: int) -> int:
+    """Reasons that came up since the last step."""
+    unfed = not_enabled(k, memory, latest)
+    return unfed | SPEED_IMPLAUSIBLE if Times(memory.times[at.SPEED]).doubts > 0 else unfed
 
 
 def is_stale(k: Constants, memory: Memory, latest: int) -> bool:
-    """Whether the last accepted speed is too old to be trusted."""
-    return age_of_speed(memory, latest) > k.number.speed_max_age
+    """Whether the last accepted speed is too old to be trusted, or there is none."""
+    return Times(memory.times[at.SPEED]).seen == 0 or age_of_speed(memory, latest) > k.number.speed_max_age
 
 
 def rest_after(k: Constants, memory: Memory, carried: Carried, ambient: float, seconds: float) -> None:

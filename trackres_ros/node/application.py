@@ -17,9 +17,9 @@ from dataclasses import replace
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.between_steps import fed_now
 from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.guards import not_enabled
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.estimator.warm_up import LIVE, CompilerWarmUp, exercise
 from trackres_ros.jit.compiled import interpreted
@@ -43,7 +43,7 @@ from trackres_ros.units import SECOND_NS
 
 ACCEPTED, IMPLAUSIBLE = int(at.Count.ACCEPTED), int(at.Count.IMPLAUSIBLE)
 SPEED_IMPLAUSIBLE = int(at.Reason.SPEED_IMPLAUSIBLE)
-NOT_ENABLED = interpreted(not_enabled)  # as live also processes messages between two steps
+FED_NOW = interpreted(fed_now)  # as live also processes messages between two steps
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
 SAVING_ON_REQUEST_S, SAVING_AT_THE_END_S = 0.1, 10.0  # longest wait for a disk
 REASONS_KEPT_NS = 200_000_000  # a full check takes longer than publishing; an old speed and new reasons are handled at once
@@ -152,9 +152,7 @@ class Application:
         if not all(math.isfinite(values[column]) for column in MUST_BE_FINITE):
             raise ArithmeticError(f"the estimate is not finite: {values}")
         stamp = int(self.session.memory.times[at.SPEED, at.Times.last_stamp])
-        self._publisher.take(
-            values, float(self.session.motion[at.Motion.feedforward_target]), stamp, steady, self.clock.pace_ns(steady)
-        )
+        self._publisher.take(values, stamp, steady)
         new_reasons = self.guard("watching the reasons", self._watch.accepted, int(values[at.Results.reasons]), now - stamp)
         if new_reasons:
             self._reasons_seen = None
@@ -188,9 +186,10 @@ class Application:
     def _publish(self, steady: int) -> None:
         pace = self.clock.pace_ns(steady)
         arrival = self.clock.recorded_ns(steady, pace)
-        unfed = NOT_ENABLED(self.estimator.constants, self.session.memory, arrival)
+        session = self.session
+        goal, target, unfed = FED_NOW(self.estimator.constants, session.memory, session.motion, arrival)
         self._show(unfed)
-        self._publisher.publish(steady, pace, self._reasons_or_fault, not unfed)
+        self._publisher.publish(steady, pace, self._reasons_or_fault, float(goal), float(target))
 
     def _reasons_or_fault(self, steady: int) -> Reasons:
         hold = self.guard("the reasons", self._reasons, steady)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.feedforward import fade, followed, rate_towards, towards
+from trackres_ros.estimator.feedforward import fade, rate_towards, towards
 from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.transport import Level, Reasons, Status, Transport, nearest_usable
@@ -18,8 +18,7 @@ from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputT
 from trackres_ros.units import NANOSECOND
 
 # Not worth compiling at a first start.
-FADE, FOLLOWED, TOWARDS = interpreted(fade), interpreted(followed), interpreted(towards)
-RATE_TOWARDS = interpreted(rate_towards)
+FADE, TOWARDS, RATE_TOWARDS = interpreted(fade), interpreted(towards), interpreted(rate_towards)
 Row = list[float]
 Values = Callable[[Row], list[float]]
 
@@ -45,8 +44,8 @@ class OutputPublisher:
         self.failed: dict[str, str] = {}
         self.sent = 0  # messages that the middleware took, statuses too
         self._transport = transport
-        self._taken_ns = self._taken_pace = 0
-        self._target = self._unfaded = 0.0
+        self._taken_ns = 0
+        self._unfaded = 0.0
         self._published_at: tuple[int, int] | None = None
         self._withdrawn_ns: int | None = None
         index = estimator.column_index
@@ -61,10 +60,9 @@ class OutputPublisher:
         """Let the feed-forward go to zero from now on, at its rate, and within the time in which it fades."""
         self._withdrawn_ns = steady
 
-    def take(self, row: Row, target: float, stamp_ns: int, steady: int, pace: int) -> None:
-        """Keep a row of results, its feed-forward target, and the time of its state."""
-        self.row, self.stamp_ns, self._target = row, nearest_usable(stamp_ns), target
-        self._taken_ns, self._taken_pace = steady, pace
+    def take(self, row: Row, stamp_ns: int, steady: int) -> None:
+        """Keep a row of results, and the time of its state."""
+        self.row, self.stamp_ns, self._taken_ns = row, nearest_usable(stamp_ns), steady
         self._unfaded = self.feedforward
 
     def age_s(self, steady: int) -> float:
@@ -78,20 +76,18 @@ class OutputPublisher:
         since_s = 0.0 if self._withdrawn_ns is None else (steady - self._withdrawn_ns) * NANOSECOND
         return 0.0 if math.isinf(age_s) else FADE(age_s, settings.speed_max_age_s, fade_s) * FADE(since_s, 0.0, fade_s)
 
-    def publish(self, steady: int, pace: int, reasons: Callable[[int], Reasons], enabled: bool = True) -> None:
+    def publish(self, steady: int, pace: int, reasons: Callable[[int], Reasons], goal: float, target: float) -> None:
         """Publish the last estimate on all topics of numbers, with the present reasons; nothing before the first one.
 
-        While the feed-forward is not enabled it goes to zero, as after `withdraw`.
+        `goal` is the session's feed-forward now, on its way to `target`, see `between_steps.fed_now`.
         """
         if self.stamp_ns is None:
             return
-        number, target = self.estimator.constants.number, self._target
         before_pace, before_ns = self._published_at or (pace, steady)
         elapsed_s = max(0, pace - before_pace, steady - before_ns) * NANOSECOND  # a simulated clock stops between ticks
-        goal = FOLLOWED(number, self.row[at.Results.feedforward_torque_nm], target, (pace - self._taken_pace) * NANOSECOND)
-        if not enabled or self._withdrawn_ns is not None:
+        if self._withdrawn_ns is not None:
             goal = target = 0.0
-        self._unfaded = TOWARDS(self._unfaded, goal, RATE_TOWARDS(number, target) * elapsed_s)
+        self._unfaded = TOWARDS(self._unfaded, goal, RATE_TOWARDS(self.estimator.constants.number, target) * elapsed_s)
         self.feedforward, self._published_at = self._unfaded * self.left(steady), (pace, steady)
         row = self.row.copy()
         row[at.Results.feedforward_torque_nm] = self.feedforward

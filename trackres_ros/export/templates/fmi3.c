@@ -29,7 +29,8 @@ struct instance {
     trackres_state state;
     trackres_inputs inputs;
     trackres_outputs outputs;
-    double time; /* [s] */
+    double time;  /* [s] */
+    double speed; /* input of the last step [m/s] */
     fmi3InstanceEnvironment environment;
     fmi3LogMessageCallback log;
 };
@@ -45,6 +46,9 @@ struct variable {
     size_t also; /* 0 without one */
     enum causality causality;
 };
+
+static const double longest_s = @LONGEST_S@; /* of a piece: a speed that is older is a dropout */
+static const double most_pieces = 20000.0;     /* as the belts have */
 
 enum { OF_REASONS = @OF_REASONS@, OF_LEVEL = @OF_LEVEL@, TIME = 0, VARIABLES = @VARIABLE_COUNT@ };
 
@@ -140,6 +144,7 @@ EXPORTED fmi3Status fmi3EnterInitializationMode(
 EXPORTED fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
 {
     struct instance *one = instance;
+    one->speed = one->inputs.speed_mps;
     return trackres_step(&one->state, &one->inputs, 0.0, &one->outputs) < 0 ? failed(one, "no first step") : fmi3OK;
 }
 
@@ -166,6 +171,22 @@ EXPORTED fmi3Status fmi3Reset(fmi3Instance instance)
     return fmi3OK;
 }
 
+/* One step in pieces, so that no speed in it is too old for the feed-forward. Along them the speed changes evenly. */
+static int step_in_pieces(struct instance *one, double step)
+{
+    const int pieces = (int)fmin(ceil(step / longest_s), most_pieces);
+    const double change = one->inputs.speed_mps - one->speed; /* NAN where one of them is not known */
+    const double even = isfinite(change) ? change : 0.0;
+    trackres_inputs inputs = one->inputs;
+    int result = TRACKRES_WAITED;
+    for (int left = pieces - 1; left >= 0 && result >= 0; left--) {
+        inputs.speed_mps = one->inputs.speed_mps - even * left / pieces;
+        result = trackres_step(&one->state, &inputs, step / pieces, &one->outputs);
+    }
+    one->speed = one->inputs.speed_mps;
+    return result;
+}
+
 EXPORTED fmi3Status fmi3DoStep(
     fmi3Instance instance, double time, double step, bool no_way_back, bool *event_needed, bool *terminate, bool *early_return,
     double *last_time)
@@ -174,7 +195,7 @@ EXPORTED fmi3Status fmi3DoStep(
     (void)no_way_back;
     *event_needed = *terminate = *early_return = false;
     *last_time = time;
-    if (!(step > 0.0) || trackres_step(&one->state, &one->inputs, step, &one->outputs) < 0) {
+    if (!(step > 0.0) || step_in_pieces(one, step) < 0) {
         return failed(one, "a step that is no time");
     }
     one->time = *last_time = time + step;
@@ -265,6 +286,7 @@ EXPORTED fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState state)
     one->inputs = from->inputs;
     one->outputs = from->outputs;
     one->time = from->time;
+    one->speed = from->speed;
     return fmi3OK;
 }
 

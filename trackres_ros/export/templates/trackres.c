@@ -53,7 +53,7 @@ void trackres_no_inputs(trackres_inputs *inputs)
 @NO_INPUTS@
 }
 
-/* Results of the last step by name, with what goes on by itself since then: feed-forward and level. */
+/* Results of the last step by name, with what goes on by itself since then: feed-forward, reasons and level. */
 static int tr_answer(const trackres_state *state, int64_t result, trackres_outputs *outputs)
 {
 @RECORDS_OF_ANSWER@
@@ -64,6 +64,7 @@ static int tr_answer(const trackres_state *state, int64_t result, trackres_outpu
 @ROW@
     if (result != TRACKRES_STEPPED) {
         outputs->feedforward_torque_nm = @FEEDFORWARD@;
+        outputs->reasons |= (uint32_t)@REASONS_NOW@;
     }
     if (@IS_STALE@) {
         outputs->level = TRACKRES_STALE;

@@ -26,7 +26,7 @@ typedef @REAL@ trackres_real;
 /* What a step gives. */
 enum {
     TRACKRES_STEPPED = 1,    /* a speed was accepted: all outputs are new */
-    TRACKRES_WAITED = 0,     /* no speed, or one that the guards refused: only feed-forward and level are new */
+    TRACKRES_WAITED = 0,     /* no speed, or one that the guards refused: only feed-forward, reasons and level are new */
     TRACKRES_BAD_STATE = -1, /* the state is not of this version: call trackres_init */
     TRACKRES_BAD_TIME = -2   /* the time step is no number or too long, or a time is too far: more than 146 years from 0 */
 };
