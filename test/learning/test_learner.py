@@ -200,16 +200,54 @@ def test_nothing_leaves_the_ranges_of_the_file(road):
 
 
 def test_time_off_makes_it_less_sure_and_forgets_what_wanders(learned):
-    before, rises = learned.learner.learned, []
-    for days in (10.0, 20.0, 30.0):
+    before, rises, most = learned.learner.learned, [], learned.learner.prior.covariance[at.OF_LOSS, at.OF_LOSS] ** 0.5
+    for pieces, days in ((1, 10.0), (1, 30.0), (30, 1.0), (1, 1e4)):
         learner = copy.deepcopy(learned.learner)
-        learner.age(days * 86400.0)
-        after, most = learner.learned, learner.prior.covariance[at.OF_LOSS, at.OF_LOSS]
-        rises.append(after.covariance[at.OF_LOSS, at.OF_LOSS] - before.covariance[at.OF_LOSS, at.OF_LOSS])
-        assert 0.0 < rises[-1] < most - before.covariance[at.OF_LOSS, at.OF_LOSS]
+        for _ in range(pieces):
+            learner.age(days * 86400.0)
+        after = learner.learned
+        rises.append(after.covariance[at.OF_LOSS, at.OF_LOSS] ** 0.5 - before.covariance[at.OF_LOSS, at.OF_LOSS] ** 0.5)
         assert after.mean[SLOW] == 0.0
         assert after.mean[at.OF_LOSS] == before.mean[at.OF_LOSS]
-    assert np.sqrt(rises[1]) == pytest.approx(2.0 * np.sqrt(rises[0]), rel=0.05)
+        assert np.linalg.eigvalsh(after.covariance).min() > -1e-9 * after.covariance.max()
+    assert rises[0] == pytest.approx(0.5 * most * 10.0 / 365.0)
+    assert rises[1:3] == pytest.approx([3.0 * rises[0]] * 2)  # however the time is divided
+    assert after.covariance[at.OF_LOSS, at.OF_LOSS] == pytest.approx(most**2)
+
+
+def test_a_jump_of_the_clock_is_no_time_off(driven_before):
+    driven = driven_before("watch")
+    before = driven.learner.learned.covariance[at.OF_LOSS, at.OF_LOSS]
+    driven.ahead_ns = 300 * 86400 * 10**9
+    driven.drive(0.2)
+    assert driven.learner.learned.second > driven.ahead_ns // 10**9
+    assert driven.learner.learned.covariance[at.OF_LOSS, at.OF_LOSS] <= before * 1.001
+
+
+def rest(driven, how):
+    """Two hours, with the node off or on."""
+    driven.steps += 72_000
+    if how == "off":
+        driven.learner.age(7200.0)
+
+
+@pytest.mark.parametrize("how", ["off", "on"])
+def test_a_vehicle_repaired_at_rest_has_its_file_in_a_minute(driven_before, how):
+    driven = driven_before("on")
+    rest(driven, how)
+    at.Learned(driven.true.learned).departures[at.OF_LOSS] = 0.0
+    assert driven.learner.acts
+    driven.drive(1.2)
+    assert not driven.learner.acts
+
+
+@pytest.mark.parametrize("how", ["off", "on"])
+def test_a_rest_alone_takes_nothing_learned_away(driven_before, how):
+    driven = driven_before("on")
+    rest(driven, how)
+    driven.drive(3.0)
+    assert driven.learner.acts
+    assert driven.errors(3.0)[1] < 0.01
 
 
 class Sure(Learner):
