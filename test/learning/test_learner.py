@@ -15,8 +15,9 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.correction import accepted
 from trackres_ros.learning.disturbances import LASTING_SHARE
+from trackres_ros.learning.filter import corrected
 from trackres_ros.learning.learner import Learner
-from trackres_ros.learning.parameters import SLOW, VEHICLES_OWN, limits_of, places
+from trackres_ros.learning.parameters import SLOW, STATES, VEHICLES_OWN, limits_of, places, rise_torques
 from trackres_ros.learning.vehicle_file import write_learned
 from trackres_ros.vehicle import RoadVehicle
 from trackres_ros.vehicle.writing.vehicle_file import opened
@@ -302,7 +303,31 @@ def test_a_written_file_has_each_learned_value_within_its_range(sure, tmp_path_f
         paths, factor = places(vehicle)[state]
         for path in paths:
             old, new = vehicle.parameters[path], written[path]
+            if path != paths[0] and old.value:  # only scaled with the first: known no better than before
+                limits, scale = limits_of(path), new.value / old.value
+                assert new.low <= max(old.low * scale, limits.low) + 1e-5 * abs(new.low)
+                assert new.high >= min(old.high * scale, limits.high) - 1e-5 * abs(new.high)
             assert new.value == pytest.approx(old.value * (1.0 + factor * found[state]), rel=1e-5)  # as it acts live at last
             assert new.low <= new.value <= new.high
             assert new.high > new.low
             assert new == old or old.value
+
+
+@pytest.mark.parametrize(("slowest", "fastest"), [(0.05, 0.78), (0.05, 0.4), (0.5, 0.78)])
+def test_an_error_of_the_rise_is_in_the_stated_stds(slowest, fastest):
+    """Coefficient and drag take up a rise that is off by one standard deviation of its range."""
+    vehicle = tr.load_vehicle("bmw_i3")
+    learner = Learner(Estimator(vehicle))
+    random, rolling, noise = np.random.default_rng(7), (at.OF_BEARING, at.OF_DRAG), 5.0
+    mean, covariance = np.zeros(STATES), learner.prior.covariance.copy()
+    learner.learned.noise = noise**2
+    for speed in random.uniform(slowest, fastest, 900) * vehicle.chassis.max_speed:
+        of_rolling, of_drag, off = rise_torques(vehicle, np.array([speed]))[:, 0]
+        looks = np.zeros(STATES)
+        looks[list(rolling)] = of_rolling, of_drag
+        measured = off + random.normal(0.0, noise)
+        corrected(mean, covariance, looks, measured - mean @ looks, noise**2, np.ones(STATES, dtype=bool))
+        learner.buckets.count(speed, 20.0, vehicle.weight, 0.0)
+    stated, known = learner.stds(covariance, learner.own), np.sqrt(np.diag(covariance))
+    for state in rolling:
+        assert abs(mean[state]) == pytest.approx(np.sqrt(stated[state] ** 2 - known[state] ** 2), rel=0.3)

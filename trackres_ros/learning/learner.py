@@ -10,6 +10,7 @@ values act on the step only where they are covered, certain, and better than the
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +35,11 @@ from trackres_ros.learning.parameters import (
     VEHICLES_OWN,
     learnables,
     make_prior,
+    rise_torques,
 )
 from trackres_ros.units import GRAVITY, SECOND_NS
 
+Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MODES = OFF, WATCH, ON = "off", "watch", "on"
@@ -93,6 +96,7 @@ class Learner:
         self._inertia = self._arm * estimator.vehicle.chassis.rotating_mass_factor / GRAVITY  # torque by weight and m/s^2
         self.delay = DelayEstimator(self.prior.rolling_nm)
         self.buckets = Buckets(estimator.vehicle.chassis.max_speed, weight, bool(self._belts))
+        self._rise = rise_torques(estimator.vehicle, self.buckets.middles)
         self.reset()
 
     def reset(self) -> None:
@@ -272,6 +276,11 @@ class Learner:
     def counted(self) -> Mask:
         """Accepted departures of the vehicle: covered, and known twice as well as by its file; (LEARNABLE,)."""
         return np.asarray(self.buckets.covered() & correction.sure(self.learned, self.prior))
+
+    def stds(self, covariance: Array, own: Sequence[int]) -> Array:
+        """Reported standard deviations of the filter's first states by their covariance, see `correction.stds_of`."""
+        seconds, noise = self.buckets.seconds.sum(axis=(1, 2)), max(self.learned.second_variance, 1e-12)
+        return correction.stds_of(covariance, self.prior, own, self._rise * np.sqrt(seconds / noise))
 
     @property
     def acts(self) -> bool:
