@@ -25,6 +25,7 @@ class Road:
         self.session, self.learner = estimator.session(), Learner(estimator, mode)
         self.random, self.steps, self.rows = np.random.default_rng(seed), 0, []
         self.said = set()
+        self.ahead_ns = 0  # of the stamps
 
     def drive(self, minutes, shown=lambda torque, i: torque, speed=lambda t: 8.0 + 6.0 * np.sin(t / 60.0), noise=30.0):
         """Drive on; `shown` is the sensor's function of a torque, by the number of the step since here."""
@@ -33,10 +34,13 @@ class Road:
             self.steps += 1
             now = speed(time)
             truth = self.true.handle(at.SPEED, stamp, stamp, now)
+            arrival, stamp = stamp, stamp + self.ahead_ns
             torque = shown(truth["drive_torque_nm"], i)
             if torque is not None:
-                self.session.handle(at.TORQUE, stamp, stamp, torque + self.random.normal(0.0, noise))
-            estimate = self.session.handle(at.SPEED, stamp, stamp, now)
+                self.session.handle(at.TORQUE, stamp, arrival, torque + self.random.normal(0.0, noise))
+            estimate = self.session.handle(at.SPEED, stamp, arrival, now)
+            if estimate is None:  # until a jump of the clock is confirmed
+                continue
             self.learner.take(stamp, estimate.row.tolist(), self.session)
             self.rows.append((truth["resistance_torque_nm"], estimate["resistance_torque_nm"], self.expected(estimate)))
             if self.learner.frozen:

@@ -15,8 +15,9 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.correction import accepted
 from trackres_ros.learning.disturbances import LASTING_SHARE
+from trackres_ros.learning.filter import corrected
 from trackres_ros.learning.learner import Learner
-from trackres_ros.learning.parameters import SLOW, VEHICLES_OWN, limits_of, places
+from trackres_ros.learning.parameters import SLOW, STATES, VEHICLES_OWN, limits_of, places, rise_torques
 from trackres_ros.learning.vehicle_file import write_learned
 from trackres_ros.vehicle import RoadVehicle
 from trackres_ros.vehicle.writing.vehicle_file import opened
@@ -200,16 +201,54 @@ def test_nothing_leaves_the_ranges_of_the_file(road):
 
 
 def test_time_off_makes_it_less_sure_and_forgets_what_wanders(learned):
-    before, rises = learned.learner.learned, []
-    for days in (10.0, 20.0, 30.0):
+    before, rises, most = learned.learner.learned, [], learned.learner.prior.covariance[at.OF_LOSS, at.OF_LOSS] ** 0.5
+    for pieces, days in ((1, 10.0), (1, 30.0), (30, 1.0), (1, 1e4)):
         learner = copy.deepcopy(learned.learner)
-        learner.age(days * 86400.0)
-        after, most = learner.learned, learner.prior.covariance[at.OF_LOSS, at.OF_LOSS]
-        rises.append(after.covariance[at.OF_LOSS, at.OF_LOSS] - before.covariance[at.OF_LOSS, at.OF_LOSS])
-        assert 0.0 < rises[-1] < most - before.covariance[at.OF_LOSS, at.OF_LOSS]
+        for _ in range(pieces):
+            learner.age(days * 86400.0)
+        after = learner.learned
+        rises.append(after.covariance[at.OF_LOSS, at.OF_LOSS] ** 0.5 - before.covariance[at.OF_LOSS, at.OF_LOSS] ** 0.5)
         assert after.mean[SLOW] == 0.0
         assert after.mean[at.OF_LOSS] == before.mean[at.OF_LOSS]
-    assert np.sqrt(rises[1]) == pytest.approx(2.0 * np.sqrt(rises[0]), rel=0.05)
+        assert np.linalg.eigvalsh(after.covariance).min() > -1e-9 * after.covariance.max()
+    assert rises[0] == pytest.approx(0.5 * most * 10.0 / 365.0)
+    assert rises[1:3] == pytest.approx([3.0 * rises[0]] * 2)  # however the time is divided
+    assert after.covariance[at.OF_LOSS, at.OF_LOSS] == pytest.approx(most**2)
+
+
+def test_a_jump_of_the_clock_is_no_time_off(driven_before):
+    driven = driven_before("watch")
+    before = driven.learner.learned.covariance[at.OF_LOSS, at.OF_LOSS]
+    driven.ahead_ns = 300 * 86400 * 10**9
+    driven.drive(0.2)
+    assert driven.learner.learned.second > driven.ahead_ns // 10**9
+    assert driven.learner.learned.covariance[at.OF_LOSS, at.OF_LOSS] <= before * 1.001
+
+
+def rest(driven, how):
+    """Two hours, with the node off or on."""
+    driven.steps += 72_000
+    if how == "off":
+        driven.learner.age(7200.0)
+
+
+@pytest.mark.parametrize("how", ["off", "on"])
+def test_a_vehicle_repaired_at_rest_has_its_file_in_a_minute(driven_before, how):
+    driven = driven_before("on")
+    rest(driven, how)
+    at.Learned(driven.true.learned).departures[at.OF_LOSS] = 0.0
+    assert driven.learner.acts
+    driven.drive(1.2)
+    assert not driven.learner.acts
+
+
+@pytest.mark.parametrize("how", ["off", "on"])
+def test_a_rest_alone_takes_nothing_learned_away(driven_before, how):
+    driven = driven_before("on")
+    rest(driven, how)
+    driven.drive(3.0)
+    assert driven.learner.acts
+    assert driven.errors(3.0)[1] < 0.01
 
 
 class Sure(Learner):
@@ -264,7 +303,31 @@ def test_a_written_file_has_each_learned_value_within_its_range(sure, tmp_path_f
         paths, factor = places(vehicle)[state]
         for path in paths:
             old, new = vehicle.parameters[path], written[path]
+            if path != paths[0] and old.value:  # only scaled with the first: known no better than before
+                limits, scale = limits_of(path), new.value / old.value
+                assert new.low <= max(old.low * scale, limits.low) + 1e-5 * abs(new.low)
+                assert new.high >= min(old.high * scale, limits.high) - 1e-5 * abs(new.high)
             assert new.value == pytest.approx(old.value * (1.0 + factor * found[state]), rel=1e-5)  # as it acts live at last
             assert new.low <= new.value <= new.high
             assert new.high > new.low
             assert new == old or old.value
+
+
+@pytest.mark.parametrize(("slowest", "fastest"), [(0.05, 0.78), (0.05, 0.4), (0.5, 0.78)])
+def test_an_error_of_the_rise_is_in_the_stated_stds(slowest, fastest):
+    """Coefficient and drag take up a rise that is off by one standard deviation of its range."""
+    vehicle = tr.load_vehicle("bmw_i3")
+    learner = Learner(Estimator(vehicle))
+    random, rolling, noise = np.random.default_rng(7), (at.OF_BEARING, at.OF_DRAG), 5.0
+    mean, covariance = np.zeros(STATES), learner.prior.covariance.copy()
+    learner.learned.noise = noise**2
+    for speed in random.uniform(slowest, fastest, 900) * vehicle.chassis.max_speed:
+        of_rolling, of_drag, off = rise_torques(vehicle, np.array([speed]))[:, 0]
+        looks = np.zeros(STATES)
+        looks[list(rolling)] = of_rolling, of_drag
+        measured = off + random.normal(0.0, noise)
+        corrected(mean, covariance, looks, measured - mean @ looks, noise**2, np.ones(STATES, dtype=bool))
+        learner.buckets.count(speed, 20.0, vehicle.weight, 0.0)
+    stated, known = learner.stds(covariance, learner.own), np.sqrt(np.diag(covariance))
+    for state in rolling:
+        assert abs(mean[state]) == pytest.approx(np.sqrt(stated[state] ** 2 - known[state] ** 2), rel=0.3)

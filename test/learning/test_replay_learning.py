@@ -69,6 +69,20 @@ def test_stopped_and_resumed_it_learns_what_it_would_have(on, halves):
         assert np.array_equal(resumed[column], on[column][-len(resumed[column]) :]), column
 
 
+def test_resumed_a_hundred_days_later_it_is_less_sure(halves, tmp_path):
+    second, state = halves
+    head, *lines = second.read_text().splitlines()[:301]
+    stds = []
+    for days in (0.0, 100.0):
+        path = tmp_path / f"after_{days:g}.csv"
+        rows = [line.split(",", 1) for line in lines]
+        path.write_text("\n".join([head, *(f"{float(time) + days * 86400.0:.1f},{rest}" for time, rest in rows)]))
+        learner = tr.replay(path, "xgd24d", learning="watch", resume=state).learner
+        stds.append(np.sqrt(np.diag(learner.learned.covariance)[[at.OF_BEARING, at.OF_DRAG]]))
+    most = np.sqrt(np.diag(learner.prior.covariance)[[at.OF_BEARING, at.OF_DRAG]])
+    assert stds[1] - stds[0] == pytest.approx(np.minimum(0.5 * most * 100.0 / 365.0, most - stds[0]), rel=0.3)
+
+
 def test_resumed_no_learned_value_acts_in_another_mode_than_on(recording, on, halves):
     second, state = halves
     off, watched = (tr.replay(second, "xgd24d", learning=mode, resume=state) for mode in ("off", "watch"))

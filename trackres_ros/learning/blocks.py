@@ -22,6 +22,7 @@ BLOCK_S = 20  # valid seconds
 MEMORY = 45.0  # blocks: a quarter of an hour
 CONTEST_MEMORY, SURELY = 90.0, 2.0  # blocks; standard errors by which learned values must be better before they act
 LEAST_BLOCKS = 6
+LEAST_SINCE_PAUSE = 2
 OUTLIER = 4.0  # typical differences of blocks
 STEP_SHARE = 0.03  # of the rolling resistance: less is no step
 STEP_STDS = 5.0  # typical differences of blocks
@@ -139,6 +140,11 @@ class Contest:
     variance: float = 0.0
     better: bool = False
 
+    def pause(self) -> None:
+        """The vehicle may have changed: values that are better need fresh evidence. The others still lack it."""
+        if self.better and self.blocks >= LEAST_SINCE_PAUSE:
+            self.blocks = 0
+
     def see(self, gain: float) -> None:
         """Add a block: size of the file's residual less that of the learned one [Nm]."""
         self.blocks += 1
@@ -147,6 +153,7 @@ class Contest:
         self.gain += share * departure
         self.variance += share * (departure * departure - self.variance)
         error = math.sqrt(self.variance / min(float(self.blocks), CONTEST_MEMORY))
-        if self.blocks < LEAST_BLOCKS:
+        if self.blocks < LEAST_BLOCKS:  # too few for a standard error
+            self.better &= self.blocks < LEAST_SINCE_PAUSE or self.gain > 0.0
             return
         self.better = self.gain > (-error if self.better else SURELY * error)

@@ -13,6 +13,7 @@ from trackres_ros.estimator import columns as at
 Array = NDArray[np.float64]
 
 SPEED_SHARES = (0.2, 0.4, 0.6)  # edges, of the greatest speed
+MIDDLES = (0.1, 0.3, 0.5, 0.7)
 BELT_DEGC = (15.0, 30.0, 45.0)
 LOAD_SHARES = (0.9, 1.1)  # of the nominal weight
 SHAPE = (len(SPEED_SHARES) + 1, len(BELT_DEGC) + 1, len(LOAD_SHARES) + 1)
@@ -28,6 +29,7 @@ class Buckets:
     def __init__(self, greatest_speed: float, nominal_weight: float, belts: bool) -> None:
         self._least = LEAST_FILLED if belts else LEAST_WITHOUT_BELTS
         self._speeds = [share * greatest_speed for share in SPEED_SHARES]
+        self.middles = greatest_speed * np.array(MIDDLES)  # of the classes of speed
         self._weights = [share * nominal_weight for share in LOAD_SHARES]
         self.seconds, self.accelerating = np.zeros(SHAPE), np.zeros(1)
 

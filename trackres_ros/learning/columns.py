@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Session
-from trackres_ros.learning.correction import std_of
 from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import DELAY, VEHICLES_OWN, Learnable
@@ -72,14 +71,14 @@ def shown(learner: Learner) -> list[float]:
     """The columns but for the torque, which change once a second."""
     found = [learner.buckets.share, float(learner.acts)]
     frozen, counted = bool(learner.frozen), learner.counted
+    stds = learner.stds(learner.learned.covariance, learner.own)
     for one in learner.learnables:
         if one.state == DELAY:
             found += [*learner.delay.kept.value, float(LEARNED if learner.delay.kept.known else LEARNING)]
             continue
-        std = std_of(learner.learned, one.state)
         counts = one.state in VEHICLES_OWN and bool(counted[one.state])
         state = FROZEN if frozen and one.state in VEHICLES_OWN else LEARNED if counts else LEARNING
-        found += [one.value(float(learner.learned.mean[one.state])), one.size(std), float(state)]
+        found += [one.value(float(learner.learned.mean[one.state])), one.size(float(stds[one.state])), float(state)]
     return found
 
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.learning.filter import given_others
 from trackres_ros.learning.learned import LearnerState
-from trackres_ros.learning.parameters import STEP, Prior
+from trackres_ros.learning.parameters import REACH_STD, STEP, Prior
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -23,17 +24,30 @@ FASTEST = np.full(at.LEARNABLE, RATE_PER_HOUR / 3600.0)  # in a second
 FASTEST[at.OF_BELT] = 1.0  # K
 BELT_S = 900.0  # of a belt's temperature: heat capacity over cooling
 ACCEL_DOUBT = 0.04  # of an acceleration filtered out of a speed; of simulated drives a right mass comes out by so much too large
+TAKE_UP_A_RISE = (at.OF_BEARING, at.OF_DRAG)
 
 
-def std_of(s: LearnerState, state: int) -> float:
-    """Reported standard deviation of a state; for a mass with the acceleration's own error."""
-    return told_std(state, float(s.covariance[state, state]))
+def stds_of(covariance: Array, prior: Prior, own: Sequence[int], seen: Array) -> Array:
+    """Reported standard deviations of the filter's first states, with errors that their covariance does not include.
 
+    One is that of accelerations, for the mass. The other is that of a rolling coefficient's rise over speed: coefficient and drag
+    take it up by least squares, within their bounds.
 
-def told_std(state: int, variance: float) -> float:
-    """The same of a variance of it."""
-    doubt = ACCEL_DOUBT if state == at.OF_MASS else 0.0
-    return math.hypot(math.sqrt(max(variance, 0.0)), doubt)
+    Parameters
+    ----------
+    own
+        Departures of the vehicle that are learned; the others have the file's values.
+    seen
+        Torques by `parameters.rise_torques` in the driving so far, over their noise, shape (3, speeds).
+    """
+    errors = np.zeros(len(covariance))
+    errors[at.OF_MASS] = ACCEL_DOUBT
+    among = [state for state in TAKE_UP_A_RISE if state in own]
+    by = seen[[TAKE_UP_A_RISE.index(state) for state in among]]
+    variances = np.diag(prior.covariance)[among]
+    taken_up = np.abs(np.linalg.solve(by @ by.T + np.diag(1.0 / variances), by @ seen[-1]))
+    errors[among] = np.minimum(taken_up, REACH_STD * np.sqrt(variances))
+    return np.hypot(np.sqrt(np.maximum(np.diag(covariance), 0.0)), errors)
 
 
 def sure(s: LearnerState, prior: Prior) -> Mask:

@@ -77,6 +77,7 @@ class LearnerState:
         self.disturbance_nm, self.disturbed_since = 0.0, -1
         self.block, self.last_block = ResidualBlock(), ResidualBlock()
         self.past.pause()
+        self.contest.pause()
         self.ground.restart()
         for state in (at.OF_BELT, SLOW, SLOPE, HEIGHT):
             self.mean[state] = 0.0

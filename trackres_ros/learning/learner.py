@@ -10,6 +10,7 @@ values act on the step only where they are covered, certain, and better than the
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +18,28 @@ from numpy.typing import NDArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.learning import correction
-from trackres_ros.learning.blocks import BLOCK_S
+from trackres_ros.learning.blocks import BLOCK_S, ResidualBlock
 from trackres_ros.learning.buckets import ACCELERATES_MPS2, Buckets
 from trackres_ros.learning.delay import DelayEstimator
 from trackres_ros.learning.disturbances import DISAGREES_S, close_block, disturbance_text, let_last, why_frozen
 from trackres_ros.learning.filter import aged, corrected, expected, spread
 from trackres_ros.learning.gate import AGAINST, OUTLYING, TEXTS, Gate, Row
 from trackres_ros.learning.learned import SLOW_S, nothing_learned
-from trackres_ros.learning.parameters import GAIN, OFFSET, SLOPE, SLOW, STATES, STEP, VEHICLES_OWN, learnables, make_prior
+from trackres_ros.learning.parameters import (
+    GAIN,
+    OFFSET,
+    SLOPE,
+    SLOW,
+    STATES,
+    STEP,
+    VEHICLES_OWN,
+    learnables,
+    make_prior,
+    rise_torques,
+)
 from trackres_ros.units import GRAVITY, SECOND_NS
 
+Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MODES = OFF, WATCH, ON = "off", "watch", "on"
@@ -34,13 +47,14 @@ STEP_S = 4 * 3600.0  # memory of sudden steps, in driving
 LEAST_BELT_STD_K = 0.1
 AIR_S = 3600.0  # time constant of a thermometer's error in air: sun, exhaust
 WALK_PER_HOUR = 0.01  # of a prior standard deviation, per root of an hour of driving: rubber wears
-AGES_S = 365 * 86400.0  # assumed: time off after which learned values are half forgotten
+AGES_PER_S = 0.5 / (365 * 86400.0)  # assumed: growth of standard deviations while off, of the file's own
+PAUSE_S = 600.0  # without a usable torque: the vehicle may have been loaded or repaired
 AIMS_EVERY_S = 5.0
 DEGREES_OF_FREEDOM = 4.0  # of Student's t
 NOISE_MEMORY_S = 120.0
 INERTIA_SHARE = 0.2  # of the inertia: an acceleration that is filtered from a speed lags
 ROLLING_MEMORY_S = 600.0
-TIME_RESET = int(at.Reason.TIME_RESET)
+TIME_RESET, CLOCK_JUMPED = int(at.Reason.TIME_RESET), int(at.Reason.CLOCK_JUMPED)
 SPEED_UNSURE = TIME_RESET | int(
     at.Reason.SPEED_STUCK
     | at.Reason.SPEED_IMPLAUSIBLE
@@ -74,7 +88,7 @@ class Learner:
         self.learnables = learnables(estimator.vehicle)
         self.own = tuple(one.state for one in self.learnables if one.state in VEHICLES_OWN)
         self.prior = make_prior(estimator)
-        self._known = estimator.vehicle.disturbance
+        self._vehicle = estimator.vehicle
         self._belts = [estimator.column_index[f"belt_degc/{name}"] for name in estimator.assemblies]
         load = estimator.constants.assembly[:, at.Assembly.nominal_load]
         weight = float(load.sum())
@@ -82,6 +96,7 @@ class Learner:
         self._inertia = self._arm * estimator.vehicle.chassis.rotating_mass_factor / GRAVITY  # torque by weight and m/s^2
         self.delay = DelayEstimator(self.prior.rolling_nm)
         self.buckets = Buckets(estimator.vehicle.chassis.max_speed, weight, bool(self._belts))
+        self._rise = rise_torques(estimator.vehicle, self.buckets.middles)
         self.reset()
 
     def reset(self) -> None:
@@ -99,13 +114,18 @@ class Learner:
 
     def age(self, seconds: float) -> None:
         """Account for time off [s]: learned values are less certain."""
-        forgotten = 1.0 - 0.5 ** (max(seconds, 0.0) / AGES_S)
-        s = self.learned
-        variances, prior = np.diag(s.covariance), np.diag(self.prior.covariance)
-        # Wear goes one way: its possible change grows with time, not with its root.
-        gained = np.minimum(forgotten**2 * prior, np.maximum(prior - variances, 0.0))
-        aged(s.mean, s.covariance, np.ones(STATES), gained)
+        self._wear(seconds)
         self.restart()
+
+    def _wear(self, seconds: float) -> None:
+        """Add the uncertainty of a time without evidence [s], up to the file's own; the correlations stay."""
+        covariance = self.learned.covariance
+        stds, most = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(self.prior.covariance))
+        # Wear goes one way: its possible change grows with time, not with its root, however that time is divided.
+        older = np.minimum(stds + AGES_PER_S * max(seconds, 0.0) * most, np.maximum(most, stds))
+        share = np.divide(older, stds, out=np.ones(STATES), where=stds > 0.0)
+        covariance *= share[:, None]
+        covariance *= share[None, :]
 
     def take(self, stamp_ns: int, row: Row, session: Session) -> None:
         """Take a step of the session; once a second learn from those before it, and let that act from the next step on."""
@@ -131,6 +151,8 @@ class Learner:
             if second.number >= 0:
                 self._close(session)
             self.gate.next_second(number)
+            if reasons & CLOCK_JUMPED:  # no time has passed
+                self.learned.second = -1
         self.gate.take(stamp_ns, row, session)
 
     # Once a second
@@ -189,6 +211,10 @@ class Learner:
     def _pass(self, seconds: float, session: Session) -> None:
         """Predict: the slow disturbance decays, wear adds uncertainty, a belt is as uncertain as the estimate says."""
         s = self.learned
+        if seconds > PAUSE_S:
+            self._wear(seconds)
+            s.contest.pause()
+            s.block = ResidualBlock()
         keep, gained = np.ones(STATES), np.zeros(STATES)
         slow, step = math.exp(-seconds / SLOW_S), math.exp(-seconds / STEP_S)
         keep[SLOW], gained[SLOW] = slow, s.slow_std**2 * (1.0 - slow * slow)
@@ -223,12 +249,12 @@ class Learner:
     @property
     def frozen(self) -> str:
         """Reason why learning is paused; empty if it is not."""
-        return why_frozen(self.learned, self.gate.second.number, self._known)
+        return why_frozen(self.learned, self.gate.second.number, self._vehicle.disturbance)
 
     @property
     def disturbance(self) -> str:
         """Text on an unmodelled torque outside the vehicle's parameters; empty without one."""
-        return disturbance_text(self.learned, self.gate.second.number, self._known)
+        return disturbance_text(self.learned, self.gate.second.number, self._vehicle.disturbance)
 
     @property
     def left_out(self) -> str:
@@ -250,6 +276,11 @@ class Learner:
     def counted(self) -> Mask:
         """Accepted departures of the vehicle: covered, and known twice as well as by its file; (LEARNABLE,)."""
         return np.asarray(self.buckets.covered() & correction.sure(self.learned, self.prior))
+
+    def stds(self, covariance: Array, own: Sequence[int]) -> Array:
+        """Reported standard deviations of the filter's first states by their covariance, see `correction.stds_of`."""
+        seconds, noise = self.buckets.seconds.sum(axis=(1, 2)), max(self.learned.second_variance, 1e-12)
+        return correction.stds_of(covariance, self.prior, own, self._rise * np.sqrt(seconds / noise))
 
     @property
     def acts(self) -> bool:

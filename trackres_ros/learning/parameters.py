@@ -189,3 +189,16 @@ def _tied(estimator: Estimator, own: Sequence[int], factor: Array) -> Array:
     covariance[at.OF_DRAG, at.OF_DRAG] += number.drag_relative_std**2
     covariance[at.OF_MASS, at.OF_MASS] += mass**2
     return covariance
+
+
+def rise_torques(vehicle: AnyVehicle, speeds: Array) -> Array:
+    """Torques [Nm] of a rolling coefficient with its rise, of the drag, and of a standard deviation of the rise, at speeds [m/s].
+
+    Shape (3, speeds); zero for tracks. A departure of the coefficient scales the rise too, whose own error is not learned.
+    """
+    if not isinstance(vehicle, RoadVehicle):
+        return np.zeros((3, len(speeds)))
+    v, std = vehicle.values, vehicle.parameters["road_load.rolling_rise"].standard_deviation
+    rolling = vehicle.weight * np.stack([v["rolling_coefficient"] + v["rolling_rise"] * speeds, std * speeds])
+    drag = 0.5 * v["air_density"] * v["drag_area"] * speeds**2
+    return np.asarray(v["wheel_radius"] * np.stack([rolling[0], drag, rolling[1]]))

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.learning.correction import accepted, told_std
+from trackres_ros.learning.correction import accepted
 from trackres_ros.learning.filter import known_of_others
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import REACH_STD, limits_of, places
@@ -79,24 +79,29 @@ def _stds(learner: Learner, counts: list[int]) -> dict[int, float]:
     learned = np.zeros(at.LEARNABLE, dtype=bool)
     learned[counts] = True
     covariance = known_of_others(learner.learned.covariance[: at.LEARNABLE, : at.LEARNABLE], learned)
-    return {state: told_std(state, float(covariance[state, state])) for state in counts}
+    stds = learner.stds(covariance, counts)
+    return {state: float(stds[state]) for state in counts}
 
 
 def _set(document: Document, vehicle: AnyVehicle, state: int, departure: float, std: float) -> dict[str, tuple[float, float]]:
-    """Put a departure into the values of the file that it is of; these before and after, by path."""
+    """Put a departure into the values of the file that it is of; these before and after, by path.
+
+    The first is learned. Others only scale with it, so their own relative ranges stay, if they are wider.
+    """
     paths, factor = places(vehicle)[state]
     changed = {}
     for path in paths:
         old, before_it, limit = vehicle.parameters[path], _value(vehicle, path), limits_of(path)
         if before_it == 0.0:  # scaled it stays 0, and is as uncertain as before
             continue
-        value, *span = (
-            min(max(before_it * (1.0 + factor * x), limit.low), limit.high)
-            for x in (departure, departure - REACH_STD * std, departure + REACH_STD * std)
-        )
+        scale, reach = 1.0 + factor * departure, factor * REACH_STD * std
+        ends = [before_it * (scale - reach), before_it * (scale + reach)]
+        if path != paths[0]:
+            ends += [old.low * scale, old.high * scale]
+        value, *span = (min(max(x, limit.low), limit.high) for x in (before_it * scale, min(ends), max(ends)))
         before = f"{REASON}; before it {before_it:g} ({old.flag}): {old.reason}"
         reason = old.reason if old.reason.startswith(REASON) else before
-        new = {"value": _figures(value), "range": sorted(map(_figures, span)), "flag": FITTED, "reason": reason}
+        new = {"value": _figures(value), "range": [*map(_figures, span)], "flag": FITTED, "reason": reason}
         for key, given in new.items():
             document.set((*path.split("."), key), given)
         changed[path] = before_it, _figures(value)
