@@ -15,8 +15,10 @@ from hypothesis import strategies as st
 from sweeps import FERRY_K, moduli, published, sweep
 
 from trackres_ros.compound.fitting import ARRHENIUS, KEPT, WLF, fit_compound
+from trackres_ros.compound.reading import read_sweep
 from trackres_ros.compound.shift import ABSOLUTE_ZERO_DEGC, GAS_CONSTANT, Shift
 from trackres_ros.compound.writing import files_of, write_compound
+from trackres_ros.files.resources import config_dir
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.vehicle import load
 
@@ -162,6 +164,17 @@ def test_a_prony_series_obeys_kramers_and_kronig(natural_rubber):
         integral = float((above / (1.0 - np.exp(2.0 * s)) + below / (1.0 - np.exp(-2.0 * s))).sum()) * 2e-3
         assert 2.0 / np.pi * integral == pytest.approx(float(prony.moduli(frequency)[0][0]) - prony.strength[0], rel=1e-2)
     assert max(prony.rms) < 1.5 * max(natural_rubber.rms)
+
+
+def test_a_prony_series_keeps_its_rms_between_the_rows(vehicle):
+    """Below the glass transition, rows 5 K apart are almost two decades apart."""
+    fit = fit_compound(read_sweep(config_dir() / "rubber" / "nr_sbr_10hz.csv"), vehicle)
+    master, prony, degc = fit.master, fit.prony, np.linspace(fit.master.low_degc, fit.master.high_degc, 1000)
+    moved = fit.shift.log_shift(degc) - fit.shift.log_shift(prony.reference_degc)
+    series = prony.moduli(master.at_frequency * 10.0**moved)
+    for found, curve, rms in zip(series, master.moduli(degc), prony.rms, strict=True):
+        assert np.sqrt(np.mean((found / curve - 1.0) ** 2)) < 1.05 * rms
+        assert np.abs(found / curve - 1.0).max() < 6.0 * rms
 
 
 def test_moduli_that_do_not_belong_together_have_no_prony_series(vehicle, natural_rubber):

@@ -4,7 +4,7 @@
 """Two designs side by side."""
 
 import json
-from dataclasses import astuple
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from trackres_ros.design.steady import held, steady
 from trackres_ros.design.uncertain import difference_std, moved, slopes_of
 from trackres_ros.fleet.compare import draw_overlay
 from trackres_ros.model.operating_point import explain, explain_road
+from trackres_ros.model.track import belt_network, with_methods
 from trackres_ros.vehicle import load, load_any, variants
 
 GRID = ("--speed-kmh", "5,12", "--belt-degc", "0,60")
@@ -160,6 +161,26 @@ def test_a_differences_std_moves_shared_values_in_both_vehicles(good, tmp_path):
     by_slopes, by_vehicles = (difference_std((one, other), both) for both in zip(*moves, strict=True))
     assert np.array(by_slopes) == pytest.approx(np.array(by_vehicles), rel=0.1)
     assert np.all(by_slopes[1] > by_slopes[0])
+
+
+@pytest.mark.parametrize("thermal", ["lumped", "core_surface"])
+def test_ranges_inside_a_belt_move_its_steady_state(thermal):
+    """Conductivity and cooled area change the heat's way out alone: the loss stays."""
+    whole, speed, air = with_methods(load("agri3t"), thermal=thermal), 2.0, 5.0
+    paths = ["rubber.conductivity", f"tracks.{whole.assemblies[0].track}.belt.exposed_share"]
+    certain = {path: replace(q, low=q.value, high=q.value) for path, q in whole.parameters.items() if path not in paths}
+    vehicle = replace(whole, parameters={**whole.parameters, **certain})
+    own = held(vehicle, speed, air)
+    found, (kind,) = np.array(astuple(own.solve())), own.kinds
+    slopes = slopes_of(vehicle, speed, np.array([air, found[2]]))
+    off = moved(slopes, lambda by, _: np.array(astuple(own.solve(by))), np.array([air, *[found[2]] * 3]))
+    for path in paths:
+        quantity = vehicle.parameters[path]
+        network = belt_network(variants(vehicle)({path: quantity.value + 0.1 * quantity.standard_deviation}), kind.track)
+        other = replace(kind, network=network, film=kind.film / kind.network.area * network.area)
+        exact = (np.array(astuple(replace(own, kinds=(other,)).solve())) - found) / 0.1
+        assert off[path] == pytest.approx(exact, rel=0.05, abs=1e-9)
+        assert exact[2] < -0.3 or (thermal == "lumped" and path == paths[0])
 
 
 def test_the_same_design_twice_is_the_same(good, softer):

@@ -19,8 +19,8 @@ from trackres_ros.effects import Active, catalogue
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.kernel import LEAST_STD_SHARE
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.estimator.uncertainty import REFERENCE_SPEED_SHARE, spread
-from trackres_ros.model.track import with_methods
+from trackres_ros.estimator.uncertainty import REFERENCE_SPEED_SHARE, logarithms_at, spread
+from trackres_ros.model.track import load_range, track_model, with_methods
 from trackres_ros.vehicle import Vehicle, load, variants
 from trackres_ros.vehicle.belt_bulk import heat_capacity
 
@@ -136,10 +136,9 @@ def test_uncertainty_of_one_quantity_is_the_change_it_makes(
 @pytest.mark.parametrize("thermal", ["lumped", "core_surface"])
 def test_the_uncertainty_of_many_quantities_adds_in_squares(xgd24d: Vehicle, cache: Path, ends: Ends, thermal: str) -> None:
     vehicle = with_methods(xgd24d, thermal=thermal)
-    paths = [path for path in ALL if thermal == "lumped" or not path.endswith("exposed_share")]  # which moves K as well
-    carried = drive(with_open_ranges(vehicle, paths), cache, reference_speed(vehicle))
+    carried = drive(with_open_ranges(vehicle, ALL), cache, reference_speed(vehicle))
     for ours, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
-        expected = at_least(by_differences(vehicle, ends, paths, column), carried, ours)
+        expected = at_least(by_differences(vehicle, ends, ALL, column), carried, ours)
         assert carried[ours] == pytest.approx(expected, rel=0.04, abs=0.02 * expected.max())
 
 
@@ -207,6 +206,13 @@ def test_one_quantity_moves_loss_cooling_and_capacity_together(xgd24d: Vehicle, 
     assert covariance[2, 2] == pytest.approx(capacity**2, rel=1e-3)
     assert covariance[1, 2] == pytest.approx(cooling * capacity, rel=1e-3)
     assert np.linalg.matrix_rank(covariance, tol=1e-3 * covariance[2, 2]) == 1
+
+
+@pytest.mark.parametrize("hysteresis", ["spectral", "rainflow"])
+def test_an_uncertain_loss_is_that_of_the_vehicles_method(xgd24d: Vehicle, hysteresis: str) -> None:
+    vehicle, belts = with_methods(xgd24d, hysteresis=hysteresis), np.array([10.0, 60.0])
+    exact = track_model(vehicle, "triangular").loss.loss_force(8.0, belts, load_range(vehicle, "triangular").nominal).total
+    assert np.exp(logarithms_at(vehicle, "triangular", 8.0, belts, vehicle)[:2]) == pytest.approx(exact, rel=0.01)
 
 
 def test_every_range_of_the_shipped_file_counts(vehicle: Vehicle, cache: Path) -> None:

@@ -25,8 +25,7 @@ EACH_DECADE = 1.5  # terms: more cannot be distinguished (Baumgaertel and Winter
 BEYOND = 1.0  # decades on both sides of the data, whose tails reach in
 MOST_TERMS = 60
 REFERENCE_DEGC = 20.0
-GUIDE_EACH_DECADE = 5
-GUIDE_WEIGHT = 0.3  # weight of the master curve relative to the data: between isotherms far apart a series would oscillate
+GUIDE_EACH_DECADE = 5  # points of the master curve, each with the weight of a row: between rows a series would oscillate
 LEAST_WEIGHT = 0.01  # minimum relative error of a modulus
 
 
@@ -39,7 +38,8 @@ class Prony:
     # relaxation strengths [Pa] and their standard deviations, shape (terms,); first that of infinite time, E_inf
     strength: Array
     std: Array
-    residuals: Array  # of storage and loss modulus over their values, shape (n, 2)
+    # of storage and loss modulus over their values, at the rows and at points of the master curve, shape (rows, 2), (points, 2)
+    residuals: tuple[Array, Array]
 
     def moduli(self, frequency: ArrayLike) -> tuple[Array, Array]:
         """Storage and loss modulus [Pa] at frequencies [Hz] at the reference temperature."""
@@ -48,8 +48,8 @@ class Prony:
 
     @property
     def rms(self) -> tuple[float, float]:
-        """Of both moduli, relative."""
-        storage, loss = np.sqrt((self.residuals**2).mean(axis=0))
+        """Of both moduli, relative; at the rows or along the master curve, whichever is larger."""
+        storage, loss = np.max([np.sqrt((each**2).mean(axis=0)) for each in self.residuals], axis=0)
         return float(storage), float(loss)
 
 
@@ -63,21 +63,22 @@ def fit_prony(sweep: Sweep, shift: Shift, master: MasterCurve) -> Prony:
     tau = np.logspace(low, high, count)
     weight = 1.0 / np.maximum(master.scale, LEAST_WEIGHT)
     rows = _rows(log_f, tau, (sweep.storage, sweep.loss), weight)
-    target = np.repeat(weight, len(log_f))
     at = np.linspace(master.low_degc, master.high_degc, int(GUIDE_EACH_DECADE * (high - low)))
     along = np.log10(master.at_frequency) + shift.log_shift(at) - shift.log_shift(reference)
-    guide = GUIDE_WEIGHT * _rows(along, tau, master.moduli(at), weight)
-    stacked = np.vstack([rows, guide])
+    stacked = np.vstack([rows, _rows(along, tau, master.moduli(at), weight)])
     size = np.linalg.norm(stacked, axis=0)
-    wanted = np.concatenate([target, GUIDE_WEIGHT * np.repeat(weight, len(at))])
+    target = np.repeat(weight, len(log_f))
+    wanted = np.concatenate([target, np.repeat(weight, len(at))])
     found = lsq_linear(stacked / size, wanted, (0.0, np.inf), method="bvls", max_iter=10 * len(size)).x / size
     std, used = np.zeros_like(found), found > 0.0
-    left = target - rows @ found
-    free = max(len(left) - int(used.sum()), 1)
+    left = wanted - stacked @ found
+    of_rows, of_guide = np.split(left, [len(target)])
+    free = max(len(target) - int(used.sum()), 1)
     scaled = stacked[:, used] / size[used]
-    std[used] = np.sqrt(np.diag(np.linalg.pinv(scaled.T @ scaled)) * float(left @ left) / free) / size[used]
-    residuals = (left / target).reshape(2, -1).T
-    return Prony(reference, tau, found, std, residuals)
+    spread = np.diag(np.linalg.pinv(scaled.T @ scaled)) * len(left) / len(target)  # the guide repeats the rows
+    std[used] = np.sqrt(spread * float(of_rows @ of_rows) / free) / size[used]
+    residuals = [(part / np.repeat(weight, len(part) // 2)).reshape(2, -1).T for part in (of_rows, of_guide)]
+    return Prony(reference, tau, found, std, (residuals[0], residuals[1]))
 
 
 def _rows(log_f: Array, tau: Array, moduli: tuple[Array, Array], weight: Array) -> Array:

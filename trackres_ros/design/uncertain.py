@@ -42,7 +42,7 @@ def slopes_of(vehicle: Vehicle, speed: float, belts_degc: Array) -> LogDerivativ
     """The slopes at a speed [m/s] and some belt temperatures [degC]."""
 
     def logarithms(track: str) -> Callable[[Vehicle], Array]:
-        return lambda moved: logarithms_at(moved, track, speed, belts_degc)
+        return lambda moved: logarithms_at(moved, track, speed, belts_degc, vehicle)
 
     def relative(path: str) -> float:
         quantity = vehicle.parameters[path]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.files.cached_arrays import cached_arrays
-from trackres_ros.model.hysteresis import Spectral
+from trackres_ros.model.hysteresis import METHODS, Spectral
 from trackres_ros.model.loss_table import fingerprint
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient, thermal_network
@@ -27,6 +27,7 @@ from trackres_ros.vehicle.reading import FITTED
 
 Array = NDArray[np.float64]
 
+VERSION = 2  # of the cached form
 STEP = 0.1  # of a standard deviation, for the differences
 REFERENCE_BELT_DEGC = (10.0, 60.0)
 REFERENCE_SPEED_SHARE = 0.5  # of the greatest speed
@@ -58,14 +59,20 @@ def spread(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> Para
     offset and slope, so their errors are fully correlated.
     """
     ranges = {path: (q.low, q.high, q.flag == FITTED) for path, q in vehicle.parameters.items()}
-    parts = [fingerprint(vehicle, track_name), ranges, vehicle.chassis.max_speed, vehicle.thermal]
+    parts = [VERSION, fingerprint(vehicle, track_name), ranges, vehicle.chassis.max_speed, vehicle.thermal]
     key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
     arrays = cached_arrays(f"spread-{key}", {"factor": (4, 4)}, lambda: {"factor": _factor(vehicle, track_name)}, cache)
     return ParameterUncertainty(arrays["factor"])
 
 
 def _factor(vehicle: Vehicle, track_name: str) -> Array:
-    found = slopes(vehicle, track_name, lambda moved: _logarithms(moved, track_name))
+    speed = REFERENCE_SPEED_SHARE * vehicle.chassis.max_speed
+
+    def logarithms(moved: Vehicle) -> Array:
+        found = logarithms_at(moved, track_name, speed, np.array(REFERENCE_BELT_DEGC), vehicle)
+        return np.array([found[:-3].mean(), *found[-3:]])
+
+    found = slopes(vehicle, track_name, logarithms)
     rows = np.array(list(found.values())).reshape(-1, 4)
     covariance = rows.T @ rows + np.diag(np.full(4, 1e-12))
     return np.asarray(np.linalg.cholesky(covariance))
@@ -113,18 +120,19 @@ def slopes(vehicle: Vehicle, track_name: str, logarithms: Callable[[Vehicle], Ar
     return rows
 
 
-def _logarithms(vehicle: Vehicle, track_name: str) -> Array:
-    speed = REFERENCE_SPEED_SHARE * vehicle.chassis.max_speed
-    found = logarithms_at(vehicle, track_name, speed, np.array(REFERENCE_BELT_DEGC))
-    return np.array([found[:-3].mean(), *found[-3:]])
+def logarithms_at(vehicle: Vehicle, track_name: str, speed: float, belts_degc: Array, base: Vehicle) -> Array:
+    """Logarithms of the loss at a speed [m/s] and several belt temperatures, of cooling, heat capacity and sprocket radius.
 
-
-def logarithms_at(vehicle: Vehicle, track_name: str, speed: float, belts_degc: Array) -> Array:
-    """Logarithms of the loss at a speed [m/s] and several belt temperatures, of cooling, heat capacity and sprocket radius."""
+    `base`: the vehicle before its values were moved. Cooling is that of its film, as if this took a change of the resistance
+    inside the belt too: both are in series.
+    """
     track, rubber = vehicle.tracks[track_name], RubberModel(vehicle.rubber)
     nominal = load_range(vehicle, track_name).nominal
-    loss = Spectral(track, rubber, HARMONICS).loss_force(speed, belts_degc, nominal).total
-    network = thermal_network(vehicle.thermal, track.belt, vehicle.rubber)
-    cooling = network.area * film_coefficient(speed, network.film_offset, network.film_slope)
+    spectral = vehicle.hysteresis == Spectral.name
+    method = Spectral(track, rubber, HARMONICS) if spectral else METHODS[vehicle.hysteresis](track, rubber)
+    loss = method.loss_force(speed, belts_degc, nominal).total
+    network, before = (thermal_network(v.thermal, v.tracks[track_name].belt, v.rubber) for v in (vehicle, base))
+    film = network.area * film_coefficient(speed, network.film_offset, network.film_slope)
+    cooling = film / (1.0 + (network.parting - before.parting) * film)
     capacity = heat_capacity(track.belt, vehicle.rubber)
     return np.array([*np.log(loss), np.log(cooling), np.log(capacity), np.log(track.sprocket_radius)])
