@@ -12,8 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.parameters import STEP
 from trackres_ros.learning.store import stored, take
+from trackres_ros.units import GRAVITY, SECOND_NS
+from trackres_ros.vehicle import load_any
+
+START_NS = 1_700_000_000_000_000_000
 
 
 @pytest.fixture(scope="module")
@@ -21,11 +27,43 @@ def learner(road):
     return road("watch", {at.OF_LOSS: 0.2}).drive(5.0).learner
 
 
+def _read_back(estimator, learner):
+    read = Learner(estimator)
+    take(read, json.loads(json.dumps(stored(learner))))
+    return read
+
+
 def test_it_comes_back_bit_by_bit(reference, learner):
-    given_back = Learner(reference)
-    take(given_back, json.loads(json.dumps(stored(learner))))
+    given_back = _read_back(reference, learner)
     assert stored(given_back) == stored(learner)
     assert np.array_equal(given_back.learned.covariance, learner.learned.covariance)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_every_state_of_a_learner_is_read_back_bit_by_bit(seed):
+    """Of blocks with any torque, on hills seen by an altitude and an IMU."""
+    estimator, random, height, drive = Estimator(load_any("bmw_i3")), np.random.default_rng(seed), 500.0, 0.0
+    session, learner = estimator.session(), Learner(estimator, "on")
+    for i in range(300):
+        stamp, slope = START_NS + i * SECOND_NS // 2, 0.05 * np.sin(i / 30.0)
+        speed = 20.0 + 12.0 * np.sin(i / 80.0)
+        if i % 20 == 0:
+            assert stored(_read_back(estimator, learner)) == stored(learner)
+            off = learner.prior.rolling_nm * (random.normal() - 1.0) * random.choice([0.1, 0.1, 30.0])
+        height += 0.5 * speed * slope
+        session.handle(at.TORQUE, stamp, stamp, drive + off + random.normal(0.0, 5.0))
+        session.handle(at.ALTITUDE, stamp, stamp, height + random.normal())
+        session.handle(at.SPECIFIC_FORCE, stamp, stamp, GRAVITY * slope + random.normal(0.0, 0.1))
+        estimate = session.handle(at.SPEED, stamp, stamp, speed)
+        drive = estimate["drive_torque_nm"]
+        learner.take(stamp, estimate.row.tolist(), session)
+
+
+def test_a_step_between_the_largest_torques_is_read_back(reference, learner):
+    low, high = reference.constants.channel_limits[at.TORQUE]
+    stepped = copy.deepcopy(learner)
+    stepped.learned.covariance[STEP, STEP] += (high - low) ** 2
+    assert stored(_read_back(reference, stepped)) == stored(stepped)
 
 
 @given(data=st.data())

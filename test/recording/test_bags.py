@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import itertools
 import shutil
+import sqlite3
 import sys
 import tracemalloc
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -187,6 +189,42 @@ def test_a_single_storage_file(tmp_path: Path, storage: str) -> None:
     path = write(tmp_path / "bag", storage)
     file = next(one for one in path.iterdir() if one.suffix in (".db3", ".mcap"))
     assert by_blocks(open_source([file], TOPICS)) == by_blocks(open_source([path], TOPICS))
+
+
+@pytest.mark.parametrize("name", ["run%201", "what?", "a#1"])
+def test_a_database_is_read_by_any_name(tmp_path: Path, name: str) -> None:
+    plain = write(tmp_path / "plain", count=20)
+    shutil.copy(write(tmp_path / "other", count=10) / "other.db3", tmp_path / "run 1.db3")
+    path = Path(shutil.copytree(plain, tmp_path / name))
+    file = (path / "plain.db3").rename(path / f"{name}.db3")
+    metadata = (path / "metadata.yaml").read_text()
+    (path / "metadata.yaml").write_text(metadata.replace("plain.db3", file.name))
+    want = by_blocks(open_source([plain], TOPICS))
+    assert by_blocks(open_source([path], TOPICS)) == want
+    assert by_blocks(open_source([Path(shutil.copy(file, tmp_path))], TOPICS)) == want
+
+
+@pytest.mark.parametrize("mode", ["wal", "persist"])
+def test_a_database_that_was_not_closed_is_refused(tmp_path: Path, mode: str) -> None:
+    """The remedy makes it readable, with all that was written."""
+    file = write(tmp_path / "bag", count=100) / "bag.db3"
+    broken = Path(shutil.copytree(file.parent, tmp_path / "broken")) / "bag.db3"
+    with closing(sqlite3.connect(file)) as database:
+        database.execute("PRAGMA cache_size = 1")
+        database.execute(f"PRAGMA journal_mode = {mode}")
+        database.execute("UPDATE messages SET timestamp = timestamp + 1")
+        if mode == "wal":
+            database.commit()
+        for one in file.parent.iterdir():
+            shutil.copy(one, broken.parent)  # as after a kill
+        database.rollback()
+    for path in (broken, broken.parent):
+        with pytest.raises(InputError, match=r"changes in bag\.db3-.*pragma journal_mode=delete"):
+            open_source([path], TOPICS)
+    with closing(sqlite3.connect(broken)) as database:
+        database.execute("pragma journal_mode=delete")
+    want = by_blocks(open_source([file], TOPICS))
+    assert by_blocks(open_source([broken], TOPICS)) == by_blocks(open_source([broken.parent], TOPICS)) == want
 
 
 def test_a_ros1_bag(tmp_path: Path) -> None:

@@ -249,6 +249,12 @@ def test_every_damage_of_an_archive_is_said(tmp_path):
         ('time_s,speed_mps,note\n0,1,"a\n1,2,b"\n2,3,c\n', 2, "quoted", 1),
         ('time_s,speed_mps,note\n0,1,"a"\n\n1,2,b\n', 2, "", 0),
         ("time_s,speed_mps\n0,1\n1,2", 2, "cut", 1),
+        ("time_s,speed_mps,note\n0,1,a\n1,2", 1, "cut", 1),
+        ('time_s,speed_mps,note\n0,1,"a"\n1,', 1, "cut", 1),
+        ("time_s,speed_mps\n0,1\n1,-", 1, "cut", 1),
+        ("speed_mps,time_s\n1,0\n2,", 1, "cut", 1),
+        ("speed_mps;timestamp\n1,5;23.11.2026 10:00:00\n2,5;23.11.20", 1, "cut", 1),
+        ("time_s;speed_mps\n0;1.000,5\n1;1.00", 1, "cut", 1),
     ],
 )
 @pytest.mark.parametrize("fast", [True, False])
@@ -260,6 +266,13 @@ def test_lines_that_are_no_rows_are_counted(tmp_path, monkeypatch, text, rows, k
     recording = speeds(path, None)
     assert len(recording.series["speed"]) == rows
     assert found(recording) == ({kind: count} if kind else {})
+
+
+@pytest.mark.parametrize("end", ["", "\n"])
+def test_a_row_longer_than_the_header_is_refused(tmp_path, refused, end):
+    path = tmp_path / "run.csv"
+    path.write_text(f"time_s,speed_mps\n0,1\n1,2,5{end}")
+    assert "line 3: given '3 cells'" in refused(path)
 
 
 def test_parquet_in_bounded_memory_and_damage_in_it(tmp_path):

@@ -384,6 +384,40 @@ def test_times_since_the_line_before_give_the_same_stamps(files, tmp_path):
         np.testing.assert_array_equal(found[role].stamp_ns, series.stamp_ns)
 
 
+@pytest.mark.parametrize("kind", ["ASC", "candump"])
+def test_a_log_cut_anywhere_is_read_to_its_last_whole_line(files, tmp_path, kind):
+    path, topics = files[kind]
+    *lines, last = path.read_bytes().splitlines(keepends=True)[:20]
+    cut = tmp_path / path.name
+    cut.write_bytes(b"".join(lines))
+    wanted = tr.read(cut, topics=topics)
+    for length in range(1, len(last), 2):
+        cut.write_bytes(b"".join([*lines, last[:length]]))
+        found = tr.read(cut, topics=topics)
+        assert {role: len(one) for role, one in found.series.items()} == {role: len(one) for role, one in wanted.series.items()}
+        assert [one.count for one in found.findings if one.kind == "cut"] == [1]
+
+
+@pytest.mark.parametrize("kind", ["ASC", "candump"])
+def test_lines_that_are_no_frames_are_counted_alone(files, tmp_path, kind):
+    path, topics = files[kind]
+    lines = path.read_text().splitlines(keepends=True)
+    odd = tmp_path / path.name
+    wrong = (
+        [" 0.1 1  100 Rx d\n", " 0.1 1  1g0 Rx d 1 00\n"]
+        if kind == "ASC"
+        else ["# begun\n", "(1.0) can0 100##\n", "(1.0) can0 1\n"]
+    )
+    for place in (20, 30, 31):
+        lines[place:place] = wrong
+    odd.write_text("".join(lines))
+    wanted, found = tr.read(path, topics=topics), tr.read(odd, topics=topics)
+    for role, series in wanted.series.items():
+        np.testing.assert_array_equal(found.series[role].value, series.value)
+    before, after = (sum(one.count for one in read.findings if one.kind == "unusable") for read in (wanted, found))
+    assert after - before == 3 * len(wrong)
+
+
 def test_guessed_lines_are_a_topics_file(files, good, tmp_path):
     for kind in ("MF4", "MF4 of a bus", "BLF"):
         path, _ = files[kind]

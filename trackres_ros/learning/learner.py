@@ -164,6 +164,7 @@ class Learner:
             odd = float(second.refused[OUTLYING] + second.refused[AGAINST]) / all_of_it
             s.disagrees += (odd - s.disagrees) / DISAGREES_S
         s.ground.close(s.mean, s.covariance, session, self._free(0.0))
+        np.clip(s.mean, self.prior.low, self.prior.high, out=s.mean)  # the ground corrects all states, also in unused seconds
         if second.counts:
             self._learn(session)
         let_last(s, second.counts)

@@ -20,7 +20,7 @@ from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import ON, Learner
 from trackres_ros.learning.parameters import REACH_STD, VEHICLES_OWN
 
-LARGEST = 1e12  # for any number; times in ns are integers and stored separately
+LARGEST = 1e15  # for any number: a step between torques of -1 and 1 MNm adds 4e12 Nm^2; times in ns are stored as integers
 FARTHEST = 1 << 62
 NOT_YET = {"last_left": "nan", "felt": "nan", "torque": "nan", "step_s": "inf", "slow": "nan", "white": "nan"}  # unseen
 REACH = 1.0 + 1e-9  # of the bounds: rounding

@@ -6,10 +6,13 @@
 from __future__ import annotations
 
 import itertools
+import os
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import yaml
 
@@ -45,6 +48,8 @@ MAX_METADATA_BYTES, MAX_METADATA_DEPTH = 2**24, 50
 it.
 """
 SQLITE_LIMIT_LENGTH = 0
+JOURNALS = "-wal", "-journal"
+"""Ends of the names of files with changes that a database lacks, or has in part."""
 
 
 def is_ros1(path: Path) -> bool:
@@ -69,6 +74,7 @@ def open_bag(path: Path) -> Reader:
     if path.is_dir():
         _check_folder(path)
     else:
+        _check_journal(path)
         check_file(path)
     with reading(path, READABLE, remedy(path)):
         reader = opened(path)
@@ -93,6 +99,7 @@ def _opener(path: Path) -> Callable[[Path], Reader]:
 
     def opened(path: Path) -> Reader:
         set_ceilings()
+        _quote_databases()
         if path.is_file():
             _check_profile(path)
         place: Any = UnfinishedBag(path) if path.is_file() and is_unfinished(path) else path
@@ -101,6 +108,36 @@ def _opener(path: Path) -> Callable[[Path], Reader]:
         return reader
 
     return opened
+
+
+def _quote_databases() -> None:
+    """Let rosbags open databases by any path: it puts the path as it is into a URI, where #, ? and % have a meaning."""
+    from rosbags.rosbag2 import reader
+    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+    class QuotingReader(Sqlite3Reader):
+        def open(self) -> None:
+            path, self.path = self.path, Path(quote(os.fsencode(str(self.path))))
+            try:
+                super().open()
+            finally:
+                self.path = path
+
+    tables: Any = reader.DirectoryReader.STORAGE_PLUGINS, reader.Reader.STORAGE_PLUGINS
+    tables[0]["sqlite3"] = tables[1][".db3"] = QuotingReader
+
+
+def _check_journal(path: Path) -> None:
+    """Refuse a database that its recorder has not closed: the file beside it, which completes it, is not read."""
+    place = path.resolve()
+    for beside in (place.with_name(place.name + end) for end in JOURNALS):
+        if not beside.is_file():
+            continue
+        with reading(beside, "a readable file"), beside.open("rb") as file:
+            head = file.read(8)
+        if any(head):  # a journal without content is empty, or begins with zeros
+            remedy = f'stop the recorder, then run: sqlite3 {shlex.quote(str(path))} "pragma journal_mode=delete"'
+            raise InputError(str(path), f"a database with uncompleted changes in {beside.name}", "one that was closed", remedy)
 
 
 def _check_profile(path: Path) -> None:
@@ -117,6 +154,7 @@ def _check_folder(path: Path) -> None:
     """Refuse a rosbag2 folder with more, or other, files than recorders write."""
     for inside in sorted(path.iterdir()):
         check_there(inside)
+        _check_journal(inside)
         if inside.suffix == ".zstd":
             check_space(inside)
     metadata = path / "metadata.yaml"

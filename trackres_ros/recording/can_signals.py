@@ -268,7 +268,7 @@ def _signal(column: int, signal: Any, j1939: bool) -> _Signal:
 
 TEXTS = {
     "lost": ("unusable", "entries of the log are unreadable; they are skipped"),
-    "cut": ("cut", "line at the end is incomplete: the log may be truncated within a frame"),
+    "cut": ("cut", "line at the end is incomplete: it is skipped"),
     "unknown": ("unknown_topic", "frames have identifiers that no database describes; they are skipped"),
     "other_source": ("other_source", "frames come from other control units that send the same group; they are skipped"),
     "unlisted": (

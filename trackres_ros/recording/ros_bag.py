@@ -65,7 +65,7 @@ class RosFile:
             index = McapIndex(self.place)
             self.chunks, self.statistics, names = index.chunks, index.statistics, index.topics
         else:
-            self.dbconn = sqlite3.connect(f"file:{quote(str(self.place.absolute()))}?immutable=1", uri=True)
+            self.dbconn = sqlite3.connect(f"file:{quote(bytes(self.place.absolute()))}?immutable=1", uri=True)
             names = dict(self.dbconn.execute("SELECT id, name FROM topics"))
             (most,) = self.dbconn.execute("SELECT max(length(data)) FROM messages").fetchone()
             if most and most > MAX_MESSAGE_BYTES:

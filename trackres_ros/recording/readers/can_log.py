@@ -7,7 +7,7 @@ import io
 import logging
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,7 @@ class CanLog(CanSignals):
             lines = None if suffix == ".blf" else _Lines(file, self.name)
             reader = can.BLFReader(file) if lines is None else readers[suffix](lines)
             first = 0 if suffix == ".log" else 1  # buses of Vector's tools count from 1, python-can from 0
-            for message in reader:
+            for message in reader if lines is None else _resuming(reader):
                 if not abs(message.timestamp) < MOST_TIME_S:
                     continue
                 frames += 1
@@ -57,6 +57,9 @@ class CanLog(CanSignals):
                     stamp_ns = round(message.timestamp * 1e6) * MICROSECOND_NS
                     bus = _bus(message.channel, first)
                     yield Frame(stamp_ns, message.arbitration_id, message.is_extended_id, bus, bytes(message.data))
+        if lines and lines.entries and not frames:
+            remedy = "record it with: candump -L" if suffix == ".log" else ""
+            raise InputError(self.name, "no readable frame", "a log with one frame per line", remedy)
         met["lost"] = max(0, (lines.entries if lines else reader.object_count) - frames)
         met["cut"] = int(lines is not None and not lines.ended)
 
@@ -69,10 +72,22 @@ def _bus(channel: Any, first: int) -> int | None:
     return int(digits.group()) if digits else None
 
 
+def _resuming(reader: Iterable[Any]) -> Iterator[Any]:
+    """The frames of a log in text. A reader ends at a line that it does not understand; then it goes on behind that line."""
+    while True:
+        try:
+            yield from reader
+            return
+        except InputError:
+            raise
+        except (ValueError, IndexError):
+            continue
+
+
 class _Lines:
     """The lines of a log in text, none longer than the longest frame; `entries` are those that should be frames.
 
-    Times since the line before become times since the beginning.
+    Times since the line before become times since the beginning. A last line without an end is left out.
     """
 
     def __init__(self, file: io.BufferedReader, name: str) -> None:
@@ -81,10 +96,14 @@ class _Lines:
         self.close = file.close  # required by python-can
 
     def __iter__(self) -> Iterator[str]:
+        if self.entries:
+            yield "\n"  # ends the header for a reader that resumes
         while line := self._file.readline(MOST_OF_A_LINE):
             if len(line) >= MOST_OF_A_LINE:
                 raise InputError(self._name, f"a line of more than {MOST_OF_A_LINE} bytes", "a log with one line per frame")
             text, self.ended = line.decode("latin-1"), line.endswith(b"\n")
+            if not self.ended:
+                return
             self.entries += not NO_FRAME.match(text.strip())
             self._relative |= RELATIVE.match(text.strip()) is not None
             yield SINCE_LAST.sub(self._from_beginning, text) if self._relative else text

@@ -37,12 +37,13 @@ SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 
 @dataclass(slots=True)
 class _Met:
-    """State of one reading: rows so far, whether that is all, whether there are quotes, and the last byte."""
+    """State of one reading: rows so far, whether that is all, whether there are quotes, the last byte."""
 
     rows: int = 0
     complete: bool = False
     quoted: bool = False
     last: bytes = b""
+    left_out: bool = False  # a cut last line
 
 
 class CsvTable(TableFile):
@@ -125,11 +126,11 @@ class CsvTable(TableFile):
             return any(b'"' in block for block in iter(lambda: file.read(BLOCK_BYTES), b""))
 
     def _whole_rows(self) -> Iterator[list[str]]:
-        """Rows as long as the header; others are reported when they are read."""
+        """Rows as long as the header, without a last one that may be cut; others are reported when they are read."""
         with suppress(csv.Error), cast("IO[bytes]", _Tap(self._path, _Met())) as tap, self._text(tap) as file:
             lines = _Lines(file, self.name)
             rows = itertools.islice(lines.rows(csv.reader(lines, delimiter=self._separator)), 1, None)
-            yield from (row for row in rows if len(row) == len(self.names))
+            yield from (row for place, row in enumerate(rows) if len(row) == len(self.names) and (lines.ended or not place))
 
     def _text(self, file: IO[bytes]) -> io.TextIOWrapper:
         return io.TextIOWrapper(file, self._encoding, errors="replace", newline="")
@@ -183,6 +184,8 @@ class CsvTable(TableFile):
                 except StopIteration:
                     met.complete = True
                     return
+                if not rows.timed.all():
+                    return
                 yield rows
 
     def _rows_of(self, batch: Any, wanted: Sequence[str]) -> ChannelRows:
@@ -206,7 +209,8 @@ class CsvTable(TableFile):
             try:
                 rows = (row for row in itertools.islice(lines.rows(reader), 1, None) if row)
                 next(itertools.islice(rows, met.rows, met.rows), None)
-                while chunk := [self._numbers(row, reader.line_num) for row in itertools.islice(rows, CHUNK_ROWS)]:
+                numbers = self._whole_numbers(((row, reader.line_num) for row in rows), lines, met)
+                while chunk := list(itertools.islice(numbers, CHUNK_ROWS)):
                     given = np.array([[number is not None for number in row] for row in chunk])
                     time = [0 if row[0] is None else row[0] for row in chunk]
                     cells = np.array([row[1:] for row in chunk], np.float64)
@@ -216,11 +220,27 @@ class CsvTable(TableFile):
                 where = f"{self.name}: line {reader.line_num + 1}"
                 raise InputError(where, str(error), "CSV to the end of the file") from error
 
+    def _whole_numbers(
+        self, rows: Iterator[tuple[list[str], int]], lines: "_Lines", met: _Met
+    ) -> Iterator[list[float | int | None]]:
+        """Return the wanted cells row by row, without a last line that is cut before it is a row."""
+        for row, line in rows:
+            try:
+                numbers = self._numbers(row, line)
+            except InputError:
+                if lines.ended or len(row) > len(self.names):
+                    raise
+                numbers = [None]
+            met.left_out = not lines.ended and numbers[0] is None
+            if not met.left_out:
+                yield numbers
+
     def _numbers(self, row: Sequence[str], line: int) -> list[float | int | None]:
         """Return the wanted cells of a row, None where empty."""
         where = f"{self.name}: line {line}"
         if len(row) != len(self.names):
-            remedy = "if numbers have a decimal comma, separate cells by semicolons" if self._separator == "," else ""
+            commas = self._separator == "," and len(row) > len(self.names)
+            remedy = "if numbers have a decimal comma, separate cells by semicolons" if commas else ""
             raise InputError(where, f"{len(row)} cells", f"{len(self.names)} cells, as in the header", remedy)
         numbers: list[float | int | None] = []
         for place, mark in zip(self._places, self._marks, strict=True):
@@ -237,12 +257,13 @@ class CsvTable(TableFile):
         """Report lines of the file that are no rows of the table, and a last row that may be incomplete."""
         if met.quoted:
             with io.TextIOWrapper(_binary(self._path), "latin-1") as file:  # whatever ends the lines
-                swallowed = sum(line != "\n" for line in file) - 1 - met.rows
+                swallowed = sum(line != "\n" for line in file) - 1 - met.rows - met.left_out
             if swallowed > 0:
                 text = f"{swallowed} lines are not rows: they are inside a quotation that an earlier line opens"
                 yield Finding("", "quoted", swallowed, float("nan"), text)
         if met.last not in (b"\n", b"\r"):
-            text = "the last line is incomplete: the file and its last number may be truncated"
+            what = "it is left out" if met.left_out else "the file and its last number may be truncated"
+            text = f"the last line is incomplete: {what}"
             yield Finding("", "cut", 1, float("nan"), text)
 
 
@@ -284,14 +305,18 @@ class _Tap(io.BufferedIOBase):
 
 
 class _Lines:
-    """Lines of a text, with a limit on the length of a line and of all lines of one row."""
+    """Lines of a text, with a limit on the length of a line and of all lines of one row.
+
+    `ended` is false after a row of one line without an end, which may be cut.
+    """
 
     def __init__(self, file: IO[str], name: str) -> None:
-        self._file, self._name = file, name
+        self._file, self._name, self.ended = file, name, True
         self._of_row = 0
 
     def __iter__(self) -> Iterator[str]:
         while line := self._file.readline(MAX_ROW_BYTES):
+            self.ended = bool(self._of_row) or line.endswith(("\n", "\r"))
             self._of_row += len(line)
             if self._of_row >= MAX_ROW_BYTES:
                 raise InputError(self._name, f"a row of more than {MAX_ROW_BYTES} bytes", "CSV with one line per row")
