@@ -243,6 +243,24 @@ def test_incompatible_ranges_are_refused_with_a_reason(monkeypatch):
         sensing.sensitivity("xgd24d", SPEED, AIR, 8)
 
 
+def test_a_value_that_ends_the_balance_is_varied(monkeypatch):
+    pytest.importorskip("SALib")
+    hot, light = "rubber.conductivity", "rubber.density"
+    lowest = load("agri3t").parameters[hot].low
+
+    def outcomes(_make, values, _speed, _air):
+        """Warm ones move by the loss modulus alone; there is no balance at the low end of the conductivity."""
+        warm = 2.0 + values.get("rubber.loss_modulus_scale", 1.0)
+        return 5.0, *[math.nan if values.get(hot) == lowest else warm] * 3
+
+    monkeypatch.setattr(executor, "find_spec", lambda _name: None)
+    monkeypatch.setattr(sensing, "scalars", lambda _: ["rubber.loss_modulus_scale", hot, light])
+    monkeypatch.setattr(sensing, "_outcomes", outcomes)
+    found = sensing.sensitivity("agri3t", 2.5, AIR, 8)
+    assert list(found.held) == [light]
+    assert hot in found.indices["belt_degc"]
+
+
 @pytest.mark.parametrize(
     ("given", "path"),
     [

@@ -146,8 +146,9 @@ def sensitivity(
     nominal = _outcomes(variants(vehicle), {}, speed, air)
     ends, held = _ends(vehicle, speed, air, progress)
     reach = {path: np.abs(np.array(both) - nominal).max(axis=0) for path, both in ends.items()}
-    most = np.nanmax(list(reach.values()), axis=0)
-    little = [path for path, moved in reach.items() if not np.any(moved > LITTLE * most)]
+    most = np.fmax.reduce(list(reach.values()))
+    # A value that ends the balance at one end of its range has no size there, but it moves a lot.
+    little = [path for path, moved in reach.items() if np.isfinite(moved).all() and not np.any(moved > LITTLE * most)]
     held |= dict.fromkeys(little, f"it moves nothing by {LITTLE:.0%} of what others do")
     paths = [path for path in ends if path not in little]
     bounds = [(vehicle.parameters[path].low, vehicle.parameters[path].high) for path in paths]
