@@ -269,6 +269,27 @@ def test_a_value_that_ends_the_balance_is_varied(monkeypatch):
     assert hot in found.indices["belt_degc"]
 
 
+LOSS, FILM, DRAG = "rubber.loss_modulus_scale", "tracks.low.belt.film_offset", "chassis.drag_coefficient"
+THICKNESS, EXPOSED, AREA = "tracks.low.belt.thickness", "tracks.low.belt.exposed_share", "chassis.frontal_area"
+
+
+@pytest.mark.parametrize(
+    ("fitted", "by"),
+    [
+        ((), {}), ((LOSS,), {THICKNESS: LOSS}), ((FILM, DRAG), {EXPOSED: FILM, AREA: DRAG}),
+        ((LOSS, FILM, "rubber.heat_capacity"), {THICKNESS: LOSS, EXPOSED: FILM}),
+    ],
+)  # fmt: skip
+def test_a_value_that_a_fit_has_absorbed_is_held(monkeypatch, fitted, by):
+    paths, vehicle = [LOSS, FILM, DRAG, THICKNESS, EXPOSED, AREA], load("agri3t")
+    flagged = {path: replace(q, flag="F" if path in fitted else "A") for path, q in vehicle.parameters.items()}
+    monkeypatch.setattr(sensing, "scalars", lambda _: paths)
+    monkeypatch.setattr(sensing, "_outcomes", lambda *_: (1.0,) * 4)
+    ends, held = sensing._ends(replace(vehicle, parameters=flagged), 2.5, AIR, lambda *_: lambda _: None)
+    assert held == {path: f"the fit of {fit} has absorbed its error" for path, fit in by.items()}
+    assert {*ends, *held} == {*paths}
+
+
 @pytest.mark.parametrize(
     ("given", "path"),
     [
