@@ -157,6 +157,14 @@ def test_an_effect_may_cool_a_belt_below_the_air():
     assert point["heat_w"] == pytest.approx(point["cooling_w"], abs=1e-3 * 1e4)
 
 
+def test_an_effect_of_no_size_leaves_a_steady_state_as_it_is():
+    """Also under unequal loads of the axles, whose belts differ in temperature."""
+    vehicle = load("xgd24d", {"chassis.axles.front.load": 80e3, "chassis.axles.rear.load": 150e3})
+    drag = catalogue()["coulomb_friction"]
+    with_drag = replace(vehicle, effects=(Active(drag, {**drag.values(), "friction": 1e-3}),))
+    assert astuple(steady(with_drag, SPEED, AIR)) == pytest.approx(astuple(steady(vehicle, SPEED, AIR)), rel=1e-4)
+
+
 def test_a_belt_that_finds_no_balance_has_no_steady_state():
     vehicle = load("xgd24d", {"tracks.triangular.belt.film_offset": 1.0, "tracks.triangular.belt.film_slope": 0.0})
     found = steady(vehicle, SPEED, AIR)
@@ -243,6 +251,45 @@ def test_incompatible_ranges_are_refused_with_a_reason(monkeypatch):
         sensing.sensitivity("xgd24d", SPEED, AIR, 8)
 
 
+def test_a_value_that_ends_the_balance_is_varied(monkeypatch):
+    pytest.importorskip("SALib")
+    hot, light = "rubber.conductivity", "rubber.density"
+    lowest = load("agri3t").parameters[hot].low
+
+    def outcomes(_make, values, _speed, _air):
+        """Warm ones move by the loss modulus alone; there is no balance at the low end of the conductivity."""
+        warm = 2.0 + values.get("rubber.loss_modulus_scale", 1.0)
+        return 5.0, *[math.nan if values.get(hot) == lowest else warm] * 3
+
+    monkeypatch.setattr(executor, "find_spec", lambda _name: None)
+    monkeypatch.setattr(sensing, "scalars", lambda _: ["rubber.loss_modulus_scale", hot, light])
+    monkeypatch.setattr(sensing, "_outcomes", outcomes)
+    found = sensing.sensitivity("agri3t", 2.5, AIR, 8)
+    assert list(found.held) == [light]
+    assert hot in found.indices["belt_degc"]
+
+
+LOSS, FILM, DRAG = "rubber.loss_modulus_scale", "tracks.low.belt.film_offset", "chassis.drag_coefficient"
+THICKNESS, EXPOSED, AREA = "tracks.low.belt.thickness", "tracks.low.belt.exposed_share", "chassis.frontal_area"
+
+
+@pytest.mark.parametrize(
+    ("fitted", "by"),
+    [
+        ((), {}), ((LOSS,), {THICKNESS: LOSS}), ((FILM, DRAG), {EXPOSED: FILM, AREA: DRAG}),
+        ((LOSS, FILM, "rubber.heat_capacity"), {THICKNESS: LOSS, EXPOSED: FILM}),
+    ],
+)  # fmt: skip
+def test_a_value_that_a_fit_has_absorbed_is_held(monkeypatch, fitted, by):
+    paths, vehicle = [LOSS, FILM, DRAG, THICKNESS, EXPOSED, AREA], load("agri3t")
+    flagged = {path: replace(q, flag="F" if path in fitted else "A") for path, q in vehicle.parameters.items()}
+    monkeypatch.setattr(sensing, "scalars", lambda _: paths)
+    monkeypatch.setattr(sensing, "_outcomes", lambda *_: (1.0,) * 4)
+    ends, held = sensing._ends(replace(vehicle, parameters=flagged), 2.5, AIR, lambda *_: lambda _: None)
+    assert held == {path: f"the fit of {fit} has absorbed its error" for path, fit in by.items()}
+    assert {*ends, *held} == {*paths}
+
+
 @pytest.mark.parametrize(
     ("given", "path"),
     [
@@ -256,6 +303,7 @@ def test_incompatible_ranges_are_refused_with_a_reason(monkeypatch):
         ("radius", None),
         ("beams.split", None),
         ("thicknes", None),
+        ("road_wheels.positions", None),
         ("", None),
     ],
 )
@@ -264,7 +312,7 @@ def test_a_value_is_named_by_as_many_words_as_it_takes(given, path):
     if path:
         assert meant(vehicle, given, "--vary") == ((path,) if isinstance(path, str) else path)
         return
-    with pytest.raises(tr.InputError, match="--vary"):
+    with pytest.raises(tr.InputError, match=r"--vary.*allowed: (one of|a single number)"):
         meant(vehicle, given, "--vary")
 
 

@@ -268,7 +268,7 @@ def _grid(asked: ComparisonRequest, vehicle: Vehicle, name: str, advance: Callab
     torque, coefficient = np.empty((2, len(asked.belts_degc), len(asked.speeds_kmh)))
     for i, degc in enumerate(asked.belts_degc):
         for j, kmh in enumerate(asked.speeds_kmh):
-            belts = dict.fromkeys(vehicle.tracks, degc)
+            belts = [degc] * len(vehicle.assemblies)
             found = vehicle_state(vehicle, kmh / KMH_PER_MPS, belts, asked.ambients_degc[0], weight)
             torque[i, j], coefficient[i, j] = found.torque["resistance"], found.force / weight
             advance(1)

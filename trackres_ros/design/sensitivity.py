@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from trackres_ros import checks
 from trackres_ros.design.steady import WARMEST_K, steady
 from trackres_ros.design.sweep import OUTCOMES
+from trackres_ros.design.uncertain import absorbed
 from trackres_ros.design.values import scalars, short
 from trackres_ros.engine.executor import LOCAL, results
 from trackres_ros.errors import InputError, MissingExtraError
@@ -146,8 +147,9 @@ def sensitivity(
     nominal = _outcomes(variants(vehicle), {}, speed, air)
     ends, held = _ends(vehicle, speed, air, progress)
     reach = {path: np.abs(np.array(both) - nominal).max(axis=0) for path, both in ends.items()}
-    most = np.nanmax(list(reach.values()), axis=0)
-    little = [path for path, moved in reach.items() if not np.any(moved > LITTLE * most)]
+    most = np.fmax.reduce(list(reach.values()))
+    # A value that ends the balance at one end of its range has no size there, but it moves a lot.
+    little = [path for path, moved in reach.items() if np.isfinite(moved).all() and not np.any(moved > LITTLE * most)]
     held |= dict.fromkeys(little, f"it moves nothing by {LITTLE:.0%} of what others do")
     paths = [path for path in ends if path not in little]
     bounds = [(vehicle.parameters[path].low, vehicle.parameters[path].high) for path in paths]
@@ -268,13 +270,16 @@ def _ends(
     vehicle: Vehicle, speed: float, ambient: float, progress: Callable[[str, int], Callable[[float], None]]
 ) -> tuple[dict[str, tuple[tuple[float, ...], tuple[float, ...]]], dict[str, str]]:
     """Outcomes with each value at either end of its range; and reasons for fixed values."""
-    ends, held, make = {}, {}, variants(vehicle)
+    ends, held, make, fits = {}, {}, variants(vehicle), absorbed(vehicle, speed, ambient)
     paths = [path for path in scalars(vehicle) if path not in NOT_OF_THE_VEHICLE]
     advance = progress("each value alone", len(paths))
     for path in paths:
         quantity = vehicle.parameters[path]
         advance(1)
         if quantity.high <= quantity.low:
+            continue
+        if path in fits:
+            held[path] = f"the fit of {fits[path]} has absorbed its error"
             continue
         try:
             low, high = (_outcomes(make, {path: value}, speed, ambient) for value in (quantity.low, quantity.high))

@@ -146,24 +146,28 @@ def held(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = 
 
 
 def _with_effects(vehicle: Vehicle, speed: float, ambient: float, weight: float | None) -> Steady:
-    """The same with effects; equal tracks under different loads have one belt temperature."""
+    """The same with effects."""
+    kinds = [(one.track, float(load)) for one, load in zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)]
+    whole = vehicle.weight if weight is None else weight
 
-    def at(belts: Mapping[str, float]) -> VehicleState:
-        return vehicle_state(vehicle, speed, belts, ambient, vehicle.weight if weight is None else weight)
+    def at(belts: Mapping[tuple[str, float], float]) -> VehicleState:
+        return vehicle_state(vehicle, speed, [belts[kind] for kind in kinds], ambient, whole)
 
-    def excess(track: str, degc: float) -> float:
-        own = [one for one in at({**belts, track: degc}).assemblies if one.model.track.name == track]
-        return sum(one.heat for one in own) - sum(one.cooling for one in own)
+    def excess(kind: tuple[str, float], degc: float) -> float:
+        own = at({**belts, kind: degc}).assemblies[kinds.index(kind)]
+        return own.heat - own.cooling
 
-    belts = dict.fromkeys((assembly.track for assembly in vehicle.assemblies), ambient)
+    def settled(kind: tuple[str, float]) -> bool:
+        return excess(kind, belts[kind] - TOLERANCE_K) > 0.0 > excess(kind, belts[kind] + TOLERANCE_K)
+
+    belts = dict.fromkeys(kinds, ambient)
     cold = float(at(belts).torque["resistance"])
     for _ in range(PASSES):  # effects may depend on the mean of the belts
-        before = dict(belts)
-        for track in belts:
-            belts[track] = _balance(partial(excess, track), ambient)
-            if np.isnan(belts[track]):
+        for kind in belts:
+            belts[kind] = _balance(partial(excess, kind), ambient)
+            if np.isnan(belts[kind]):
                 return Steady(cold, np.nan, np.nan, np.nan)
-        if len(belts) == 1 or max(abs(belts[track] - before[track]) for track in belts) < TOLERANCE_K:
+        if len(belts) == 1 or all(map(settled, belts)):
             break
     warm = at(belts)
     return Steady(cold, float(warm.torque["resistance"]), warm.belt_degc, warm.force * 1000.0 / J_PER_KWH)

@@ -8,14 +8,15 @@ cancels. Errors of differing values are independent.
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.design.steady import FileErrors
-from trackres_ros.estimator.uncertainty import logarithms_at, slopes
+from trackres_ros.estimator.uncertainty import fits, logarithms_at, slopes
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.reading import FITTED
 
@@ -23,7 +24,9 @@ Array = NDArray[np.float64]
 
 STEP = 0.01  # of a factor, for the derivatives
 BEARING, DRAG = "chassis.bearing_friction", "chassis.drag_coefficient"
-OF_DRAG = (DRAG, "chassis.frontal_area", "chassis.air_density")
+AREA = "chassis.frontal_area"
+OF_DRAG = (DRAG, AREA, "chassis.air_density")
+STEADY_COLUMNS = 0, 1, 3  # of slopes with one loss: loss, film and radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +52,36 @@ def slopes_of(vehicle: Vehicle, speed: float, belts_degc: Array) -> LogDerivativ
         return quantity.standard_deviation / max(abs(float(np.mean(quantity.value))), 1e-12)
 
     fitted = vehicle.parameters[DRAG].flag == FITTED  # of the whole area
-    drag = {path: relative(path) for path in OF_DRAG if not (fitted and path == "chassis.frontal_area")}
+    drag = {path: relative(path) for path in OF_DRAG if not (fitted and path == AREA)}
     of_track = {name: slopes(vehicle, name, logarithms(name)) for name in vehicle.tracks}
     return LogDerivatives(belts_degc, of_track, {BEARING: relative(BEARING)}, drag)
+
+
+def absorbed(vehicle: Vehicle, speed: float, belt_degc: float) -> dict[str, str]:
+    """Fitted values by the paths of the values whose errors they have absorbed.
+
+    A value is absorbed if the greater part of its effect at a speed [m/s] and belt temperature is on fitted quantities. The heat
+    capacity has no part in it: it does not affect a steady state.
+    """
+    found = {AREA: DRAG} if vehicle.parameters[DRAG].flag == FITTED else {}
+    fitted = {name: fits(vehicle, name, 1) for name in vehicle.tracks}
+    if not any(fitted.values()):
+        return found
+    unfitted = {path: replace(quantity, flag="") for path, quantity in vehicle.parameters.items()}
+    known = slopes_of(replace(vehicle, parameters=unfitted), speed, np.array([belt_degc]))
+    # by path, then by fitted value; what no fit has absorbed under an empty name
+    parts: defaultdict[str, defaultdict[str, float]] = defaultdict(lambda: defaultdict(float))
+    for name, paths in known.of_track.items():
+        by = {column: of for of, columns in fitted[name].items() for column in columns}
+        for path, slope in paths.items():
+            for column in STEADY_COLUMNS:
+                of = by.get(column, ("",))
+                parts[path]["" if path in of else of[0]] += abs(float(slope[column]))
+    for path, part in parts.items():
+        left = part.pop("", 0.0)
+        if sum(part.values()) > left:
+            found[path] = max(part, key=part.__getitem__)
+    return found
 
 
 def moved(known: LogDerivatives, outcomes: Callable[[FileErrors, float], Array], belts_degc: Array) -> dict[str, Array]:

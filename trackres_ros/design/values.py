@@ -56,7 +56,7 @@ def meant(vehicle: Vehicle, given: str, where: str) -> tuple[str, ...]:
         raise InputError(where, given, f"one of {', '.join(found)}")
     names = [short(path, known) for path in known]
     guess = nearest(given, known) or nearest(given, names)
-    raise InputError(where, given, f"a value of {vehicle.name} by its path or its last words: {', '.join(names)}", guess)
+    raise InputError(where, given, f"a single number of {vehicle.name} by its path or its last words: {', '.join(names)}", guess)
 
 
 def _part(path: str) -> tuple[str, ...]:

@@ -78,6 +78,15 @@ def _factor(vehicle: Vehicle, track_name: str) -> Array:
     return np.asarray(np.linalg.cholesky(covariance))
 
 
+def fits(vehicle: Vehicle, track_name: str, losses: int) -> dict[tuple[str, ...], list[int]]:
+    """Columns of `slopes` that recordings fitted, by the paths of the fitted values; `losses`: number of loss columns."""
+    belt, (film, capacity, radius) = f"tracks.{track_name}.belt", range(losses, losses + 3)
+    columns = {
+        (LOSS,): [*range(losses), radius], (f"{belt}.film_offset", f"{belt}.film_slope"): [film], (CAPACITY,): [capacity]
+    }  # fmt: skip
+    return {paths: of for paths, of in columns.items() if vehicle.parameters[paths[0]].flag == FITTED}
+
+
 def slopes(vehicle: Vehicle, track_name: str, logarithms: Callable[[Vehicle], Array]) -> dict[str, Array]:
     """Sensitivity of loss, cooling, heat capacity and sprocket radius to one standard deviation of each value.
 
@@ -108,12 +117,10 @@ def slopes(vehicle: Vehicle, track_name: str, logarithms: Callable[[Vehicle], Ar
             rows[path] = (logarithms(moved) - base) / (sign * STEP)
             break
     belt = f"tracks.{track_name}.belt"
-    losses, (film, capacity, radius) = range(len(base) - 3), range(len(base) - 3, len(base))
-    for fitted, columns in ((LOSS, [*losses, radius]), (f"{belt}.film_offset", [film]), (CAPACITY, [capacity])):
-        if vehicle.parameters[fitted].flag == FITTED:
-            for path in rows:
-                if path != fitted and not (path == f"{belt}.film_slope" and columns == [film]):
-                    rows[path][columns] = 0.0
+    for fitted, columns in fits(vehicle, track_name, len(base) - 3).items():
+        for path in rows:
+            if path not in fitted:
+                rows[path][columns] = 0.0
     offset, slope = rows.get(f"{belt}.film_offset"), rows.get(f"{belt}.film_slope")
     if offset is not None and slope is not None and vehicle.parameters[f"{belt}.film_offset"].flag == FITTED:
         offset += rows.pop(f"{belt}.film_slope")

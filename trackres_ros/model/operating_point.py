@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,7 +57,7 @@ def explain(
     check_speed(vehicle, speed)
     ambient = vehicle.chassis.ambient if ambient_degc is None else ambient_degc
     weight = vehicle.weight if weight_n is None else weight_n
-    state = vehicle_state(vehicle, speed, dict.fromkeys(vehicle.tracks, belt_degc), ambient, weight)
+    state = vehicle_state(vehicle, speed, [belt_degc] * len(vehicle.assemblies), ambient, weight)
     assemblies = state.assemblies
     first, model = assemblies[0], assemblies[0].model
     contacts = model.loss.contacts(speed, belt_degc, first.load)
@@ -116,20 +116,21 @@ class VehicleState:
     effects_left_out: list[str]
 
 
-def vehicle_state(vehicle: Vehicle, speed: float, belts_degc: Mapping[str, float], ambient: float, weight: float) -> VehicleState:
-    """A vehicle with its effects at a speed [m/s], with the belt temperature of each kind of track; see `explain`."""
+def vehicle_state(vehicle: Vehicle, speed: float, belts_degc: Sequence[float], ambient: float, weight: float) -> VehicleState:
+    """A vehicle with its effects at a speed [m/s], with the belt temperature of each assembly; see `explain`."""
     nominal = vehicle.nominal_loads()
-    kinds = [(a.track, float(load)) for a, load in zip(vehicle.assemblies, weight * nominal / nominal.sum(), strict=True)]
+    loads = weight * nominal / nominal.sum()
+    kinds = [(a.track, float(load), degc) for a, load, degc in zip(vehicle.assemblies, loads, belts_degc, strict=True)]
     models = {name: track_model(vehicle, name) for name in vehicle.tracks}
     usable, left_out = _effects(vehicle)
-    belts = np.array([belts_degc[a.track] for a in vehicle.assemblies])
+    belts = np.array(belts_degc)
     mean = float(belts[0] + (belts - belts[0]).mean())
     at = conditions(vehicle_constants(vehicle), speed, weight=weight, ambient=ambient, belt=mean)
     terms = _on_belts(usable, at)
     for _ in range(DRIVE_PASSES):
         alike = {
-            (track, load): _assembly_state(vehicle.chassis, at, belts_degc[track], terms, models[track], load)
-            for track, load in set(kinds)
+            (track, load, degc): _assembly_state(vehicle.chassis, at, degc, terms, models[track], load)
+            for track, load, degc in set(kinds)
         }
         assemblies = tuple(alike[kind] for kind in kinds)
         torque = dict.fromkeys((*RESISTANCE_PARTS, "inertia"), 0.0)
