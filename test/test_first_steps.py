@@ -39,6 +39,7 @@ def test_a_page_leads_where_it_says(page, repository, tmp_path, monkeypatch, goo
         report = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
         assert [effect["name"] for effect in report["effects"]] == [NAMED[page]]
         assert report["verdict"]["grade"] == "confirmed"
+        assert report["verdict"]["may_be"] == []
 
 
 def run(line, good, page):

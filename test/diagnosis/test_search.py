@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT, with_levels
-from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, _class_of
+from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, ScoredExplanation, _class_of, _competes
 from trackres_ros.diagnosis.search.cross_validation import FOLDS, CrossValidation
 from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Search
 from trackres_ros.diagnosis.selection.as_used import AsUsed
@@ -265,6 +265,54 @@ def test_a_class_holds_four_fifths_unless_all_are_in_it(weights, data):
     by_share = [m for m in members if m not in alike | {name}]
     left = [shares[m] for m in shares if m not in members]
     assert max(left, default=0.0) <= min((shares[m] for m in by_share), default=1.0)
+
+
+def shares_of(chosen, *explanations):
+    """Shares of explanations: each has a weight and the evidence lost without each term; forms begin with `form`."""
+    known = {
+        frozenset(lost) - {name}: Explanation(None, sum(lost.values()) - lost[name]) for _, lost in explanations for name in lost
+    }
+    for _, lost in explanations:
+        candidates = {name: SimpleNamespace(is_name=not name.startswith("form")) for name in lost}
+        known[frozenset(lost)] = Explanation(None, sum(lost.values()), candidates)
+    judged = [ScoredExplanation(known[frozenset(lost)], None, weight) for weight, lost in explanations]
+    best = judged[0].explanation if chosen else Explanation(None)
+    choice = Choice.__new__(Choice)
+    choice._search = SimpleNamespace(without=lambda explanation, name: known[explanation.key - {name}])
+    choice._validation = SimpleNamespace(shares=lambda weights: np.array(weights) / sum(weights))
+    return choice._shares([j for j in judged if not chosen or _competes(j.explanation, best)], best.key)
+
+
+some = st.floats(0.1, 300.0)
+
+
+@given(some, some, some, some)
+def test_a_form_lends_no_weight_to_a_name_beside_it(weight, other, by_form, by_name):
+    """The name has its part of the evidence, nothing else, and the form's part has no name."""
+    found = shares_of(False, (other, {"a": 9.0}), (weight, {"form": by_form, "b": by_name}))
+    share, part = weight / (weight + other), by_name / (by_name + by_form)
+    assert found == pytest.approx({"a": 1.0 - share, "b": share * part, "none of these": share * (1.0 - part)})
+    by_names = shares_of(False, (other, {"a": 9.0}), (weight, {"c": by_form, "b": by_name}))
+    assert by_names == pytest.approx({"a": 1.0 - share, "b": share, "c": share})
+
+
+@given(some, some)
+def test_a_form_in_place_of_a_chosen_name_takes_no_share(weight, evidence):
+    alone = (1.0, {"a": 50.0})
+    assert shares_of(True, alone, (weight, {"form": evidence})) == {"a": 1.0}
+    assert shares_of(True, alone, (weight, {"a": 50.0, "form": evidence})) == {"a": 1.0}
+    both = shares_of(True, alone, (1.0, {"b": 40.0}), (weight, {"form": evidence}))
+    assert both == {"a": 0.5, "b": 0.5}
+
+
+def test_a_rival_name_is_listed_with_the_form_that_helps_it():
+    """Unless the evidence is far below that of the chosen name alone."""
+    for by_name, listed in ((28.0, True), (26.0, False)):
+        found = shares_of(True, (1.0, {"a": 50.0}), (3.0, {"b": by_name, "form": 20.0}))
+        assert ("b" in found) == listed
+    assert shares_of(True, (1.0, {"a": 50.0}), (3.0, {"b": 30.0, "form": 20.0}))["b"] == pytest.approx(0.75 * 0.6)
+    found = shares_of(True, (1.0, {"a": 50.0, "form": 9.0}), (1.0, {"b": 40.0, "form": 9.0}))
+    assert found == {"a": 0.5, "b": 0.5}  # a form that both have is not in doubt
 
 
 @pytest.fixture(scope="module")

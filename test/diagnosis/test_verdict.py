@@ -37,8 +37,9 @@ SIZE = Parameter("size", "Nm", 0.0, 500.0, 100.0, "of it", off=0.0)
 QUIET, NOISY = SlowResidual(1.0, LARGE_SLOW_SHARE / 2, math.nan), SlowResidual(40.0, 0.08, 0.012)
 
 
-def candidate(name, worth=20.0):
-    return Candidate(name, None, worth + 2.0, worth, 0.0, 0.5, 5.0, 0.1, 0.0)
+def candidate(name, worth=20.0, effect=None):
+    fit = SimpleNamespace(effects=[SimpleNamespace(effect=effect or SimpleNamespace(name=name))])
+    return Candidate(name, fit, worth + 2.0, worth, 0.0, 0.5, 5.0, 0.1, 0.0)
 
 
 def found(name="scrub", members=None, improvement=BETTER, on_bounds=(), adds=100.0, rivals=()):
@@ -434,6 +435,20 @@ def test_the_next_best_is_told_with_how_much_less_likely_it_is():
 def test_a_rival_with_as_much_evidence_lost_on_the_unused_laps():
     rival = candidate("delay", worth=19.5)
     assert "Delay fits as well, but predicts the hold-out laps significantly worse" in said([found(rivals=(rival,))]).sentence
+
+
+def test_a_form_with_as_much_evidence_predicts_no_worse():
+    sentence = said([found(rivals=(candidate(DRAG.name, 21.0, DRAG),))]).sentence
+    assert f"{DRAG.name.capitalize()} fits as well, but is a form: it bends to the data." in sentence
+    assert "worse" not in sentence
+
+
+def test_a_rival_has_one_probability():
+    """A listed one has that of the hold-out laps, not that of the evidence as well."""
+    rivals = (candidate("payne", 8.0), candidate("mullins", 9.0))
+    for share, odds in ((0.04, True), (0.4, False)):
+        sentence = said([found(rivals=rivals)], shares={"scrub": 1.0 - share, "mullins": share}).sentence
+        assert ("mullins (40 %)" in sentence, "less likely" in sentence) == (not odds, odds)
 
 
 def test_certainty_is_bounded():

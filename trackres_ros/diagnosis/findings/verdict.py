@@ -177,7 +177,7 @@ def _confirmed(f: Findings) -> Verdict:
         return Verdict("unexplained", SUSPECTED, joined([seen, partly, *after]), f.listed, seen)
     named = [t for t in f.sure if isinstance(t, NamedEffect)]
     status = "described" if not named else "named" if all(len(t.step.members) <= 1 for t in named) else "one_of"
-    return Verdict(status, CONFIRMED, joined([*confirmed_terms(f.sure, f.held_out), *after, *f.rest]), f.listed)
+    return Verdict(status, CONFIRMED, joined([*confirmed_terms(f.sure, f.held_out, f.listed), *after, *f.rest]), f.listed)
 
 
 def _far_from_file(f: Findings) -> Verdict:

@@ -57,35 +57,38 @@ def is_small(t: NamedEffect | UnnamedTerm) -> bool:
     return i.before - i.after < SMALL_SHARE * i.before
 
 
-def confirmed_terms(terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOut) -> list[str]:
-    """Sentences of the confirmed terms: the large ones, their common improvement, then the small ones."""
+def confirmed_terms(terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOut, listed: Possible) -> list[str]:
+    """Sentences of the confirmed terms: the large ones, their common improvement, then the small ones.
+
+    A rival among the `listed` possibilities has its probability there.
+    """
     large = [t for t in terms if not is_small(t)]
     small = [t for t in terms if is_small(t)]
     worth = mean_error(held_out.mae["refitted"], held_out.mae["with_effects"])
     by_chance = " and ".join(short(t) for t in terms if isinstance(t, UnnamedTerm) and not t.described.predictable)
     live = f"The model cannot predict {by_chance}: that error holds only while a live estimate tracks it" if by_chance else ""
     if not large:
-        return ["The missing physics is small", worth, live, *(line for t in small for line in _of(t))]
+        return ["The missing physics is small", worth, live, *(line for t in small for line in _of(t, listed))]
     gains = [(t, t.graded.improvement.before - t.graded.improvement.after) for t in small]
     return [
-        *(line for t in large for line in _of(t)),
+        *(line for t in large for line in _of(t, listed)),
         worth,
         live,
         *(f"{short(t)} is confirmed but small: it reduces that error by {figures(max(g, 0.0), 2)} Nm" for t, g in gains),
     ]
 
 
-def _of(t: NamedEffect | UnnamedTerm) -> list[str]:
+def _of(t: NamedEffect | UnnamedTerm, listed: Possible) -> list[str]:
     """Sentences of one term: place and size, cause, values."""
     if isinstance(t, UnnamedTerm):
         named = f"{upper(t.instead)} would explain it too, but the hold-out laps do not decide for it" if t.instead else NO_NAME
         return [t.described.sentence, named, look_for(t.described.mechanisms)]
     members = t.step.members
     if len(members) > 1:
-        listed = either([f"{name} ({_percent(t.step.weights[name])})" for name in members])
-        return [seen(t), f"The cause is {listed}", "These recordings cannot tell them apart"]
+        options = either([f"{name} ({_percent(t.step.weights[name])})" for name in members])
+        return [seen(t), f"The cause is {options}", "These recordings cannot tell them apart"]
     values = f"Its values with 95 % intervals: {t.values_text}" if t.values else ""
-    return [seen(t), f"The cause is {t.name}", upper(t.text), values, _rival(t)]
+    return [seen(t), f"The cause is {t.name}", upper(t.text), values, _rival(t, listed)]
 
 
 def seen(f: NamedEffect) -> str:
@@ -240,13 +243,17 @@ def file_is_off(far: Sequence[tuple[BaseParameter, float]]) -> list[str]:
     ]
 
 
-def _rival(f: NamedEffect) -> str:
-    """The next best candidate, and its relative probability."""
+def _rival(f: NamedEffect, listed: Possible) -> str:
+    """The next best candidate, and its relative probability; empty if it is `listed` with another one."""
     others = [c for c in f.step.candidates if c.name not in f.step.members]
     if not others or f.step.chosen is None:
         return ""
     next_best = max(others, key=lambda c: c.net_evidence)
+    if next_best.name in dict(listed):
+        return ""
     if f.step.chosen.net_evidence - next_best.net_evidence < LEAST_AHEAD:
+        if not next_best.is_name:
+            return f"{upper(next_best.name)} fits as well, but is a form: it bends to the data"
         return f"{upper(next_best.name)} fits as well, but predicts the hold-out laps significantly worse"
     return f"The next best explanation, {next_best.name}, is {likelier(f.step.chosen, next_best)} times less likely"
 

@@ -208,6 +208,8 @@ def _why(c: Candidate, step: Step) -> str:
     if step.chosen is None:
         return "hold-out laps do not confirm it"
     if c.net_evidence > step.chosen.net_evidence - LEAST_AHEAD:
+        if step.chosen.is_name and not c.is_name:
+            return f"fits as well as {step.chosen.name}, but is a form: it bends to the data"
         return f"fits as well as {step.chosen.name}, but hold-out laps decide for {step.chosen.name}"
     return f"{likelier(step.chosen, c)} times less likely than {step.chosen.name}"
 

@@ -57,7 +57,7 @@ class Chosen:
     steps: Mapping[str, Step]  # for each term the round without it, with its class
     last: Step  # the round from all of it
     refuted: tuple[Graded, ...]  # best-fitting terms that cross-validation does not confirm
-    shares: Mapping[str, float]  # probability of each name, and of no name: over the confirmed explanations, or all if none is
+    shares: Mapping[str, float]  # probability of each name, and of no name, see `Choice._shares`
 
     def is_named(self, name: str) -> bool:
         """Whether a term has a name: it is in the catalogue, or certainly a slope by place."""
@@ -155,7 +155,9 @@ class Choice:
                 self._search.expand(explanation)
             if not new and best is before:
                 break
-        shares = self._shares(confirmed or [self._nothing, *(j for j in counted if self._kept(j).after <= self._by_file)])
+        scored = [j for j in confirmed if _competes(j.explanation, best.explanation)]
+        scored = scored or [self._nothing, *(j for j in counted if self._kept(j).after <= self._by_file)]
+        shares = self._shares(scored, best.key)
         first = counted[0] if counted else self._nothing
         doubted = tuple(g for g in self._all_graded(first).values() if not g.confirmed and g.name not in best.key)
         graded = self._all_graded(best)
@@ -261,15 +263,41 @@ class Choice:
             step, candidates=(chosen, *rest), chosen=chosen, members=tuple(members), weights=weights, stability=float(total)
         )
 
-    def _shares(self, judged: Sequence[ScoredExplanation]) -> dict[str, float]:
-        """Probability of each name: its share over the given explanations."""
+    def _shares(self, judged: Sequence[ScoredExplanation], chosen: Key) -> dict[str, float]:
+        """Probability of each name: its parts of the shares of the given explanations. The rest has no name."""
         shares = self._validation.shares([j.score for j in judged])
-        found: dict[str, float] = {NONE_OF_THESE: 0.0}
+        found: dict[str, float] = {}
         for one, share in zip(judged, shares.tolist(), strict=True):
-            names = [name for name, c in one.explanation.candidates.items() if c.is_name]
-            for name in names or [NONE_OF_THESE]:
-                found[name] = found.get(name, 0.0) + share
+            parts = self._parts(one.explanation, chosen)
+            rest = 1.0 - max(parts.values(), default=0.0)
+            for name, part in (parts | {NONE_OF_THESE: rest} if rest else parts).items():
+                found[name] = found.get(name, 0.0) + share * part
         return dict(sorted(found.items(), key=lambda pair: -pair[1]))
+
+    def _parts(self, explanation: Explanation, chosen: Key) -> dict[str, float]:
+        """Part of an explanation that each name has; a `chosen` one has all of it.
+
+        A small name may only repair a form that does the work. So a name shares with the forms, by the evidence that the
+        explanation loses without each. The level score does not show who does the work: a form alone may predict badly.
+        """
+        names = {name for name, c in explanation.candidates.items() if c.is_name}
+        new = explanation.key - chosen
+        if new <= names:
+            return dict.fromkeys(names, 1.0)
+        lost = {name: max(explanation.evidence - self._search.without(explanation, name).evidence, 0.0) for name in new}
+        by_forms = sum(lost[name] for name in new - names)
+        return {name: lost[name] / ((lost[name] + by_forms) or 1.0) if name in new else 1.0 for name in names}
+
+
+def _competes(one: Explanation, chosen: Explanation) -> bool:
+    """Whether the share of a confirmed explanation shows a doubt about the chosen one.
+
+    A form bends to the data, so its score says little against a name. With more forms than the chosen one, an explanation
+    competes only by another name, and if its evidence is not far below.
+    """
+    other_name = any(c.is_name for name, c in one.candidates.items() if name not in chosen.key)
+    as_likely = one.evidence > chosen.evidence - ALIKE_WITHIN
+    return one.without_a_name <= chosen.without_a_name or (other_name and as_likely)
 
 
 def _off_bounds(final: Fit, refitted: Fit) -> Fit:
