@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from trackres_ros.recording.bindings import Topics
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Recording:
     """A recording in memory; also a `Source` that yields its samples in the order of reading.
 
@@ -35,7 +35,7 @@ class Recording:
     name : str
         Name of the source.
     series : mapping of role to Series
-        Samples by role, including roles without a sample.
+        Samples by role, including roles without a sample; arrays are read-only.
     notes : tuple of str
         Guesses and the stamps in use.
     findings : tuple of Finding
@@ -207,8 +207,10 @@ class Recording:
 def _joined(parts: list[tuple[IntArray, IntArray, FloatArray]]) -> Series:
     if not parts:
         return Series(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
-    stamp_ns, arrival_ns, value = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Series(stamp_ns, arrival_ns, value)
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    for column in columns:
+        column.setflags(write=False)
+    return Series(*columns)
 
 
 def _start_ns(series: Mapping[str, Series], zero_is_unset: bool) -> int:
