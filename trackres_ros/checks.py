@@ -8,7 +8,9 @@ allowed ones.
 from __future__ import annotations
 
 import numbers
+import os
 from collections.abc import Iterable
+from pathlib import Path
 
 from trackres_ros.errors import InputError, nearest
 
@@ -42,6 +44,20 @@ def _plain(given: object) -> object:
     if isinstance(given, bool) or not isinstance(given, numbers.Real):
         return given
     return int(given) if isinstance(given, numbers.Integral) else float(given)
+
+
+def path(given: object, where: str, allowed: str = "a path") -> Path:
+    """A path, without a null character."""
+    text = os.fspath(given) if isinstance(given, str | os.PathLike) else None
+    if not isinstance(text, str) or "\0" in text:
+        raise InputError(where, given, allowed)
+    return Path(text)
+
+
+def function(given: object, where: str) -> None:
+    """Anything that can be called."""
+    if not callable(given):
+        raise InputError(where, given, "a function")
 
 
 def seed(given: object) -> int:

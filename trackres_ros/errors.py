@@ -48,7 +48,14 @@ class InputError(ValueError):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Rebuild the error in another process."""
-        return InputError, (self.where, self.given, self.allowed, self.remedy)
+        return _rebuilt, (type(self), self.where, self.given, self.allowed, self.remedy)
+
+
+def _rebuilt(kind: type[InputError], *parts: str) -> InputError:
+    """An error of a kind whose own arguments may be other ones."""
+    error = kind.__new__(kind)
+    InputError.__init__(error, *parts)
+    return error
 
 
 class MissingExtraError(InputError):

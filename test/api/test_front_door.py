@@ -276,6 +276,31 @@ def test_results_are_copied_and_pickled_whole(drive, sample, replayed, vehicle):
         again.series["speed"] = None
 
 
+def test_results_are_compared_and_hashed_by_identity(drive, replayed, vehicle):
+    others = tr.replay(drive, vehicle), tr.simulate(vehicle, speed_kmh=20, duration_s=5), tr.read(drive), tr.read(drive)
+    assert len({replayed, *others, *others}) == 5
+    assert all((one == other) == (one is other) for one in others for other in others)
+
+
+def test_an_error_is_the_same_in_another_process():
+    for one in (tr.InputError("a", 1, "b", "c"), tr.MissingExtraError("to_pandas", "pandas", "notebook", "now")):
+        again = pickle.loads(pickle.dumps(one))
+        assert type(again) is type(one)
+        assert (str(again), again.as_dict()) == (str(one), one.as_dict())
+
+
+def test_arrays_of_results_are_the_callers_own(drive, replayed, vehicle):
+    for result in (replayed, tr.simulate(vehicle, speed_kmh=20, duration_s=5)):
+        for name in result:
+            before = result[name].copy()
+            result[name][:] = 99
+            assert np.array_equal(result[name], before, equal_nan=True), name
+    for samples in tr.read(drive).series.values():
+        for array in (samples.stamp_ns, samples.arrival_ns, samples.value):
+            with pytest.raises(ValueError, match="read-only"):
+                array[:] = 99
+
+
 def test_aligned_series_are_the_callers_own(drive):
     recording = tr.read(drive)
     before = {role: samples.value.copy() for role, samples in recording.series.items()}
@@ -483,6 +508,7 @@ def test_a_vehicle_without_belts_can_be_simulated_and_explained(name):
         lambda vehicle: tr.explain(vehicle, speed_kmh=4, belt_degc=20),
         lambda vehicle: tr.simulate(vehicle, speed_kmh=4, initial_degc=20),
         lambda vehicle: tr.load_vehicle(vehicle.source, thermal="lumped"),
+        lambda vehicle: tr.coastdown("drive.csv", vehicle, method="spectral"),
     ],
 )
 def test_of_a_vehicle_without_belts_nothing_of_belts_is_taken(ask):
@@ -513,6 +539,10 @@ USABLE = {
     "check_vehicle": {"vehicle": "agri3t"},
     "coastdown": {"recordings": "drive.csv", "vehicle": "agri3t"},
     "diagnose": {"recordings": "drive.csv", "vehicle": "agri3t"},
+    "load_vehicle": {"vehicle": "agri3t"},
+    "read": {"recording": "drive.csv"},
+    "recover": {"recording": "drive.csv", "output": "x.mcap"},
+    "replay": {"recording": "drive.csv", "vehicle": "agri3t"},
 }
 NUMERIC = [
     (function, name)
@@ -522,10 +552,38 @@ NUMERIC = [
 ]
 
 
+OTHER = [
+    (function, name)
+    for function in sorted({function for function, _ in NUMERIC} | {"load_vehicle", "read", "recover", "replay"})
+    for name, about in inspect.signature(getattr(tr, function)).parameters.items()
+    if (function, name) not in NUMERIC and about.annotation != "bool"
+]
+
+
+@pytest.mark.parametrize(("function", "name"), OTHER)
+def test_an_argument_of_another_type_is_refused_by_its_name(drive, function, name, monkeypatch):
+    monkeypatch.chdir(drive.parent)
+    usable = {**USABLE.get(function, {}), **({"speed_kmh": None, "duration_s": None} if name == "profile" else {})}
+    optional = inspect.signature(getattr(tr, function)).parameters[name].default is None
+    for bad in (3.5, object(), b"x", np.ones(2), "x\0y", [object()], *(() if optional else (None,))):
+        with pytest.raises(tr.InputError) as refused:
+            getattr(tr, function)(**{**usable, name: bad})
+        assert refused.value.where == name
+
+
+def test_a_path_of_another_type_is_refused(replayed):
+    for bad in (3.5, b"x", [], "x\0.csv"):
+        for ask in (replayed.save, replayed.plot, tr.effects.catalogue):
+            with pytest.raises(tr.InputError, match=r"^(path|effects)"):
+                ask(bad)
+
+
 @pytest.mark.parametrize(("function", "name"), NUMERIC)
 def test_a_numeric_argument_refuses_what_is_no_such_number(tmp_path, monkeypatch, function, name):
     monkeypatch.chdir(tmp_path)
     no_numbers = () if name == "holdout" else ("30", "", [1.0])  # which takes names too
+    if inspect.signature(getattr(tr, function)).parameters[name].default is not None:
+        no_numbers += (None,)
     for bad in (math.nan, math.inf, -math.inf, True, 1e300, 10**400, np.float32("nan"), np.int64(-(2**60)), *no_numbers):
         with pytest.raises(tr.InputError) as refused:
             getattr(tr, function)(**{**USABLE[function], name: bad})

@@ -97,7 +97,12 @@ def test_a_parameter_without_a_range_is_held(session):
     ("changed", "said"),
     [
         ({"parameters": {"inertia": (1.0, 2.0, 3.0, "kg m^2")}}, "inertia"),
+        ({"parameters": {"inertia": 3}}, "inertia"),
+        ({"parameters": {"inertia": (2.0, 1.0, float("inf"), "kg m^2")}}, "inertia"),
+        ({"parameters": [("inertia", 3)]}, "parameters"),
+        ({"torque": 3}, "torque"),
         ({"max_speed": 0.0}, "max_speed"),
+        ({"max_speed": "x"}, "max_speed"),
         ({"max_torque": float("nan")}, "max_torque"),
     ],
 )

@@ -15,10 +15,12 @@ from trackres_ros.effects import Active, catalogue
 from trackres_ros.effects.stepping import EACH, FIRST_OWN
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Reason
+from trackres_ros.estimator.entry_points import COMPILED
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.resources import config_dir
+from trackres_ros.jit.compiled import HAVE_NUMBA
 from trackres_ros.offline.simulate import assembly_values
 from trackres_ros.vehicle import load, load_any
 
@@ -211,6 +213,168 @@ def test_positions_along_a_route_have_the_length_of_its_times(reference, name):
     for wrong in (DATES, np.ones(TIMES - 1), np.ones(1)):
         with pytest.raises(InputError, match=r"shape|numbers"):
             reference.along_route(**{one: np.arange(TIMES) for one in POSITIONS} | {name: wrong})
+
+
+NO_NUMBERS = (np.inf, -np.inf, 1e300, 10**400, "5", b"5", True, 5j, object(), DATES[0], DATES[1] - DATES[0], [5.0, 5.0])
+UNKNOWN = (np.nan, None, np.ma.masked)
+KNOWN = ("speed", "weight", "ambient")
+OTHERS = ("acceleration", "grade", "yaw_rate", "heading", "distance", "measured_torque")
+
+
+@pytest.mark.parametrize("name", [*KNOWN, *OTHERS])
+def test_a_value_that_is_no_finite_number_is_refused(reference, name):
+    inputs = reference.inputs(5.0)
+    state = reference.cold_start(inputs)
+    ways = [lambda value: reference.inputs(**({"speed": 5.0} | {name: value}))]
+    if name in inputs._fields:
+        ways += [lambda value: reference.step(state, inputs._replace(**{name: value}), 0.1)]
+    if name in SERIES:
+        ways += [lambda value: a_run(reference, **{name: value})]
+    if name == "ambient":
+        ways += [lambda value: reference.rest(state, value, 1.0)]
+    for i, way in enumerate(ways):
+        nominal = i == 0 and name in ("weight", "ambient")  # by default, None
+        for wrong in (*NO_NUMBERS, *(one for one in UNKNOWN if name in KNOWN and not (one is None and nominal))):
+            with pytest.raises(InputError, match=name):
+                way(wrong)
+
+
+@given(st.lists(st.floats(), min_size=8, max_size=8), st.lists(st.floats(), min_size=4, max_size=4))
+def test_accepted_inputs_give_a_finite_estimate_and_the_next(reference, values, of_assemblies):
+    inputs = reference.inputs(5.0)
+    one_by_one = [{name: value} for name, value in zip(("speed", "ambient", *OTHERS), values, strict=True)]
+    for changed in (*one_by_one, {"weight": values[0]}, {"load": of_assemblies}, {"belt_measured": of_assemblies}):
+        try:
+            state, estimate = reference.step(reference.cold_start(inputs), reference.inputs(**({"speed": 5.0} | changed)), 0.1)
+        except InputError:
+            continue
+        for one in (estimate, reference.step(state, inputs, 0.1)[1]):
+            assert np.isfinite(
+                [one.resistance_torque_nm, one.resistance_std_nm, one.feedforward_torque_nm, *one.belt_degc()]
+            ).all()
+
+
+def test_loads_are_not_negative_and_not_all_zero(reference):
+    inputs = reference.inputs(5.0)
+    state = reference.cold_start(inputs)
+    for wrong in (np.zeros(4), [-1.0, 68e3, 68e3, 68e3], [np.nan, 68e3, 68e3, 68e3], np.ma.array([68e3] * 4, mask=[1, 0, 0, 0])):
+        for way in (lambda load: reference.inputs(5.0, load=load), lambda load: reference.inputs(5.0, weight=2e5, load=load)):
+            with pytest.raises(InputError, match="load"):
+                way(wrong)
+        with pytest.raises(InputError, match="load"):
+            reference.step(state, inputs._replace(load=wrong), 0.1)
+    for wrong in (0.0, -1.0):
+        for way in (lambda weight: reference.inputs(5.0, weight=weight), lambda weight: a_run(reference, weight=weight)):
+            with pytest.raises(InputError, match="weight"):
+                way(wrong)
+
+
+def test_a_cold_start_has_one_temperature_of_all_belts(reference):
+    inputs = reference.inputs(5.0)
+    for wrong in ({"belt_degc": [10.0, 60.0]}, {"belt_degc": np.nan}, {"belt_std_k": -1.0}, {"belt_std_k": [1.0, 2.0]}):
+        with pytest.raises(InputError, match=next(iter(wrong))):
+            reference.cold_start(inputs, **wrong)
+
+
+def test_a_masked_value_is_unknown(reference):
+    nan = np.array([np.nan, 20.0, 20.0, 20.0])
+    masked = np.ma.array([1.0, 20.0, 20.0, 20.0], mask=[True, False, False, False])
+    found = [reference.inputs(5.0, belt_measured=given) for given in (nan, masked)]
+    found += [reference.inputs(5.0)._replace(belt_measured=masked)]
+    state = reference.cold_start(found[0])
+    rows = [reference.step(state, inputs, 0.1)[1].row for inputs in found]
+    assert all(np.array_equal(row, rows[0], equal_nan=True) for row in rows)
+    grades = np.ma.array(np.full(TIMES, 0.1), mask=np.arange(TIMES) > 5)
+    assert np.array_equal(a_run(reference, grade=grades)[1], a_run(reference, grade=grades.filled(np.nan))[1], equal_nan=True)
+
+
+def strange_arrays(given):
+    """The same numbers in arrays of other types and of other places in memory."""
+    fixed = np.repeat(given, 3)[::3]
+    fixed.setflags(write=False)
+    return (
+        fixed,
+        given[::-1].copy()[::-1],
+        given.tolist(),
+        given.astype(">f8"),
+        given.astype("f4"),
+        given.astype("i4"),
+        given.astype("O"),
+    )
+
+
+@pytest.mark.skipif(not HAVE_NUMBA, reason="nothing is compiled")
+def test_no_array_makes_a_kernel_compile_again(reference):
+    loads, times, state = np.full(4, 68e3), np.arange(4.0), reference.cold_start(reference.inputs(5.0))
+    stamps = np.arange(4) * 10**8
+
+    def work(array, number):
+        for inputs in (
+            reference.inputs(number(5.0), load=array(loads)),
+            reference.inputs(5.0)._replace(load=array(loads), speed=number(5)),
+        ):
+            row = reference.step(state, inputs, number(1.0))[1].row
+        rows = reference.run(state, array(times), array(np.full(4, 5.0)), number(272e3), array(np.full(4, 15.0)))[1]
+        reference.along_route(array(times), array(np.full(4, 5.0)), array(np.zeros(4)), array(np.zeros(4)))
+        session = reference.session()
+        steps = session.handle_block(array(np.zeros(4)), array(stamps), array(stamps), array(np.full(4, 5.0))).rows
+        last = session.handle(number(0), number(2**29), number(2**29), number(5.0)).row
+        return row, rows, steps, last
+
+    plain = work(lambda array: array, lambda value: value)
+    entries = [entry for entry in vars(COMPILED).values() if hasattr(entry, "signatures")]
+    before = [len(entry.signatures) for entry in entries]
+    for i in range(7):
+        for number in (np.float32, np.int64, np.array):
+            again = work(lambda array, i=i: strange_arrays(array)[i], number)
+            assert all(np.array_equal(one, other, equal_nan=True) for one, other in zip(again, plain, strict=True))
+    assert [len(entry.signatures) for entry in entries] == before
+
+
+def test_inputs_do_not_share_the_arrays_they_are_made_of(reference):
+    load, degc = np.full(4, 68e3), np.full(4, 20.0)
+    inputs = reference.inputs(5.0, load=load, belt_measured=degc)
+    load[:] = degc[:] = 0.0
+    assert inputs.load.tolist() == [68e3] * 4
+    assert inputs.belt_measured.tolist() == [20.0] * 4
+
+
+def test_a_session_refuses_what_is_no_channel_and_no_number(reference):
+    session, stamp = reference.session(), 10**18
+    before = session.memory.counters.copy()
+    for channel in (-1, len(reference.channels), 200_000, 2**70, None, "speed", np.nan, [0]):
+        with pytest.raises(InputError, match="channel"):
+            session.handle(channel, stamp, stamp, 5.0)
+        with pytest.raises(InputError, match="channel"):
+            session.handle_block([0, channel], [stamp] * 2, [stamp] * 2, [5.0] * 2)
+    for wrong in (None, "1", np.nan, 2**63, 2**70, np.datetime64(stamp, "ns")):
+        with pytest.raises(InputError, match="stamp_ns"):
+            session.handle(0, wrong, stamp, 5.0)
+        with pytest.raises(InputError, match="arrival_ns"):
+            session.handle(0, stamp, wrong, 5.0)
+    for wrong in ("1", True, 5j, 10**400):
+        with pytest.raises(InputError, match="value"):
+            session.handle(0, stamp, stamp, wrong)
+    assert np.array_equal(session.memory.counters, before)
+
+
+def test_an_estimator_takes_the_name_of_a_vehicle(reference, tmp_path):
+    assert repr(Estimator("bmw_i3", cache=str(tmp_path))) == repr(Estimator(load_any("bmw_i3")))
+    for wrong in ({"vehicle": None}, {"vehicle": 3}, {"vehicle": "agri3t", "settings": {}}, {"vehicle": "agri3t", "cache": 3}):
+        with pytest.raises(InputError):
+            Estimator(**wrong)
+    for call in (
+        lambda: reference.step(None, reference.inputs(5.0), 0.1),
+        lambda: reference.rest(3, 15.0, 1.0),
+        lambda: reference.session().begin(None),
+    ):
+        with pytest.raises(InputError, match="state"):
+            call()
+    state = reference.cold_start(reference.inputs(5.0))
+    for wrong in (None, 3, tuple(reference.inputs(5.0))):
+        for call in (lambda wrong=wrong: reference.step(state, wrong, 0.1), lambda wrong=wrong: reference.cold_start(wrong)):
+            with pytest.raises(InputError, match="inputs"):
+                call()
 
 
 @pytest.mark.parametrize("wrong", [-0.1, np.nan, np.inf, np.timedelta64(100, "ms")])

@@ -352,7 +352,7 @@ def test_what_waits_for_a_speed_is_counted_when_the_node_ends(desk):
 def test_a_fault_inside_is_said_and_does_not_silence_the_outputs(desk, monkeypatch):
     d = desk()
     d.drive(1.0)
-    monkeypatch.setattr(d.app.session, "handle", lambda *_: 1 / 0)
+    monkeypatch.setattr(d.app.session, "feed", lambda *_: 1 / 0)
     d.drive(0.3)
     assert "INTERNAL_ERROR" in d.names()
     assert d.app.overview().level is Level.ERROR

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Union
@@ -37,13 +37,18 @@ LIMITS: dict[str, dict[str, tuple[float, float, str]]] = {
 
 
 def check_numbers(function: str, **given: object) -> None:
-    """Check numeric arguments of a public function by their names; None is not given."""
+    """Check numeric arguments of a public function by their names."""
     for name, value in given.items():
         low, high, unit = LIMITS[function][name]
-        if value is not None and isinstance(low, int) and isinstance(high, int):
+        if isinstance(low, int) and isinstance(high, int):
             checks.whole(value, name, low, high, unit)
-        elif value is not None:
+        else:
             checks.number(value, name, low, high, unit)
+
+
+def if_given(**optional: object) -> dict[str, object]:
+    """Those that are not None, the default of an argument that may be absent."""
+    return {name: value for name, value in optional.items() if value is not None}
 
 
 def as_vehicle(vehicle: VehicleGiven) -> AnyVehicle:
@@ -67,28 +72,33 @@ def as_track_vehicle(vehicle: VehicleGiven) -> Vehicle:
     return described
 
 
-def as_paths(recording: object) -> list[Path]:
+def as_paths(recording: Any) -> list[Path]:
     """One path or several."""
-    if isinstance(recording, str | PathLike):
-        return [Path(recording)]
-    if not isinstance(recording, Sequence) or not all(isinstance(path, str | PathLike) for path in recording):
-        raise InputError("recording", recording, "a path, several paths, or what read gave")
-    return [Path(path) for path in recording]
+    allowed = "a path, several paths, or what read gave"
+    several = isinstance(recording, Sequence) and not isinstance(recording, str | bytes)
+    return [checks.path(path, "recording", allowed) for path in (recording if several else [recording])]
 
 
 def as_recordings(recordings: Any) -> list[Any]:
     """One recording or several, each read or a path."""
     from trackres_ros.recording.recording import Recording
 
-    listed = [recordings] if isinstance(recordings, str | PathLike | Recording) else list(recordings)
+    listed = _listed(recordings)
     if not listed:
         raise InputError("recordings", "none", "at least one")
-    return listed
+    return [r if isinstance(r, Recording) else checks.path(r, "recordings", "paths, and what read gave") for r in listed]
 
 
-def as_names(names: str | Sequence[str]) -> tuple[str, ...]:
+def as_names(names: object, where: str) -> tuple[str, ...]:
     """One name or several."""
-    return (names,) if isinstance(names, str) else tuple(names)
+    listed = _listed(names)
+    if not all(isinstance(name, str) for name in listed):
+        raise InputError(where, names, "a name, or several")
+    return tuple(listed)
+
+
+def _listed(given: Any) -> list[Any]:
+    return list(given) if isinstance(given, Iterable) and not isinstance(given, str | bytes) else [given]
 
 
 def paths_of(recordings: Sequence[Recording]) -> list[Path]:

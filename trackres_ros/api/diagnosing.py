@@ -6,9 +6,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trackres_ros.api.arguments import (
@@ -111,14 +110,18 @@ def diagnose(
     from trackres_ros.results.diagnosis import DiagnosisResult
 
     begun = time.monotonic()
-    hidden = as_names(hide)
+    checks.function(on_stage, "on_stage")
+    hidden = as_names(hide, "hide")
     for channel in hidden:
         checks.one_of(base_role(channel), "hide", ROLES)
     checks.seed(seed)
-    if isinstance(holdout, str):
-        holdout = as_names(holdout)
-    if holdout is not None and not isinstance(holdout, Sequence):
+    if isinstance(holdout, Iterable):
+        holdout = as_names(holdout, "holdout")
+    elif holdout is not None:
         checks.whole(holdout, "holdout", 0, MOST_HELD_OUT)
+    if isinstance(effects, str) and not effects:
+        raise InputError("effects", "", "a folder with Python files, or None")
+    folder = None if effects is None else checks.path(effects, "effects")
     listed = as_recordings(recordings)
     mapping = as_topics(topics)
     if mapping is None:  # belt temperatures are those of the vehicle: one recording decides for all
@@ -128,9 +131,6 @@ def diagnose(
         check_there(path)
     refused: list[Refusal] = []
     sessions = in_order(each_usable(listed, lambda r: r if isinstance(r, Recording) else read(r, topics=mapping), refused, _name))
-    if effects == "":
-        raise InputError("effects", "", "a folder with Python files, or None")
-    folder = None if effects is None else Path(effects)
     options = DiagnosisOptions(hidden, holdout, seed, quick, folder, keep_suspected, on_stage, refused)
     found = diagnose(sessions, loaded, options)
     used = {session.name for session in found.sessions}

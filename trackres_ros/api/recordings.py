@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics, as_track_vehicle, check_numbers
@@ -143,11 +142,12 @@ def recover(recording: StrPath, *, output: StrPath) -> Recovered:
     >>> tr.recover("cut.mcap", output="again.mcap").messages
     15934
     """
+    from trackres_ros import checks
     from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
     from trackres_ros.recording.reading import check_file
     from trackres_ros.recording.unfinished import Recovered, UnfinishedBag, is_unfinished
 
-    path, file = Path(recording), output_file(output, (BAG_SUFFIX,), "output")
+    path, file = checks.path(recording, "recording"), output_file(output, (BAG_SUFFIX,), "output")
     check_file(path)
     if not is_unfinished(path):
         raise InputError("recording", str(path), "an MCAP file that was not finished", "a finished file needs no recovery")

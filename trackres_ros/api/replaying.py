@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics, as_vehicle, input_files
@@ -83,7 +82,7 @@ def replay(
     >>> result.save("out.csv").name
     'out.csv'
     """
-    from trackres_ros.checks import one_of
+    from trackres_ros import checks
     from trackres_ros.estimator import columns as at
     from trackres_ros.estimator.estimate import Steps
     from trackres_ros.estimator.estimator import Estimator
@@ -105,14 +104,17 @@ def replay(
     from trackres_ros.units import NANOSECOND
     from trackres_ros.vehicle import files_of
 
+    if progress is not None:
+        checks.function(progress, "progress")
     file = None if output is None else output_file(output)
+    before = None if resume is None else checks.path(resume, "resume")
     state = None if save_state is None else state_file(save_state, "save_state")
     in_memory = recording if isinstance(recording, Recording) else None
     paths = in_memory.paths if in_memory else as_paths(recording)
     if in_memory and topics is not None:
         raise InputError("topics", "with a recording that is read", "topics with a path", "pass them to read")
     mapping = in_memory.topics if in_memory else as_topics(topics)
-    given = params if isinstance(params, Mapping) else read_parameters(None if params is None else Path(params))
+    given = params if isinstance(params, Mapping) else read_parameters(None if params is None else checks.path(params, "params"))
     source = in_memory or KeptSource(open_source(paths, mapping), keep=file is None or file.suffix.lower() != BAG_SUFFIX)
     settings = settings_for(make_parameters(given).settings(), mapping, source.roles)
     described = as_vehicle(vehicle)
@@ -120,9 +122,9 @@ def replay(
     inputs = input_files(mapping, *paths, *files_of(described), params)
     not_an_input(state, inputs, "save_state")  # it may replace the state to resume
     for where, place in (("output", file), ("save_vehicle", learned_file)):
-        not_an_input(place, [*inputs, resume], where)
+        not_an_input(place, [*inputs, before], where)
     no_two_alike({"output": file, "save_state": state, "save_vehicle": learned_file})
-    learns = one_of(learning, "learning", MODES) != OFF
+    learns = checks.one_of(learning, "learning", MODES) != OFF
     if learned_file is not None and not learns:
         raise InputError("save_vehicle", str(save_vehicle), "a replay that learns", "give learning='watch' too")
     kept: list[Steps] = []
@@ -131,9 +133,9 @@ def replay(
         estimator = Estimator(described, settings, entries=warm_up.first)
         learner = Learner(estimator, learning) if learns else None
         session, learned_before = None, None
-        if resume is not None:
-            session, learned_before = resumed(estimator, Path(resume)), read_learning(estimator, Path(resume))
-            go_on_from(Path(resume), session, learner, learned_before)
+        if before is not None:
+            session, learned_before = resumed(estimator, before), read_learning(estimator, before)
+            go_on_from(before, session, learner, learned_before)
         write = kept.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
         done = run(source, estimator, write, session, progress, learner, warm_up.finished)
     written = [one for one in (file, state) if one is not None]
@@ -147,6 +149,6 @@ def replay(
     title = one_line(f"{', '.join(path.name for path in paths) or source.name}: {estimator.vehicle.title}")
     findings = source.all_findings() if isinstance(source, KeptSource) else source.findings
     rows = kept if file is None else None
-    result = ReplayResult(done, rows, title, source.name, source.notes, findings, file, [*inputs, resume])
+    result = ReplayResult(done, rows, title, source.name, source.notes, findings, file, [*inputs, before])
     result.written = tuple(written)
     return result

@@ -8,7 +8,7 @@ from __future__ import annotations
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
-from trackres_ros.api.arguments import StrPath, VehicleGiven, as_vehicle, check_numbers, input_files
+from trackres_ros.api.arguments import StrPath, VehicleGiven, as_vehicle, check_numbers, if_given, input_files
 from trackres_ros.errors import InputError
 from trackres_ros.units import KMH_PER_MPS
 
@@ -82,6 +82,7 @@ def simulate(
     """
     import numpy as np
 
+    from trackres_ros import checks
     from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.estimator.warm_up import SERIES, first_run
@@ -94,15 +95,17 @@ def simulate(
     from trackres_ros.results.simulation import SimulationResult
     from trackres_ros.vehicle import files_of
 
-    check_numbers(
-        "simulate", speed_kmh=speed_kmh, ramp_s=ramp_s, duration_s=duration_s, ambient_degc=ambient_degc,
-        initial_degc=initial_degc, weight_kn=weight_kn, dt=dt,
+    optional = if_given(
+        speed_kmh=speed_kmh, ramp_s=ramp_s, duration_s=duration_s, ambient_degc=ambient_degc, initial_degc=initial_degc,
+        weight_kn=weight_kn,
     )  # fmt: skip
+    check_numbers("simulate", dt=dt, **optional)
     if (speed_kmh is None) == (profile is None):
         raise InputError("speed_kmh, profile", "neither" if profile is None else "both", "one of the two")
     if profile is not None and not isinstance(profile, str | PathLike | Recording):
         remedy = "write a DataFrame to a file first, with to_csv or to_parquet"
         raise InputError("profile", f"a {type(profile).__name__}", "a path, or what read gave", remedy)
+    profile = profile if profile is None or isinstance(profile, Recording) else checks.path(profile, "profile")
     for name, seconds in (("duration_s", duration_s), ("ramp_s", ramp_s)):
         if profile is not None and seconds is not None:
             raise InputError(name, seconds, "only with speed_kmh; a profile has its own duration and ramps")
@@ -184,7 +187,8 @@ def explain(
     from trackres_ros.results.operating_point import OperatingPoint
     from trackres_ros.vehicle import RoadVehicle
 
-    check_numbers("explain", speed_kmh=speed_kmh, belt_degc=belt_degc, ambient_degc=ambient_degc, weight_kn=weight_kn)
+    optional = if_given(belt_degc=belt_degc, ambient_degc=ambient_degc, weight_kn=weight_kn)
+    check_numbers("explain", speed_kmh=speed_kmh, **optional)
     described = as_vehicle(vehicle)
     _check_weight(described, weight_kn, LEAST_EXPLAINED_SHARE, LARGEST_EXPLAINED_SHARE)
     weight = None if weight_kn is None else weight_kn * 1e3

@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from trackres_ros.api.arguments import StrPath, VehicleGiven, as_vehicle, check_numbers
-from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
     from trackres_ros.results.vehicle_check import VehicleCheck
@@ -51,21 +50,10 @@ def load_vehicle(
     Traceback (most recent call last):
     trackres_ros.errors.InputError: thermal: given 'lumpy'; allowed: one of lumped, core_surface; did you mean lumped?
     """
-    from trackres_ros.checks import one_of
     from trackres_ros.model.track import with_methods
-    from trackres_ros.vehicle import Vehicle, load_any, with_surroundings
-    from trackres_ros.vehicle.schema import MODEL_CHOICES
+    from trackres_ros.vehicle import load_any, with_surroundings
 
-    for where, given, key in (("method", method, "hysteresis"), ("thermal", thermal, "thermal")):
-        if given is not None:
-            one_of(given, where, MODEL_CHOICES[key])
-    loaded = load_any(vehicle)
-    if isinstance(loaded, Vehicle):
-        loaded = with_methods(loaded, method, thermal)
-    elif method or thermal:
-        where, given = ("method", method) if method else ("thermal", thermal)
-        raise InputError(where, given, f"none for {loaded.name}: the base model road_load has no belts")
-    return with_surroundings(loaded, surroundings)
+    return with_surroundings(with_methods(load_any(vehicle), method, thermal), surroundings)
 
 
 def check_vehicle(vehicle: VehicleGiven, *, points: int = 400) -> VehicleCheck:

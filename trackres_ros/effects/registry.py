@@ -14,6 +14,7 @@ import pkgutil
 from collections.abc import Mapping, Sequence
 from importlib.machinery import SourceFileLoader
 from itertools import pairwise
+from os import PathLike
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -33,7 +34,7 @@ ELSEWHERE = {
 
 
 def catalogue(
-    folder: Path | None = None, size: float | None = None, on_tyres: bool = False, files: Sequence[Path] = ()
+    folder: str | PathLike[str] | None = None, size: float | None = None, on_tyres: bool = False, files: Sequence[Path] = ()
 ) -> dict[str, Effect]:
     """All effects by name: the shipped ones, and those in the Python files of a folder or in single files; for a vehicle with a
     weight times wheel radius [Nm], if given, on tracks or on tyres.
@@ -51,7 +52,8 @@ def catalogue(
     ]
     shipped = [effect for module in modules for effect in _effects_in(module)]
     effects = {effect.name: effect for effect in sorted(shipped, key=lambda effect: effect.name)}
-    for path in (*_python_files(folder), *files):
+    in_folder = [] if folder is None else _python_files(checks.path(folder, "effects"))
+    for path in (*in_folder, *files):
         own = _effects_in(_module_of(path))
         if not own:
             raise InputError(str(path), "no class derived from trackres_ros.effects.Effect", "at least one in each file")
@@ -131,12 +133,10 @@ def _effects_in(module: ModuleType) -> list[Effect]:
     ]
 
 
-def _python_files(folder: Path | None) -> list[Path]:
-    if folder is None:
-        return []
+def _python_files(folder: Path) -> list[Path]:
     files = sorted(folder.glob("*.py")) if folder.is_dir() else []
     if not files:
-        raise InputError("--effects", str(folder), "a folder with Python files, each with an effect")
+        raise InputError("effects", str(folder), "a folder with Python files, each with an effect")
     return files
 
 

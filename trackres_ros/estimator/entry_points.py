@@ -23,7 +23,7 @@ from trackres_ros.estimator.columns import Assembly, Motion, Results, Times
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.guards import ACCEPTED_AFTER_RESET, GAP, Memory, admit, forget_others, gather
 from trackres_ros.estimator.kernel import advance, predict, start
-from trackres_ros.estimator.records import Carried, DriveSeries, Inputs
+from trackres_ros.estimator.records import LARGEST, Carried, DriveSeries, Inputs
 from trackres_ros.jit.compiled import HAVE_NUMBA, entry, inlined, interpreted
 from trackres_ros.units import NANOSECOND
 
@@ -102,6 +102,30 @@ def feed_all(
 
 
 @inlined
+def advance_once(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Array) -> bool:
+    """`kernel.advance` for inputs from outside; false for values that `records.checked` refuses: here a check costs nothing."""
+    usable = (
+        inputs.ambient_std >= 0.0 and inputs.reasons >= 0 and inputs.fed >= 0.0 and not math.isnan(inputs.speed + inputs.ambient)
+    )
+    for value in (
+        inputs.speed, inputs.ambient, inputs.ambient_std, inputs.acceleration, inputs.grade, inputs.yaw_rate, inputs.heading,
+        inputs.distance, inputs.measured_torque, inputs.slope_by_place, inputs.torque_by_place, inputs.torque_by_place_std,
+        inputs.fed,
+    ):  # fmt: skip
+        usable = usable and not abs(value) > LARGEST
+    for i in range(inputs.belt_measured.shape[0]):
+        usable = usable and not abs(inputs.belt_measured[i]) > LARGEST
+    total = 0.0
+    for i in range(inputs.load.shape[0]):
+        usable = usable and 0.0 <= inputs.load[i] <= LARGEST
+        total += inputs.load[i]
+    if not usable or total <= 0.0:
+        return False
+    advance(k, carried, inputs, dt, out)
+    return True
+
+
+@inlined
 def advance_along(
     k: Constants, carried: Carried, series: DriveSeries, ambient_std: float, loads: Array, no_belts: Array, out: Array
 ) -> None:
@@ -166,7 +190,9 @@ class Entries:
         return _entries_of, (self.compiled,)
 
 
-_KERNELS: tuple[Callable[..., Any], ...] = (feed, feed_all, advance_along, predict_along, advance, rest, start, follow_along)
+_KERNELS: tuple[Callable[..., Any], ...] = (
+    feed, feed_all, advance_along, predict_along, advance_once, rest, start, follow_along,
+)  # fmt: skip
 _ENTRIES = tuple(map(entry, _KERNELS))
 COMPILED = Entries(HAVE_NUMBA, *_ENTRIES)
 

@@ -7,27 +7,49 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from pathlib import Path
+from os import PathLike
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trackres_ros import checks
 from trackres_ros.effects.stepping import cooled as cooled_effects
 from trackres_ros.effects.stepping import new_memory as new_effects_memory
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants, kernel_arguments, make_constants
-from trackres_ros.estimator.entry_points import COMPILED, Entries
+from trackres_ros.estimator.entry_points import COMPILED, Entries, Messages
 from trackres_ros.estimator.estimate import Estimate, Steps
 from trackres_ros.estimator.guards import Memory, new_memory
 from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
-from trackres_ros.estimator.records import Carried, DriveSeries, GroundSeries, Inputs, State, duration, floats, times
+from trackres_ros.estimator.records import (
+    LARGEST,
+    LEAST_WEIGHT,
+    Carried,
+    DriveSeries,
+    GroundSeries,
+    Inputs,
+    State,
+    bounded,
+    checked,
+    duration,
+    floats,
+    is_as_compiled,
+    number,
+    times,
+    whole_numbers,
+)
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.route.follower import NOTHING_YET
-from trackres_ros.vehicle import AnyVehicle
+from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle, load_any
 
 UNKNOWN_GROUND = math.nan, math.nan, math.nan
+FIRST_NS, LAST_NS = -(2**63), 2**63 - 1  # stamps
+ALONG = (
+    "speed", "weight", "ambient", "acceleration", "grade", "yaw_rate", "heading", "distance", *DriveSeries._fields[-3:],
+)  # fmt: skip
+"""Arguments of `Estimator.run` that are series, as in `DriveSeries`."""
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -42,7 +64,7 @@ class Estimator:
     Parameters
     ----------
     vehicle
-        From `trackres_ros.load_vehicle`.
+        From `trackres_ros.load_vehicle`, the path of its file, or the name of a shipped one.
     settings
         See docs/settings.md for the defaults.
     cache
@@ -69,17 +91,26 @@ class Estimator:
     """
 
     def __init__(
-        self, vehicle: AnyVehicle, settings: Settings | None = None, cache: Path | None = None, entries: Entries = COMPILED
+        self,
+        vehicle: AnyVehicle | str | PathLike[str],
+        settings: Settings | None = None,
+        cache: str | PathLike[str] | None = None,
+        entries: Entries = COMPILED,
     ) -> None:
+        vehicle = vehicle if isinstance(vehicle, Vehicle | RoadVehicle) else load_any(vehicle)
+        if not isinstance(settings, Settings | None):
+            raise InputError("settings", settings, "what Parameters.settings makes, or None")
         self.vehicle = vehicle
         self.settings = settings or Settings()
         self.entries = entries
-        self.constants: Constants = make_constants(vehicle, self.settings, cache, entries.compiled)
+        folder = None if cache is None else checks.path(cache, "cache")
+        self.constants: Constants = make_constants(vehicle, self.settings, folder, entries.compiled)
         self.kernel_arguments = kernel_arguments(self.constants, entries.compiled)
         self.assemblies = tuple(a.name for a in vehicle.assemblies)
         self.channels = at.channels(vehicle)
         self.columns = at.columns(vehicle)
         self.column_index = {name: i for i, name in enumerate(self.columns)}
+        self._sizes = len(self.constants.assembly), len(self.assemblies)
         self._no_belts = np.full(len(self.assemblies), math.nan)
         effects = new_effects_memory(len(vehicle.active))
         belts = len(self.assemblies), 2, at.BELT_COLUMNS
@@ -124,40 +155,44 @@ class Estimator:
         Raises
         ------
         InputError
-            For an array of another shape.
+            For an array of another shape, what is no number, a speed, weight, load or ambient temperature that is not finite, and
+            a weight or loads that are not above 0.
         """
         k = self.constants
-        loads = k.assembly[:, at.Assembly.nominal_load].copy() if load is None else floats(load, "load", (len(k.assembly),))
-        if weight is not None:
-            shares = k.assembly[:, at.Assembly.share_of_all] if load is None else loads / loads.sum()
-            loads = floats(weight, "weight", ()) * shares
-        return Inputs(
-            float(speed),
-            loads,
-            k.number.nominal_ambient if ambient is None else float(ambient),
+        given = Inputs(
+            speed,
+            k.assembly[:, at.Assembly.nominal_load] if load is None else load,
+            k.number.nominal_ambient if ambient is None else ambient,
             k.number.ambient_unknown_std if ambient is None else k.number.ambient_std,
-            self._no_belts if belt_measured is None else floats(belt_measured, "belt_measured", self._no_belts.shape),
-            float(acceleration),
-            float(grade),
-            float(yaw_rate),
-            float(heading),
-            float(distance),
-            float(measured_torque),
+            self._no_belts if belt_measured is None else belt_measured,
+            acceleration,
+            grade,
+            yaw_rate,
+            heading,
+            distance,
+            measured_torque,
         )
+        found = self._checked(given)
+        if weight is None:
+            return found
+        shares = k.assembly[:, at.Assembly.share_of_all] if load is None else found.load / found.load.sum()
+        return found._replace(load=number(weight, "weight", LEAST_WEIGHT) * shares)
 
     def cold_start(self, inputs: Inputs, belt_degc: float | None = None, belt_std_k: float | None = None) -> State:
         """Make the state of belts at the ambient temperature, or at a known one [degC] with a standard deviation [K].
 
-        Of `inputs` only the ambient temperature is used. By default the standard deviation is that of the settings.
+        Of `inputs` only the ambient temperature is used. By default the standard deviation is that of the settings. Raises
+        InputError for what is no finite number, and for a negative standard deviation.
         """
+        inputs = self._checked(inputs)
         belts = np.empty((len(self.assemblies), 2, at.BELT_COLUMNS))
         state = State(belts, np.empty(at.Motion.columns), new_effects_memory(len(self.vehicle.active)))
         self.entries.start_belts(*self.kernel_arguments, *_arrays(state), inputs.ambient, inputs.ambient_std)
         if belt_degc is not None:
-            state.belts[:, :, at.Belt.temperature] = belt_degc
+            state.belts[:, :, at.Belt.temperature] = number(belt_degc, "belt_degc")
             state.belts[:, :, at.Belt.consider_ambient] = 0.0
         if belt_std_k is not None:
-            state.belts[:, :, at.Belt.noise_1] = belt_std_k
+            state.belts[:, :, at.Belt.noise_1] = number(belt_std_k, "belt_std_k", least=0.0)
         return state
 
     def step(self, state: State, inputs: Inputs, dt: float) -> tuple[State, Estimate]:
@@ -171,15 +206,18 @@ class Estimator:
         Raises
         ------
         InputError
-            For a negative dt, or a state or inputs of another vehicle.
+            For a negative dt, a state or inputs of another vehicle, or values that `inputs` refuses.
         """
-        after, elapsed = self._copy(state), duration(dt, "dt")
-        if np.shape(inputs.load) != (len(self.constants.assembly),) or np.shape(inputs.belt_measured) != self._no_belts.shape:
-            shapes = {"load": np.shape(inputs.load), "belt_measured": np.shape(inputs.belt_measured)}
-            raise InputError("inputs", f"arrays of shape {shapes}", "those of this vehicle", "make them with Estimator.inputs")
-        row = np.empty(len(self.columns))
-        self.entries.step_once(*self.own_arguments(), *_arrays(after), *inputs, elapsed, row)
+        after, elapsed, row = self._copy(state), duration(dt, "dt"), np.empty(len(self.columns))
+        if not is_as_compiled(inputs, *self._sizes):
+            inputs = self._checked(inputs)
+        carried = after.belts, after.motion, after.effects, after.learned
+        if not self.entries.step_once(*self.own_arguments(), *carried, *inputs, elapsed, row):
+            self._checked(inputs)  # which says why
         return after, Estimate(row, self.column_index)
+
+    def _checked(self, inputs: Inputs) -> Inputs:
+        return checked(inputs, *self._sizes)
 
     def own_arguments(self) -> tuple[Any, ...]:
         """The kernel's arguments, first of an entry point, with a new work space, so that threads do not share one."""
@@ -221,12 +259,13 @@ class Estimator:
         Raises
         ------
         InputError
-            For times that fall, dates, a series of another length, or a state of another vehicle.
+            For times that fall, dates, a series of another length, values that `inputs` refuses, or a state of another vehicle.
         """
         at_times = times(time_s, "time_s")
+        if not isinstance(ground, GroundSeries | None):
+            raise InputError("ground", ground, "what along_route gives, or None")
         given = (speed, weight, ambient, acceleration, grade, yaw_rate, heading, distance, *(ground or UNKNOWN_GROUND))
-        names = DriveSeries._fields[1:]
-        series = DriveSeries(at_times, *(_at_each(at_times, a, name) for a, name in zip(given, names, strict=True)))
+        series = DriveSeries(at_times, *(_at_each(at_times, a, name) for a, name in zip(given, ALONG, strict=True)))
         after, rows = self._copy(state), np.empty((len(at_times), len(self.columns)))
         work = self.constants.number.ambient_std, np.empty(len(self.constants.assembly)), self._no_belts
         self.entries.run_series(*self.own_arguments(), *_arrays(after), *series, *work, rows)
@@ -250,11 +289,11 @@ class Estimator:
         Raises
         ------
         InputError
-            For times that fall, dates, or a series of another length.
+            For times that fall, dates, a series of another length, or a speed that is not finite.
         """
         at_times = times(time_s, "time_s")
         given = (("speed", speed), ("latitude", latitude), ("longitude", longitude))
-        series = (np.ascontiguousarray(floats(a, name, at_times.shape)) for name, a in given)
+        series = (bounded(a, name, at_times.shape, unknown=name != "speed") for name, a in given)
         found = np.empty((len(at_times), len(GroundSeries._fields)))
         self.entries.follow_series(*self.own_arguments(), np.array(NOTHING_YET), at_times, *series, found)
         return GroundSeries(*found.T)
@@ -262,14 +301,17 @@ class Estimator:
     def rest(self, state: State, ambient: float, seconds: float) -> State:
         """Compute the state after standing or being switched off for some time [s] at an ambient temperature [degC].
 
-        The given state does not change. Raises InputError for a negative time, or a state of another vehicle.
+        The given state does not change. Raises InputError for a negative time, a temperature that is no finite number, or a
+        state of another vehicle.
         """
         after, std, off = self._copy(state), self.constants.number.ambient_unknown_std, duration(seconds, "seconds")
-        self.entries.rest_vehicle(*self.own_arguments(), *_arrays(after), float(ambient), std, off)
+        self.entries.rest_vehicle(*self.own_arguments(), *_arrays(after), number(ambient, "ambient"), std, off)
         return after
 
     def check(self, state: State) -> None:
         """Raise InputError for a state with other arrays than those of this vehicle."""
+        if not isinstance(state, State):
+            raise InputError("state", state, "a state", "begin with cold_start")
         shapes = state.belts.shape, state.motion.shape, state.effects.shape, state.learned.shape
         if shapes != self._state_shapes:
             allowed = f"{self._state_shapes}, those of {self.vehicle.name}"
@@ -277,7 +319,7 @@ class Estimator:
 
     def _copy(self, state: State) -> State:
         self.check(state)
-        return State(*(array.copy() for array in _arrays(state)))
+        return State(state.belts.copy(), state.motion.copy(), state.effects.copy(), state.learned.copy())
 
     def session(self) -> Session:
         """Begin a session: a stream of messages through the guards."""
@@ -286,7 +328,8 @@ class Estimator:
 
 def _at_each(at_times: Array, given: ArrayLike, where: str) -> Array:
     """A number, or one for each time, as a series of its own."""
-    found = floats(given, where)
+    known = where in ("speed", "weight", "ambient")
+    found = bounded(given, where, least=LEAST_WEIGHT if where == "weight" else -LARGEST, unknown=not known)
     if found.shape not in ((), (1,), at_times.shape):
         raise InputError(where, f"an array of shape {found.shape}", f"a number, or shape {at_times.shape} as time_s")
     return np.array(np.broadcast_to(found, at_times.shape), order="C")
@@ -309,6 +352,7 @@ class Session:
         self.effects = new_effects_memory(len(estimator.vehicle.active))
         self.learned = np.zeros(at.Learned.columns)
         self._loads, self._belt_measured = np.zeros(len(estimator.constants.assembly)), np.zeros(assemblies)
+        self._channels = len(estimator.channels)
         self._channel = {name: i for i, name in enumerate(estimator.channels)}
         self._arguments = self._gathered()
 
@@ -357,22 +401,46 @@ class Session:
         return self._channel[name]
 
     def handle(self, channel: int, stamp_ns: int, arrival_ns: int, value: float) -> Estimate | None:
-        """Process one message; return an estimate if it was an accepted speed, else None."""
+        """Process one message; return an estimate if it was an accepted speed, else None.
+
+        Raises InputError for what is no channel or no number; a value that cannot be used, also nan, is counted.
+        """
+        plain = type(channel) is type(stamp_ns) is type(arrival_ns) is int and type(value) is float
+        if not (plain and 0 <= channel < self._channels and FIRST_NS <= stamp_ns <= LAST_NS >= arrival_ns >= FIRST_NS):
+            message = self._messages(*([part] for part in (channel, stamp_ns, arrival_ns, value)))
+            channel, stamp_ns, arrival_ns, value = (part.tolist()[0] for part in message)
+        return self.feed(channel, stamp_ns, arrival_ns, value)
+
+    def feed(self, channel: int, stamp_ns: int, arrival_ns: int, value: float) -> Estimate | None:
+        """`handle` without its checks, for numbers that are of these types already: another channel writes outside the arrays."""
         row = np.empty(len(self.estimator.columns))
         stepped = self.estimator.entries.feed_one(*self._arguments, channel, stamp_ns, arrival_ns, value, row)
         return Estimate(row, self.estimator.column_index) if stepped else None
 
     def handle_block(self, channel: NDArray[np.int16], stamp_ns: IntArray, arrival_ns: IntArray, value: Array) -> Steps:
-        """Process many messages, arrays of shape (messages,) in the order of arrival; InputError for different lengths."""
-        lengths = [len(a) for a in (channel, stamp_ns, arrival_ns, value)]
-        if len(set(lengths)) > 1:
-            raise InputError("channel, stamp_ns, arrival_ns, value", f"arrays of {lengths} messages", "arrays of one length")
-        most = int(np.count_nonzero(channel == at.SPEED))
+        """Process many messages, arrays of shape (messages,) in the order of arrival.
+
+        Raises InputError for different lengths, and as `handle`.
+        """
+        channels, stamps, arrivals, values = self._messages(channel, stamp_ns, arrival_ns, value)
+        most = int(np.count_nonzero(channels == at.SPEED))
         rows = np.empty((most + 1, len(self.estimator.columns)))
-        stamps, arrivals = np.empty((2, most + 1), dtype=np.int64)
-        channels = channel.astype(np.int64)  # as those of single messages, for which the step is compiled
-        steps = self.estimator.entries.feed_many(*self._arguments, channels, stamp_ns, arrival_ns, value, rows, stamps, arrivals)
-        return Steps(stamps[:steps], arrivals[:steps], rows[:steps])
+        of_steps = np.empty((2, most + 1), dtype=np.int64)
+        steps = self.estimator.entries.feed_many(*self._arguments, channels, stamps, arrivals, values, rows, *of_steps)
+        return Steps(of_steps[0, :steps], of_steps[1, :steps], rows[:steps])
+
+    def _messages(self, channel: ArrayLike, stamp_ns: ArrayLike, arrival_ns: ArrayLike, value: ArrayLike) -> Messages:
+        """Messages from outside, with arrays for which the kernels are compiled."""
+        found = Messages(
+            whole_numbers(channel, "channel", 0, self._channels - 1),
+            whole_numbers(stamp_ns, "stamp_ns", FIRST_NS, LAST_NS),
+            whole_numbers(arrival_ns, "arrival_ns", FIRST_NS, LAST_NS),
+            floats(value, "value"),
+        )
+        if len({part.shape for part in found}) > 1 or found.values.ndim != 1:
+            given = f"arrays of shape {[part.shape for part in found]}"
+            raise InputError("channel, stamp_ns, arrival_ns, value", given, "arrays of one length, shape (messages,)")
+        return found
 
     def counts(self) -> Iterator[tuple[str, at.Count, int]]:
         """All counters that are not zero: channel, counter, number."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,8 +19,12 @@ from trackres_ros.text.numbers import decimals
 
 Array = NDArray[np.float64]
 
-NOT_NUMBERS = "Mmc"  # kinds of dtypes that numpy would convert: dates and durations count in any unit, complex lose a part
+NOT_NUMBERS = "MmcbSUV"  # kinds of dtypes that numpy would convert: dates, durations, complex, true and false, texts, records
+DATES = "Mm"
 IN_SECONDS = 'seconds of dates are (t - t[0]) / numpy.timedelta64(1, "s"), and of durations t / numpy.timedelta64(1, "s")'
+LEAST_WEIGHT = 1e-3  # N
+FEW = 16
+LARGEST = 1e9  # of an input, in its unit: more than any vehicle has, and its powers do not overflow
 
 
 class Inputs(NamedTuple):
@@ -42,6 +46,11 @@ class Inputs(NamedTuple):
     torque_by_place_std: float = math.nan  # Nm
     reasons: int = 0  # columns.Reason found before the step
     fed: float = 1.0  # 0 for no feed-forward: it is not enabled, or the speed is not trusted
+
+
+MAYBE_UNKNOWN = Inputs._fields[5:-2]
+FLOAT = np.dtype(float)
+KINDS = (float, np.ndarray, float, float, np.ndarray, *(float for _ in MAYBE_UNKNOWN), int, float)  # of Inputs, as compiled
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -94,25 +103,95 @@ class GroundSeries(NamedTuple):
 
 
 def floats(given: ArrayLike, where: str, shape: tuple[int, ...] | None = None) -> Array:
-    """Convert to an array of floats, of a given shape or any.
+    """Copy to an array of floats, of a given shape or any; nan where masked.
 
-    Kernels read arrays without a check of their bounds, so each array from outside passes here.
+    Kernels read arrays without a check of their bounds, and are compiled for arrays that can be written and are contiguous: each
+    array from outside passes here.
 
     Raises
     ------
     InputError
         For another shape, dates, durations, or what is no number.
     """
+    array = _of_numbers(given, where)
     try:
-        array = np.asarray(given)
-        found = None if array.dtype.kind in NOT_NUMBERS else np.asarray(array, dtype=float)
-    except (TypeError, ValueError):  # texts, dates as objects, rows of different lengths
-        found = None
-    if found is None:
-        raise InputError(where, given, "numbers", IN_SECONDS)
+        found = np.array(array, dtype=float, order="C")
+    except (TypeError, ValueError, OverflowError):  # objects: dates, texts, huge whole numbers
+        raise InputError(where, given, "numbers", IN_SECONDS) from None
+    if isinstance(array, np.ma.MaskedArray):
+        found[np.ma.getmaskarray(array)] = math.nan
     if shape is not None and found.shape != shape:
         raise InputError(where, f"an array of shape {found.shape}", f"shape {shape}" if shape else "one number")
     return found
+
+
+def whole_numbers(given: ArrayLike, where: str, low: int, high: int) -> NDArray[np.int64]:
+    """Copy to an array of whole numbers from `low` to `high`, of floats the nearest ones. Raises InputError for others."""
+    array = _of_numbers(given, where)
+    if array.dtype.kind not in "iu" or isinstance(array, np.ma.MaskedArray):
+        array = np.rint(floats(array, where))
+    if array.size and not (low <= array.min() and array.max() <= high):
+        raise InputError(where, given, f"whole numbers from {low} to {high}")
+    return np.array(array, dtype=np.int64, order="C")
+
+
+def _of_numbers(given: ArrayLike, where: str) -> NDArray[Any]:
+    try:
+        array = np.asanyarray(given)
+    except (TypeError, ValueError):  # rows of different lengths
+        raise InputError(where, given, "numbers") from None
+    if array.dtype.kind in NOT_NUMBERS:
+        raise InputError(where, given, "numbers", IN_SECONDS if array.dtype.kind in DATES else "")
+    return array
+
+
+def bounded(
+    given: ArrayLike, where: str, shape: tuple[int, ...] | None = None, least: float = -LARGEST, unknown: bool = False
+) -> Array:
+    """`floats` from `least` to `LARGEST`, nan only where values may be unknown. Raises InputError with the first other one."""
+    found = floats(given, where, shape)
+    if found.size <= FEW:  # then without numpy, which takes ten times as long
+        for one in found.ravel().tolist():
+            if not (least <= one <= LARGEST or (unknown and one != one)):
+                break
+        else:
+            return found
+    wrong = ~((found >= least) & (found <= LARGEST) | (unknown & np.isnan(found)))
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        place, value = (f"{where}[{first}]", float(found.flat[first])) if found.ndim else (where, given)
+        raise InputError(place, value, f"a number from {least:g} to {LARGEST:g}{', or nan if unknown' if unknown else ''}")
+    return found
+
+
+def number(given: Any, where: str, least: float = -LARGEST, unknown: bool = False) -> float:
+    """One number, as `bounded` takes it."""
+    if type(given) in (float, int) and (least <= given <= LARGEST or (unknown and given != given)):
+        return float(given)
+    return float(bounded(given, where, (), least, unknown))
+
+
+def checked(given: Inputs, assemblies: int, belts: int) -> Inputs:
+    """Inputs that a step can use, with arrays of their own. Raises InputError: after one nan all later estimates would be nan."""
+    if not isinstance(given, Inputs):
+        raise InputError("inputs", given, "what Estimator.inputs makes")
+    load = bounded(given.load, "load", (assemblies,), least=0.0)
+    if not sum(load.tolist()) > 0.0:
+        raise InputError("load", given.load, "loads with a sum above 0")
+    known = number(given.ambient, "ambient"), number(given.ambient_std, "ambient_std", least=0.0)
+    degc = bounded(given.belt_measured, "belt_measured", (belts,), unknown=True)
+    others = [v if v is math.nan else number(v, name, unknown=True) for v, name in zip(given[5:-2], MAYBE_UNKNOWN, strict=True)]
+    last = int(number(given.reasons, "reasons", least=0.0)), number(given.fed, "fed", least=0.0)
+    return Inputs._make((number(given.speed, "speed"), load, *known, degc, *others, *last))
+
+
+def is_as_compiled(inputs: Inputs, assemblies: int, belts: int) -> bool:
+    """Whether inputs have the types and shapes of `checked` ones: for others a kernel would be compiled again, for seconds."""
+    if type(inputs) is not Inputs or tuple(map(type, inputs)) != KINDS:
+        return False
+    load, degc = inputs.load, inputs.belt_measured
+    shaped = load.shape == (assemblies,) and degc.shape == (belts,)
+    return shaped and load.dtype == degc.dtype == FLOAT and load.flags.carray and degc.flags.carray
 
 
 def duration(given: ArrayLike, where: str) -> float:
@@ -125,7 +204,7 @@ def duration(given: ArrayLike, where: str) -> float:
 
 def times(given: ArrayLike, where: str) -> Array:
     """Times of a series [s]; InputError unless they are finite and do not fall."""
-    found = np.ascontiguousarray(floats(given, where))
+    found = floats(given, where)
     if found.ndim != 1:
         raise InputError(where, f"an array of shape {found.shape}", "shape (times,)")
     is_wrong = ~np.isfinite(found)

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros import checks
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
@@ -72,7 +73,7 @@ def state_file(path: str | PathLike[str], where: str) -> Path:
 
     Raises InputError for no such folder, or something in its place that is not a state file; `where` names the argument.
     """
-    file = Path(path)
+    file = checks.path(path, where)
     if not file.parent.is_dir() or (file.exists() and not file.is_file()):
         raise InputError(where, str(file), "a file in a folder that exists")
     try:

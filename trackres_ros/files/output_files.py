@@ -11,6 +11,7 @@ from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryFile
 
+from trackres_ros import checks
 from trackres_ros.errors import InputError, MissingExtraError
 
 BAG_SUFFIX = ".mcap"
@@ -30,7 +31,7 @@ def output_file(path: str | PathLike[str], suffixes: Sequence[str] = OUTPUT_SUFF
 
     Raises InputError otherwise; `where` names the argument.
     """
-    file = Path(path)
+    file = checks.path(path, where)
     if not file.name.lower().endswith(tuple(suffixes)):
         raise InputError(where, str(file), f"a file name that ends in {', '.join(suffixes)}")
     if not file.parent.is_dir():
@@ -48,7 +49,7 @@ def output_file(path: str | PathLike[str], suffixes: Sequence[str] = OUTPUT_SUFF
 
 def picture_file(path: str | PathLike[str], where: str = "path") -> Path:
     """The path, if its suffix is a known format of pictures; its folder is created. Raises InputError otherwise."""
-    file = Path(path)
+    file = checks.path(path, where)
     if file.name.lower().endswith(PICTURE_SUFFIXES):
         _try_to_write(file.parent, file, where)
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -60,7 +61,7 @@ def output_folder(path: str | PathLike[str], where: str = "output", names: Itera
 
     Raises InputError otherwise; `where` names the argument.
     """
-    folder = Path(path)
+    folder = checks.path(path, where)
     if folder.exists() and not folder.is_dir():
         raise InputError(where, str(folder), "a folder; a file of that name exists")
     _try_to_write(folder, folder, where)

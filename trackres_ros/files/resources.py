@@ -6,6 +6,7 @@
 import os
 from pathlib import Path
 
+from trackres_ros import checks
 from trackres_ros.errors import InputError, nearest
 
 PACKAGE = "trackres_ros"
@@ -65,15 +66,13 @@ def cache_dir() -> Path | None:
 
 def _find(what: str, path_or_name: str | os.PathLike[str], shipped: dict[str, Path]) -> Path:
     """The path if a file exists there, else the shipped file of that name."""
-    path, name = Path(path_or_name), str(path_or_name)
-    try:
-        if path.is_file():
-            return path
-    except ValueError:  # a null byte
-        pass
+    allowed = f"the path of a {what} file, or one of {', '.join(shipped)}"
+    path, name = checks.path(path_or_name, what, allowed), str(path_or_name)
+    if path.is_file():
+        return path
     if name in shipped:
         return shipped[name]
-    raise InputError(what, name, f"the path of a {what} file, or one of {', '.join(shipped)}", nearest(name, shipped))
+    raise InputError(what, name, allowed, nearest(name, shipped))
 
 
 def _with_section(section: str) -> dict[str, Path]:

@@ -8,12 +8,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from trackres_ros import checks
+from trackres_ros.errors import InputError
 from trackres_ros.model import belt as belt_model
 from trackres_ros.model.hysteresis import METHODS, LossMethod
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import ThermalNetwork, parting_resistance, thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.vehicle import Track, Vehicle
+from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Track, Vehicle
+from trackres_ros.vehicle.schema import MODEL_CHOICES
 
 SURE_SPEED = 5.0  # m/s at which the belt tension is stated; it hardly depends on it
 
@@ -49,8 +52,18 @@ def belt_network(vehicle: Vehicle, track_name: str) -> ThermalNetwork:
     return thermal_network(vehicle.thermal, vehicle.tracks[track_name].belt, vehicle.rubber, of_effects)
 
 
-def with_methods(vehicle: Vehicle, hysteresis: str | None = None, thermal: str | None = None) -> Vehicle:
-    """The same vehicle with other methods than its file names."""
+def with_methods(vehicle: AnyVehicle, hysteresis: str | None = None, thermal: str | None = None) -> AnyVehicle:
+    """The same vehicle with other methods than its file names.
+
+    Raises InputError for an unknown method, and for any of a vehicle without belts.
+    """
+    for where, given, key in (("method", hysteresis, "hysteresis"), ("thermal", thermal, "thermal")):
+        if given is not None:
+            checks.one_of(given, where, MODEL_CHOICES[key])
+            if isinstance(vehicle, RoadVehicle):
+                raise InputError(where, given, f"none for {vehicle.name}: the base model road_load has no belts")
+    if isinstance(vehicle, RoadVehicle):
+        return vehicle
     return replace(vehicle, hysteresis=hysteresis or vehicle.hysteresis, thermal=thermal or vehicle.thermal)
 
 

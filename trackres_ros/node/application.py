@@ -139,7 +139,7 @@ class Application:
     def _step(self, channel: int, stamp: int, value: float, steady: int, now: int, arrival: int) -> None:
         counters = self.session.memory.counters
         before, doubted = counters[channel, ACCEPTED], counters[channel, IMPLAUSIBLE]
-        estimate = self.session.handle(channel, stamp, arrival, value)
+        estimate = self.session.feed(channel, stamp, arrival, value)
         if counters[channel, ACCEPTED] != before:
             self._watch.accepted_ns[channel] = steady
         elif counters[channel, IMPLAUSIBLE] != doubted:

@@ -154,7 +154,7 @@ class LearningSteps:
         session, learner = self._session, self._learner
         rows, stamps, arrivals = [], [], []
         for message in zip(channel.tolist(), stamp_ns.tolist(), arrival_ns.tolist(), value.tolist(), strict=True):
-            estimate = session.handle(*message)
+            estimate = session.feed(*message)
             if estimate is None:
                 continue
             row, stamp = estimate.row.tolist(), int(session.memory.times[at.SPEED, at.Times.last_stamp])

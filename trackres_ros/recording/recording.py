@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from trackres_ros.recording.bindings import Topics
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Recording:
     """A recording in memory; also a `Source` that yields its samples in the order of reading.
 
@@ -35,7 +35,7 @@ class Recording:
     name : str
         Name of the source.
     series : mapping of role to Series
-        Samples by role, including roles without a sample.
+        Samples by role, including roles without a sample; arrays are read-only.
     notes : tuple of str
         Guesses and the stamps in use.
     findings : tuple of Finding
@@ -197,7 +197,10 @@ def _series_of(blocks: Sequence[SampleBlock], index: int) -> Series:
     rows = [block.role == index for block in blocks]
 
     def joined(name: str, kind: type) -> NDArray[Any]:
-        return np.concatenate([np.empty(0, kind), *(getattr(block, name)[at] for block, at in zip(blocks, rows, strict=True))])
+        parts = (getattr(block, name)[at] for block, at in zip(blocks, rows, strict=True))
+        column = np.concatenate([np.empty(0, kind), *parts])
+        column.setflags(write=False)
+        return column
 
     return Series(joined("stamp_ns", np.int64), joined("arrival_ns", np.int64), joined("value", np.float64))
 

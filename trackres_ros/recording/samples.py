@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class SampleBlock:
     """A run of samples in log order; all arrays have the same length n."""
 
@@ -81,7 +81,7 @@ class BoundSource(Source, Protocol):
         """By role."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Series:
     """All samples of one role, in log order; arrays as in `SampleBlock`."""
 

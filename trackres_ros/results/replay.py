@@ -112,11 +112,11 @@ class ReplayResult(SeriesResult):
 
     def __getitem__(self, name: str) -> Array:
         if name == "stamp_ns":
-            return self._stamps
+            return self._stamps.copy()
         if name == "time_s":
             return np.asarray((self._stamps - self._stamps[0]) * NANOSECOND)
         if name in DisturbanceColumns(self.vehicle).names:
-            return self._watched[name]
+            return self._watched[name].copy()
         if name not in self._of_rows:
             raise KeyError(name)
         column = self._of_rows.index(name)

@@ -33,7 +33,7 @@ SHOWN_ROWS = 8
 
 
 class SeriesResult(Mapping[str, Array]):
-    """Results over time: a mapping of column name to an array of shape (times,), the unit in the name.
+    """Results over time: a mapping of column name to an array of shape (times,) of the caller's own, the unit in the name.
 
     Torques are of the whole vehicle at the sprockets, positive where they resist forward travel; a column of one assembly
     ends in its name, ``belt_degc/front_left``.
@@ -61,6 +61,9 @@ class SeriesResult(Mapping[str, Array]):
     def _coverage(self) -> Array | None:
         """Seconds used for learning, if any."""
         return None
+
+    __eq__ = object.__eq__  # of a mapping it compares the arrays, whose truth is ambiguous
+    __hash__ = object.__hash__
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.columns)

@@ -83,7 +83,7 @@ class SimulationResult(SeriesResult):
         return tuple(self._series)
 
     def __getitem__(self, name: str) -> Array:
-        return self._series[name]
+        return self._series[name].copy()
 
     def _drawn(self) -> Mapping[str, Array]:
         return self._series

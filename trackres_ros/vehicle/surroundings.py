@@ -14,6 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from trackres_ros import checks
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.files.yamls import read_yaml
@@ -38,9 +39,9 @@ def with_surroundings(vehicle: Kind, file: str | os.PathLike[str] | None) -> Kin
     InputError
         See `load_surroundings`.
     """
-    if not file:
+    if file is None or (isinstance(file, str) and not file):
         return vehicle
-    path, size = Path(file), vehicle.size
+    path, size = checks.path(file, "surroundings"), vehicle.size
     around = load_surroundings(path, vehicle.name, size, isinstance(vehicle, RoadVehicle))
     return replace(vehicle, surroundings=around, surroundings_source=path, route=load_route(path, size))
 

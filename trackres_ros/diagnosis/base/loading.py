@@ -53,7 +53,7 @@ def load_base(
         If the file cannot be used, or the vehicle has other values than its file.
     """
     if isinstance(vehicle, OwnModel):
-        if surroundings:
+        if surroundings is not None:
             raise InputError("surroundings", str(surroundings), "none with a model of your own", "list its effects in the model")
         return LoadedBase(OwnBase(vehicle), vehicle.name, vehicle.known)
     settings = settings_for(Settings(), topics)
@@ -61,9 +61,10 @@ def load_base(
         _check_as_in_its_file(vehicle)
     elif not isinstance(vehicle, RoadVehicle):
         vehicle = load_any(vehicle)
+    vehicle = with_surroundings(with_methods(vehicle, hysteresis, thermal), surroundings)
     if isinstance(vehicle, RoadVehicle):
-        return _road(with_surroundings(vehicle, surroundings), settings)
-    track = with_surroundings(with_methods(vehicle, hysteresis, thermal), surroundings)
+        return _road(vehicle, settings)
+    track = vehicle
     known = GateSettings(
         track.weight,
         track.chassis.max_speed,

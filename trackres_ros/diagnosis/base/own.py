@@ -8,11 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros import checks
 from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, LastSimulation, Predicted, Values
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, with_unseen
 from trackres_ros.diagnosis.prepare.settings import GateSettings
@@ -75,17 +77,24 @@ class OwnModel:
     effects: tuple[Active, ...] = field(default=())
 
     def __post_init__(self) -> None:
-        for name, (value, low, high, _) in self.parameters.items():
-            if not (-math.inf < low <= value <= high < math.inf):
-                raise InputError(f"{self.name}: {name}", (value, low, high), "a value within a finite least and greatest one")
+        checks.function(self.torque, f"{self.name}: torque")
+        if not isinstance(self.parameters, Mapping):
+            raise InputError(f"{self.name}: parameters", self.parameters, "a mapping of name to (value, least, greatest, unit)")
+        for name, of in self.parameters.items():
+            if not (isinstance(of, Sequence) and len(of) == 4 and _are_numbers(*of[:3]) and of[1] <= of[0] <= of[2]):
+                raise InputError(f"{self.name}: {name}", of, "a value within a finite least and greatest one, and a unit")
         for name in ("max_speed", "max_torque"):
-            if not 0.0 < getattr(self, name) < math.inf:
+            if not (_are_numbers(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"{self.name}: {name}", getattr(self, name), "a positive number")
 
     @property
     def known(self) -> GateSettings:
         """Facts for the checks of the recordings."""
         return GateSettings(self.max_torque / SIZE, self.max_speed, AMBIENT_DEGC, None)
+
+
+def _are_numbers(*given: object) -> bool:
+    return all(isinstance(one, Real) and math.isfinite(one) for one in given)
 
 
 class OwnBase(Base):
