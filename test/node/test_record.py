@@ -190,14 +190,14 @@ def test_messages_held_in_a_pause_replay_with_their_stamps(desk, tmp_path):
     unstamped = "\n".join(f"{role}: {{topic: {role}, type: {NUMBER}, field: data}}" for role in ("ambient", "load"))
     (tmp_path / "topics.yaml").write_text(f"speed: {{topic: speed, type: {TWIST}, field: twist.linear.x}}\n{unstamped}\n")
     d = desk(topics=str(tmp_path / "topics.yaml"), learning="off", input_depth=1000)
-    handle, now_ns, chance, stamps = d.app.session.handle, d.app.clock.now_ns, random.Random(4), []
+    feed, now_ns, chance, stamps = d.app.session.feed, d.app.clock.now_ns, random.Random(4), []
 
     def watched(channel, stamp, *others):
         if channel == LOAD:
             stamps.append(stamp)
-        return handle(channel, stamp, *others)
+        return feed(channel, stamp, *others)
 
-    d.app.session.handle = watched
+    d.app.session.feed = watched
     d.app.clock.now_ns = lambda steady: now_ns(steady) + chance.randrange(2000)  # it is read after the steady clock
     wire = Wire(d, tmp_path / "live.mcap")
     publish, work = in_haste(wire, 1000, chance, unknown=0.0)
