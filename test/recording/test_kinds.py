@@ -22,7 +22,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import trackres_ros as tr
-from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.errors import DISTRIBUTIONS, InputError, MissingExtraError
 from trackres_ros.recording.bindings import TIME, Topics
 from trackres_ros.recording.can_signals import is_unavailable
 from trackres_ros.recording.channel_file import Channel, ChannelFile
@@ -552,7 +552,7 @@ def test_a_missing_library_says_how_to_install_it(files, monkeypatch):
     for kind, module in kinds.items():
         with monkeypatch.context() as without:
             without.setitem(sys.modules, module, None)
-            with pytest.raises(MissingExtraError, match=rf"pip install (python-)?{module} .*\[\w+\]"):
+            with pytest.raises(MissingExtraError, match=rf"pip install {DISTRIBUTIONS.get(module, module)} .*\[\w+\]"):
                 open_source([files[kind][0]], files[kind][1])
 
 
