@@ -42,11 +42,11 @@ def candidate(name, worth=20.0, effect=None):
     return Candidate(name, fit, worth + 2.0, worth, 0.0, 0.5, 5.0, 0.1, 0.0)
 
 
-def found(name="scrub", members=None, improvement=BETTER, on_bounds=(), adds=100.0, rivals=()):
+def found(name="scrub", members=None, improvement=BETTER, on_bounds=(), adds=100.0, rivals=(), worse=()):
     members = members or (name,)
     chosen = candidate(name)
     weights = dict.fromkeys(members, 1.0 / len(members))
-    step = Step(None, None, 5.0, 5.0, (), (chosen, *rivals), chosen, members, weights, 1.0)
+    step = Step(None, None, 5.0, 5.0, (), (chosen, *rivals), chosen, members, worse, weights, 1.0)
     graded = Graded(name, improvement, on_bounds)
     series = [np.full(100, adds)]
     return NamedEffect(
@@ -434,7 +434,9 @@ def test_the_next_best_is_told_with_how_much_less_likely_it_is():
 
 def test_a_rival_with_as_much_evidence_lost_on_the_unused_laps():
     rival = candidate("delay", worth=19.5)
-    assert "Delay fits as well, but predicts the hold-out laps significantly worse" in said([found(rivals=(rival,))]).sentence
+    assert "Delay fits as well, but the hold-out laps do not confirm it." in said([found(rivals=(rival,))]).sentence
+    beaten = found(rivals=(rival,), worse=("delay",))
+    assert "Delay fits as well, but predicts the hold-out laps significantly worse." in said([beaten]).sentence
 
 
 def test_a_form_with_as_much_evidence_predicts_no_worse():

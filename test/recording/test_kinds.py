@@ -104,7 +104,10 @@ def test_every_unit_of_a_role_is_known_in_any_spelling():
         assert conversion(about.unit, about.unit) == (1.0, 0.0), role
         for unit in about.columns.values():
             assert conversion(unit, about.unit), role
-    for given_, inside, same in (("N·m", "Nm", "Nm"), ("°C", "degC", "degC"), ("KM/H", "m/s", "km/h"), ("m/s^2", "m/s2", "m/s2")):
+    for given_, inside, same in (
+        ("N·m", "Nm", "Nm"), ("°C", "degC", "degC"), ("KM/H", "m/s", "km/h"), ("m/s^2", "m/s2", "m/s2"), ("kn", "m/s", "knots"),
+        ("kn", "N", "kN"), ("lb", "N", "lbf"), ("hPa", "Pa", "mbar"), ("µs", "s", "us"),
+    ):  # fmt: skip
         assert conversion(given_, inside) == UNITS[inside][same]
     assert conversion("degF", "degC") == pytest.approx((5 / 9, -17.7777777777))
     for wrong, inside in (("rpm", "m/s"), ("Nm", "N"), ("km/h", "Nm")):

@@ -17,8 +17,8 @@ from trackres_ros.diagnosis.prepare.refuse import refuse_repeated
 from trackres_ros.diagnosis.prepare.resample import resample
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import GateSettings
-from trackres_ros.diagnosis.prepare.unit_checks import Conversion
 from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.role_units import Conversion
 from trackres_ros.recording.samples import Series
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import GRAVITY

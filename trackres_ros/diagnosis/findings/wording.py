@@ -22,6 +22,7 @@ from trackres_ros.text.numbers import figures, on_scale
 MOST_CERTAIN = 20.0  # in log-likelihood: upper limit of a stated certainty
 LEAST_SHARE = 0.05  # of the probability: less likely options are not listed
 MOST_LISTED = 5
+NOT_CONFIRMED = "the hold-out laps do not confirm it"
 LEAST_AHEAD = 1.0  # in log-evidence: a rival with a smaller disadvantage fits as well
 MOST_WORDS = 25  # of a sentence
 NONE_OF_THESE = "none of these"
@@ -254,7 +255,8 @@ def _rival(f: NamedEffect, listed: Possible) -> str:
     if f.step.chosen.net_evidence - next_best.net_evidence < LEAST_AHEAD:
         if not next_best.is_name:
             return f"{upper(next_best.name)} fits as well, but is a form: it bends to the data"
-        return f"{upper(next_best.name)} fits as well, but predicts the hold-out laps significantly worse"
+        on_laps = "predicts the hold-out laps significantly worse" if next_best.name in f.step.worse else NOT_CONFIRMED
+        return f"{upper(next_best.name)} fits as well, but {on_laps}"
     return f"The next best explanation, {next_best.name}, is {likelier(f.step.chosen, next_best)} times less likely"
 
 

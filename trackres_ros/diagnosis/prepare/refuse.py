@@ -17,9 +17,9 @@ import numpy as np
 from trackres_ros.diagnosis.prepare.same_drive import Course, common_roles, same_drive
 from trackres_ros.diagnosis.prepare.session import MOST_LAGS, DriveSession
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, SLOWEST_SHARE, STEP_S
-from trackres_ros.diagnosis.prepare.unit_checks import Conversion
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.role_units import Conversion
 from trackres_ros.recording.samples import Series
 from trackres_ros.recording.torque_candidates import remedy_of
 from trackres_ros.units import KMH_PER_MPS

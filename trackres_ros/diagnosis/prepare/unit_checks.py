@@ -6,44 +6,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import PLAUSIBLE
+from trackres_ros.recording.role_units import UNITS, Conversion
 from trackres_ros.recording.roles import ROLES, base_role
 from trackres_ros.recording.samples import Series
-from trackres_ros.units import GRAVITY, KMH_PER_MPS
+from trackres_ros.units import GRAVITY
 
-CELSIUS_OF_KELVIN, CELSIUS_OF_FAHRENHEIT = (1.0, -273.15), (5.0 / 9.0, -160.0 / 9.0)
 HOTTEST_AIR_DEGC = 50.0  # as a median of hours; the record of a moment in the shade is 57
 UNUSUAL_AIR_DEGC = 40.0
 WEIGHTS = (0.3, 2.5)  # over that of the vehicle file: range for a lighter or loaded vehicle
 USUAL_WEIGHTS = (0.6, 1.7)
 AROUND = 1.7  # either way of a unit's factor
-LOAD_UNITS = {"kN": 1e3, "t": 1e3 * GRAVITY, "kg": GRAVITY, "lbf": 4.4482, "daN": 10.0}
 FASTEST_TURN, STEEPEST = PLAUSIBLE["yaw_rate"][1], PLAUSIBLE["grade"][1]
-DEGREE = np.pi / 180.0
 SPEED_OFF = 0.01  # against the recorded distance
 RELATED = 0.8  # correlation from which the ratio of two series is due to units
 FEWEST = 30
-OF_SPEED = {"km/h": 1.0 / KMH_PER_MPS, "mph": 0.44704, "knots": 0.51444, "mm/s": 1e-3, "cm/s": 1e-2}
-
-
-class Conversion(NamedTuple):
-    """Conversion of another unit to the unit of a role."""
-
-    scale: float = 1.0
-    offset: float = 0.0
-
-    def line(self, role: str) -> str:
-        """Line for the topics file."""
-        parts = {name: f"{x:.5g}" for name, x in self._asdict().items() if x != Conversion._field_defaults[name]}
-        asked = " and ".join(f"{'an' if name == 'offset' else 'a'} {name} of {x}" for name, x in parts.items())
-        listed = ", ".join(f"{name}: {x}" for name, x in parts.items())
-        return f"give it {asked} in the topics file, {role}: {{..., {listed}}}"
 
 
 def check_units(name: str, series: Mapping[str, Series], weight: float) -> list[str]:
@@ -58,12 +40,12 @@ def check_units(name: str, series: Mapping[str, Series], weight: float) -> list[
         if base in ("ambient", "belt"):
             said += _temperature(where, role, middle, HOTTEST_AIR_DEGC if base == "ambient" else PLAUSIBLE["belt"][1])
         elif base == "yaw_rate" and most > FASTEST_TURN:
-            _refuse(where, f"{most:.3g} rad/s", f"at most {FASTEST_TURN:g}", "degrees a second", Conversion(DEGREE), role)
+            _refuse(where, f"{most:.3g} rad/s", f"at most {FASTEST_TURN:g}", "deg/s", role)
         elif base == "grade" and most > STEEPEST:
             allowed = f"rise over run, at most {STEEPEST:g}"
-            _refuse(where, f"slopes of {most:.3g}", allowed, "percent", Conversion(0.01), role)
+            _refuse(where, f"slopes of {most:.3g}", allowed, "%", role)
         elif base == "heading" and _turns_by(value, 360.0) and not _turns_by(value, 2.0 * np.pi):
-            _refuse(where, "jumps of 360", "an angle in rad", "degrees", Conversion(DEGREE), role)
+            _refuse(where, "jumps of 360", "an angle in rad", "deg", role)
     said += _weight(name, series, weight)
     return said
 
@@ -76,23 +58,21 @@ def check_speed_unit(name: str, speed: Array, accel: Array, recorded_accel: Arra
     """
     if recorded_accel is not None:
         ratio = _ratio(recorded_accel, accel)
-        for unit, factor in OF_SPEED.items():
+        for unit, (factor, _) in _others("speed").items():
             if ratio and 1.0 / AROUND**0.5 < ratio / factor < AROUND**0.5:
                 given = f"changes {1.0 / ratio:.2g} times as fast as the recorded acceleration says"
-                _refuse(f"{name}: speed", given, "a speed in m/s", unit, Conversion(factor), "speed")
+                _refuse(f"{name}: speed", given, "a speed in m/s", unit, "speed")
         if ratio and GRAVITY / AROUND**0.5 < 1.0 / ratio < GRAVITY * AROUND**0.5:
             given = f"{ratio:.2g} times the acceleration from the speed"
-            _refuse(f"{name}: accel", given, "an acceleration in m/s2", "g", Conversion(GRAVITY), "accel")
+            _refuse(f"{name}: accel", given, "an acceleration in m/s2", "g", "accel")
     ratio = _ratio(distance, speed) if distance is not None else 0.0
     if ratio:
-        for unit, factor in OF_SPEED.items():
+        for unit, (factor, _) in _others("speed").items():
             if 0.9 < ratio / factor < 1.1:
                 given = f"{1.0 / ratio:.2f} times as fast as the recorded distance grows"
-                _refuse(f"{name}: speed", given, "a speed in m/s", unit, Conversion(factor), "speed")
+                _refuse(f"{name}: speed", given, "a speed in m/s", unit, "speed")
         if 0.9 < 1e3 * ratio < 1.1:
-            _refuse(
-                f"{name}: distance", f"{ratio:.2g} times the distance from the speed", "metres", "km", Conversion(1e3), "distance"
-            )
+            _refuse(f"{name}: distance", f"{ratio:.2g} times the distance from the speed", "metres", "km", "distance")
         off = 1.0 / ratio - 1.0
         if abs(off) > SPEED_OFF:
             more = "more" if off > 0.0 else "less"
@@ -100,21 +80,25 @@ def check_speed_unit(name: str, speed: Array, accel: Array, recorded_accel: Arra
     return []
 
 
-def _refuse(where: str, given: str, allowed: str, unit: str, conversion: Conversion, role: str) -> None:
-    raise InputError(where, given, allowed, f"if it is in {unit}, {conversion.line(role)}")
+def _others(role: str) -> dict[str, Conversion]:
+    """Conversions from the other units of a role."""
+    inside = ROLES[base_role(role)].unit
+    return {unit: one for unit, one in UNITS[inside].items() if unit != inside}
+
+
+def _refuse(where: str, given: str, allowed: str, unit: str, role: str) -> None:
+    raise InputError(where, given, allowed, f"if it is in {unit}, {_others(role)[unit].line(role)}")
 
 
 def _temperature(where: str, role: str, middle: float, hottest: float) -> list[str]:
     low = PLAUSIBLE["ambient"][0]
-    for unit, (scale, offset) in (("kelvin", CELSIUS_OF_KELVIN), ("fahrenheit", CELSIUS_OF_FAHRENHEIT)):
-        conversion = Conversion(scale, offset)
+    for unit, (scale, offset) in _others(role).items():
         if low <= scale * middle + offset <= hottest < middle:
-            _refuse(where, f"{middle:.4g} degC (median)", f"{low:g} to {hottest:g} degC", unit, conversion, role)
+            _refuse(where, f"{middle:.4g} degC (median)", f"{low:g} to {hottest:g} degC", unit, role)
     if not low <= middle <= hottest:
         raise InputError(where, f"{middle:.4g} degC (median)", f"{low:g} to {hottest:g} degC", "is the sensor connected?")
     if base_role(role) == "ambient" and middle > UNUSUAL_AIR_DEGC:
-        line = Conversion(*CELSIUS_OF_FAHRENHEIT).line(role)
-        return [f"{where}: air of {middle:.0f} degC is unusual; if it is in fahrenheit, {line}"]
+        return [f"{where}: air of {middle:.0f} degC is unusual; if it is in degF, {_others(role)['degF'].line(role)}"]
     return []
 
 
@@ -128,9 +112,9 @@ def _weight(name: str, series: Mapping[str, Series], weight: float) -> list[str]
     where, role, low, high = f"{name}: {', '.join(roles)}", roles[0], *WEIGHTS
     given = f"{share * weight:.4g} {ROLES['load'].unit}, {share:.2g} of the vehicle file's {weight:.4g} N"
     if not low <= share <= high:
-        for unit, factor in LOAD_UNITS.items():
-            if 1.0 / AROUND < share * factor < AROUND:
-                _refuse(where, given, f"{low:g} to {high:g} of it", unit, Conversion(factor), role)
+        for unit, other in _others(role).items():
+            if 1.0 / AROUND < share * other.scale < AROUND:
+                _refuse(where, given, f"{low:g} to {high:g} of it", unit, role)
         remedy = "give the weight of the whole vehicle; for a payload, add the empty weight as offset in the topics file"
         raise InputError(where, given, f"{low:g} to {high:g} of it", remedy)
     if not USUAL_WEIGHTS[0] <= share <= USUAL_WEIGHTS[1]:

@@ -21,7 +21,7 @@ from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.findings.found import NamedEffect
 from trackres_ros.diagnosis.findings.locate import residual_sources
 from trackres_ros.diagnosis.findings.residual_bins import Bin
-from trackres_ros.diagnosis.findings.wording import LEAST_AHEAD, joined, likelier, rejected
+from trackres_ros.diagnosis.findings.wording import LEAST_AHEAD, NOT_CONFIRMED, joined, likelier, rejected
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.series import runs
@@ -206,11 +206,12 @@ def _why(c: Candidate, step: Step) -> str:
     if not c.matters:
         return f"adds only {c.share:.1%} of the torque"
     if step.chosen is None:
-        return "hold-out laps do not confirm it"
+        return NOT_CONFIRMED
     if c.net_evidence > step.chosen.net_evidence - LEAST_AHEAD:
         if step.chosen.is_name and not c.is_name:
             return f"fits as well as {step.chosen.name}, but is a form: it bends to the data"
-        return f"fits as well as {step.chosen.name}, but hold-out laps decide for {step.chosen.name}"
+        on_laps = f"hold-out laps decide for {step.chosen.name}" if c.name in step.worse else NOT_CONFIRMED
+        return f"fits as well as {step.chosen.name}, but {on_laps}"
     return f"{likelier(step.chosen, c)} times less likely than {step.chosen.name}"
 
 

@@ -250,17 +250,21 @@ class Choice:
         judged = {name: best} | {other: self.judged(e) for other, e in rivals.items() if e is not None}
         judged = {other: j for other, j in judged.items() if j is best or self._is_confirmed(j)}
         shares = dict(zip(judged, self._validation.shares([j.score for j in judged.values()]).tolist(), strict=True))
-        as_good = {
-            c.name
-            for c in near
-            if c.name in judged and c.net_evidence > chosen.net_evidence - ALIKE_WITHIN and not self._beats(best, judged[c.name])
-        }
+        worse = {other for other, j in judged.items() if j is not best and self._beats(best, j)}
+        as_likely = {c.name for c in near if c.net_evidence > chosen.net_evidence - ALIKE_WITHIN}
+        as_good = (as_likely & judged.keys()) - worse
         members = _class_of(name, shares, (alike & shares.keys()) | as_good)
         total = sum(shares[m] for m in members)
         weights = {m: shares[m] / max(total, 1e-12) for m in members}
         rest = [c for c in step.candidates if c.name != name]
         return replace(
-            step, candidates=(chosen, *rest), chosen=chosen, members=tuple(members), weights=weights, stability=float(total)
+            step,
+            candidates=(chosen, *rest),
+            chosen=chosen,
+            members=tuple(members),
+            worse=tuple(sorted(worse)),
+            weights=weights,
+            stability=float(total),
         )
 
     def _shares(self, judged: Sequence[ScoredExplanation], chosen: Key) -> dict[str, float]:
