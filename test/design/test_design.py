@@ -396,6 +396,17 @@ def test_the_command_says_what_to_measure_first(good, tmp_path, monkeypatch):
         sensing.sensitivity("agri3t", 2.5, AIR, 12)
 
 
+def test_one_value_with_a_range_is_measured_and_none_is_refused(monkeypatch):
+    pytest.importorskip("SALib")
+    monkeypatch.setattr(executor, "find_spec", lambda _name: None)
+    monkeypatch.setattr(sensing, "scalars", lambda _: ["rubber.loss_modulus_scale"])
+    found = sensing.sensitivity("agri3t", 2.5, AIR, 8)
+    assert "Measure rubber.loss_modulus_scale: no other value with a range moves it." in found.text("warm_nm")
+    monkeypatch.setattr(sensing, "scalars", lambda _: [])
+    with pytest.raises(tr.InputError, match="no value with a range"):
+        sensing.sensitivity("agri3t", 2.5, AIR, 8)
+
+
 @pytest.mark.parametrize(
     "words",
     [("sweep", "agri3t", "--vary", "loss_modulus_scale=0.8,1.2"), ("explain", "--vehicle", "agri3t", "--belt-degc", "20")],

@@ -93,7 +93,6 @@ class SensitivityResult:
             for path in ranked[:MOST_SHOWN]
         ]  # fmt: skip
         head = ("value", "alone\n%", "", "with others\n%", "", f"at its low\n{unit}", f"at its high\n{unit}")
-        first, second = (short(path, paths) for path in ranked[:2])
         kmh = KMH_PER_MPS * self.speed
         lines = [
             f"{NAMES[outcome]} of {self.vehicle} at {kmh:g} km/h, air {self.ambient:g} degC: {figures(self.nominal[outcome], 4)} "
@@ -102,9 +101,7 @@ class SensitivityResult:
         ]
         rest = [path for path in ranked[MOST_SHOWN:] if of[path].total > 0.0]
         lines += [f"and {len(rest)} more with smaller shares"] if rest else []
-        apart = of[ranked[0]].total - of[ranked[1]].total > math.hypot(of[ranked[0]].total_pm, of[ranked[1]].total_pm)
-        open_ = f"Measure {first} or {second} first: {self.samples} samples do not decide which has the larger share."
-        lines.append(f"Measure {first} first, then {second}." if apart else open_)
+        lines.append(self._advice([short(path, paths) for path in ranked[:2]], [of[path] for path in ranked[:2]]))
         for why in dict.fromkeys(self.held.values()):
             lines.append(f"Held: {', '.join(short(p, list(self.held)) for p, of_it in self.held.items() if of_it == why)}: {why}")
         if self.lost:
@@ -112,6 +109,15 @@ class SensitivityResult:
                 f"{self.lost} of {self.samples} draws are dropped, because their vehicles are impossible: {self.why_lost}"
             )
         return "\n".join(lines)
+
+    def _advice(self, names: Sequence[str], largest: Sequence[Index]) -> str:
+        """What to measure first, of the values with the largest shares."""
+        if len(names) == 1:
+            return f"Measure {names[0]}: no other value with a range moves it."
+        (first, second), (one, other) = names, largest
+        if one.total - other.total > math.hypot(one.total_pm, other.total_pm):
+            return f"Measure {first} first, then {second}."
+        return f"Measure {first} or {second} first: {self.samples} samples do not decide which has the larger share."
 
     def as_dict(self) -> dict[str, Any]:
         """Ready for JSON."""
@@ -147,11 +153,13 @@ def sensitivity(
     nominal = _outcomes(variants(vehicle), {}, speed, air)
     ends, held = _ends(vehicle, speed, air, progress)
     reach = {path: np.abs(np.array(both) - nominal).max(axis=0) for path, both in ends.items()}
-    most = np.fmax.reduce(list(reach.values()))
+    most = np.fmax.reduce([np.zeros(len(OUTCOMES)), *reach.values()])
     # A value that ends the balance at one end of its range has no size there, but it moves a lot.
     little = [path for path, moved in reach.items() if np.isfinite(moved).all() and not np.any(moved > LITTLE * most)]
     held |= dict.fromkeys(little, f"it moves nothing by {LITTLE:.0%} of what others do")
     paths = [path for path in ends if path not in little]
+    if not paths:
+        raise InputError(file, "no value with a range that moves an outcome", "at least one", "give ranges in the vehicle file")
     bounds = [(vehicle.parameters[path].low, vehicle.parameters[path].high) for path in paths]
     lost, why = 0, ""
 
