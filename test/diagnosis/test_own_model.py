@@ -125,6 +125,7 @@ def test_a_function_that_fails_is_named(session, torque, said):
         base.predict([session], {}, ())
 
 
-def test_surroundings_are_refused(tmp_path):
-    with pytest.raises(InputError, match="surroundings"):
-        load_base(model(), surroundings=tmp_path / "site.yaml")
+@pytest.mark.parametrize("name", ["surroundings", "hysteresis", "thermal"])
+def test_what_belongs_to_a_vehicle_file_is_refused(name):
+    with pytest.raises(InputError, match="none with a model of your own"):
+        load_base(model(), **{name: "lumped"})

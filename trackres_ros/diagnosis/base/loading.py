@@ -53,8 +53,9 @@ def load_base(
         If the file cannot be used, or the vehicle has other values than its file.
     """
     if isinstance(vehicle, OwnModel):
-        if surroundings is not None:
-            raise InputError("surroundings", str(surroundings), "none with a model of your own", "list its effects in the model")
+        for name, given in (("surroundings", surroundings), ("method", hysteresis), ("thermal", thermal)):
+            if given is not None:
+                raise InputError(name, str(given), "none with a model of your own", "it is part of the model")
         return LoadedBase(OwnBase(vehicle), vehicle.name, vehicle.known)
     settings = settings_for(Settings(), topics)
     if isinstance(vehicle, Vehicle):
