@@ -196,7 +196,7 @@ def test_without_uncertainty_the_std_is_its_sensor_floor():
     estimator = Estimator(load("xgd24d"), sure)
     k = estimator.constants
     k.assembly[:, at.CONSIDER_FACTOR :] = 0.0
-    estimator.kernel_arguments[0]["bearing_relative_std"] = estimator.kernel_arguments[0]["drag_relative_std"] = 0.0
+    estimator.kernel_arguments[0]["bearing_friction_std"] = estimator.kernel_arguments[0]["drag_area_std"] = 0.0
     for speed in (0.0, 8.0):
         estimate = rows_of(estimator, [(0.02, speed)])[-1][1]
         assert estimate.resistance_std_nm == pytest.approx(1e-3 * 3000.0, rel=0.5)

@@ -107,6 +107,26 @@ def test_a_wider_range_in_the_file_is_a_less_sure_torque(part):
     assert less.resistance_torque_nm == known.resistance_torque_nm
 
 
+@pytest.mark.parametrize("learns", [False, True])
+@pytest.mark.parametrize("part", ["rolling_coefficient", "drag_area"])
+def test_a_value_of_0_is_as_uncertain_as_its_range(part, learns):
+    path, width = f"road_load.{part}", BUS.values[part]
+
+    def std(value, high):
+        q = replace(BUS.parameters[path], value=value, low=0.0, high=high)
+        estimator = Estimator(replace(BUS, values={**BUS.values, part: value}, parameters={**BUS.parameters, path: q}))
+        inputs = estimator.inputs(speed=12.0, acceleration=0.0)
+        state = estimator.cold_start(inputs)
+        at.Learned(state.learned).on = float(learns)  # each departure is known to be 0
+        return estimator.step(state, inputs, 0.0)[1].resistance_std_nm
+
+    force = {"rolling_coefficient": BUS.weight, "drag_area": 0.5 * BUS.values["air_density"] * 12.0**2}[part]
+    of_range = BUS.values["wheel_radius"] * force * width / 4.0 / BUS.values["efficiency"]
+    assert std(0.0, width) ** 2 - std(0.0, 0.0) ** 2 == pytest.approx(of_range**2, rel=0.01)
+    if not learns:
+        assert std(0.0, width) == pytest.approx(std(1e-9, width), rel=1e-6)
+
+
 @pytest.mark.parametrize("name", ["bmw_i3", "husky", "ztbus_hess19"])
 def test_the_standard_deviation_is_the_change_by_all_ranges(name):
     vehicle, step = load_any(name), 0.1

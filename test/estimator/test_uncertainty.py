@@ -215,6 +215,20 @@ def test_an_uncertain_loss_is_that_of_the_vehicles_method(xgd24d: Vehicle, hyste
     assert np.exp(logarithms_at(vehicle, "triangular", 8.0, belts, vehicle)[:2]) == pytest.approx(exact, rel=0.01)
 
 
+@pytest.mark.parametrize("path", ["chassis.bearing_friction", "chassis.drag_coefficient"])
+def test_a_value_of_0_is_as_uncertain_as_one_next_to_it(path: str) -> None:
+    def std(vehicle: Vehicle) -> float:
+        estimator = Estimator(vehicle)
+        inputs = estimator.inputs(8.0, acceleration=0.0)
+        return float(estimator.step(estimator.cold_start(inputs), inputs, 0.0)[1].resistance_std_nm)
+
+    make = variants(load("agri3t"))
+    known = make({path: 0.0})
+    certain = replace(known.parameters[path], low=0.0, high=0.0)
+    assert std(known) == pytest.approx(std(make({path: 1e-9})), rel=1e-6)
+    assert std(known) > std(replace(known, parameters={**known.parameters, path: certain}))
+
+
 def test_every_range_of_the_shipped_file_counts(vehicle: Vehicle, cache: Path) -> None:
     """The variance from all ranges is the sum of the variances from each half of them."""
     name = next(iter(vehicle.tracks))

@@ -4,6 +4,7 @@
 """Rules of learning: each by a drive that would break it."""
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from trackres_ros.learning.correction import accepted
 from trackres_ros.learning.disturbances import LASTING_SHARE
 from trackres_ros.learning.filter import corrected
 from trackres_ros.learning.learner import Learner
-from trackres_ros.learning.parameters import SLOW, STATES, VEHICLES_OWN, limits_of, places, rise_torques
+from trackres_ros.learning.parameters import SLOW, STATES, VEHICLES_OWN, limits_of, make_prior, places, rise_torques
 from trackres_ros.learning.vehicle_file import write_learned
 from trackres_ros.vehicle import RoadVehicle
 from trackres_ros.vehicle.writing.vehicle_file import opened
@@ -331,3 +332,13 @@ def test_an_error_of_the_rise_is_in_the_stated_stds(slowest, fastest):
     stated, known = learner.stds(covariance, learner.own), np.sqrt(np.diag(covariance))
     for state in rolling:
         assert abs(mean[state]) == pytest.approx(np.sqrt(stated[state] ** 2 - known[state] ** 2), rel=0.3)
+
+
+def test_a_value_of_0_cannot_depart_by_a_share_of_itself():
+    car, path = tr.load_vehicle("bmw_i3"), "road_load.drag_area"
+
+    def prior(high):
+        known = {**car.parameters, path: replace(car.parameters[path], value=0.0, low=0.0, high=high)}
+        return make_prior(Estimator(replace(car, values={**car.values, "drag_area": 0.0}, parameters=known))).covariance
+
+    assert np.array_equal(prior(0.5), prior(0.0))

@@ -135,7 +135,7 @@ def driven(estimator: Estimator, cycle: DriveCycle, weight: float | None, ambien
 
 
 def with_factors(estimator: Estimator, off: FileErrors, capacity: float = 1.0) -> Estimator:
-    """The same vehicle with losses, cooling, heat capacity, bearings or drag off by a factor; the radius stays.
+    """The same vehicle with losses, cooling or heat capacity off by a factor, or bearings or drag by a sum; the radius stays.
 
     `capacity`: factor on the heat capacity of the belts of `off.track`.
     """
@@ -150,7 +150,8 @@ def with_factors(estimator: Estimator, off: FileErrors, capacity: float = 1.0) -
         (at.Assembly.capacity, capacity),
     ):
         assembly[own, column] *= factor
-    number = k.number._replace(bearing_friction=off.bearing * k.number.bearing_friction, drag_area=off.drag * k.number.drag_area)
+    friction, area = k.number.bearing_friction + off.bearing_friction, k.number.drag_area + off.drag_area
+    number = k.number._replace(bearing_friction=friction, drag_area=area)
     changed.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive)
     changed.kernel_arguments = kernel_arguments(changed.constants, estimator.entries.compiled)
     return changed

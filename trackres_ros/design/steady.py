@@ -50,20 +50,24 @@ class SteadyAssembly:
     cold_loss: float
     bearing: float
     wind: float
+    bearing_each: float  # of a bearing friction of 1, and of a drag area of 1 m^2
+    wind_each: float
     film: float  # heat flow from the surface of the belt to the air [W/K]
     network: ThermalNetwork
 
 
 @dataclass(frozen=True, slots=True)
 class FileErrors:
-    """Factors on uncertain quantities of a vehicle file; loss, film and radius of one kind of track, or of all if it is empty."""
+    """Errors of uncertain quantities of a vehicle file: factors on loss, film and radius of one kind of track, or of all if it is
+    empty; bearing friction and drag area [m^2] that are added, as the file's may be 0.
+    """
 
     track: str = ""
     loss: float = 1.0
     film: float = 1.0
     radius: float = 1.0
-    bearing: float = 1.0
-    drag: float = 1.0
+    bearing_friction: float = 0.0
+    drag_area: float = 0.0
 
 
 AS_IT_IS = FileErrors()
@@ -78,12 +82,13 @@ class Held:
     kinds: tuple[SteadyAssembly, ...]
 
     def solve(self, off: FileErrors = AS_IT_IS) -> Steady:
-        """Its steady state, with some of it off by a factor."""
+        """Its steady state, with some of it off."""
         way = float(resistance.direction(self.speed))
         cold = warm = force = belts = 0.0
         for kind in self.kinds:
             here = off if off.track in ("", kind.track) else AS_IT_IS
-            others = off.bearing * kind.bearing + off.drag * kind.wind
+            others = kind.bearing + kind.wind
+            others += off.bearing_friction * kind.bearing_each + off.drag_area * kind.wind_each
             radius, film = here.radius * kind.radius, here.film * kind.film
             cooled = kind.network.share_outside(film) * film
 
@@ -134,13 +139,16 @@ def held(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = 
         radius, network = model.track.sprocket_radius, model.network
         bearing = float(resistance.bearing_force(speed, load, chassis.bearing_friction))
         drag = wind * load / loads.sum()
+        bearing_each = float(resistance.bearing_force(speed, load, 1.0))
+        drag_each = float(resistance.wind_force(speed, 1.0, chassis.air_density)) * load / loads.sum()
         drive: Array = np.zeros(NODES)
         for _ in range(DRIVE_PASSES):
             loss = np.asarray(model.loss.loss_force(speed, belts, load, drive).total)
             drive = radius * (loss * way + bearing + drag)
         film = float(film_coefficient(speed, network.film_offset, network.film_slope)) * network.area
         course = PchipInterpolator(belts, np.log(loss))
-        of = SteadyAssembly(assembly.track, 1, radius, course, float(loss[0]), bearing, float(drag), film, network)
+        forces = float(loss[0]), bearing, float(drag), bearing_each, float(drag_each)
+        of = SteadyAssembly(assembly.track, 1, radius, course, *forces, film, network)
         kinds[assembly.track, float(load)] = of
     return Held(speed, ambient, tuple(kinds.values()))
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.design.steady import FileErrors
+from trackres_ros.estimator.constants import drag_area_stds
 from trackres_ros.estimator.uncertainty import fits, logarithms_at, slopes
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.reading import FITTED
@@ -25,7 +26,6 @@ Array = NDArray[np.float64]
 STEP = 0.01  # of a factor, for the derivatives
 BEARING, DRAG = "chassis.bearing_friction", "chassis.drag_coefficient"
 AREA = "chassis.frontal_area"
-OF_DRAG = (DRAG, AREA, "chassis.air_density")
 STEADY_COLUMNS = 0, 1, 3  # of slopes with one loss: loss, film and radius
 
 
@@ -36,9 +36,11 @@ class LogDerivatives:
     belts_degc: Array  # temperatures of the loss
     # by track, then by path: loss at each of those temperatures, film, heat capacity and radius
     of_track: Mapping[str, Mapping[str, Array]]
-    # by path: bearing friction, and air drag
-    bearing: Mapping[str, float]
-    drag: Mapping[str, float]
+    # by path, unlike the others the change itself: bearing friction, and drag area [m^2]
+    bearing_friction: Mapping[str, float]
+    drag_area: Mapping[str, float]
+    # of these two: the file's value, or the standard deviation of one of 0
+    sizes: tuple[float, float]
 
 
 def slopes_of(vehicle: Vehicle, speed: float, belts_degc: Array) -> LogDerivatives:
@@ -47,14 +49,12 @@ def slopes_of(vehicle: Vehicle, speed: float, belts_degc: Array) -> LogDerivativ
     def logarithms(track: str) -> Callable[[Vehicle], Array]:
         return lambda moved: logarithms_at(moved, track, speed, belts_degc, vehicle)
 
-    def relative(path: str) -> float:
-        quantity = vehicle.parameters[path]
-        return quantity.standard_deviation / max(abs(float(np.mean(quantity.value))), 1e-12)
-
-    fitted = vehicle.parameters[DRAG].flag == FITTED  # of the whole area
-    drag = {path: relative(path) for path in OF_DRAG if not (fitted and path == AREA)}
+    chassis = vehicle.chassis
+    friction, area = {BEARING: vehicle.parameters[BEARING].standard_deviation}, drag_area_stds(vehicle)
+    of_area = chassis.drag_coefficient * chassis.frontal_area
+    sizes = chassis.bearing_friction or friction[BEARING] or 1.0, of_area or sum(area.values()) or 1.0
     of_track = {name: slopes(vehicle, name, logarithms(name)) for name in vehicle.tracks}
-    return LogDerivatives(belts_degc, of_track, {BEARING: relative(BEARING)}, drag)
+    return LogDerivatives(belts_degc, of_track, friction, area, sizes)
 
 
 def absorbed(vehicle: Vehicle, speed: float, belt_degc: float) -> dict[str, str]:
@@ -87,7 +87,7 @@ def absorbed(vehicle: Vehicle, speed: float, belt_degc: float) -> dict[str, str]
 def moved(known: LogDerivatives, outcomes: Callable[[FileErrors, float], Array], belts_degc: Array) -> dict[str, Array]:
     """Sensitivity of some outcomes to one standard deviation of each value, by path, shape (outcomes,).
 
-    `outcomes`: of factors, and of a factor on the heat capacity, shape (outcomes,); `belts_degc`: belt temperature of the loss in
+    `outcomes`: of errors, and of a factor on the heat capacity, shape (outcomes,); `belts_degc`: belt temperature of the loss in
     each outcome, shape (outcomes,).
     """
     nominal = outcomes(FileErrors(), 1.0)
@@ -108,10 +108,14 @@ def moved(known: LogDerivatives, outcomes: Callable[[FileErrors, float], Array],
             *losses, film, capacity, radius = of.tolist()
             loss = np.interp(belts_degc, known.belts_degc, losses)
             add(path, per_loss * loss + per_film * film + per_capacity * capacity + per_radius * radius)
-    for off, of_chassis in ((FileErrors(bearing=more), known.bearing), (FileErrors(drag=more), known.drag)):
+    friction, area = known.sizes
+    for off, size, of_chassis in (
+        (FileErrors(bearing_friction=STEP * friction), friction, known.bearing_friction),
+        (FileErrors(drag_area=STEP * area), area, known.drag_area),
+    ):
         change = by(off)
-        for path, relative in of_chassis.items():
-            add(path, change * relative)
+        for path, std in of_chassis.items():
+            add(path, change * (std / size))
     return found
 
 

@@ -64,9 +64,9 @@ class Numbers(NamedTuple):
     route_longitude: float
     belt_shows_surface: bool
     bearing_friction: float  # bearing friction over weight, at a crawl
-    bearing_relative_std: float
+    bearing_friction_std: float
     drag_area: float
-    drag_relative_std: float
+    drag_area_std: float  # m^2, with that of the air density
     air_density: float
     rotating_mass_factor: float
     nominal_ambient: float
@@ -187,6 +187,7 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
         belt_shows_surface=settings.belt_sensor == "surface",
         bearing_friction=chassis.bearing_friction,
         drag_area=chassis.drag_coefficient * chassis.frontal_area,
+        drag_area_std=math.hypot(*drag_area_stds(vehicle).values()),
         air_density=chassis.air_density,
         rotating_mass_factor=chassis.rotating_mass_factor,
         nominal_ambient=chassis.ambient,
@@ -267,8 +268,6 @@ def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
         row.share_of_all = load / loads.sum()
     factors = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
     causes = np.array([np.linalg.inv(spreads[a.track].factor[:3, :3]).ravel() for a in vehicle.assemblies])
-    # The fit gave the drag of the whole area; the air density differs from day to day.
-    area = () if vehicle.parameters["chassis.drag_coefficient"].flag == FITTED else ("chassis.frontal_area",)
     return Running(
         np.concatenate([constants, factors, causes], axis=1),
         np.stack([t.loss for t in tables]),
@@ -282,8 +281,7 @@ def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
             "hottest": min(each.hottest for each in covered),
             "fastest_x": min(each.log_reduced_speed for each in covered),
             "two_nodes": two_nodes,
-            "bearing_relative_std": relative_std(vehicle, "chassis.bearing_friction"),
-            "drag_relative_std": relative_std(vehicle, "chassis.drag_coefficient", *area, "chassis.air_density"),
+            "bearing_friction_std": vehicle.parameters["chassis.bearing_friction"].standard_deviation,
             "motor_ratio": math.nan if chassis.motor_ratio is None else chassis.motor_ratio,
             "motor_efficiency": math.nan if chassis.motor_efficiency is None else chassis.motor_efficiency,
         },
@@ -303,20 +301,33 @@ def wheels(vehicle: RoadVehicle) -> Running:
         nothing,
         nothing,
         {
-            "bearing_relative_std": relative_std(vehicle, "road_load.rolling_coefficient"),
+            "bearing_friction_std": vehicle.parameters["road_load.rolling_coefficient"].standard_deviation,
             "rolling_rise": vehicle.values["rolling_rise"],
             "rolling_rise_std": vehicle.parameters["road_load.rolling_rise"].standard_deviation,
-            "drag_relative_std": relative_std(vehicle, "road_load.drag_area", "road_load.air_density"),
             "torque_scale": vehicle.values["torque_scale"],
             "torque_offset": vehicle.values.get("torque_offset", 0.0),
         },
     )
 
 
-def relative_std(vehicle: AnyVehicle, *paths: str) -> float:
-    """Standard deviation of a product of values of the file, over its size."""
-    quantities = [vehicle.parameters[path] for path in paths]
-    return float(np.sqrt(sum((q.standard_deviation / max(abs(float(np.mean(q.value))), 1e-12)) ** 2 for q in quantities)))
+def relative_std(vehicle: AnyVehicle, path: str) -> float:
+    """Standard deviation of a value of the file that cannot be 0, over its size."""
+    quantity = vehicle.parameters[path]
+    return quantity.standard_deviation / float(np.mean(quantity.value))
+
+
+def drag_area_stds(vehicle: AnyVehicle) -> dict[str, float]:
+    """Standard deviation of the drag area [m^2] by path of the value it is due to; the air density's is as if the area had it."""
+    chassis, known = vehicle.chassis, vehicle.parameters
+    area = chassis.drag_coefficient * chassis.frontal_area
+    if isinstance(vehicle, RoadVehicle):
+        stds, density = {"road_load.drag_area": known["road_load.drag_area"].standard_deviation}, "road_load.air_density"
+    else:
+        drag, frontal, density = known["chassis.drag_coefficient"], known["chassis.frontal_area"], "chassis.air_density"
+        stds = {"chassis.drag_coefficient": drag.standard_deviation * chassis.frontal_area}
+        if drag.flag != FITTED:  # the fit gave the drag of the whole area
+            stds["chassis.frontal_area"] = frontal.standard_deviation * chassis.drag_coefficient
+    return stds | {density: area * relative_std(vehicle, density)}
 
 
 def _channel_limits(vehicle: AnyVehicle) -> Array:

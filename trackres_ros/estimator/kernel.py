@@ -54,7 +54,7 @@ from trackres_ros.estimator.records import Carried, Inputs
 from trackres_ros.estimator.road import Road, driving_torque, road_now, torque_of_place
 from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import inlined
-from trackres_ros.model.resistance import direction
+from trackres_ros.model.resistance import direction, wind_force
 
 Array = NDArray[np.float64]
 
@@ -224,14 +224,17 @@ def torque_variance(k: Constants, total: Part, learned: Learned, road: Road, dri
         + work[TERM_GAIN_VARIANCE] * squared(driving)
         + squared(torque_of_place(of_place_std, road.speed) * gain)
     )
-    if learned.on > 0.0:
-        return variance + learned_variance(total, learned, road.rolling_bearing, gain)
+    of_bearing = squared(total.arm * road.weight * number.bearing_friction_std)
+    of_wind = squared(total.arm * wind_force(road.speed, number.drag_area_std, number.air_density))
+    if learned.on > 0.0:  # departures scale the file's values, so a value of 0 keeps its range
+        kept = (of_bearing if number.bearing_friction == 0.0 else 0.0) + (of_wind if number.drag_area == 0.0 else 0.0)
+        return variance + kept * squared(gain) + learned_variance(total, learned, road.rolling_bearing, gain)
     of_file = (
         total.noise
         + squared(total.consider_ambient)
-        + squared(total.arm * (number.bearing_friction * road.weight) * number.bearing_relative_std)
+        + of_bearing
         + squared(total.arm * road.weight * road.speed * number.rolling_rise_std)
-        + squared(total.wind * number.drag_relative_std)
+        + of_wind
     )
     variance += of_file * squared(gain)
     for cause in range(4):

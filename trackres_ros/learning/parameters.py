@@ -185,8 +185,11 @@ def _tied(estimator: Estimator, own: Sequence[int], factor: Array) -> Array:
     causes[at.OF_DRAG, 4] = 0.0  # drag is independent of the mass
     mass = relative_std(vehicle, "road_load.rotating_mass_factor" if wheels else "chassis.rotating_mass_factor")
     covariance = causes @ causes.T
-    covariance[at.OF_BEARING, at.OF_BEARING] += number.bearing_relative_std**2
-    covariance[at.OF_DRAG, at.OF_DRAG] += number.drag_relative_std**2
+    for state, value, std in (
+        (at.OF_BEARING, number.bearing_friction, number.bearing_friction_std),
+        (at.OF_DRAG, number.drag_area, number.drag_area_std),
+    ):
+        covariance[state, state] += (std / value) ** 2 if value else 0.0  # a value of 0 cannot depart by a share of itself
     covariance[at.OF_MASS, at.OF_MASS] += mass**2
     return covariance
 
