@@ -49,6 +49,13 @@ def solved(matrix, rate, start, dt):
     return found[:n], found[n : 2 * n]
 
 
+def walked(matrix, dt):
+    """Integral of e^{matrix t} 1 1' e^{matrix' t} over dt, by Van Loan's block exponential."""
+    n = len(matrix)
+    found = expm(np.block([[-matrix, np.ones((n, n))], [np.zeros((n, n)), matrix.T]]) * dt)
+    return found[n:, n:].T @ found[:n, n:]
+
+
 def lumped(belt):
     """Jacobian of a belt with one node: change per second of each node due to heat and air, per unit."""
     gained, lost = HEAT.power / CAPACITY, HEAT.cooling * (belt[0, 0] - HEAT.surroundings) / CAPACITY
@@ -102,14 +109,29 @@ def test_departures_follow_their_causes_through_the_same_model(name, dt, constan
 
 @pytest.mark.parametrize("dt", STEPS)
 @pytest.mark.parametrize("name", MODELS)
-def test_noise_goes_through_the_model_and_grows_with_time(name, dt, constants, belt):
+def test_noise_goes_through_the_model_like_all_departures(name, dt, constants, belt):
     advance, model, nodes = MODELS[name]
     columns = (at.Belt.noise_1, at.Belt.noise_2)[:nodes]  # one node has one source of noise
     carried = np.array([solved(model(belt)[0], np.zeros(nodes), belt[:nodes, column], dt)[0] for column in columns]).T
     interpreted(advance)(constants, constants.own, belt, HEAT, AMBIENT_STD, dt)
     after = belt[:nodes][:, list(columns)]
-    added = NOISE**2 * dt * np.ones((nodes, nodes))
+    added = NOISE**2 * walked(model(belt)[0], dt)
     assert after @ after.T == pytest.approx(carried @ carried.T + added, rel=1e-8)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_noise_is_the_same_however_a_time_is_cut_and_bounded(name, constants, belt):
+    advance, _, nodes = MODELS[name]
+
+    def covariance(dt, steps):
+        after = belt.copy()
+        for _ in range(steps):
+            interpreted(advance)(constants, constants.own, after, HEAT, AMBIENT_STD, dt)
+        noise = after[:nodes, [at.Belt.noise_1, at.Belt.noise_2]]
+        return noise @ noise.T
+
+    assert covariance(900.0, 1) == pytest.approx(covariance(3.0, 300), rel=1e-9)
+    assert covariance(1e9, 1) == pytest.approx(covariance(1e5, 1), rel=1e-9)
 
 
 @pytest.mark.parametrize("name", MODELS)

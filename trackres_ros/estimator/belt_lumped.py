@@ -29,7 +29,8 @@ def advance_lumped(
     Notes
     -----
     T += dt phi_1(J dt) f, and a departure d += dt phi_1(J dt) (J d + its cause's forcing) [5]. A random part is multiplied by
-    exp(J dt) = 1 + dt phi_1(J dt) J and gains q^2 dt. Heat in and out are integrals of the same linear model.
+    exp(J dt) = 1 + dt phi_1(J dt) J and gains the variance q^2 dt phi_1(2 J dt), the integral of q^2 exp(2 J t). Heat in and out
+    are integrals of the same linear model.
     """
     power, power_slope, cooling, surroundings = heat
     state, per_capacity = Belt(belt[0]), 1.0 / assembly.capacity
@@ -49,6 +50,7 @@ def advance_lumped(
         )
         consider[cause] += mean * (j * consider[cause] + forced)
     state.consider_ambient += mean * (j * state.consider_ambient + cooling * per_capacity * ambient_std)
-    state.noise_1 = math.sqrt(squared(state.noise_1 * (1.0 + mean * j)) + k.number.process_noise * k.number.process_noise * dt)
+    gains = squared(k.number.process_noise) * dt * phi_1(2.0 * j * dt)
+    state.noise_1 = math.sqrt(squared(state.noise_1 * (1.0 + mean * j)) + gains)
     departure = dt * dt * phi_2(j * dt) * f
     return power * dt + power_slope * departure, cooling * (above * dt + departure)

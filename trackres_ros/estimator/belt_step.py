@@ -22,6 +22,7 @@ from trackres_ros.estimator.belt_two_nodes import advance_two_nodes
 from trackres_ros.estimator.belt_uncertainty import add_noise
 from trackres_ros.estimator.columns import BELT_COLUMNS, TEMPERATURE, Assembly
 from trackres_ros.estimator.constants import Constants
+from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import compiled, inlined
 
 Array = NDArray[np.float64]
@@ -122,9 +123,9 @@ def pass_gap(
     roll(
         k, assembly, belt, speed_from, speed_to, log_speed(0.5 * (speed_from + speed_to)), log_load, 0.0, ambient, ambient_std, dt
     )
-    difference_1 = belt[0, TEMPERATURE] - rested[TEMPERATURE]
-    difference_2 = belt[1, TEMPERATURE] - rested[BELT_COLUMNS + TEMPERATURE]
+    of_mean = (belt[0, TEMPERATURE] - rested[TEMPERATURE]) / math.sqrt(12.0)
+    of_skin = (belt[1, TEMPERATURE] - rested[BELT_COLUMNS + TEMPERATURE]) / math.sqrt(12.0)
     for node in range(2):
         for column in range(BELT_COLUMNS):
             belt[node, column] = 0.5 * (belt[node, column] + rested[node * BELT_COLUMNS + column])
-    add_noise(belt, difference_1 / math.sqrt(12.0), difference_2 / math.sqrt(12.0))
+    add_noise(belt, squared(of_mean), of_mean * of_skin, squared(of_skin))

@@ -14,10 +14,36 @@ from trackres_ros.estimator.belt_heat import Heat
 from trackres_ros.estimator.belt_uncertainty import add_noise
 from trackres_ros.estimator.columns import BELT_COLUMNS, FIRST_DEPARTURE, Assembly, Belt
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.jit.compiled import inlined
-from trackres_ros.model.thermal import phi_matrix
+from trackres_ros.jit.arithmetic import squared
+from trackres_ros.jit.compiled import compiled, inlined
+from trackres_ros.model.thermal import phi_1, phi_matrix
 
 Array = NDArray[np.float64]
+
+LEAST_SPREAD = 1e-5  # of the rates, between the two of a belt
+
+
+@compiled
+def walked(j11: float, j12: float, j21: float, j22: float, dt: float) -> tuple[float, float, float]:
+    """Covariance [s] of mean and surface after dt [s] in which both gain 1 per second together: of mean, both, surface.
+
+    Notes
+    -----
+    It is the integral of (e^{Jt} 1)(e^{Jt} 1)'. With the eigenvalues l of J, e^{Jt} 1 = a e^{l_1 t} + b e^{l_2 t}, and
+    e^{(l_i + l_j) t} has the integral dt phi_1((l_i + l_j) dt). Complex or equal eigenvalues count as close: the step is short.
+    """
+    middle, half = 0.5 * (j11 + j22), 0.5 * (j11 - j22)
+    least = LEAST_SPREAD * (abs(j11) + abs(j12) + abs(j21) + abs(j22))
+    spread = math.sqrt(max(half * half + j12 * j21, least * least))
+    first, second = middle + spread, middle - spread
+    a1, a2 = 0.5 * (j11 + j12 - second) / spread, 0.5 * (j21 + j22 - second) / spread
+    b1, b2 = 1.0 - a1, 1.0 - a2
+    aa, ab, bb = dt * phi_1(2.0 * first * dt), dt * phi_1(2.0 * middle * dt), dt * phi_1(2.0 * second * dt)
+    return (
+        a1 * a1 * aa + 2.0 * a1 * b1 * ab + b1 * b1 * bb,
+        a1 * a2 * aa + (a1 * b2 + a2 * b1) * ab + b1 * b2 * bb,
+        a2 * a2 * aa + 2.0 * a2 * b2 * ab + b2 * b2 * bb,
+    )
 
 
 @inlined
@@ -29,7 +55,8 @@ def advance_two_nodes(
     Notes
     -----
     C dT/dt = P - U A_h (T_s - T_a) and xi C dT_s/dt = xi P + (1 - xi) K (T - T_s) - U A_h (T_s - T_a). Temperatures and
-    departures move by dt phi_1(J dt) times their rates [5]; heat in and out are integrals of the same linear model.
+    departures move by dt phi_1(J dt) times their rates [5]. The random part also gains q^2 times what is `walked`. Heat in and
+    out are integrals of the same linear model.
     """
     power, power_slope, cooling, surroundings = heat
     mean, skin, per_capacity = Belt(belt[0]), Belt(belt[1]), 1.0 / assembly.capacity
@@ -60,7 +87,9 @@ def advance_two_nodes(
             slope_2 += cooling * per_skin * ambient_std
         belt[0, column] = first + dt * (m11 * slope_1 + m12 * slope_2)
         belt[1, column] = second + dt * (m21 * slope_1 + m22 * slope_2)
-    add_noise(belt, k.number.process_noise * math.sqrt(dt), k.number.process_noise * math.sqrt(dt))
+    of_mean, of_both, of_skin = walked(j11, j12, j21, j22, dt)
+    rate = squared(k.number.process_noise)
+    add_noise(belt, rate * of_mean, rate * of_both, rate * of_skin)
     p11, p12, p21, p22 = phi_matrix(j11 * dt, j12 * dt, j21 * dt, j22 * dt, 2.0)
     departure_1 = dt * dt * (p11 * f1 + p12 * f2)
     departure_2 = dt * dt * (p21 * f1 + p22 * f2)

@@ -32,12 +32,12 @@ def belt_variance(belt: Array, of_mean: float, of_surface: float) -> float:
 
 
 @compiled
-def add_noise(belt: Array, first: float, second: float) -> None:
-    """Add an independent departure [K] of the two nodes to the random part: the factor of N N' + w w' (Cholesky)."""
+def add_noise(belt: Array, of_mean: float, of_both: float, of_skin: float) -> None:
+    """Add an independent covariance W [K^2] of the two nodes to the random part: the factor of N N' + W (Cholesky)."""
     mean, skin = Belt(belt[0]), Belt(belt[1])
-    c11 = squared(mean.noise_1) + squared(mean.noise_2) + first * first
-    c21 = mean.noise_1 * skin.noise_1 + mean.noise_2 * skin.noise_2 + first * second
-    c22 = squared(skin.noise_1) + squared(skin.noise_2) + second * second
+    c11 = squared(mean.noise_1) + squared(mean.noise_2) + of_mean
+    c21 = mean.noise_1 * skin.noise_1 + mean.noise_2 * skin.noise_2 + of_both
+    c22 = squared(skin.noise_1) + squared(skin.noise_2) + of_skin
     mean.noise_1, mean.noise_2 = math.sqrt(c11), 0.0
     skin.noise_1 = c21 / mean.noise_1 if c11 > 0.0 else 0.0
     skin.noise_2 = math.sqrt(max(c22 - squared(skin.noise_1), 0.0))
@@ -67,4 +67,5 @@ def correct_belt(belt: Array, measured: float, variance: float, expected: float,
         belt[0, column] -= gain_1 * departure
         belt[1, column] -= gain_2 * departure
     noise = math.sqrt(variance)
-    add_noise(belt, gain_1 * noise, gain_2 * noise)
+    of_mean, of_skin = gain_1 * noise, gain_2 * noise
+    add_noise(belt, squared(of_mean), of_mean * of_skin, squared(of_skin))

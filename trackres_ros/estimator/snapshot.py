@@ -39,7 +39,7 @@ HEAD = json.dumps({"format": FORMAT}).encode()[:-1]  # first bytes of each state
 REMEDY = "delete the file to start cold"
 LARGEST = 4 << 20  # bytes; a vehicle with four assemblies has 10 thousand
 FARTHEST_SAVED_AT = 1e10  # s: the year 2286, and as far before 1970
-LONGEST_OFF = 7 * 86400.0  # s: by then any belt is at the temperature of the air, and as uncertain as at a cold start
+LONGEST_OFF = 7 * 86400.0  # s: by then any belt is at the temperature of the air, and as uncertain as it gets
 SEAL = re.compile(rb', "sha256": "([0-9a-f]{64})"\}\Z')
 
 # Session arrays in a state file, in the order of `_arrays`.
