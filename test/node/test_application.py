@@ -64,6 +64,31 @@ def test_any_rate_is_kept(desk, rate):
 
 
 @pytest.mark.parametrize("rate", [0.0, 50.0])
+@pytest.mark.parametrize("speed_hz", [12.0, 20.0, 50.0])
+def test_at_rate_zero_each_speed_gives_one_output(desk, speed_hz):
+    d = desk()
+    d.drive(4.0, dt=1.0 / speed_hz)
+    assert len([1 for name, _, _ in d.published if name == "feedforward_torque"]) == round(4.0 * speed_hz)
+
+
+@pytest.mark.parametrize("rate", [0.2, 1.0, 7.0])
+def test_at_a_slow_rate_an_old_speed_takes_the_torque_in_time(desk, rate):
+    d = desk(output_rate_hz=rate, output_deadline_s=0.0)
+    d.drive(10.1)
+    assert d.last("feedforward_torque_nm")[1][0] > 3000.0
+    d.forward(1.6)  # to trust the speed, to fade, and one output
+    assert d.last("feedforward_torque_nm")[1][0] == 0.0
+
+
+def test_a_new_output_rate_holds_at_once(desk):
+    d = desk(output_rate_hz=0.1, output_deadline_s=0.0)
+    d.drive(1.0)
+    d.app.change({"output_rate_hz": 50.0})
+    before = len(d.published)
+    d.drive(0.1)
+    assert len(d.published) > before
+
+
 def test_without_speed_feedforward_fades_and_other_outputs_hold(desk, rate):
     d = desk(output_rate_hz=rate)
     d.drive(2.0)
