@@ -415,7 +415,7 @@ class Application:
     def _start_anew(self, time_went_back: bool) -> None:
         self.session.start_anew(time_went_back)
         self.comparison.restart()
-        self.learning.restart()
+        self.learning.restart(self.session)
 
     def close(self) -> str:
         """Save the state and end other threads; return a text for the log."""
