@@ -16,7 +16,7 @@ from trackres_ros.node.transport import Level, Peer
 from trackres_ros.output.topics import output_topics, values_of
 from trackres_ros.vehicle import load
 
-START_NS = 1_700_000_000_000_000_000
+START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
 TWIST = "geometry_msgs/msg/TwistStamped"
 
 
@@ -285,19 +285,28 @@ def test_simulated_time_that_goes_back_starts_anew(desk):
     d = desk(use_sim_time=True)
     d.drive(120.0, dt=0.1)
     d.time_s = 0.0
-    d.app.time_went_back()
+    d.app.time_went_back(4 * SECOND_NS)
     d.drive(0.1)
     assert d.last("track_temperature/front_left")[1][0] == pytest.approx(15.0, abs=0.01)
     assert "TIME_RESET" in d.names()
 
 
 def test_what_waits_as_simulated_time_goes_back_is_of_before(desk):
+@pytest.mark.parametrize(("changed_s", "anew"), [(10.0, False), (1.0, True)])
+def test_a_changed_clock_jump_holds_for_the_simulated_clock(desk, changed_s, anew):
+    d = desk(use_sim_time=True, clock_jump_s=5.0)
+    d.drive(1.0)
+    d.app.change({"clock_jump_s": changed_s})
+    d.app.time_went_back(3 * SECOND_NS)
+    assert any("time went back" in text for _, text in d.logged) == anew
+
+
     d = desk(use_sim_time=True)
     d.drive(20.0, dt=0.1)
     ambient = next(i for i, given in enumerate(d.app.inputs) if "ambient" in given.roles)
     d.app.messages.receive_values(ambient, d.now_ns(), [35.0], sent_ns=1)
     d.time_s = 0.0
-    d.app.time_went_back()
+    d.app.time_went_back(4 * SECOND_NS)
     d.drive(5.0, dt=0.1)
     assert d.app.overview().values["ambient_degc"] == 15.0
     assert ("ambient", Count.ACCEPTED, 1) in list(d.app.session.counts())

@@ -406,8 +406,10 @@ class Application:
         self._rest_unused_belts()
         return self.keeper.save(self.session, self._state_at, self.learning, patience_s)
 
-    def time_went_back(self) -> None:
-        """Restart after a backward jump of the simulated clock; the next estimate reports it."""
+    def time_went_back(self, back_ns: int) -> None:
+        """Restart after a backward jump of the simulated clock by more than `clock_jump_s`; the next estimate reports it."""
+        if back_ns <= self.estimator.settings.clock_jump_s * SECOND_NS:
+            return
         self.messages.time_went_back()
         self._start_anew(time_went_back=True)
         self._log(Level.WARN, "time went back: the estimate restarts")
