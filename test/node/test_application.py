@@ -11,6 +11,7 @@ import pytest
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Count
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.node import message_handler
 from trackres_ros.node.notices import KINDS
 from trackres_ros.node.transport import Level, Peer
 from trackres_ros.output.topics import output_topics, values_of
@@ -63,7 +64,6 @@ def test_any_rate_is_kept(desk, rate):
     assert len([1 for name, _, _ in d.published if name == "feedforward_torque"]) == pytest.approx(10.0 * rate, rel=0.05, abs=1.5)
 
 
-@pytest.mark.parametrize("rate", [0.0, 50.0])
 @pytest.mark.parametrize("speed_hz", [12.0, 20.0, 50.0])
 def test_at_rate_zero_each_speed_gives_one_output(desk, speed_hz):
     d = desk()
@@ -89,6 +89,7 @@ def test_a_new_output_rate_holds_at_once(desk):
     assert len(d.published) > before
 
 
+@pytest.mark.parametrize("rate", [0.0, 50.0])
 def test_without_speed_feedforward_fades_and_other_outputs_hold(desk, rate):
     d = desk(output_rate_hz=rate)
     d.drive(2.0)
@@ -291,7 +292,6 @@ def test_simulated_time_that_goes_back_starts_anew(desk):
     assert "TIME_RESET" in d.names()
 
 
-def test_what_waits_as_simulated_time_goes_back_is_of_before(desk):
 @pytest.mark.parametrize(("changed_s", "anew"), [(10.0, False), (1.0, True)])
 def test_a_changed_clock_jump_holds_for_the_simulated_clock(desk, changed_s, anew):
     d = desk(use_sim_time=True, clock_jump_s=5.0)
@@ -301,6 +301,7 @@ def test_a_changed_clock_jump_holds_for_the_simulated_clock(desk, changed_s, ane
     assert any("time went back" in text for _, text in d.logged) == anew
 
 
+def test_what_waits_as_simulated_time_goes_back_is_of_before(desk):
     d = desk(use_sim_time=True)
     d.drive(20.0, dt=0.1)
     ambient = next(i for i, given in enumerate(d.app.inputs) if "ambient" in given.roles)
@@ -360,6 +361,20 @@ def test_what_comes_before_the_simulated_clock_waits_for_it(desk):
     row = d.app.overview().values
     assert row["weight_n"] == pytest.approx(250e3)
     assert sum(number for name, _, number in d.app.session.counts() if name == "speed") == 2
+
+
+def test_before_the_clock_the_newest_messages_of_an_input_wait(desk, monkeypatch):
+    monkeypatch.setattr(message_handler, "MOST_BEFORE_CLOCK", 5)
+    d = desk(use_sim_time=True)
+    now_ns, d.now_ns = d.now_ns, lambda: 0
+    d.send("load", 250e3)
+    for i in range(8):
+        d.send("speed", 8.0, stamp_s=0.02 * i)
+    d.now_ns = now_ns
+    d.send("speed", 8.0, stamp_s=0.02 * 8)
+    assert d.app.overview().values["weight_n"] == pytest.approx(250e3)
+    assert ("speed", Count.ACCEPTED, 6) in list(d.app.session.counts())
+    assert sorted(d.app.messages.reader.dropped) == [0, 0, 3]
 
 
 def test_only_inputs_sent_before_a_speed_are_used_with_it(desk):
