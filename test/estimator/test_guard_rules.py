@@ -24,7 +24,7 @@ from trackres_ros.jit.compiled import interpreted
 S, MS = 1_000_000_000, 1_000_000
 T = 1_700_000_000 * S
 JUMP, AMBIENT_HOLD, MOTION_HOLD, TORQUE_HOLD, LOAD_HOLD, STUCK = 2 * S, 300 * S, 1 * S, 3 * S, 60 * S, 30 * S
-PASSENGERS_HOLD = 1000 * S
+PASSENGERS_HOLD, BRIDGE_S = 1000 * S, 31
 AXLES, ASSEMBLIES = 2, 4
 NAMED = {"axle": at.FIRST_AXLE, "assembly": at.FIRST_AXLE + AXLES, "belt": at.FIRST_AXLE + AXLES + ASSEMBLIES}
 WHEELS = at.FIRST_AXLE + AXLES + 2 * ASSEMBLIES
@@ -50,7 +50,7 @@ def k():
         passengers_hold_ns=PASSENGERS_HOLD, passenger_weight=700.0,
         slopes_by_place=False, torques_by_place=False, torque_hold_ns=TORQUE_HOLD, stuck_ns=STUCK,
         axles=AXLES, first_wheel=WHEELS,
-        max_acceleration=8.0, speed_slack=1.0, enable_hold_ns=0, disagreeing_ns=S, bridge=30.0,
+        max_acceleration=8.0, speed_slack=1.0, enable_hold_ns=0, disagreeing_ns=S, bridge=BRIDGE_S,
         nominal_ambient=15.0, ambient_std=0.5, ambient_unknown_std=9.0,
     )  # fmt: skip
     return SimpleNamespace(number=number, assembly=assembly, channel_limits=limits)
@@ -460,6 +460,17 @@ def test_a_common_belt_temperature_yields_to_a_belts_own(guard):
     assert np.isnan(guard.belts).all()
 
 
+@pytest.mark.parametrize("channel", [at.BELT, NAMED["belt"]])
+def test_a_belt_temperature_from_before_a_pause_is_not_used(guard, channel):
+    for late in (0, 1):
+        now = late * 1000 * S
+        guard.send(now, 40.0, channel)
+        guard.send(now + BRIDGE_S * S + (MS if late else -MS))
+        guard.inputs()
+        assert np.isnan(guard.belts[0]) == bool(late)
+        assert not guard.of(at.Times.fresh, channel)
+
+
 # Remarks
 
 
@@ -504,9 +515,15 @@ def test_who_stands_is_not_stuck(guard, speed):
     assert not guard.reasons() & Reason.SPEED_STUCK
 
 
-def test_coarse_steps_are_given_ten_times_as_long(guard):
+def test_a_long_pause_is_no_time_for_which_it_was_stuck(guard):
     guard.send(0)
-    guard.send(10 * STUCK)
+    guard.send(BRIDGE_S * S + MS)
+    assert not guard.reasons() & Reason.SPEED_STUCK
+
+
+def test_coarse_steps_are_given_ten_times_as_long(guard):
+    for i in range(11):
+        guard.send(i * STUCK)
     assert not guard.reasons(quantum=0.3) & Reason.SPEED_STUCK
     assert guard.reasons() & Reason.SPEED_STUCK
     guard.send(10 * STUCK + 1)

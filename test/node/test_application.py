@@ -11,12 +11,13 @@ import pytest
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Count
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.node import message_handler
 from trackres_ros.node.notices import KINDS
 from trackres_ros.node.transport import Level, Peer
 from trackres_ros.output.topics import output_topics, values_of
 from trackres_ros.vehicle import load
 
-START_NS = 1_700_000_000_000_000_000
+START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
 TWIST = "geometry_msgs/msg/TwistStamped"
 
 
@@ -61,6 +62,31 @@ def test_any_rate_is_kept(desk, rate):
     d = desk(output_rate_hz=rate, output_deadline_s=0.0)
     d.drive(10.0, dt=0.01)
     assert len([1 for name, _, _ in d.published if name == "feedforward_torque"]) == pytest.approx(10.0 * rate, rel=0.05, abs=1.5)
+
+
+@pytest.mark.parametrize("speed_hz", [12.0, 20.0, 50.0])
+def test_at_rate_zero_each_speed_gives_one_output(desk, speed_hz):
+    d = desk()
+    d.drive(4.0, dt=1.0 / speed_hz)
+    assert len([1 for name, _, _ in d.published if name == "feedforward_torque"]) == round(4.0 * speed_hz)
+
+
+@pytest.mark.parametrize("rate", [0.2, 1.0, 7.0])
+def test_at_a_slow_rate_an_old_speed_takes_the_torque_in_time(desk, rate):
+    d = desk(output_rate_hz=rate, output_deadline_s=0.0)
+    d.drive(10.1)
+    assert d.last("feedforward_torque_nm")[1][0] > 3000.0
+    d.forward(1.6)  # to trust the speed, to fade, and one output
+    assert d.last("feedforward_torque_nm")[1][0] == 0.0
+
+
+def test_a_new_output_rate_holds_at_once(desk):
+    d = desk(output_rate_hz=0.1, output_deadline_s=0.0)
+    d.drive(1.0)
+    d.app.change({"output_rate_hz": 50.0})
+    before = len(d.published)
+    d.drive(0.1)
+    assert len(d.published) > before
 
 
 @pytest.mark.parametrize("rate", [0.0, 50.0])
@@ -260,10 +286,19 @@ def test_simulated_time_that_goes_back_starts_anew(desk):
     d = desk(use_sim_time=True)
     d.drive(120.0, dt=0.1)
     d.time_s = 0.0
-    d.app.time_went_back()
+    d.app.time_went_back(4 * SECOND_NS)
     d.drive(0.1)
     assert d.last("track_temperature/front_left")[1][0] == pytest.approx(15.0, abs=0.01)
     assert "TIME_RESET" in d.names()
+
+
+@pytest.mark.parametrize(("changed_s", "anew"), [(10.0, False), (1.0, True)])
+def test_a_changed_clock_jump_holds_for_the_simulated_clock(desk, changed_s, anew):
+    d = desk(use_sim_time=True, clock_jump_s=5.0)
+    d.drive(1.0)
+    d.app.change({"clock_jump_s": changed_s})
+    d.app.time_went_back(3 * SECOND_NS)
+    assert any("time went back" in text for _, text in d.logged) == anew
 
 
 def test_what_waits_as_simulated_time_goes_back_is_of_before(desk):
@@ -272,7 +307,7 @@ def test_what_waits_as_simulated_time_goes_back_is_of_before(desk):
     ambient = next(i for i, given in enumerate(d.app.inputs) if "ambient" in given.roles)
     d.app.messages.receive_values(ambient, d.now_ns(), [35.0], sent_ns=1)
     d.time_s = 0.0
-    d.app.time_went_back()
+    d.app.time_went_back(4 * SECOND_NS)
     d.drive(5.0, dt=0.1)
     assert d.app.overview().values["ambient_degc"] == 15.0
     assert ("ambient", Count.ACCEPTED, 1) in list(d.app.session.counts())
@@ -326,6 +361,20 @@ def test_what_comes_before_the_simulated_clock_waits_for_it(desk):
     row = d.app.overview().values
     assert row["weight_n"] == pytest.approx(250e3)
     assert sum(number for name, _, number in d.app.session.counts() if name == "speed") == 2
+
+
+def test_before_the_clock_the_newest_messages_of_an_input_wait(desk, monkeypatch):
+    monkeypatch.setattr(message_handler, "MOST_BEFORE_CLOCK", 5)
+    d = desk(use_sim_time=True)
+    now_ns, d.now_ns = d.now_ns, lambda: 0
+    d.send("load", 250e3)
+    for i in range(8):
+        d.send("speed", 8.0, stamp_s=0.02 * i)
+    d.now_ns = now_ns
+    d.send("speed", 8.0, stamp_s=0.02 * 8)
+    assert d.app.overview().values["weight_n"] == pytest.approx(250e3)
+    assert ("speed", Count.ACCEPTED, 6) in list(d.app.session.counts())
+    assert sorted(d.app.messages.reader.dropped) == [0, 0, 3]
 
 
 def test_only_inputs_sent_before_a_speed_are_used_with_it(desk):

@@ -41,6 +41,14 @@ def drive(made, seconds, value=None, speed=8.0):
         made.send("speed", speed + 0.01 * (i % 3))
 
 
+def test_at_a_slow_rate_a_disabled_torque_is_gone_in_time(desk, tmp_path):
+    made = with_topics(desk, tmp_path, SPEED % "" + BOOL % "", output_rate_hz=0.2, output_deadline_s=0.0)
+    drive(made, 10.1, True)
+    assert fed(made) > 3000.0
+    drive(made, 1.1, False)
+    assert fed(made) == 0.0
+
+
 @pytest.mark.parametrize(("line", "on", "off"), [(BOOL % "", True, False), (MODE, 4, 0), (MODE, 1, 2)])
 def test_enable_takes_the_feedforward_to_zero_and_back(desk, tmp_path, line, on, off):
     made = with_topics(desk, tmp_path, SPEED % "" + line)

@@ -11,6 +11,7 @@ import pytest
 from trackres_ros.errors import InputError
 from trackres_ros.node.endpoints import full_name, input_name, input_topics
 from trackres_ros.node.input_reader import InputReader
+from trackres_ros.offline.replay import channel_indices
 from trackres_ros.recording.bindings import Topics
 
 CHANNELS = ("speed", "load", "torque", "ambient", "load/front")
@@ -78,6 +79,14 @@ def test_a_role_that_the_vehicle_does_not_have_is_refused():
         reader(speed=line, **{"load/middle": line})
 
 
+def test_a_torque_of_an_assembly_is_refused_with_the_sum_as_remedy(reference):
+    line = {"topic": "/s", "type": "std_msgs/msg/Float64", "field": "data"}
+    with pytest.raises(InputError, match=r"torque/front_left.*allowed: for this vehicle torque; torque: \{sum: "):
+        reader(speed=line, **{"torque/front_left": line})
+    with pytest.raises(InputError, match=r"torque/front_left.*allowed: for this vehicle torque; torque: \{sum: "):
+        channel_indices(reference.session(), ["torque/front_left"])
+
+
 @pytest.mark.parametrize(
     ("name", "node", "namespace", "full"),
     [("status", "n", "/", "/n/status"), ("status", "n", "/a/b", "/a/b/n/status"), ("/diagnostics", "n", "/a", "/diagnostics")],
@@ -88,6 +97,15 @@ def test_names_of_outputs(name, node, namespace, full):
 
 def test_names_of_inputs():
     assert [input_name("speed", "/"), input_name("speed", "/a"), input_name("/speed", "/a")] == ["/speed", "/a/speed", "/speed"]
+
+
+@pytest.mark.parametrize(("ns", "joints"), [(10**20, {"a": 1.0, "b": 2.0}), (7, {"c": 1.0})])
+def test_a_message_with_all_parts_of_a_sum_counts_once(ns, joints):
+    parts = [{**JOINTS, "field": f"effort[{name}]"} for name in "ab"]
+    taken, _ = reader(torque={"sum": parts}, speed={**JOINTS, "topic": "/s", "field": "velocity[a]"})
+    for _ in range(10):
+        assert samples(taken, joint_state(ns, **joints), 99) == []
+    assert taken.absent[2] + taken.bad_stamp[2] == 10
 
 
 def test_the_torque_delay_shifts_its_stamp_but_not_a_zero_stamp():

@@ -110,6 +110,20 @@ def test_it_can_be_turned_off_and_on_while_it_runs(desk, topics):
         d.app.change({"learning": "fast"})
 
 
+@pytest.mark.parametrize("by_service", [True, False])
+def test_learned_values_stop_acting_where_the_estimate_restarts(desk, topics, by_service):
+    d = desk(topics=topics, learning="on", use_sim_time=True)
+    d.drive(1.0)
+    acting = d.app.session.learned[: at.Learned.sensitivities.start]
+    acting[at.Learned.on], acting[at.Learned.torque] = 1.0, 65.0
+    if by_service:
+        d.app.reset()
+    else:
+        d.time_s = -20.0
+    d.drive(0.1)
+    assert not acting.any()
+
+
 def test_a_sensor_that_disagrees_with_itself_is_said(desk, topics):
     d = desk(topics=topics)
     for i in range(600):

@@ -225,7 +225,7 @@ def test_each_round_of_simulated_time_is_a_file_of_its_own(desk, tmp_path):
             wire.send("speed", TWIST, 8.0)
         last.append(d.app.overview().values["belt_degc/front_left"])
         d.time_s = 0.0
-        d.app.time_went_back()
+        d.app.time_went_back(4 * SECOND_NS)
     wire.recorder.end()
     files = [tmp_path / name for name in ("live.mcap", "live_0001.mcap", "live_0002.mcap")]
     assert sorted(tmp_path.glob("*.mcap*")) == files

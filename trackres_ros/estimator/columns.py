@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import IntEnum, IntFlag
 
+from trackres_ros.errors import InputError
 from trackres_ros.jit.rows import Real, Reals, Row, Whole
-from trackres_ros.recording.roles import GROUND, POSITION
+from trackres_ros.recording.roles import GROUND, POSITION, base_role
 from trackres_ros.vehicle import AnyVehicle
 
 # Channels of messages. Loads by axle and assembly, belt temperatures by assembly, and wheel speeds follow these.
@@ -294,6 +296,13 @@ def channels(vehicle: AnyVehicle) -> tuple[str, ...]:
         WHEELS,
         *(f"{WHEELS}/{name}" for name in (*axles, *assemblies)),
     )
+
+
+def not_of_vehicle(role: str, channels: Sequence[str]) -> InputError:
+    """The error for a role of an axle or assembly that is no channel of a vehicle."""
+    allowed = ", ".join(name for name in channels if base_role(name) == base_role(role))
+    remedy = "torque: {sum: [...]} adds the torques of assemblies" if base_role(role) == "torque" else ""
+    return InputError(f"role {role}", role, f"for this vehicle {allowed}", remedy)
 
 
 def columns(vehicle: AnyVehicle) -> tuple[str, ...]:

@@ -33,6 +33,7 @@ from trackres_ros.estimator.plausible_speed import (
 from trackres_ros.estimator.records import Inputs
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.route.follower import NOTHING_YET, forget
+from trackres_ros.units import NANOSECOND
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -146,7 +147,8 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
             outcome = ACCEPTED_AFTER_DOUBT if in_doubt else outcome
     elif channel == at.DISTANCE:
         odometer_came(tracked, value)
-    if not times.seen or value != memory.values[channel] or outcome != ACCEPTED_IN_ORDER:
+    paused = elapsed * NANOSECOND > k.number.bridge  # the values meanwhile are unknown
+    if not times.seen or paused or value != memory.values[channel] or outcome != ACCEPTED_IN_ORDER:
         times.unchanged_since = stamp
     times.seen, times.last_stamp, times.last_arrival = 1, stamp, arrival
     times.suspects, times.fresh = 0, 1
@@ -260,7 +262,8 @@ def gather(
     for i in range(belt_measured.shape[0]):
         belt_measured[i] = math.nan
         for channel in (at.BELT, first_belt + i):
-            if memory.times[channel, FRESH]:
+            since = (now - memory.times[channel, LAST_ARRIVAL]) * NANOSECOND
+            if memory.times[channel, FRESH] and since <= k.number.bridge:  # an older one is of the belt before a pause
                 belt_measured[i] = memory.values[channel]
     memory.times[at.BELT, FRESH] = 0
     for i in range(belt_measured.shape[0]):

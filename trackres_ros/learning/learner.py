@@ -132,6 +132,7 @@ class Learner:
         reasons = int(row[at.Results.reasons])
         if reasons & TIME_RESET:
             self.restart()
+            correction.use_file(session.learned)
         memory = session.memory
         self.delay.take(
             stamp_ns,

@@ -185,11 +185,15 @@ class Application:
 
     def _publish(self, steady: int) -> None:
         pace = self.clock.pace_ns(steady)
-        arrival = self.clock.recorded_ns(steady, pace)
-        session = self.session
-        goal, target, unfed = FED_NOW(self.estimator.constants, session.memory, session.motion, arrival)
+        goal, target, unfed = self._fed(steady, pace)
         self._show(unfed)
-        self._publisher.publish(steady, pace, self._reasons_or_fault, float(goal), float(target))
+        self._publisher.publish(steady, pace, self._reasons_or_fault, goal, target)
+
+    def _fed(self, steady: int, pace: int) -> tuple[float, float, int]:
+        """The session's feed-forward now and its target [Nm], and the reason why that is zero; see `between_steps.fed_now`."""
+        arrival = self.clock.recorded_ns(steady, pace)
+        goal, target, unfed = FED_NOW(self.estimator.constants, self.session.memory, self.session.motion, arrival)
+        return float(goal), float(target), unfed
 
     def _reasons_or_fault(self, steady: int) -> Reasons:
         hold = self.guard("the reasons", self._reasons, steady)
@@ -260,10 +264,19 @@ class Application:
         self.guard("the service manager", self._service.alive, self._publisher.sent, self.active, steady)
 
     def _publish_due(self, steady: int) -> None:
-        if self.active and steady >= self._next_output_ns - int(0.5 * self.period_s * SECOND_NS):
+        early_ns = 0 if self._on_speed else int(0.5 * self.period_s * SECOND_NS)
+        if self.active and steady >= self._next_output_ns - early_ns:
             between_ns = int(self._between_outputs_s * SECOND_NS)
             self._next_output_ns = max(self._next_output_ns + between_ns, steady)
             self._publish(steady)
+        elif self.active and self._between_outputs_s > LONGEST_PERIOD_S and self._has_to_fall(steady):
+            self._publish(steady)
+
+    def _has_to_fall(self, steady: int) -> bool:
+        """Whether the last published torque is on its way to zero: that does not wait for a slow rate of the outputs."""
+        if self._publisher.feedforward == 0.0:
+            return False
+        return self._publisher.left(steady) < 1.0 or self._fed(steady, self.clock.pace_ns(steady))[1] == 0.0
 
     def _save_due(self, steady: int) -> None:
         if steady >= self._next_save_ns:
@@ -359,6 +372,8 @@ class Application:
         self.learning.change(parameters.text("learning"), self.session)
         if parameters.number("save_period_s") != self.parameters.number("save_period_s"):
             self._next_save_ns = self.clock.steady_ns()
+        if parameters.number("output_rate_hz") != self.parameters.number("output_rate_hz"):
+            self._next_output_ns = self.clock.steady_ns()
         self.parameters = parameters
         if settings != self.estimator.settings:
             self._go_on_with(Estimator(self.vehicle, settings, entries=self.estimator.entries))
@@ -391,8 +406,10 @@ class Application:
         self._rest_unused_belts()
         return self.keeper.save(self.session, self._state_at, self.learning, patience_s)
 
-    def time_went_back(self) -> None:
-        """Restart after a backward jump of the simulated clock; the next estimate reports it."""
+    def time_went_back(self, back_ns: int) -> None:
+        """Restart after a backward jump of the simulated clock by more than `clock_jump_s`; the next estimate reports it."""
+        if back_ns <= self.estimator.settings.clock_jump_s * SECOND_NS:
+            return
         self.messages.time_went_back()
         self._start_anew(time_went_back=True)
         self._log(Level.WARN, "time went back: the estimate restarts")
@@ -400,7 +417,7 @@ class Application:
     def _start_anew(self, time_went_back: bool) -> None:
         self.session.start_anew(time_went_back)
         self.comparison.restart()
-        self.learning.restart()
+        self.learning.restart(self.session)
 
     def close(self) -> str:
         """Save the state and end other threads; return a text for the log."""

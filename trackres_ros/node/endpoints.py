@@ -58,7 +58,7 @@ def input_topics(topics: Topics, on_route: bool = False, channels: Collection[st
         for role in topics
         if (role in channels if base_role(role) == WHEELS else base_role(role) in CHANNELS)
         and (on_route or role not in POSITION)
-        and (measures_torque(topics) or role not in GROUND)
+        and ("torque" in topics or role not in GROUND)
     ]
     return tuple(sorted(_by_topic(topics, needed), key=lambda given: "speed" in given.roles))
 
@@ -89,16 +89,12 @@ def _by_topic(topics: Topics, roles: Sequence[str]) -> list[InputTopic]:
     ]
 
 
-def measures_torque(topics: Topics) -> bool:
-    """Whether a torque is measured: of the vehicle, or of any of its assemblies."""
-    return any(base_role(role) == "torque" for role in topics)
-
-
 def live_topics(vehicle: AnyVehicle, topics: Topics) -> tuple[OutputTopic, ...]:
     """All topics to publish, most urgent first; the residual and learned values only with a measured torque."""
     feedforward, number, *others = output_topics(vehicle)
-    given = (topic for topic in others if topic.name != "torque_residual" or "torque" in topics)
-    learned = (PARAMETERS_TOPIC,) if measures_torque(topics) else ()
+    measured = "torque" in topics
+    given = (topic for topic in others if topic.name != "torque_residual" or measured)
+    learned = (PARAMETERS_TOPIC,) if measured else ()
     return (feedforward, number, ESTIMATE_TOPIC, *given, *learned, DIAGNOSTICS)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.errors import InputError
+from trackres_ros.estimator.columns import not_of_vehicle
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.transport import is_usable, stamp_ns
 from trackres_ros.recording.binding import TopicBinding
@@ -62,9 +62,10 @@ class InputReader:
         self.received[index] += 1
         found = []
         own_ns: dict[int, int] = {}
+        absent, bad_stamp = set[int](), set[int]()  # channels: a sum has several parts in a message
         for (channel, _, by_header, binding, total, part), value in zip(self._readers[index], values, strict=True):
             if value is None:
-                self.absent[channel] += 1
+                absent.add(channel)
                 continue
             if by_header and stamp_ns is not None:
                 stamp = stamp_ns
@@ -72,11 +73,15 @@ class InputReader:
                 stamp = own_ns[channel] = own_ns.get(channel) or self._own_stamp(channel, now_ns)
             stamp = stamp - binding.delay_ns if stamp else 0
             if not is_usable(stamp):
-                self.bad_stamp[channel] += 1
+                bad_stamp.add(channel)
             elif total is None or part is None:
                 found.append((channel, stamp, float(binding.meant(np.asarray(value))) if binding.values else value))
             else:
                 found += [(channel, *sample) for sample in total.add(part, stamp, now_ns, value)]
+        for channel in absent:
+            self.absent[channel] += 1
+        for channel in bad_stamp:
+            self.bad_stamp[channel] += 1
         return found
 
     def alone(self) -> list[int]:
@@ -94,7 +99,7 @@ class InputReader:
 
 def _channel(role: str, channels: Sequence[str]) -> int:
     if role not in channels:
-        raise InputError(f"role {role}", role, f"a part of this vehicle: {', '.join(channels)}")
+        raise not_of_vehicle(role, channels)
     return channels.index(role)
 
 

@@ -74,8 +74,9 @@ class LiveLearning:
         if mode != ON:
             use_file(session.learned)
 
-    def restart(self) -> None:
-        """Restart the estimate; values learned of the vehicle stay."""
+    def restart(self, session: Session) -> None:
+        """Restart the estimate; values learned of the vehicle stay, and act again once the learner allows it."""
+        use_file(session.learned)
         if self.learner is not None:
             self.learner.restart()
 

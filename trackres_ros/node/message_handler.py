@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
+from itertools import chain
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -16,7 +18,7 @@ from trackres_ros.node.guard import Guard
 from trackres_ros.node.input_reader import InputReader
 from trackres_ros.node.transport import KeepMessage
 
-MOST_BEFORE_CLOCK = 10000
+MOST_BEFORE_CLOCK = 10000  # messages of an input
 LONGEST_WAIT_NS = 50_000_000  # of a message for a speed that was sent later
 LONGEST_HELD_NS = 10_000_000_000  # of a message that is handled after a later one; a clock that goes back further was set
 
@@ -39,7 +41,7 @@ class Arrived(NamedTuple):
 class MessageHandler:
     """Passes the samples of all inputs to `use`, in the order in which their messages were sent.
 
-    Messages before the first simulated clock wait for it: without a time their age is unknown.
+    Messages before the first simulated clock wait for it: without a time their age is unknown. The oldest make way for too many.
     """
 
     def __init__(self, inputs: Sequence[InputTopic], reader: InputReader, clock: NodeClock, guard: Guard, use: UseSample) -> None:
@@ -50,7 +52,7 @@ class MessageHandler:
         self._is_speed = ["speed" in given.roles for given in inputs]
         self._order = SendingOrder()
         self._handled_ns = self._handled_now_ns = 0  # arrival of the last handled message, as recorded and by the node's time
-        self._before_clock: list[Arrived] = []
+        self._before_clock: list[deque[Arrived]] = [deque() for _ in inputs]
 
     def receive(
         self, index: int, message: object, sent_ns: int = 0, arrived: Arrival | None = None, raw: bytes | None = None
@@ -106,22 +108,32 @@ class MessageHandler:
     def close(self) -> None:
         """Handle all messages that wait, and record those that wait for a clock."""
         self.handle_waiting()
-        for message in self._before_clock:
+        for message in self._take_waiting():
             self.keep(message.place, message.raw, (message.steady_ns, message.now_ns))
 
     def _receive(self, message: Arrived) -> None:
         if self._clock.simulated and message.now_ns == 0:
             message = message._replace(now_ns=self._clock.now_ns(message.steady_ns))
             if message.now_ns == 0:
-                if len(self._before_clock) < MOST_BEFORE_CLOCK:
-                    self._before_clock.append(message)
-                else:
-                    self.keep(message.place, message.raw, (message.steady_ns, 0))
+                waiting = self._before_clock[message.place]
+                waiting.append(message)
+                if len(waiting) > MOST_BEFORE_CLOCK:
+                    self.dropped(message.place)
+                    oldest = waiting.popleft()
+                    self.keep(oldest.place, oldest.raw, (oldest.steady_ns, 0))
                 return
-        earlier, self._before_clock = self._before_clock, []
-        for waiting in earlier:
-            self._guard.essential("taking a message", self._receive, waiting)
+        for earlier in self._take_waiting():
+            self._guard.essential("taking a message", self._receive, earlier)
         self._handle_all(self._order.put(message, self._is_speed[message.place]))
+
+    def _take_waiting(self) -> list[Arrived]:
+        """The messages that wait for a clock, in the order of arrival; none wait afterwards."""
+        if not any(self._before_clock):
+            return []
+        found = sorted(chain(*self._before_clock), key=attrgetter("steady_ns"))
+        for waiting in self._before_clock:
+            waiting.clear()
+        return found
 
     def _handle_all(self, messages: Sequence[Arrived]) -> None:
         for message in messages:

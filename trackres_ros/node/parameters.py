@@ -130,7 +130,14 @@ NODE_PARAMETERS = (
         choices=MODES,
     ),
     NodeParameter("save_period_s", 30.0, "time between two saves of the state", "s", 1.0, 3600.0),
-    NodeParameter("output_rate_hz", 50.0, "rate of the outputs; 0: one output per accepted speed", "Hz", 0.0, 1000.0),
+    NodeParameter(
+        "output_rate_hz",
+        50.0,
+        "rate of the outputs; 0: one output per accepted speed, and ten a second while none comes",
+        "Hz",
+        0.0,
+        1000.0,
+    ),
     _read_once(
         "autostart", True, "configure and activate at the start; false: wait for a lifecycle manager; trackres live always starts"
     ),

@@ -63,9 +63,7 @@ def channel_indices(session: Session, roles: Sequence[str], learns: bool = False
     channels = session.estimator.channels
     unknown = [role for role in roles if role not in channels and base_role(role) in at.CHANNELS]
     if unknown:
-        vehicle = session.estimator.vehicle
-        places = [name for name in channels if "/" in name]
-        raise InputError(f"role {unknown[0]}", f"vehicle {vehicle.name}", f"{', '.join(at.CHANNELS)}, {', '.join(places)}")
+        raise at.not_of_vehicle(unknown[0], channels)
     idle = {*(() if session.estimator.vehicle.route else POSITION), *(() if learns else GROUND)}
     needed = [role in channels and role not in idle for role in roles]
     return np.array([session.channel(r) if n else -1 for r, n in zip(roles, needed, strict=True)], dtype=np.int16)

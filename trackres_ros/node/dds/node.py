@@ -228,8 +228,7 @@ class DdsNode:
     def _set_clock(self, now_ns: int) -> None:
         back_ns = self._sim_ns - now_ns
         self._sim_ns = now_ns
-        if back_ns > self.application.estimator.settings.clock_jump_s * SECOND_NS:
-            self.application.time_went_back()
+        self.application.time_went_back(back_ns)
 
 
 def run(

@@ -185,11 +185,12 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     def _start_clocks(self, application: Application) -> None:
         """Notify the application when the clock goes back, and call its tick by steady time."""
         self._next_tick = 0
-        back = Duration(nanoseconds=-int(application.estimator.settings.clock_jump_s * SECOND_NS))
-        self._jumps = self.get_clock().create_jump_callback(
-            JumpThreshold(min_forward=None, min_backward=back, on_clock_change=False),
-            post_callback=lambda _: application.guard.essential("the clock", application.time_went_back),
-        )
+        any_back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
+
+        def jumped(jump: Any) -> None:
+            application.guard.essential("the clock", application.time_went_back, -jump.delta.nanoseconds)
+
+        self._jumps = self.get_clock().create_jump_callback(any_back, post_callback=jumped)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._ticker = self.create_timer(application.period_s, self._tick, clock=self._steady)
 
