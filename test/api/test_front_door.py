@@ -17,13 +17,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from click.testing import CliRunner
 
 import trackres_ros as tr
 from trackres_ros.api.arguments import LIMITS
 from trackres_ros.cli.main import cli
 from trackres_ros.estimator.entry_points import COMPILED, interpreted_entries
-from trackres_ros.files.resources import shipped_road_vehicles
+from trackres_ros.files.resources import config_dir, shipped_road_vehicles
 
 PACKAGE = Path(tr.__file__).parent
 DRIVE = "time_s,speed_kmh,ambient_degc\n" + "".join(f"{i * 0.1:.1f},{min(i, 100) * 0.2:.2f},10\n" for i in range(400))
@@ -411,6 +412,22 @@ def test_simulate_is_the_command(folder):
     assert told.pop("output") == str(folder / "s2.csv")
     assert told == driven.as_dict()
     assert (folder / "s1.csv").read_bytes() == (folder / "s2.csv").read_bytes()
+
+
+def test_simulate_and_explain_remark_on_inactive_effects(folder):
+    content = yaml.safe_load((config_dir() / "agri3t.yaml").read_text())
+    curve = {"threshold": 0.0, "x1": 0.5, "x2": 1.0, "x3": 1.5, "y1": 0.0, "y2": 5.0, "y3": 15.0}
+    files = [folder / name for name in ("curve.yaml", "turns.yaml")]
+    for file, effects in zip(files, ({"curve_of_speed": curve}, {"turning_scrub": {"friction": 0.5}}), strict=True):
+        file.write_text(yaml.safe_dump({**content, "effects": effects}))
+    remarks = [tr.simulate(file, speed_kmh=10, duration_s=20, dt=1.0).remarks for file in files]
+    assert [len(each) for each in remarks] == [1, 1]
+    assert "outside the range it was fitted on" in remarks[0][0]
+    assert "an effect is inactive" in remarks[1][0]
+    points = [tr.explain(file, speed_kmh=10, belt_degc=20) for file in files]
+    assert [len(point["remarks"]) for point in points] == [1, 0]
+    assert "curve_of_speed is outside the range" in repr(points[0])
+    assert "turning_scrub: inactive" in repr(points[1])
 
 
 def test_a_profile_is_a_table_or_what_was_read_of_it(drive, vehicle):

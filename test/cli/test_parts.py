@@ -78,7 +78,7 @@ def test_simulate(vehicle, tmp_path, good):
     said = good("simulate", "--vehicle", vehicle, "--speed-kmh", 30, "--duration-s", 60, "-o", tmp_path / "out.csv")
     adds_up(columns(tmp_path / "out.csv"))
     head, _, *rows = said.splitlines()
-    numbers = takewhile(lambda row: not row.startswith("The "), rows)
+    numbers = takewhile(lambda row: not row.lstrip().startswith(("The ", "!")), rows)
     shown = [dict(zip(head.split(), map(float, row.split()), strict=True)) for row in numbers]
     assert shown
     for row in shown:

@@ -28,7 +28,7 @@ def test_a_new_vehicle_is_its_model_under_another_name(good, tmp_path, like):
     written = json.loads(good("vehicle", "new", "truck7", "--like", like, "-o", tmp_path / "mine", "--json"))["written"]
     assert written[0] == str(tmp_path / "mine" / "truck7.yaml")
     assert json.loads(good("vehicle", "diff", like, written[0], "--json"))["differences"] == [
-        {"path": "name", "unit": "", "one": like, "other": "truck7", "ratio": None, "ranges": None}
+        {"path": "name", "unit": "", "one": like, "other": "truck7", "ratio": None, "ranges": None, "flags": None}
     ]
     if like in shipped_vehicles():
         vehicle = tr.load_vehicle(written[0])
@@ -90,3 +90,22 @@ def test_where_two_differ(good, tmp_path):
     text = good("vehicle", "diff", "xgd24d", file)
     assert "-20.0 %" in text
     assert good("vehicle", "diff", "agri3t", "agri3t").strip() == "They have the same values."
+
+
+def test_files_that_alter_the_results_are_not_the_same(good, tmp_path):
+    for folder in ("a", "b"):
+        good("vehicle", "new", "mine", "-o", tmp_path / folder)
+    files, rubber = [tmp_path / folder / "mine.yaml" for folder in "ab"], tmp_path / "b" / "rubber" / "nr_sbr_10hz.csv"
+
+    def paths():
+        return [d["path"] for d in json.loads(good("vehicle", "diff", *files, "--json"))["differences"]]
+
+    assert not paths()
+    rubber.write_text(rubber.read_text() + "90.0,5.0,0.5\n")
+    assert paths() == ["content of rubber.file"]
+    content = yaml.safe_load(files[1].read_text())
+    content["rubber"]["loss_modulus_scale"]["flag"] = "F"  # then the ranges of thickness and moduli add no uncertainty
+    content["chassis"]["bearing_friction"]["flag"] = "P"
+    files[1].write_text(yaml.safe_dump(content))
+    assert paths() == ["rubber.loss_modulus_scale", "content of rubber.file"]
+    assert "(F)" in good("vehicle", "diff", *files)

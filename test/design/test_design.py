@@ -14,12 +14,15 @@ import yaml
 
 import trackres_ros as tr
 from trackres_ros.design import sensitivity as sensing
-from trackres_ros.design.steady import WARMEST_K, steady
+from trackres_ros.design.compare import wheels_compared, wheels_text
+from trackres_ros.design.steady import WARMEST_K, Steady, steady
 from trackres_ros.design.sweep import SweepRequest, Swept, draw, sweep
 from trackres_ros.design.values import Varied, meant, scalars, varied
 from trackres_ros.effects import Active, Effect, Parameter, Terms, catalogue
 from trackres_ros.engine import executor
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.files.resources import find_vehicle
+from trackres_ros.files.yamls import read_yaml
 from trackres_ros.fleet.task import _replayed
 from trackres_ros.model import resistance
 from trackres_ros.model.operating_point import explain
@@ -405,6 +408,27 @@ def test_one_value_with_a_range_is_measured_and_none_is_refused(monkeypatch):
     monkeypatch.setattr(sensing, "scalars", lambda _: [])
     with pytest.raises(tr.InputError, match="no value with a range"):
         sensing.sensitivity("agri3t", 2.5, AIR, 8)
+
+
+def test_design_commands_name_effects_that_they_leave_out(monkeypatch, tmp_path):
+    files = {}
+    for name in ("agri3t", "bmw_i3"):
+        effects = {"turning_scrub": {"friction": 0.5}, "drivetrain_drag": {"drag": {"value": 10.0, "range": [0.0, 20.0]}}}
+        files[name] = tmp_path / f"{name}.yaml"
+        files[name].write_text(yaml.safe_dump({**read_yaml(find_vehicle(name)), "effects": effects}))
+    tracks, wheels = str(files["agri3t"]), (str(files["bmw_i3"]), "bmw_i3")
+    for module in ("sweep", "sensitivity"):  # the numbers do not matter here
+        monkeypatch.setattr(f"trackres_ros.design.{module}.steady", lambda v, *_: Steady(*[v.rubber.loss_modulus_scale] * 4))
+    swept = sweep(SweepRequest(tracks, (varied(load(tracks), "bearing_friction=0.01,0.02"),), 2.5, AIR))
+    assert swept.as_dict()["effects_left_out"] == ["turning_scrub"]
+    assert swept.text().splitlines()[-1].startswith("turning_scrub: inactive")
+    assert f"turning_scrub of {wheels[0]}: inactive" in wheels_text(wheels_compared(wheels), wheels)
+    pytest.importorskip("SALib")
+    monkeypatch.setattr(executor, "find_spec", lambda _name: None)
+    monkeypatch.setattr(sensing, "scalars", lambda _: ["rubber.loss_modulus_scale"])
+    held = sensing.sensitivity(tracks, 2.5, AIR, 8).held
+    assert held["effects.drivetrain_drag"] == "the size of an effect is taken as known"
+    assert "inactive" in held["effects.turning_scrub"]
 
 
 @pytest.mark.parametrize(

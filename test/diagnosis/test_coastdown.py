@@ -136,6 +136,19 @@ def test_no_value_beyond_its_range_in_the_file_is_written(tmp_path, least):
             assert p.by_file[0] <= p.interval.low <= p.value <= p.interval.high <= p.by_file[1]
 
 
+def test_values_that_no_file_may_hold_are_not_written(tmp_path, monkeypatch):
+    monkeypatch.setitem(TRUE_CAR, "rolling_rise", -0.0003)  # no resistance at 35 m/s, which it does not reach
+    roll = written(tmp_path / "roll.csv", car_drive(noise=0.0), "time_s,speed_mps")
+    file = cart(tmp_path / "car.yaml", CAR_KG)
+    assert tr.coastdown(roll, file).better
+    file.write_text(file.read_text().replace("25.0", "60.0"))
+    found = tr.coastdown(roll, file)
+    assert not found.better
+    assert "no command would accept" in repr(found)
+    with pytest.raises(tr.InputError, match="rolling_coefficient / max_speed"):
+        found.save_vehicle(tmp_path / "new.yaml")
+
+
 @pytest.mark.parametrize("scale", [0.0, 1e-3])
 def test_a_torque_that_does_not_drive_is_not_used(tmp_path, scale):
     loaded = load_base(cart(tmp_path / "car.yaml", CAR_KG), None, None, None, None)

@@ -23,7 +23,7 @@ from trackres_ros.evaluation.synthetic import drives, write_recordings
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
-from trackres_ros.vehicle import load, with_surroundings
+from trackres_ros.vehicle import load, load_any, with_surroundings
 from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 from trackres_ros.vehicle.writing.sensor_lines import sensor_lines
 
@@ -128,14 +128,15 @@ def test_whatever_is_fitted_loads_again(loaded, tmp_path):
         assert again.chassis.bearing_friction == pytest.approx(values["bearing_friction"])
 
 
-def test_an_effect_at_its_bounds_loads_again(loaded, tmp_path):
-    known = catalogue(size=loaded.base.facts.weight * loaded.base.facts.radius)
+@pytest.mark.parametrize("name", ["xgd24d", "emps"])
+def test_an_effect_at_its_bounds_loads_again(tmp_path, name):
+    base = load_base(name).base
+    known = catalogue(size=base.vehicle.size, on_tyres=not base.has_belt)
+    suited = [e for e in known.values() if e.belongs_to == "vehicle" and not e.unsuited(base.vehicle.kind)]
     for end in ("low", "high"):
-        active = tuple(
-            Active(e, {q.name: getattr(q, end) for q in e.parameters}) for e in known.values() if e.belongs_to == "vehicle"
-        )
-        loaded.base.write(tmp_path / "v.yaml", FileChanges(None, active, {}), "at a bound")
-        again = {a.effect.name: a.values for a in load(tmp_path / "v.yaml").effects}
+        active = tuple(Active(e, {q.name: getattr(q, end) for q in e.parameters}) for e in suited)
+        base.write(tmp_path / "v.yaml", FileChanges(None, active, {}), "at a bound")
+        again = {a.effect.name: a.values for a in load_any(tmp_path / "v.yaml").effects}
         assert again.keys() == {a.effect.name for a in active}
         for one in active:
             assert again[one.effect.name] == pytest.approx(one.values, rel=1e-5)

@@ -14,6 +14,7 @@ import pytest
 
 from trackres_ros.compound.reading import read_sweep
 from trackres_ros.diagnosis import load_base
+from trackres_ros.effects.effect import VehicleKind
 from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir
 from trackres_ros.files.yamls import read_yaml
@@ -47,7 +48,7 @@ def of_vehicle(path: Path) -> object:
 
 
 def of_surroundings(path: Path) -> object:
-    return read_yaml(path), [one.effect.name for one in load_surroundings(path, "xgd24d", 97920.0, on_tyres=False)]
+    return read_yaml(path), [one.effect.name for one in load_surroundings(path, "xgd24d", 97920.0, VehicleKind())]
 
 
 KINDS: dict[str, tuple[Callable[[Path], object], str]] = {

@@ -19,6 +19,7 @@ from mutator import mutations
 
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base
+from trackres_ros.effects.effect import VehicleKind
 from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir
 from trackres_ros.files.yamls import MOST_BYTES, MOST_DEPTH, MOST_NODES, parse_yaml, read_yaml
@@ -47,7 +48,7 @@ ROS_PARAMETERS = (
 KINDS: dict[str, tuple[Callable[[Path], object], str]] = {
     "track vehicle": (load_base, (config_dir() / "xgd24d.yaml").read_text() + EFFECTS + DISTURBANCE),
     "road vehicle": (load_base, (config_dir() / "husky.yaml").read_text()),
-    "surroundings": (lambda path: load_surroundings(path, "xgd24d", 97920.0, on_tyres=False), SURROUNDINGS),
+    "surroundings": (lambda path: load_surroundings(path, "xgd24d", 97920.0, VehicleKind()), SURROUNDINGS),
     "topics": (Topics.load, (config_dir() / "topics" / "sample.yaml").read_text()),
     "parameters": (read_parameters, (config_dir() / "trackres.yaml").read_text()),
     "parameters as ROS has them": (read_parameters, ROS_PARAMETERS),

@@ -7,17 +7,24 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from trackres_ros.effects import Active, Conditions, Effect, Parameter, Terms
+from trackres_ros.effects.effect import Values
+from trackres_ros.effects.stepping import MOST_TORQUE
+from trackres_ros.estimator.columns import Reason
+from trackres_ros.estimator.entry_points import interpreted_entries
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.model.operating_point import explain
+from trackres_ros.model.operating_point import explain, explain_road, left_out_at
 from trackres_ros.model.resistance import direction
 from trackres_ros.model.track import with_methods
-from trackres_ros.vehicle import Vehicle, load
+from trackres_ros.vehicle import AnyVehicle, Vehicle, load, load_any
 
 FULL_SPEED = 50 / 3.6
 PARTS = ("indentation", "bending", "tension", "drive")
@@ -127,3 +134,33 @@ def test_the_rainflow_matrix_of_the_reference_point(xgd24d: Vehicle) -> None:
     assert sorted(counted) == pytest.approx(np.repeat(expected, 2), rel=0.01)  # the drive adds its little
     steady = point["tension_n"] / (track.belt.cord_modulus * track.belt.cord_section)
     assert min(row[1] - row[0] / 2 for row in along) == pytest.approx(steady, rel=0.5)
+
+
+class Odd(Effect):
+    """A torque for a wrong answer, or for none."""
+
+    name, acts_on, belongs_to, text = "odd", "torque", "vehicle", "an effect of a user's own"
+    parameters = (Parameter("size", "1", -1e9, 1e9, 1.0, "torque over that of the limit", off=0.0),)
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        most = MOST_TORQUE * at.facts.weight * at.facts.radius
+        return Terms(torque=most / p.size) if p.size < 1e3 else Terms(heat=p.size)
+
+
+@pytest.mark.parametrize("name", ["agri3t", "bmw_i3"])
+@pytest.mark.parametrize(("size", "acts"), [(1.01, True), (0.99, False), (0.0, False), (math.nan, False), (1e6, False)])
+def test_a_point_leaves_out_what_the_step_refuses(name: str, size: float, acts: bool) -> None:
+    plain = load_any(name)
+    vehicle = replace(plain, effects=(Active(Odd(), {"size": size}),))
+
+    def point(of: AnyVehicle) -> dict[str, Any]:
+        return explain(of, 2.0, 20.0) if isinstance(of, Vehicle) else explain_road(of, 2.0)
+
+    found = point(vehicle)
+    assert found["effects_left_out"] == ([] if acts else ["odd"])
+    assert left_out_at(vehicle, 2.0, 20.0) == found["effects_left_out"]
+    assert (found["torque_nm"] == point(plain)["torque_nm"]) == (not acts)
+    estimator = Estimator(vehicle, entries=interpreted_entries())
+    inputs = estimator.inputs(2.0)
+    reasons = estimator.step(estimator.cold_start(inputs), inputs, 0.1)[1].reasons
+    assert bool(reasons & Reason.EFFECT_LEFT_OUT) == (not acts)

@@ -17,11 +17,14 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from trackres_ros.effects import catalogue
 from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir
+from trackres_ros.files.yamls import read_yaml
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.vehicle import load
+from trackres_ros.vehicle import load, load_any
 from trackres_ros.vehicle.loading import build
+from trackres_ros.vehicle.road import build_road
 
 Content = dict[str, Any]
 THICKNESS = "tracks.triangular.belt.thickness"
@@ -273,6 +276,10 @@ def half_a_motor(content: Content) -> None:
     content["chassis"]["motor_ratio"] = {"value": 30.0, "unit": "1", "flag": "A", "range": [20.0, 40.0], "reason": "a guess"}
 
 
+def spare_track(content: Content) -> None:
+    content["tracks"]["spare"] = copy.deepcopy(content["tracks"]["triangular"])
+
+
 def second_axle_idle(content: Content) -> None:
     for assembly in content["assemblies"]:
         assembly["axle"] = "front"
@@ -305,6 +312,7 @@ def second_axle_idle(content: Content) -> None:
         (set_at("assemblies.1.name", "front"), "assemblies", "unique names"),
         (set_at("chassis.axles.1.name", "front"), "chassis.axles", "unique names"),
         (set_at("tracks", {}), "tracks", "at least one kind of track"),
+        (spare_track, "assemblies", "at least one assembly a kind of track"),
     ],
 )
 def test_parts_that_do_not_fit_each_other(
@@ -314,6 +322,53 @@ def test_parts_that_do_not_fit_each_other(
     error = refusal(folder, content)
     assert key in error.where
     assert allowed in error.allowed
+
+
+KINDS = {"agri3t": (True, True), "bmw_i3": (False, True), "emps": (False, False)}  # whether it has belts, and rolls
+
+
+@pytest.mark.parametrize("vehicle", KINDS)
+def test_only_effects_with_a_meaning_for_a_vehicle_are_listed(folder: Path, vehicle: str) -> None:
+    path, (belts, rolls) = folder / f"{vehicle}.yaml", KINDS[vehicle]
+    content, here = read_yaml(path), load_any(vehicle)
+    quantities = {active.effect.name for active in here.active}
+    for effect in catalogue(size=here.size, on_tyres=not belts).values():
+        if effect.belongs_to != "vehicle":
+            continue
+        path.write_text(yaml.safe_dump({**content, "effects": {effect.name: effect.values()}}))
+        meant = effect.only_of in ("", "rolls" if rolls else "slides") and (belts or not effect.belt_only)
+        if meant and effect.name not in quantities:
+            assert effect.name in [active.effect.name for active in load_any(path).active]
+            continue
+        with pytest.raises(InputError, match=f"'{effect.name}'") as caught:
+            load_any(path)
+        assert effect.name not in caught.value.allowed.removeprefix("one of ").split(", ")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "allowed"),
+    [
+        ("schema", 99, "1"),
+        ("effects", {"latch_of_belt_temperature": {"off": 20.0, "on": 30.0, "x1": 0.0, "x2": 60.0, "y1": 20.0}}, "warmup"),
+        ("road_load.rolling_rise", {"value": -0.0003, "range": [-0.001, 0.0]}, "at least -rolling_coefficient / max_speed"),
+    ],
+)
+def test_a_road_file_without_a_meaning_is_refused(folder: Path, key: str, value: Any, allowed: str) -> None:
+    content = read_yaml(folder / "bmw_i3.yaml")
+    put(content, key, {**at(content, key), **value} if "." in key else value)
+    with pytest.raises(InputError) as caught:
+        build_road(folder / "bmw_i3.yaml", content)
+    assert key in caught.value.where
+    assert allowed in caught.value.allowed
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.999])
+def test_rolling_resistance_may_fall_but_not_below_zero(folder: Path, share: float) -> None:
+    content = read_yaml(folder / "bmw_i3.yaml")
+    least = -content["road_load"]["rolling_coefficient"]["value"] / content["road_load"]["max_speed"]["value"]
+    content["road_load"]["rolling_rise"].update(value=share * least, range=[least, 0.0])
+    v = build_road(folder / "bmw_i3.yaml", content).values
+    assert v["rolling_coefficient"] + v["rolling_rise"] * v["max_speed"] > 0.0
 
 
 def nodes(content: Any, path: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:

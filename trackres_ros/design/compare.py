@@ -24,7 +24,7 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.model.coverage import OVERSPEED
-from trackres_ros.model.operating_point import explain_road, vehicle_state
+from trackres_ros.model.operating_point import INACTIVE, explain_road, left_out_at, vehicle_state
 from trackres_ros.text.numbers import figures
 from trackres_ros.text.table import table
 from trackres_ros.units import GRAVITY, KMH_PER_MPS
@@ -181,9 +181,13 @@ def compare_designs(asked: ComparisonRequest, advance: Callable[[float], None] =
     designs = [_grid(asked, vehicle, name, advance) for vehicle, name in zip(asked.vehicles, names, strict=True)]
     for design, estimator in zip(designs, estimators, strict=True):
         design["drive"] = _first_drive(asked, estimator)
+    notes = [note for cycle in asked.cycles for note in cycle.notes]
+    for vehicle, name in zip(asked.vehicles, names, strict=True):
+        if left_out := left_out_at(vehicle, asked.steady_kmh[0] / KMH_PER_MPS, asked.ambients_degc[0]):
+            notes.append(f"steady states of {name}: {', '.join(left_out)}: {INACTIVE}")
     return {
         "speeds_kmh": list(asked.speeds_kmh), "belts_degc": list(asked.belts_degc), "designs": designs, "steady": rows_steady,
-        "drives": rows_driven, "notes": [note for cycle in asked.cycles for note in cycle.notes],
+        "drives": rows_driven, "notes": notes,
     }  # fmt: skip
 
 
@@ -292,7 +296,8 @@ def interval(row: Mapping[str, Any], key: str) -> float | None:
 def wheels_compared(given: Sequence[str]) -> list[dict[str, Any]] | None:
     """Resistance and energy of two vehicle files without belts at five speeds; None of anything else.
 
-    Returns speed [km/h]; of each file the resistance at its wheels [Nm] and over the way [N], and energy [kWh/km].
+    Returns speed [km/h]; of each file the resistance at its wheels [Nm] and over the way [N], energy [kWh/km], and the effects
+    that are left out.
     """
     vehicles = [one for one in map(load_any, vehicle_files(given, SECTION)) if isinstance(one, RoadVehicle)]
     if not vehicles:
@@ -300,10 +305,12 @@ def wheels_compared(given: Sequence[str]) -> list[dict[str, Any]] | None:
     fastest = min(one.chassis.max_speed for one in vehicles)
     rows = []
     for speed in np.linspace(SLOWEST_SHARE * fastest, fastest, POINTS).tolist():
-        torques = [explain_road(one, speed)["torque_nm"]["resistance"] for one in vehicles]
+        states = [explain_road(one, speed) for one in vehicles]
+        torques = [state["torque_nm"]["resistance"] for state in states]
         forces = [torque / one.constants.radius for torque, one in zip(torques, vehicles, strict=True)]
         energy = [1e3 * force / J_PER_KWH for force in forces]
-        rows.append({"speed_kmh": KMH_PER_MPS * speed, "resistance_nm": torques, "force_n": forces, "kwh_per_km": energy})
+        row = {"speed_kmh": KMH_PER_MPS * speed, "resistance_nm": torques, "force_n": forces, "kwh_per_km": energy}
+        rows.append({**row, "effects_left_out": [state["effects_left_out"] for state in states]})
     return rows
 
 
@@ -314,4 +321,6 @@ def wheels_text(rows: Sequence[dict[str, Any]], names: Sequence[str]) -> str:
         [figures(row["speed_kmh"]), *(figures(x) for key in ("resistance_nm", "force_n", "kwh_per_km") for x in row[key])]
         for row in rows
     ]
-    return "\n".join(["", "Resistance on the level, straight on", table(cells, head)])
+    left_out = zip(names, rows[0]["effects_left_out"], strict=True)
+    notes = [f"{', '.join(effects)} of {name}: {INACTIVE}" for name, effects in left_out if effects]
+    return "\n".join(["", "Resistance on the level, straight on", table(cells, head), *notes])

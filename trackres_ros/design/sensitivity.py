@@ -21,6 +21,7 @@ from trackres_ros.design.values import scalars, short
 from trackres_ros.engine.executor import LOCAL, results
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.files.resources import find_vehicle
+from trackres_ros.model.operating_point import INACTIVE, left_out_at
 from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.text.table import table
 from trackres_ros.units import KMH_PER_MPS
@@ -33,6 +34,7 @@ Model = Callable[[Array], Array]
 NOT_OF_THE_VEHICLE = ("chassis.ambient", "chassis.max_speed", "chassis.max_acceleration")
 NAMES = {"cold_nm": "cold resistance", "warm_nm": "warm resistance", "belt_degc": "belt temperature", "kwh_per_km": "warm energy"}
 UNITS = {"cold_nm": "Nm", "warm_nm": "Nm", "belt_degc": "K", "kwh_per_km": "kWh/km"}
+OF_EFFECTS = "the size of an effect is taken as known"
 SURE = 0.95
 RESAMPLES = 200
 MOST_LOST = 0.25  # of the draws: with more of them the ranges do not go together
@@ -157,6 +159,8 @@ def sensitivity(
     # A value that ends the balance at one end of its range has no size there, but it moves a lot.
     little = [path for path, moved in reach.items() if np.isfinite(moved).all() and not np.any(moved > LITTLE * most)]
     held |= dict.fromkeys(little, f"it moves nothing by {LITTLE:.0%} of what others do")
+    held |= {f"effects.{active.effect.name}": OF_EFFECTS for active in vehicle.active if active.ranges}
+    held |= {f"effects.{name}": INACTIVE for name in left_out_at(vehicle, speed, air)}
     paths = [path for path in ends if path not in little]
     if not paths:
         raise InputError(file, "no value with a range that moves an outcome", "at least one", "give ranges in the vehicle file")

@@ -19,6 +19,7 @@ from trackres_ros.engine.executor import LOCAL, results
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
+from trackres_ros.model.operating_point import INACTIVE, left_out_at
 from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.text.table import table
 from trackres_ros.units import KMH_PER_MPS
@@ -83,6 +84,7 @@ class Swept:
     asked: SweepRequest
     columns: dict[str, Array]  # by name, shape (points,): the values by path, then outcomes; nan for an impossible vehicle
     refused: dict[int, str]  # the reason, by the number of the point
+    effects_left_out: tuple[str, ...] = ()  # of the steady states, with the values of the file
 
     @property
     def outcomes(self) -> list[str]:
@@ -110,6 +112,8 @@ class Swept:
             f"Steady at {kmh:g} km/h, air {self.asked.ambient:g} degC; cold: belts at air temperature, "
             "warm: belts at their steady temperature"
         )
+        if self.effects_left_out:
+            lines.append(f"{', '.join(self.effects_left_out)}: {INACTIVE}")
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
@@ -118,6 +122,7 @@ class Swept:
         return {
             "vehicle": self.asked.file, "speed_mps": self.asked.speed, "ambient_degc": self.asked.ambient,
             "columns": plain, "refused": {str(number): why for number, why in self.refused.items()},
+            "effects_left_out": list(self.effects_left_out),
         }  # fmt: skip
 
 
@@ -138,6 +143,7 @@ def sweep(
         Piece(number, str(find_vehicle(asked.file)), tuple(values.items()), asked.speed, asked.ambient, asked.cycle)
         for number, values in enumerate(points)
     ]
+    left_out = left_out_at(load(asked.file), asked.speed, asked.ambient)
     found: list[tuple[float, ...] | str] = [""] * len(pieces)
     few = asked.cycle is None and len(pieces) <= ALONE
     for piece, result in results(point, pieces, address, workers, few):
@@ -149,7 +155,7 @@ def sweep(
         raise InputError("--vary", f"{len(found)} points", "at least one possible vehicle", next(iter(refused.values())))
     rows = np.array([[np.nan] * len(names) if isinstance(result, str) else result for result in found])
     columns = {path: np.array([values[path] for values in points]) for path in asked.paths}
-    return Swept(asked, {**columns, **dict(zip(names, rows.T, strict=True))}, refused)
+    return Swept(asked, {**columns, **dict(zip(names, rows.T, strict=True))}, refused, tuple(left_out))
 
 
 def point(piece: Piece) -> tuple[float, ...] | str:

@@ -22,6 +22,14 @@ ACTS_ON = ("torque", "heat", "cooling", "sensor")
 BELONGS_TO = ("vehicle", "surroundings", "sensor")
 
 
+class VehicleKind(NamedTuple):
+    """What decides which effects a vehicle can have."""
+
+    has_belt: bool = True
+    rolls: bool = True  # else it slides, see `Effect.only_of`
+    includes: tuple[str, ...] = ()  # names of effects that are quantities of its file
+
+
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """One parameter of an effect; SI, temperatures in degC."""
@@ -201,6 +209,19 @@ class Effect(ABC):
     def lag(self, at: Conditions, p: Values) -> Lag | None:  # noqa: ARG002 - most have none
         """Target of its own state, if it has one, under the conditions."""
         return None
+
+    @property
+    def of_belts(self) -> bool:
+        """Whether it does nothing without a belt."""
+        return self.belt_only or "belt" in self.needs
+
+    def unsuited(self, kind: VehicleKind) -> str:
+        """Why a kind of vehicle cannot have it; empty if it can."""
+        if self.of_belts and not kind.has_belt:
+            return "the vehicle has no belt"
+        if self.only_of not in ("", "rolls" if kind.rolls else "slides"):
+            return f"it is only of what {self.only_of}"
+        return "the vehicle file has it as a quantity" if self.name in kind.includes else ""
 
     @property
     def has_lag(self) -> bool:

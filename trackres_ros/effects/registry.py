@@ -20,7 +20,17 @@ from types import ModuleType
 from typing import Any
 
 from trackres_ros import checks
-from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, REFERENCE_NM, Active, Effect, Parameter, VehicleConstants, conditions
+from trackres_ros.effects.effect import (
+    ACTS_ON,
+    BELONGS_TO,
+    REFERENCE_NM,
+    Active,
+    Effect,
+    Parameter,
+    VehicleConstants,
+    VehicleKind,
+    conditions,
+)
 from trackres_ros.effects.learned import NAMES as LEARNED
 from trackres_ros.effects.learned import EmpiricalEffect, learned
 from trackres_ros.errors import InputError, nearest
@@ -67,7 +77,12 @@ def catalogue(
 
 
 def check_effects(
-    given: Any, where: str, known: Mapping[str, Effect], belongs_to: str, size: float = REFERENCE_NM
+    given: Any,
+    where: str,
+    known: Mapping[str, Effect],
+    belongs_to: str,
+    size: float = REFERENCE_NM,
+    kind: VehicleKind | None = None,
 ) -> tuple[Active, ...]:
     """Effects with their values, in the notation of a file: ``name: {parameter: value or {value: v, range: [low, high]}, ...}``.
 
@@ -77,12 +92,14 @@ def check_effects(
         Effects with a name; learned effects without one, see `learned`, may be listed too.
     size
         Weight times wheel radius of the vehicle [Nm].
+    kind
+        Kind of the vehicle; without one, effects of every kind are accepted.
 
     Raises
     ------
     InputError
         For an unknown effect or parameter, a missing one, a value or range out of its bounds, or an effect that belongs to
-        another file.
+        another file or that the vehicle cannot have.
     """
     if not isinstance(given, Mapping):
         raise InputError(where, given, "a mapping of effects: name: {parameter: value}")
@@ -94,6 +111,9 @@ def check_effects(
         effect = learned(name, values, size) if name in LEARNED else known[name]
         if effect.belongs_to != belongs_to:
             raise InputError(f"{where}: effect", name, f"effects of the {belongs_to}", ELSEWHERE[effect.belongs_to])
+        if kind is not None and (reason := effect.unsuited(kind)):
+            suited = [e.name for e in known.values() if e.belongs_to == belongs_to and not e.unsuited(kind)]
+            raise InputError(f"{where}: effect", name, f"one of {', '.join(suited)}", f"remove it: {reason}")
         wanted = {q.name: q for q in effect.parameters if not q.is_fixed}
         if not isinstance(values, Mapping) or set(values) != set(wanted):
             raise InputError(f"{where}.{name}", values, f"a value for each of {', '.join(wanted)}")

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active, Conditions, Terms, conditions, together
+from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active, Conditions, Lag, Terms, conditions, together
+from trackres_ros.effects.stepping import LEAST_TIME_S, LIMITS, MOST_STATE, MOST_TORQUE
 from trackres_ros.model import resistance
 from trackres_ros.model.belt import axial_stiffness
 from trackres_ros.model.coverage import beyond_data, check_speed
@@ -25,6 +26,7 @@ from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import AnyVehicle, Chassis, RoadVehicle, Vehicle
 
 UNKNOWN = {"yaw_rate", "heading", "distance"}  # inputs of effects that an operating point lacks
+INACTIVE = "inactive, as its input is no part of a steady straight drive, or its output is not finite or implausible"
 DRIVE_PASSES = 4  # the torque strains the belt by 1e-4 of the wheels' strain; a second pass already converges
 
 
@@ -47,7 +49,8 @@ def explain(
     dict
         Ready for JSON. Torques, heat and cooling are for the whole vehicle; contacts, tension, loss forces and the rainflow
         matrix for the first assembly, followed by the loss forces of the others. The effects of the vehicle file are included,
-        except for those that need more than this state (`effects_left_out`): turning, a heading, a distance.
+        except for those that need more than this state (turning, a heading, a distance), and those with an implausible output
+        (`effects_left_out`).
 
     Raises
     ------
@@ -79,7 +82,7 @@ def explain(
         "loss_force_by_assembly_n": [a.loss_force for a in assemblies],
         "torque_nm": state.torque,
         "effects_left_out": state.effects_left_out,
-        "remarks": beyond_data(vehicle, speed, {a.name: belt_degc for a in vehicle.assemblies}),
+        "remarks": [*beyond_data(vehicle, speed, {a.name: belt_degc for a in vehicle.assemblies}), *state.remarks],
         "heat_w": sum(a.heat for a in assemblies),
         "cooling_w": sum(a.cooling for a in assemblies),
         "film_coefficient_w_m2k": first.film,
@@ -114,6 +117,7 @@ class VehicleState:
     torque: dict[str, float]
     force: float
     effects_left_out: list[str]
+    remarks: list[str]
 
 
 def vehicle_state(vehicle: Vehicle, speed: float, belts_degc: Sequence[float], ambient: float, weight: float) -> VehicleState:
@@ -145,7 +149,8 @@ def vehicle_state(vehicle: Vehicle, speed: float, belts_degc: Sequence[float], a
     shares = [sum(one.torque.values()) + torque["effects"] * one.load / weight for one in assemblies]
     radii = vehicle.sprocket_radii
     force = float(resistance.at_first_radius(torque["resistance"], shares, radii)) / radii[0]
-    return VehicleState(assemblies, mean, torque, force, left_out)
+    refused, remarks = _doubted(usable, at._replace(drive_torque=torque["resistance"]))
+    return VehicleState(assemblies, mean, torque, force, [*left_out, *refused], remarks)
 
 
 def _on_belts(effects: Sequence[Active], at: Conditions) -> Terms:
@@ -206,6 +211,7 @@ def explain_road(
     at = conditions(vehicle.constants, speed, weight=weight, ambient=ambient)
     torque["effects"] = _effects_torque(usable, at, sum(torque.values()))
     resisting = sum(torque[part] for part in ON_WHEELS)
+    refused, remarks = _doubted(usable, at._replace(drive_torque=resisting))
     return {
         "vehicle": vehicle.name,
         "method": vehicle.hysteresis,
@@ -214,9 +220,15 @@ def explain_road(
         "weight_n": float(weight),
         "torque_nm": {**torque, "inertia": 0.0, "resistance": resisting},
         "power_w": resisting / radius * speed,
-        "effects_left_out": left_out,
-        "remarks": [],
+        "effects_left_out": [*left_out, *refused],
+        "remarks": remarks,
     }
+
+
+def left_out_at(vehicle: AnyVehicle, speed: float, ambient: float) -> list[str]:
+    """Names of the effects that a steady state at a speed [m/s] leaves out, with belts as cold as the air [degC]."""
+    usable, left_out = _effects(vehicle)
+    return [*left_out, *_doubted(usable, conditions(vehicle_constants(vehicle), speed, ambient=ambient, belt=ambient))[0]]
 
 
 def _effects(vehicle: AnyVehicle) -> tuple[list[Active], list[str]]:
@@ -225,10 +237,34 @@ def _effects(vehicle: AnyVehicle) -> tuple[list[Active], list[str]]:
     return usable, [active.effect.name for active in vehicle.active if active not in usable]
 
 
+def _terms(active: Active, at: Conditions) -> Terms | None:
+    """Terms of an effect in a steady state, with its own state at the target; None where the estimator's step refuses it."""
+    try:
+        lag = active.lag(at) or Lag(0.0, 1.0, 0.0)
+        found = active.terms(at, lag.target)
+        usable = max(abs(lag.target), abs(lag.start)) <= MOST_STATE and LEAST_TIME_S <= lag.time_constant < math.inf
+        usable &= all(low <= getattr(found, name) <= high for name, (low, high) in LIMITS.items())
+        usable &= abs(found.torque) <= MOST_TORQUE * at.facts.weight * at.facts.radius
+    except Exception:  # of any kind, as the code may not be ours
+        return None
+    return found if usable else None
+
+
 def _together(effects: Sequence[Active], at: Conditions) -> Terms:
-    """Terms of effects in a steady state, with their own states at the targets."""
-    lags = [active.lag(at) for active in effects]
-    return together([a.terms(at, 0.0 if lag is None else lag.target) for a, lag in zip(effects, lags, strict=True)])
+    """Terms of usable effects in a steady state."""
+    return together([terms for active in effects if (terms := _terms(active, at)) is not None])
+
+
+def _doubted(effects: Sequence[Active], at: Conditions) -> tuple[list[str], list[str]]:
+    """Names of the effects with unusable terms, and remarks on learned ones beyond their ranges."""
+    refused, remarks = [], []
+    for active in effects:
+        terms = _terms(active, at)
+        if terms is None:
+            refused.append(active.effect.name)
+        elif terms.extrapolated > 0.0:
+            remarks.append(f"{active.effect.name} is outside the range it was fitted on: it keeps its end value")
+    return refused, remarks
 
 
 def _effects_torque(effects: Sequence[Active], at: Conditions, others: float) -> float:

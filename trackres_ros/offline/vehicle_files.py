@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -12,17 +13,18 @@ from typing import Any
 
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.own_files import write
-from trackres_ros.files.resources import find_vehicle, shipped_road_vehicles, shipped_vehicles
+from trackres_ros.files.resources import config_dir, find_vehicle, shipped_road_vehicles, shipped_vehicles
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.text.numbers import figures
 from trackres_ros.text.table import table
+from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.writing.vehicle_file import copied
 from trackres_ros.vehicle.writing.yaml_edit import Document
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
 RUNS_ON = {"tracks": "tracks", "road_load": "wheels, without belts"}
 LONGEST = 24  # of a text in a table of numbers
-UNSAID = ("reason", "flag")  # of a quantity: they do not define a vehicle
+DIGITS = 12  # of the digest of a file
 
 
 def shipped() -> list[dict[str, str]]:
@@ -80,21 +82,27 @@ def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
 
 def differences(one: str, other: str) -> list[dict[str, Any]]:
     """Differences of two vehicle files: path, unit, both values, the second over the first if both are numbers with a
-    true zero, and ranges.
+    true zero, ranges, and flags if only one value is fitted: its uncertainty then is the whole one.
+
+    Files that both name, such as that of the rubber, are compared by a digest of their content.
 
     Raises
     ------
     InputError
         If one is no vehicle file.
     """
-    sides = [dict(_leaves(read_yaml(find_vehicle(given)))) for given in (one, other)]
+    places = [find_vehicle(given) for given in (one, other)]
+    contents = [read_yaml(place) for place in places]
+    sides = [
+        {**dict(_leaves(content)), **_digests(content, place.parent)} for content, place in zip(contents, places, strict=True)
+    ]
     found = []
     for path in dict.fromkeys([*sides[0], *sides[1]]):
         quantities = [side.get(path) for side in sides]
         if quantities[0] == quantities[1]:
             continue
         values = [q.get("value") if isinstance(q, Mapping) else q for q in quantities]
-        ranges = [q.get("range") if isinstance(q, Mapping) else None for q in quantities]
+        ranges, flags = ([q.get(key) if isinstance(q, Mapping) else None for q in quantities] for key in ("range", "flag"))
         units = [q["unit"] for q in quantities if isinstance(q, Mapping) and "unit" in q]
         numbers = "degC" not in units and all(isinstance(v, float | int) and not isinstance(v, bool) for v in values)
         found.append(
@@ -105,6 +113,7 @@ def differences(one: str, other: str) -> list[dict[str, Any]]:
                 "other": values[1],
                 "ratio": values[1] / values[0] if numbers and values[0] else None,
                 "ranges": ranges if ranges[0] != ranges[1] else None,
+                "flags": flags if flags[0] != flags[1] else None,
             }
         )
     return found
@@ -116,7 +125,9 @@ def differences_text(one: str, other: str, found: Sequence[Mapping[str, Any]]) -
     def cells(d: Mapping[str, Any]) -> tuple[str, ...]:
         ratio = "" if d["ratio"] is None else f"{100.0 * (d['ratio'] - 1.0):+.1f} %"
         spans = ["" if span is None else f"{figures(span[0])} to {figures(span[1])}" for span in d["ranges"] or (None, None)]
-        return d["path"], d["unit"], _shown(d["one"]), _shown(d["other"]), ratio, *spans
+        fits = ["" if flag is None else f" ({flag})" for flag in d["flags"] or (None, None)]
+        values = [f"{_shown(d[side])}{fit}" for side, fit in zip(("one", "other"), fits, strict=True)]
+        return d["path"], d["unit"], *values, ratio, *spans
 
     head = ("value", "unit", one, other, "change", f"range of {one}", f"range of {other}")
     return table(map(cells, found), head, numbers=False) if found else "They have the same values."
@@ -129,10 +140,24 @@ def _shown(value: Any) -> str:
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
 
 
+def _digests(content: Mapping[str, Any], folder: Path) -> dict[str, str]:
+    """Digests of the files that a vehicle file in a folder names; as in loading, a missing rubber file is the shipped one."""
+    rubber, own = content.get("rubber"), content.get("effect_files")
+    named = {f"effect_files.{i}": [folder / str(name)] for i, name in enumerate(own if isinstance(own, list) else [])}
+    if isinstance(rubber, Mapping) and isinstance(name := rubber.get("file"), str):
+        named["rubber.file"] = [folder / name, config_dir() / "rubber" / Path(name).name]
+    found = {}
+    for path, places in named.items():
+        if (place := next(filter(Path.is_file, places), None)) is not None:
+            found[f"content of {path}"] = f"sha256 {hashlib.sha256(place.read_bytes()).hexdigest()[:DIGITS]}"
+    return found
+
+
 def _leaves(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     """Quantities and plain values by their paths; parts of a list by their names."""
     if isinstance(node, Mapping) and "value" in node:
-        yield path, {key: value for key, value in node.items() if key not in UNSAID}
+        # A reason does not define a vehicle, nor a flag other than F.
+        yield path, {k: v for k, v in node.items() if k != "reason" and (k != "flag" or v == FITTED)}
     elif isinstance(node, Mapping):
         for key, value in node.items():
             if key != "name" or not path:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes results as topics of an MCAP file, the same topics that the live node publishes."""
+"""Writes results as topics of an MCAP file: those of the live node, except `estimate`, `parameters` and diagnostics."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ ESTIMATE_TOPIC = OutputTopic(
     ("feedforward_torque_nm", "resistance_torque_nm", "resistance_std_nm"),
     ("feedforward_torque_nm", "resistance_torque_nm", "resistance_std_nm", LEVEL),
 )
-"""Live only: in the bag of a replay these numbers have their own topics, and the reasons are in its status."""
+"""Live only. The bag of a replay has the torques on their own topics, the reasons in its status, and no standard deviation."""
 
 
 def sign_of(column: str) -> float:

@@ -53,6 +53,8 @@ class CoastdownResult:
             listed = ", ".join(f"{p.name} {figures(p.value, 3)} (allowed: {p.by_file[0]:g} to {p.by_file[1]:g})" for p in beyond)
             check = "check the unit of the speed, the mass, and that nothing drove or braked"
             return f"values outside their ranges in the vehicle file: {listed}; {check}; if they are right, widen the ranges"
+        if found.refused:
+            return f"no command would accept a vehicle file with the values: {found.refused}"
         before, after = figures(found.improvement.before, 3), figures(found.improvement.after, 3)
         error = f"the mean error is {after} Nm with them and {before} Nm with the vehicle file as it is"
         return f"on the hold-out coast-downs {error}{remedy}"

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from trackres_ros.model.operating_point import INACTIVE
 from trackres_ros.results.content import Content
 from trackres_ros.text.html import listed, panel, paragraph, table
 from trackres_ros.text.numbers import decimals
@@ -31,7 +32,7 @@ class OperatingPoint(Content):
     def _sentences(self) -> list[str]:
         torques = ", ".join(f"{k} {decimals(v)}" for k, v in self["torque_nm"].items())
         left_out = self["effects_left_out"]
-        without = [f"Inactive, because they need more than an operating point: {', '.join(left_out)}"] if left_out else []
+        without = [f"{', '.join(left_out)}: {INACTIVE}"] if left_out else []
         if "belt_degc" not in self:
             power = decimals(self["power_w"] / 1e3, 2)
             return [f"Torque at the wheels [Nm]: {torques}", f"Power to overcome the resistance {power} kW", *without]
@@ -56,17 +57,18 @@ class OperatingPoint(Content):
         ]  # fmt: skip
 
     def __repr__(self) -> str:
+        remarks = [f"  ! {remark}" for remark in self["remarks"]]
         if "belt_degc" not in self:
-            return "\n".join([self._head(), *self._sentences()])
+            return "\n".join([self._head(), *remarks, *self._sentences()])
         head = ["", *(f"{name}\n{unit}" for name, unit in WHEEL_HEAD.items())]
         wheels = text_table(self._wheels(), head, indent=2)
-        remarks = [f"  ! {remark}" for remark in self["remarks"]]
         return "\n".join([self._head(), *remarks, "", f"Road wheels of {self['assemblies'][0]}", wheels, "", *self._sentences()])
 
     def _repr_html_(self) -> str:
         torques = [(part, decimals(value)) for part, value in self["torque_nm"].items()]
         if "belt_degc" not in self:
-            return panel(self._head(), table(("torque at the wheels", "Nm"), torques), *map(paragraph, self._sentences()[1:]))
+            wheels = table(("torque at the wheels", "Nm"), torques)
+            return panel(self._head(), wheels, *map(paragraph, self._sentences()[1:]), listed("Remarks", self["remarks"]))
         losses = [(part, decimals(value, 1)) for part, value in self["loss_force_n"].items()]
         sentences = [line for line in self._sentences() if line and not line.startswith(("Torque", "Loss"))]
         first = self["assemblies"][0]

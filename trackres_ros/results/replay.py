@@ -145,7 +145,8 @@ class ReplayResult(SeriesResult):
         Parameters
         ----------
         path
-            `.csv`, `.csv.gz`, `.parquet` or `.mf4` for a table, `.mcap` for the topics that the live node publishes.
+            `.csv`, `.csv.gz`, `.parquet` or `.mf4` for a table; `.mcap` for topics of the live node. Only the table has the
+            standard deviation of the resistance, and a disturbance.
 
         Returns
         -------

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
@@ -23,11 +24,13 @@ from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.table import write_table
 from trackres_ros.results.series import Array, SeriesResult
 from trackres_ros.text.html import listed, panel
-from trackres_ros.text.numbers import decimals
+from trackres_ros.text.numbers import decimals, number_of
 from trackres_ros.text.table import table
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import AnyVehicle
 
+# The first is in the other remarks; the rest is of the feed-forward and of the length of a step.
+UNSHOWN = at.Reason.OUTSIDE_TABLE | at.Reason.FEEDFORWARD_CLAMPED | at.HARMLESS
 SUMMARY_TIMES_S = (50.0, 250.0, 600.0, 1000.0, 2500.0)
 
 
@@ -69,13 +72,16 @@ class SimulationResult(SeriesResult):
 
     @property
     def remarks(self) -> list[str]:
-        """Belt temperatures outside the rubber data, and loads outside the table of losses."""
+        """Belt temperatures outside the rubber data, loads outside the table of losses, and other reasons of the estimator."""
         index = self.estimator.column_index
+        reasons = self._rows[:, index["reasons"]].astype(np.int64)
+        counts = {reason: int(np.count_nonzero(reasons & int(reason))) for reason in at.REASON_TEXT if not reason & UNSHOWN}
+        texts = [f"{at.REASON_TEXT[reason]} ({number_of(count, 'step')})" for reason, count in counts.items() if count]
         belts, loads = (
             {name: self._rows[:, index[f"{column}/{name}"]] for name in self.estimator.assemblies}
             for column in ("belt_degc", "load_n")
         )
-        return [*beyond_data(self.vehicle, self["speed_mps"], belts), *beyond_loads(self.vehicle, loads)]
+        return [*beyond_data(self.vehicle, self["speed_mps"], belts), *beyond_loads(self.vehicle, loads), *texts]
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -97,7 +103,8 @@ class SimulationResult(SeriesResult):
         Parameters
         ----------
         path
-            `.csv`, `.csv.gz`, `.parquet` or `.mf4` for a table of `columns`, `.mcap` for the topics that the live node publishes.
+            `.csv`, `.csv.gz`, `.parquet` or `.mf4` for a table of `columns`; `.mcap` for topics of the live node, without the
+            standard deviation of the resistance.
 
         Returns
         -------

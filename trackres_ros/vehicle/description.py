@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.effects.effect import Active
+from trackres_ros.effects.effect import Active, VehicleKind
 from trackres_ros.route.learned import RouteMap
 
 Array = NDArray[np.float64]
@@ -239,6 +239,8 @@ class Vehicle:
     route: tuple[RouteMap, ...] = ()
     disturbance: Disturbance | None = None
     surroundings_source: Path | None = None
+
+    kind: ClassVar[VehicleKind] = VehicleKind()
 
     def __repr__(self) -> str:
         with_effects = f", with {', '.join(active.effect.name for active in self.active)}" if self.active else ""

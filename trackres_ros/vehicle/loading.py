@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.effects.effect import Active
+from trackres_ros.effects.effect import Active, VehicleKind
 from trackres_ros.effects.registry import catalogue, check_effects
 from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir, find_vehicle
@@ -113,13 +113,13 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
         parameters=MappingProxyType(reader.parameters),
         disturbance=read_disturbance(path, content[DISTURBANCE]) if DISTURBANCE in content else None,
     )
-    vehicle = replace(vehicle, effects=listed_effects(reader, content, vehicle.size, False, "vehicle"))
+    vehicle = replace(vehicle, effects=listed_effects(reader, content, vehicle.size, vehicle.kind, "vehicle"))
     reader.check_overrides_used()
     return vehicle
 
 
 def listed_effects(
-    reader: ValueReader, content: Mapping[str, Any], size: float, on_tyres: bool, belongs_to: str
+    reader: ValueReader, content: Mapping[str, Any], size: float, kind: VehicleKind, belongs_to: str
 ) -> tuple[Active, ...]:
     """The effects that a file switches on, including those of its `effect_files`; see `catalogue` and `check_effects`.
 
@@ -134,8 +134,8 @@ def listed_effects(
     for file in files:
         if not file.is_file():
             raise InputError(reader.where("effect_files"), str(file), "existing Python files, relative to this file")
-    known = catalogue(size=size, on_tyres=on_tyres, files=files)
-    return check_effects(content.get("effects", {}), reader.where("effects"), known, belongs_to, size)
+    known = catalogue(size=size, on_tyres=not kind.has_belt, files=files)
+    return check_effects(content.get("effects", {}), reader.where("effects"), known, belongs_to, size, kind)
 
 
 def _rubber(reader: ValueReader, given: Any) -> tuple[Rubber, Path]:
@@ -249,6 +249,11 @@ def _assemblies(reader: ValueReader, given: Any, axles: tuple[Axle, ...], tracks
     for name in names:
         if all(a.axle != name for a in assemblies):
             raise InputError(reader.where("assemblies"), f"no assembly on axle {name}", "at least one assembly an axle")
+    for name in tracks:
+        if all(a.track != name for a in assemblies):
+            raise InputError(
+                reader.where("assemblies"), f"no assembly of the track {name}", "at least one assembly a kind of track"
+            )
     return tuple(assemblies)
 
 

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.effects.effect import Active, Effect, VehicleConstants
+from trackres_ros.effects.effect import Active, Effect, VehicleConstants, VehicleKind
 from trackres_ros.effects.vehicle.coulomb_friction import CoulombFriction
 from trackres_ros.effects.vehicle.drivetrain_efficiency import DrivetrainEfficiency
 from trackres_ros.effects.vehicle.viscous_friction import ViscousFriction
@@ -22,6 +22,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.route.learned import RouteMap
+from trackres_ros.text.numbers import figures
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 from trackres_ros.vehicle.description import Assembly, Axle, Chassis, Disturbance, Quantity, Vehicle
 from trackres_ros.vehicle.loading import DISTURBANCE, EFFECT_KEYS, build, listed_effects
@@ -32,6 +33,7 @@ SECTION = "road_load"
 GEARS = DrivetrainEfficiency()
 OF_SLIDES = {"coulomb_friction": (CoulombFriction(), "friction"), "viscous_friction": (ViscousFriction(), "coefficient")}
 """Forces of sliding vehicles: the effect of each, and its parameter, over the radius."""
+ROUNDED = 1e-5  # of the rolling coefficient: the figures of written values
 SLOW_SHARE = 1.0 / 30.0  # of the greatest speed: a slow vehicle reverses within less than `STANDSTILL_MPS`
 
 
@@ -83,6 +85,11 @@ class RoadVehicle:
     def rolls(self) -> bool:
         """Whether it has rolling resistance; a sliding vehicle has friction instead, see `Effect.only_of`."""
         return self.parameters[f"{SECTION}.rolling_coefficient"].high > 0.0
+
+    @property
+    def kind(self) -> VehicleKind:
+        """What decides which effects it can have."""
+        return VehicleKind(False, self.rolls, tuple(effect.name for effect, *_ in built_in(self.values)))
 
     @property
     def active(self) -> tuple[Active, ...]:
@@ -147,6 +154,15 @@ def load_any(path_or_name: str | os.PathLike[str]) -> AnyVehicle:
     return build_road(path, content) if isinstance(content.get(SECTION), dict) else build(path, content)
 
 
+def _check_rolling(reader: ValueReader, values: Mapping[str, float]) -> None:
+    """Refuse a rolling resistance that becomes negative below the greatest speed."""
+    coefficient, rise, fastest = values["rolling_coefficient"], values["rolling_rise"], values["max_speed"]
+    if coefficient + rise * fastest < -ROUNDED * coefficient:
+        least = f"-rolling_coefficient / max_speed = {figures(-coefficient / fastest)} s/m"
+        remedy = "below it the rolling resistance is negative at max_speed"
+        raise InputError(reader.where(f"{SECTION}.rolling_rise"), rise, f"at least {least}", remedy)
+
+
 def files_of(vehicle: AnyVehicle) -> list[Path]:
     """The vehicle file and all files that it was read with."""
     rubber = vehicle.rubber_source if isinstance(vehicle, Vehicle) else None
@@ -164,12 +180,14 @@ def build_road(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
     """
     reader = ValueReader(path, None)
     reader.keys(content, "", ("schema", "name", "title", "friction_brakes", SECTION), (*EFFECT_KEYS, DISTURBANCE))
+    if content["schema"] != 1:
+        raise InputError(reader.where("schema"), content["schema"], "1")
     values = reader.table(content[SECTION], SECTION, ROAD_LOAD)
+    _check_rolling(reader, values)
     brakes = content["friction_brakes"]
     if not isinstance(brakes, bool):
         raise InputError(reader.where("friction_brakes"), brakes, "true or false")
     name, title = reader.text(content["name"], "name"), reader.text(content["title"], "title")
-    size = values["mass"] * GRAVITY * values["wheel_radius"]
-    effects = listed_effects(reader, content, size, True, "vehicle")
     watched = read_disturbance(path, content[DISTURBANCE]) if DISTURBANCE in content else None
-    return RoadVehicle(name, title, path, values, reader.parameters, brakes, effects, disturbance=watched)
+    vehicle = RoadVehicle(name, title, path, values, reader.parameters, brakes, disturbance=watched)
+    return replace(vehicle, effects=listed_effects(reader, content, vehicle.size, vehicle.kind, "vehicle"))

@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from trackres_ros import checks
-from trackres_ros.effects.effect import Active
+from trackres_ros.effects.effect import Active, VehicleKind
 from trackres_ros.errors import InputError
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.route.learned import TORQUE, RouteMap, of_kind
@@ -23,7 +23,7 @@ from trackres_ros.route.table import read_route
 from trackres_ros.text.numbers import figures
 from trackres_ros.vehicle.loading import listed_effects
 from trackres_ros.vehicle.reading import ValueReader
-from trackres_ros.vehicle.road import AnyVehicle, RoadVehicle
+from trackres_ros.vehicle.road import AnyVehicle
 
 Kind = TypeVar("Kind", bound=AnyVehicle)
 SCHEMA = 1
@@ -42,17 +42,17 @@ def with_surroundings(vehicle: Kind, file: str | os.PathLike[str] | None) -> Kin
     if file is None or (isinstance(file, str) and not file):
         return vehicle
     path, size = checks.path(file, "surroundings"), vehicle.size
-    around = load_surroundings(path, vehicle.name, size, isinstance(vehicle, RoadVehicle))
+    around = load_surroundings(path, vehicle.name, size, vehicle.kind)
     return replace(vehicle, surroundings=around, surroundings_source=path, route=load_route(path, size))
 
 
-def load_surroundings(path: Path, vehicle: str, size: float, on_tyres: bool) -> tuple[Active, ...]:
-    """Effects of the surroundings, for a vehicle of a name and of a weight times wheel radius [Nm], on tracks or on tyres.
+def load_surroundings(path: Path, vehicle: str, size: float, kind: VehicleKind) -> tuple[Active, ...]:
+    """Effects of the surroundings, for a vehicle of a name, of a weight times wheel radius [Nm], and of a kind.
 
     Raises
     ------
     InputError
-        If the file cannot be read, was made for another vehicle, or lists effects other than of the surroundings.
+        If the file cannot be read, was made for another vehicle, or lists effects other than of the surroundings or of its kind.
     """
     reader, content = ValueReader(path), read_yaml(path)
     reader.keys(content, "", KEYS, ("effect_files", "route"))
@@ -61,7 +61,7 @@ def load_surroundings(path: Path, vehicle: str, size: float, on_tyres: bool) -> 
     if reader.text(content["vehicle"], "vehicle") != vehicle:
         remedy = "surroundings are fitted for one vehicle: run trackres diagnose with this vehicle"
         raise InputError(reader.where("vehicle"), content["vehicle"], vehicle, remedy)
-    return listed_effects(reader, content, size, on_tyres, "surroundings")
+    return listed_effects(reader, content, size, kind, "surroundings")
 
 
 def load_route(path: Path, size: float) -> tuple[RouteMap, ...]:

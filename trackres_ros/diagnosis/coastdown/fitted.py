@@ -13,6 +13,7 @@ import copy
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import stdtrit
@@ -85,10 +86,22 @@ class Coastdown:
 
     @property
     def better(self) -> bool:
-        """Whether the values improve the hold-out coast-downs significantly, and none contradicts the range of the file."""
+        """Whether the values improve the hold-out coast-downs significantly, none contradicts the range of the file, and a
+        vehicle file may hold them.
+        """
         if any(p.beyond for p in self.parameters):
             return False
-        return self.improvement is not None and self.improvement.after < self.improvement.before and self.improvement.low > 0.0
+        better = self.improvement is not None and self.improvement.after < self.improvement.before and self.improvement.low > 0.0
+        return better and not self.refused
+
+    @cached_property
+    def refused(self) -> str:
+        """Why no command would accept a vehicle file with the values; empty if all would."""
+        try:
+            self.loaded.base.as_written(self.kept.values or {})
+        except InputError as error:
+            return f"{error.given}; allowed: {error.allowed}"
+        return ""
 
     @property
     def kept(self) -> FileChanges:

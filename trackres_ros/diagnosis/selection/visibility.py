@@ -92,7 +92,7 @@ def feasible(effects: Mapping[str, Effect], fit: Fit) -> tuple[list[Effect], lis
         if name in fit.problem.base.includes:
             not_visible.append(NotVisible(effect, "the model already has it"))
             continue
-        if effect.belt_only and not fit.problem.base.has_belt:
+        if effect.of_belts and not fit.problem.base.has_belt:
             not_visible.append(NotVisible(effect, "the vehicle has no belt"))
         elif missing:
             not_visible.append(NotVisible(effect, f"needs {', '.join(missing)}, which is not recorded"))
