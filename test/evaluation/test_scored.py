@@ -37,7 +37,8 @@ def report(status, effects=(), described=None, after=100.0):
 
 
 def term(form, variable="", gate=None, memory=None, after=120.0):
-    return {"form": form, "variable": variable, "gate": gate, "memory": memory, "heldout": {"mae": [200.0, after]}}
+    heldout = {"mae": [200.0, after]}
+    return {"form": form, "variable": variable, "gate": gate, "memory": memory, "grade": "confirmed", "heldout": heldout}
 
 
 def scored(level, hidden, made, seen=True, oracle_error=100.0, learned=None, masses=(), stated=None, alike=(), words=""):
@@ -56,6 +57,13 @@ def test_a_report_without_descriptions_is_read_as_before():
     assert of_report(report("none")).described == ()
     assert of_report(report("named", ["delay"])).first == "delay"
     assert error_left(report("named", ["delay"], after=90.0)) == 90.0
+
+
+def test_the_error_left_is_of_the_hold_out_laps_of_the_base():
+    fitted, followed = term("curve", "speed", after=230.0), term("drift", after=80.0)
+    assert error_left(report("described", described=[fitted], after=90.0)) == 90.0
+    assert error_left(report("described", described=[fitted, followed], after=90.0)) == 80.0
+    assert error_left(report("described", described=[{**followed, "grade": "refuted"}], after=90.0)) == 90.0
 
 
 def test_a_confirmed_name_is_wrong_unless_hidden_or_fits_as_well():
@@ -92,7 +100,7 @@ def test_scores_of_what_is_outside():
     one, by_chance = ["program"], "coming and going by chance"
     of = [
         scored("outside", one, report("described", described=[term("spells")]), stated=True, words=by_chance),
-        scored("outside", one, report("described", described=[term("curve", after=140.0)]), stated=False, words="a bump"),
+        scored("outside", one, report("described", described=[term("curve")], after=140.0), stated=False, words="a bump"),
         scored("outside", one, report("named", ["delay"], after=250.0), words="a sine"),
         scored("outside", one, report("unexplained"), seen=False, words=by_chance),
         scored("none", [], report("described", described=[term("drift", after=190.0)]), oracle_error=200.0),
@@ -151,8 +159,8 @@ def test_scores_in_a_town():
         scored("street", [], report("one_of", ["delay"]), oracle_error=200.0),
         scored("street", ["street_slope"], report("named", ["grade"], after=120.0)),
         scored("street", ["street_slope"], report("named", ["delay"], after=250.0)),
-        scored("street", ["stretch_load"], report("described", described=[term("payload", after=150.0)]), masses=masses),
-        scored("street", ["street_ground"], report("described", described=[term("place", after=110.0)]), seen=False),
+        scored("street", ["stretch_load"], report("described", described=[term("payload")], after=150.0), masses=masses),
+        scored("street", ["street_ground"], report("described", described=[term("place")], after=110.0), seen=False),
         scored("single", ["delay"], report("named", ["delay"])),
     ]
     found, own, values = shares(of), own_shares(of), sizes(of)

@@ -89,6 +89,7 @@ Form = Literal[
     "curve", "gated_curve", "step", "hinge", "latch", "sided_gain", "build_up", "spells", "wave", "place", "payload",
     "level_change", "recordings", "drift", "spread",
 ]  # fmt: skip
+FOLLOWED: tuple[Form, ...] = ("recordings", "drift")  # no fit has them: a live estimate follows them
 LEAST_DIFFERENCE = 0.02  # of its size: recordings with a smaller difference are alike
 
 

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from trackres_ros.diagnosis.empirical.terms import FOLLOWED
 from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
 from trackres_ros.diagnosis.findings.wording import form_words, upper
 from trackres_ros.diagnosis.selection.held_out import SMALL_SHARE
@@ -19,7 +20,6 @@ from trackres_ros.text.numbers import alike, decimals, figures
 MOST_WORDS = 40  # upper limit for the sentence
 STANDS_OUT_P = 0.05
 FEW = 3  # most names in a sentence
-FOLLOWED = ("recordings", "drift")  # forms that no torque model has
 AVERAGED = "Averaged"  # first word of a slow residual's description
 LEAST_SHARE = 0.01  # of the mean error: least gain for a new file
 SURE = "the hold-out laps confirm it"

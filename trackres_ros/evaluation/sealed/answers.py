@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from trackres_ros.diagnosis.empirical.terms import FOLLOWED
+
 SURE = ("named", "one_of")
 DESCRIBED, CONFIRMED = "described", "confirmed"
 ABOUT = ("variable", "gate", "memory")
@@ -80,10 +82,12 @@ def words(value: Any) -> str:
 
 
 def error_left(report: dict[str, Any]) -> float:
-    """Mean absolute error on hold-out laps with all named or described terms that are not refuted [Nm]."""
-    kept = [term for term in report.get("described", ()) if term.get("heldout") and term.get("grade") != "refuted"]
-    terms = [term["heldout"]["mae"][1] for term in kept]
-    return float(terms[-1] if terms else report["heldout"]["mae"]["with_effects"])
+    """Mean absolute error on hold-out laps with all terms of the fit, or following a drift that is not refuted [Nm].
+
+    The `heldout` of a term of the fit is of all laps, each held out in turn, so it does not compare with that of the base.
+    """
+    drifts = [term for term in report.get("described", ()) if term["form"] in FOLLOWED and term["grade"] != "refuted"]
+    return float(drifts[-1]["heldout"]["mae"][1] if drifts else report["heldout"]["mae"]["with_effects"])
 
 
 def of_names(names: Sequence[str]) -> Answer:
