@@ -3,13 +3,16 @@
 
 """Learned departures change the torque like a vehicle file with these values, to first order, and not at rest."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from trackres_ros.effects import Active, catalogue
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.resistance import direction
-from trackres_ros.vehicle import load, variants
+from trackres_ros.vehicle import load, load_any, variants
 
 BY_FILE = {
     at.OF_LOSS: ("rubber.loss_modulus_scale",),
@@ -58,6 +61,24 @@ def test_what_is_known_but_not_on_changes_no_bit(reference):
     plain, _ = driven(reference, on=0.0)
     known, _ = driven(reference, 0.3, on=0.0)
     assert np.array_equal(plain, known, equal_nan=True)
+
+
+def test_learned_drag_moves_effects_of_wind_like_a_file_with_it():
+    share = Active(catalogue()["air_drag"], {"share": 0.8})
+    wind = Active(catalogue()["headwind"], {"from_ahead": 6.0, "from_left": 2.0})
+    car, departure, ends = replace(load_any("bmw_i3"), effects=(share,), surroundings=(wind,)), 0.2, []
+    wider = replace(car, values={**car.values, "drag_area": (1.0 + departure) * car.values["drag_area"]})
+    for vehicle, learned in ((car, 0.0), (car, departure), (wider, 0.0)):
+        session = Estimator(vehicle).session()
+        session.learned[at.Learned.on], at.Learned(session.learned).departures[at.OF_DRAG] = 1.0, learned
+        for stamp in range(10**18, 10**18 + 10**9, 10**8):
+            session.handle(session.channel("heading"), stamp, stamp, 0.5)
+            row = session.handle(at.SPEED, stamp, stamp, 25.0).row
+        ends.append((row, at.Learned(session.learned).sensitivities[at.OF_DRAG]))
+    (plain, by_file), (found, by_learned), (expected, _) = ends
+    assert found == pytest.approx(expected, rel=1e-9, nan_ok=True)
+    moved = (found - plain)[at.Results.drive_torque_nm]
+    assert departure * np.array([by_file, by_learned]) == pytest.approx(moved, rel=1e-6)  # what the learner takes off again
 
 
 def test_at_rest_nothing_that_was_learned_pushes(reference):
