@@ -104,6 +104,17 @@ def test_a_torque_that_goes_on_is_against_travel_either_way(reference):
         assert more - plain == pytest.approx(np.copysign(100.0, speed), rel=1e-6)
 
 
+def test_gears_leave_a_lasting_torque_as_it_was_learned():
+    found = []
+    for torque in (0.0, 100.0):
+        session = Estimator(load_any("bmw_i3")).session()  # its gears lose a share
+        session.learned[at.Learned.on], session.learned[at.Learned.torque] = 1.0, torque
+        for stamp in range(10**18, 10**18 + 10**10, 10**8):
+            row = session.handle(at.SPEED, stamp, stamp, 20.0).row
+        found.append(row[[at.Results.drive_torque_nm, at.Results.resistance_torque_nm, at.Results.feedforward_torque_nm]])
+    assert found[1] - found[0] == pytest.approx(100.0, rel=1e-6)
+
+
 @pytest.mark.parametrize("which", [at.OF_LOSS, at.OF_BEARING])
 def test_at_rest_the_learned_deviation_is_that_of_a_crawl(reference, which):
     found = []
