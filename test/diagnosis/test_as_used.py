@@ -25,11 +25,40 @@ from trackres_ros.diagnosis.selection import as_used
 from trackres_ros.diagnosis.selection.as_used import AsUsed, choose_written, inside_ranges
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
 from trackres_ros.diagnosis.stages.prepare import LEAST_S, prepared, seconds_without_torque, without_an_offset
-from trackres_ros.effects import Active, catalogue
+from trackres_ros.effects import Active, Effect, Terms, catalogue, native
 from trackres_ros.effects.effect import Parameter
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.synthetic import drives, write_recordings
 from trackres_ros.files.resources import config_dir
+from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.vehicle import load_any
+from trackres_ros.vehicle.writing.changes import FileChanges
+
+# A fit, and the file that is written of it
+
+
+class Looking(Effect):
+    """Keeps what it last looked at."""
+
+    name, acts_on, belongs_to, text, parameters = "looking", "torque", "vehicle", "nothing", ()
+    facts = None
+
+    def terms(self, at, p):
+        self.facts = at.facts
+        return Terms()
+
+
+@pytest.mark.parametrize("name", ["ztbus_hess19", "xgd24d"])
+def test_effects_in_a_fit_look_at_the_vehicle_of_the_file(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(native, "HAVE_NUMBA", False)  # so that its Python runs
+    base, looking = load_base(name).base, Looking()
+    values = {q.name: min(1.1 * q.nominal, q.high) for q in base.parameters}
+    base.predict(drives(base, 5.0, 1, 0.05, np.random.default_rng(1)), values, [Active(looking, {})])
+    base.write(tmp_path / "vehicle.yaml", FileChanges(values, (), {}), "")
+    written = vehicle_constants(load_any(tmp_path / "vehicle.yaml"))
+    assert tuple(looking.facts) == pytest.approx(tuple(written), rel=1e-5)
+    assert written != base.facts
+
 
 # The choice, on errors that are given: nothing is simulated
 

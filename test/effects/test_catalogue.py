@@ -11,10 +11,10 @@ import pytest
 from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
-from trackres_ros.effects import Active, Terms, catalogue, check_effects, together
+from trackres_ros.effects import Active, Effect, Terms, catalogue, check_effects, together
 from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, REFERENCE_NM
 from trackres_ros.effects.effect import conditions as known_conditions
-from trackres_ros.effects.native import is_compiled
+from trackres_ros.effects.native import is_compiled, reads_drag_area
 from trackres_ros.effects.stepping import FIRST_OWN, effect_table, look, new_memory, new_work, step_effects
 from trackres_ros.effects.vehicle.payne import EXPONENT
 from trackres_ros.errors import InputError
@@ -135,6 +135,20 @@ def torque_by(table):
     look(work, *conditions()[1:9], np.nan)
     assert step_effects(table.rows, table.values, memory, work, 0.0) == 0
     return work[0]
+
+
+def _air(at):
+    return at.facts.drag_area
+
+
+class Gust(Effect):
+    def terms(self, at, p):
+        return Terms(torque=_air(at))
+
+
+def test_what_looks_at_the_drag_area_is_known_by_its_code():
+    assert {name for name, effect in CATALOGUE.items() if reads_drag_area(effect)} == {"air_drag", "headwind"}
+    assert reads_drag_area(Gust())
 
 
 def test_editing_an_effect_file_changes_its_code(tmp_path):

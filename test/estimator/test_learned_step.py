@@ -3,13 +3,16 @@
 
 """Learned departures change the torque like a vehicle file with these values, to first order, and not at rest."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from trackres_ros.effects import Active, catalogue
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.resistance import direction
-from trackres_ros.vehicle import load, variants
+from trackres_ros.vehicle import load, load_any, variants
 
 BY_FILE = {
     at.OF_LOSS: ("rubber.loss_modulus_scale",),
@@ -60,6 +63,24 @@ def test_what_is_known_but_not_on_changes_no_bit(reference):
     assert np.array_equal(plain, known, equal_nan=True)
 
 
+def test_learned_drag_moves_effects_of_wind_like_a_file_with_it():
+    share = Active(catalogue()["air_drag"], {"share": 0.8})
+    wind = Active(catalogue()["headwind"], {"from_ahead": 6.0, "from_left": 2.0})
+    car, departure, ends = replace(load_any("bmw_i3"), effects=(share,), surroundings=(wind,)), 0.2, []
+    wider = replace(car, values={**car.values, "drag_area": (1.0 + departure) * car.values["drag_area"]})
+    for vehicle, learned in ((car, 0.0), (car, departure), (wider, 0.0)):
+        session = Estimator(vehicle).session()
+        session.learned[at.Learned.on], at.Learned(session.learned).departures[at.OF_DRAG] = 1.0, learned
+        for stamp in range(10**18, 10**18 + 10**9, 10**8):
+            session.handle(session.channel("heading"), stamp, stamp, 0.5)
+            row = session.handle(at.SPEED, stamp, stamp, 25.0).row
+        ends.append((row, at.Learned(session.learned).sensitivities[at.OF_DRAG]))
+    (plain, by_file), (found, by_learned), (expected, _) = ends
+    assert found == pytest.approx(expected, rel=1e-9, nan_ok=True)
+    moved = (found - plain)[at.Results.drive_torque_nm]
+    assert departure * np.array([by_file, by_learned]) == pytest.approx(moved, rel=1e-6)  # what the learner takes off again
+
+
 def test_at_rest_nothing_that_was_learned_pushes(reference):
     session = reference.session()
     session.learned[at.Learned.on], session.learned[at.Learned.torque] = 1.0, 500.0
@@ -81,6 +102,17 @@ def test_a_torque_that_goes_on_is_against_travel_either_way(reference):
         session.learned[at.Learned.on], session.learned[at.Learned.torque] = 1.0, 100.0
         more = session.handle(at.SPEED, 10**18, 10**18, speed).resistance_torque_nm
         assert more - plain == pytest.approx(np.copysign(100.0, speed), rel=1e-6)
+
+
+def test_gears_leave_a_lasting_torque_as_it_was_learned():
+    found = []
+    for torque in (0.0, 100.0):
+        session = Estimator(load_any("bmw_i3")).session()  # its gears lose a share
+        session.learned[at.Learned.on], session.learned[at.Learned.torque] = 1.0, torque
+        for stamp in range(10**18, 10**18 + 10**10, 10**8):
+            row = session.handle(at.SPEED, stamp, stamp, 20.0).row
+        found.append(row[[at.Results.drive_torque_nm, at.Results.resistance_torque_nm, at.Results.feedforward_torque_nm]])
+    assert found[1] - found[0] == pytest.approx(100.0, rel=1e-6)
 
 
 @pytest.mark.parametrize("which", [at.OF_LOSS, at.OF_BEARING])

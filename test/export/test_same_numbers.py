@@ -130,6 +130,10 @@ def test_what_was_learned_moves_both_alike(name, tmp_path):
     held_against(tr.load_vehicle(name), tmp_path, 0.15, what=learned_numbers())
 
 
+def test_learned_drag_moves_effects_of_wind_in_both_alike(tmp_path):
+    held_against(vehicle_for([catalogue()[name] for name in ("air_drag", "headwind")]), tmp_path, 0.05, what=learned_numbers())
+
+
 def test_rests_and_resumes_are_the_same(tmp_path):
     effects = [catalogue()[name] for name in ("roadwheel_tyres", "viscous_bearing", "vibration")]
     built = Built(vehicle_for(effects), tmp_path / "c", ALL)

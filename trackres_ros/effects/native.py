@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
+from inspect import unwrap
 from types import CodeType, FunctionType
 from typing import Any, cast
 
@@ -47,6 +48,17 @@ def is_compiled(effect: Effect) -> bool:
     """Whether the step calls machine code for an effect, not plain Python."""
     methods = ("terms", "lag") if effect.has_lag else ("terms",)
     return all(_machine_code(effect, method) is not None for method in methods)
+
+
+def reads_drag_area(effect: Effect) -> bool:
+    """Whether an effect's `terms`, or a function of its file that it calls, reads the vehicle's drag area."""
+    terms = unwrap(type(effect).terms)
+    codes = [terms.__code__] if isinstance(terms, FunctionType) else []
+    for code in codes:  # it grows
+        called = (terms.__globals__.get(name) for name in code.co_names)
+        inner = (getattr(getattr(one, "py_func", one), "__code__", None) for one in called)
+        codes += [one for one in (*inner, *code.co_consts) if isinstance(one, CodeType) and one not in codes]
+    return any("drag_area" in code.co_names for code in codes)
 
 
 def _address(effect: Effect, method: str, machine: bool) -> int:

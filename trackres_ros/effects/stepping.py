@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active, Conditions, Terms, VehicleConstants
-from trackres_ros.effects.native import ANSWERED, FACTS, LOOKED_AT, call_at, native
+from trackres_ros.effects.native import ANSWERED, FACTS, LOOKED_AT, call_at, native, reads_drag_area
 from trackres_ros.jit.arithmetic import length, squared
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.units import STANDSTILL_MPS
@@ -29,17 +29,18 @@ IntArray = NDArray[np.int64]
 STATE, KIND, NEEDS, TERMS_AT, LAG_AT = range(5)
 ROW = 5
 # Kinds. Fed forward is what belongs to the vehicle; what comes with an acceleration only where that is. A shifted row is the row
-# above it with one parameter a standard deviation off: it moves nothing and gives the effect's variance.
-UNFED, FED, FED_WITH_ACCEL, SHIFTED = range(4)
+# above it with one parameter a standard deviation off: it moves nothing and gives the effect's variance. A row with more drag is
+# the same with a drag area a square metre larger: it gives what the effect's torque gains by that.
+UNFED, FED, FED_WITH_ACCEL, SHIFTED, WITH_MORE_DRAG = range(5)
 
 # Work space of a step: what effects look at, the facts first; then what one of them answers.
 (
     AT_SPEED, AT_ACCEL, AT_WEIGHT, AT_AMBIENT, AT_YAW_RATE, AT_HEADING, AT_DISTANCE, AT_DRIVE_TORQUE, AT_DIRECTION, AT_CURVATURE,
     AT_BELT, AT_OWN,
 ) = range(FACTS, LOOKED_AT)  # fmt: skip
-RADIUS, WEIGHT, CONTACT_LENGTH, STANDSTILL, COOLING, COOLING_BY_SPEED = (
+RADIUS, WEIGHT, DRAG_AREA, CONTACT_LENGTH, STANDSTILL, COOLING, COOLING_BY_SPEED = (
     VehicleConstants._fields.index(name)
-    for name in ("radius", "weight", "contact_length", "standstill", "cooling", "cooling_by_speed")
+    for name in ("radius", "weight", "drag_area", "contact_length", "standstill", "cooling", "cooling_by_speed")
 )
 if Conditions._fields[1:] != (
     "speed", "accel", "weight", "ambient", "yaw_rate", "heading", "distance", "drive_torque", "direction", "curvature",
@@ -49,13 +50,14 @@ if Conditions._fields[1:] != (
 
 # What effects do together in a step. The first are those of `Terms`; fed forward are only the vehicle's own: torque, gain, and
 # the torque that comes with an acceleration. Variances are of torque [Nm^2], and relative ones of loss, driving torque, cooling.
+# The last is what the torque gains with the drag area [Nm/m^2].
 (
     TERM_TORQUE, TERM_DRIVE_GAIN, TERM_LOSS_FACTOR, TERM_SOFTENING, TERM_FILM_OFFSET, TERM_FILM_SLOPE, TERM_CONDUCTANCE,
     TERM_SINK, TERM_HEAT, TERM_INNER_RESISTANCE, TERM_FED, TERM_FED_GAIN, TERM_FED_INERTIA, TERM_VARIANCE, TERM_LOSS_VARIANCE,
-    TERM_GAIN_VARIANCE, TERM_COOLING_VARIANCE,
-) = range(17)  # fmt: skip
-TERMS = 17
-NO_TERMS = (0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    TERM_GAIN_VARIANCE, TERM_COOLING_VARIANCE, TERM_BY_DRAG_AREA,
+) = range(18)  # fmt: skip
+TERMS = 18
+NO_TERMS = (0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 WORK = TERMS + LOOKED_AT + ANSWERED
 
 # What is remembered: distance [m], speed of the last step [m/s]; then of each effect its own state, its target and time constant.
@@ -100,8 +102,8 @@ class EffectTable(NamedTuple):
 def effect_table(
     of_vehicle: Sequence[Active], of_surroundings: Sequence[Active] = (), with_uncertainty: bool = True, machine: bool = True
 ) -> EffectTable:
-    """The effects of a vehicle, which are fed forward, and of its surroundings, with or without their variances; as machine code,
-    or in plain Python to save compiling.
+    """The effects of a vehicle, which are fed forward, and of its surroundings, with or without the rows that move nothing; as
+    machine code, or in plain Python to save compiling.
     """
     rows: list[tuple[int, ...]] = []
     values: list[tuple[float, ...]] = []
@@ -112,6 +114,9 @@ def effect_table(
         addresses = native(effect, machine)
         rows.append((state, fed if state < len(of_vehicle) else UNFED, needs, *addresses))
         values.append(active.numbers)
+        if with_uncertainty and reads_drag_area(effect):
+            rows.append((state, WITH_MORE_DRAG, needs, *addresses))
+            values.append(active.numbers)
         for other in active.shifted() if with_uncertainty else ():
             rows.append((state, SHIFTED, needs, *addresses))
             values.append(other.numbers)
@@ -232,7 +237,7 @@ def pass_gap_of_effects(
     """
     for row in range(rows.shape[0]):
         first = FIRST_OWN + EACH * rows[row, STATE]
-        if rows[row, KIND] == SHIFTED or rows[row, LAG_AT] == 0 or math.isnan(memory[first + OWN]):
+        if rows[row, KIND] >= SHIFTED or rows[row, LAG_AT] == 0 or math.isnan(memory[first + OWN]):
             continue
         state = memory[first + OWN]
         look(work, 0.0, 0.0, weight, ambient, math.nan, math.nan, math.nan, 0.0, math.nan)
@@ -307,6 +312,11 @@ def step_effects(rows: IntArray, values: Array, memory: Array, work: Array, dt: 
                 work[TERM_LOSS_VARIANCE] += of_loss * of_loss
                 work[TERM_GAIN_VARIANCE] += squared(answer[TERM_DRIVE_GAIN] / drive_gain - 1.0)
             continue
+        if kind == WITH_MORE_DRAG:
+            if not left_out:
+                call_with_more_drag(rows[row, TERMS_AT], looked_at, values[row], answer)
+                work[TERM_BY_DRAG_AREA] += answer[TERM_TORQUE] - torque if usable(answer, most_torque) else 0.0
+            continue
         left_out = True
         if not is_known(rows[row, NEEDS], looked_at):
             outcome = max(outcome, INPUT_UNKNOWN)
@@ -348,6 +358,15 @@ def add_terms(work: Array, answer: Array) -> None:
     if answer[TERM_CONDUCTANCE] > 0.0:
         work[TERM_CONDUCTANCE] += answer[TERM_CONDUCTANCE]
         work[TERM_SINK] += answer[TERM_CONDUCTANCE] / work[TERM_CONDUCTANCE] * (answer[TERM_SINK] - work[TERM_SINK])
+
+
+@inlined
+def call_with_more_drag(address: int, looked_at: Array, values: Array, answer: Array) -> None:
+    """Terms of an effect of a vehicle whose drag area is a square metre larger."""
+    area = looked_at[DRAG_AREA]
+    looked_at[DRAG_AREA] = area + 1.0
+    call_terms(address, looked_at, values, answer)
+    looked_at[DRAG_AREA] = area
 
 
 @inlined

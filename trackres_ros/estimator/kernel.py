@@ -14,14 +14,17 @@ from numpy.typing import NDArray
 
 from trackres_ros.effects.stepping import (
     ALL_WELL,
+    DRAG_AREA,
     EXTRAPOLATED,
     FIRST_OWN,
+    TERM_BY_DRAG_AREA,
     TERM_COOLING_VARIANCE,
     TERM_DRIVE_GAIN,
     TERM_FED,
     TERM_GAIN_VARIANCE,
     TERM_LOSS_VARIANCE,
     TERM_VARIANCE,
+    TERMS,
     look,
     pass_gap_of_effects,
     step_effects,
@@ -35,6 +38,7 @@ from trackres_ros.estimator.by_place import is_missing
 from trackres_ros.estimator.columns import (
     BELT_COLUMNS,
     OF_COOLING,
+    OF_DRAG,
     OF_LOSS,
     RESTS,
     TEMPERATURE,
@@ -89,8 +93,7 @@ def start(k: Constants, carried: Carried, ambient: float, ambient_std: float) ->
 @inlined
 def act(
     k: Constants,
-    motion: Motion,
-    effects: Array,
+    carried: Carried,
     speed: float,
     accel: float,
     weight: float,
@@ -108,6 +111,9 @@ def act(
     """
     if k.effects.shape[0] == 0:
         return ALL_WELL
+    motion, effects, learned = Motion(carried.motion), carried.effects, Learned(carried.learned)
+    # As in a file with the learned drag; the rest that is learned is no fact for effects.
+    k.work[TERMS + DRAG_AREA] = k.number.drag_area * (1.0 + learned.on * learned.departures[OF_DRAG])
     drive = motion.last_drive + others - motion.last_others
     bridged = dt <= k.number.bridge
     if not bridged:
@@ -135,7 +141,7 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     grade is ours). Effects and learned terms are added (ours).
     """
     number, work = k.number, k.work
-    belts, motion, effects, learned = carried.belts, Motion(carried.motion), carried.effects, Learned(carried.learned)
+    belts, motion, learned = carried.belts, Motion(carried.motion), Learned(carried.learned)
     reasons = inputs.reasons
     speed = inputs.speed
     moves = motion.started > RESTS
@@ -169,7 +175,7 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     of_place = torque_of_place(inputs.torque_by_place, speed)
     others = of_place + arm * (road.bearing + road.wind + road.uphill + road.inertia)
     turning = inputs.yaw_rate, inputs.heading, inputs.distance
-    outcome = act(k, motion, effects, speed, accel, weight, inputs.ambient, turning, others, belt_degc, dt)
+    outcome = act(k, carried, speed, accel, weight, inputs.ambient, turning, others, belt_degc, dt)
     if outcome == EXTRAPOLATED:
         reasons |= OUTSIDE_LEARNED
     elif outcome != ALL_WELL:
@@ -180,7 +186,7 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
         reasons |= OFF_ROUTE
     sums, of_assemblies = advance_assemblies(k, belts, inputs, road, learned, out)
     total, result = Part(sums), Results(out)
-    lasting = learn_from(total, learned, road.sign, work[TERM_DRIVE_GAIN])
+    lasting = learn_from(total, learned, road.sign, work[TERM_DRIVE_GAIN], work[TERM_BY_DRAG_AREA] * number.drag_area)
     resisting = total.hysteresis + total.bearing + total.wind
     driving, of_effects = driving_torque(work, resisting + lasting, of_place, total.grade, total.inertia)
     of_effects += lasting
@@ -258,7 +264,7 @@ def predict(
     out
         `PREDICTED`: driving torque [Nm], mean of the belts' temperatures and of their skins [degC], the effects' reasons.
     """  # fmt: skip
-    belts, effects, motion = carried.belts, carried.effects, Motion(carried.motion)
+    belts, motion = carried.belts, Motion(carried.motion)
     arm = belts_in_all = before = 0.0
     for i in range(count.shape[0]):
         assembly = Assembly(k.assembly[i])
@@ -271,7 +277,7 @@ def predict(
     road = road_now(k, last_speed, speed, accel, grade, weight, motion.last_drive, ambient, 0.0, dt)
     of_place = torque_of_place(torque_by_place, speed)
     others = of_place + arm * (road.bearing + road.wind + road.uphill + road.inertia)
-    outcome = act(k, motion, effects, speed, accel, weight, ambient, turning, others, before, dt)
+    outcome = act(k, carried, speed, accel, weight, ambient, turning, others, before, dt)
     hysteresis = mean = skin = 0.0
     for i in range(belts.shape[0]):
         belt, assembly = belts[i], Assembly(k.assembly[i])

@@ -33,8 +33,9 @@ def learned_elsewhere(part: Part, learned: Learned) -> float:
 
 
 @inlined
-def learn_from(total: Part, learned: Learned, sign: float, drive_gain: float) -> float:
-    """Keep the sensitivities of a step, and move its parts by the learned departures; return the slow disturbance [Nm].
+def learn_from(total: Part, learned: Learned, sign: float, drive_gain: float, of_drag: float) -> float:
+    """Keep the sensitivities of a step, and move its parts by the learned departures; return the slow disturbance before the gain
+    [Nm].
 
     Parameters
     ----------
@@ -43,13 +44,15 @@ def learn_from(total: Part, learned: Learned, sign: float, drive_gain: float) ->
     sign
         Direction of travel, smooth through zero: nothing pushes at rest.
     drive_gain
-        Effects' gain of a torque at the sprockets.
+        Effects' gain of a torque at the sprockets. The disturbance is learned with it, as the sensor shows it.
+    of_drag
+        The effects' torque that grows with the drag area, at that of the file [Nm]; they look at the learned one themselves.
     """
     departures, sensitivities, by = learned.departures, learned.sensitivities, total.by
     for which in range(BELTS):
         sensitivities[which] = by[which] * sign * drive_gain
     sensitivities[OF_BEARING] = total.bearing * drive_gain
-    sensitivities[OF_DRAG] = total.wind * drive_gain
+    sensitivities[OF_DRAG] = (total.wind + of_drag) * drive_gain
     sensitivities[OF_MASS] = total.inertia * drive_gain
     if learned.on <= 0.0:
         return 0.0
@@ -57,7 +60,7 @@ def learn_from(total: Part, learned: Learned, sign: float, drive_gain: float) ->
     total.bearing *= 1.0 + departures[OF_BEARING]
     total.wind *= 1.0 + departures[OF_DRAG]
     total.inertia *= 1.0 + departures[OF_MASS]
-    return float(learned.torque * sign)
+    return float(learned.torque * sign / drive_gain)
 
 
 @inlined

@@ -123,7 +123,7 @@ ROAD_LOAD = {
     "ambient": QuantityLimits("degC", -60.0, 60.0, "ambient temperature used if none is given"),
     "coulomb_friction": QuantityLimits("N", 0.0, 1e6, "Coulomb friction", optional=True),
     "viscous_friction": QuantityLimits("N s/m", 0.0, 1e8, "viscous friction over speed", optional=True),
-    "torque_offset": QuantityLimits("Nm", -1e5, 1e5, "reading at zero torque", optional=True),
+    "torque_offset": QuantityLimits("Nm", -1e5, 1e5, "reading at zero torque, over the scale", optional=True),
 }
 
 MODEL_CHOICES = {"hysteresis": ("spectral", "rainflow"), "thermal": ("lumped", "core_surface")}

@@ -109,7 +109,8 @@ class RoadBase(Base):
         def weight(session: DriveSession) -> Array:
             return session.weight if "load" in session.given else empty + session.payload
 
-        found = simulated(k, np.ones(1), 0, self.facts, sessions, weight, acting)
+        facts = self.facts._replace(weight=empty, drag_area=values["drag_area"])
+        found = simulated(k, np.ones(1), 0, facts, sessions, weight, acting)
         return [np.ascontiguousarray(rows[:, PREDICTED_DRIVE]) for rows in found]
 
     def as_written(self, values: Values) -> RoadBase:

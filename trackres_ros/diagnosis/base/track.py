@@ -130,7 +130,9 @@ class TrackBase(Base):
     def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
         """Step through sessions; rows from `kernel.predict`, shape (n, `PREDICTED`), of each."""
         k, belts = self._with(values, acting, self._loads(sessions)), len(self._firsts)
-        return simulated(k, self._count, belts, self.facts, sessions, lambda session: session.weight, acting)
+        cooling, by_speed = (values[FILM] * each for each in (self.facts.cooling, self.facts.cooling_by_speed))
+        facts = self.facts._replace(drag_area=k.number.drag_area, cooling=cooling, cooling_by_speed=by_speed)
+        return simulated(k, self._count, belts, facts, sessions, lambda session: session.weight, acting)
 
     def _loads(self, sessions: Sequence[DriveSession]) -> slice:
         """Columns of the loss table between which the belts are loaded, with one more on either side."""
