@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
+from trackres_ros.text.numbers import figures
 from trackres_ros.units import DEGREE, GRAVITY, KMH_PER_MPS, ZERO_DEGC_K
 
 # NIST SP 811, appendix B
@@ -21,7 +22,7 @@ class Conversion(NamedTuple):
 
     def line(self, role: str) -> str:
         """What to write in the topics file."""
-        parts = {name: f"{x:.5g}" for name, x in self._asdict().items() if x != Conversion._field_defaults[name]}
+        parts = {name: figures(x, 5) for name, x in self._asdict().items() if x != Conversion._field_defaults[name]}
         asked = " and ".join(f"{'an' if name == 'offset' else 'a'} {name} of {x}" for name, x in parts.items())
         listed = ", ".join(f"{name}: {x}" for name, x in parts.items())
         return f"give it {asked} in the topics file, {role}: {{..., {listed}}}"
