@@ -85,7 +85,8 @@ def test_mass_and_passengers_are_one_weight_in_the_base(tmp_path):
     lighter = gate([tr.read(path)], road.known, ("passengers",)).sessions[0]
     loaded = road.base.predict([session], {}, ())[0].torque
     as_mass = road.base.predict([lighter], {"mass": mass + 50.0 * 70.0}, ())[0].torque
-    np.testing.assert_allclose(loaded, as_mass, rtol=1e-9)
+    # The torque around 0 over which the gears' efficiency changes its direction is a share of the mass in the file.
+    np.testing.assert_allclose(loaded, as_mass, rtol=1e-9, atol=1e-6 * np.abs(as_mass).max())
 
 
 def test_a_recorded_brake_excludes_only_the_times_it_is_on(tmp_path):

@@ -46,7 +46,7 @@ def found(name="scrub", members=None, improvement=BETTER, on_bounds=(), adds=100
     members = members or (name,)
     chosen = candidate(name)
     weights = dict.fromkeys(members, 1.0 / len(members))
-    step = Step(None, None, 5.0, 5.0, (), (chosen, *rivals), chosen, members, worse, weights, 1.0)
+    step = Step(None, None, 5.0, 5.0, (), (chosen, *rivals), chosen, members, weights, 1.0, worse)
     graded = Graded(name, improvement, on_bounds)
     series = [np.full(100, adds)]
     return NamedEffect(

@@ -79,7 +79,7 @@ def test_a_role_that_the_vehicle_does_not_have_is_refused():
         reader(speed=line, **{"load/middle": line})
 
 
-def test_a_torque_of_an_assembly_is_refused_with_the_sum_as_remedy(reference):
+def test_a_torque_of_an_assembly_is_refused_and_sum_is_named(reference):
     line = {"topic": "/s", "type": "std_msgs/msg/Float64", "field": "data"}
     with pytest.raises(InputError, match=r"torque/front_left.*allowed: for this vehicle torque; torque: \{sum: "):
         reader(speed=line, **{"torque/front_left": line})

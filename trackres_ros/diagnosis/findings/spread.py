@@ -74,7 +74,7 @@ def find_spread(fit: Fit) -> Spread | None:
     if len(shaking) < len(sessions):
         return None
     size = np.concatenate(shaking)
-    used = np.concatenate([_with_neighbours(s.used) for s in sessions]) & np.isfinite(size)
+    used = np.concatenate([_whole(s) for s in sessions]) & np.isfinite(size)
     block = np.concatenate([s.block for s in sessions])[used]
     torque = float(np.sqrt(np.mean(np.concatenate([s.torque[s.used] for s in sessions]) ** 2)))
     drive = np.concatenate([p.at_sprockets for p in fit.predicted])[used]
@@ -106,10 +106,11 @@ def oscillation_of(session: DriveSession, expected: Array) -> Array | None:
     return np.asarray(found)
 
 
-def _with_neighbours(used: Mask) -> Mask:
-    """Steps whose median has only used steps: beside one with the friction brakes, a corner of the torque would count."""
-    beside = [np.roll(used, by) for by in range(-(OVER // 2), OVER // 2 + 1)]
-    return np.asarray(np.all(beside, axis=0))
+def _whole(session: DriveSession) -> Mask:
+    """Used steps whose median has no step with the friction brakes: a corner of the torque there would count as oscillation."""
+    known = session.used | (np.abs(session.speed) < PULLS_MPS)  # a step is also left out near standstill
+    beside = [np.roll(known, by) for by in range(-(OVER // 2), OVER // 2 + 1)]
+    return np.asarray(session.used & np.all(beside, axis=0))
 
 
 def _regimes(fit: Fit) -> Iterator[tuple[str, Mask]]:

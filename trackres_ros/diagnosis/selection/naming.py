@@ -89,9 +89,9 @@ class Step:
     candidates: tuple[Candidate, ...]  # the fitted ones, best first
     chosen: Candidate | None = None  # the best one, if its gain suffices
     members: tuple[str, ...] = ()  # effects with an equivalent explanation
-    worse: tuple[str, ...] = ()  # confirmed ones that predict the hold-out laps significantly worse
     weights: Mapping[str, float] = field(default_factory=dict)  # probability of each
     stability: float = 0.0  # share of resampled laps won by the class
+    worse: tuple[str, ...] = ()  # confirmed effects that predict the hold-out laps significantly worse
 
     @property
     def hint(self) -> str:
