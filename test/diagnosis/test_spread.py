@@ -57,3 +57,32 @@ def test_noise_that_grows_with_the_torque_is_no_judder(noise_share):
 
 def test_a_torque_that_was_recorded_too_slowly_shows_no_judder():
     assert find_spread(driven(500.0, rate_hz=2.0)) is None
+
+
+class Drive(SimpleNamespace):
+    """What is used of a `DriveSession`."""
+
+    def __len__(self):
+        return len(self.time)
+
+
+@pytest.mark.parametrize("left_out", [False, True])
+def test_corners_beside_steps_left_out_are_no_judder(left_out):
+    """Each minute the torque falls to that of braking, along a curve that the steps of the fit do not follow."""
+    rng, of_minute, lap = np.random.default_rng(2), np.arange(600.0) % 60.0, np.arange(600) // 60
+    fine = np.arange(0.0, 600.0, 0.1)
+    torque = 2000.0 - 6000.0 * np.interp(fine % 60.0, [0.0, 40.0, 42.0, 50.0, 52.0], [0.0, 0.0, 1.0, 1.0, 0.0])
+    course = Cumulative.of(fine, torque + 600.0 * np.sin(3.0 * fine) * (torque < 2000.0) + rng.normal(0.0, 30.0, len(fine)))
+    time = np.arange(600.0)
+    expected = Cumulative.of(fine, torque).means(time, 1.0)
+    session = Drive(
+        pace=1.0, step=1.0, time=time, block=lap, torque_course=course, torque=course.means(time, 1.0),
+        used=(of_minute < 41.0) | (of_minute >= 52.0) if left_out else np.full(600, True),
+        speed=np.full(600, 8.0), accel=np.zeros(600), weight=np.full(600, 2e5),
+    )  # fmt: skip
+    predicted = SimpleNamespace(torque=expected, at_sprockets=np.where(of_minute == 40.0, -1.0, expected))
+    found = find_spread(SimpleNamespace(problem=SimpleNamespace(sessions=[session]), predicted=[predicted]))
+    if left_out:
+        assert found is None
+    else:
+        assert found.regime == "while the motor brakes"
