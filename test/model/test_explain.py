@@ -24,6 +24,7 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.operating_point import explain, explain_road, left_out_at
 from trackres_ros.model.resistance import direction
 from trackres_ros.model.track import with_methods
+from trackres_ros.route.learned import SLOPE, RouteMap
 from trackres_ros.vehicle import AnyVehicle, Vehicle, load, load_any
 
 FULL_SPEED = 50 / 3.6
@@ -164,3 +165,11 @@ def test_a_point_leaves_out_what_the_step_refuses(name: str, size: float, acts: 
     inputs = estimator.inputs(2.0)
     reasons = estimator.step(estimator.cold_start(inputs), inputs, 0.1)[1].reasons
     assert bool(reasons & Reason.EFFECT_LEFT_OUT) == (not acts)
+
+
+@pytest.mark.parametrize("name", ["agri3t", "bmw_i3"])
+def test_a_point_has_no_place_and_leaves_out_the_route(name: str) -> None:
+    one = np.zeros(1)
+    vehicle = replace(load_any(name), route=(RouteMap(SLOPE, one, one, one, np.zeros((1, 2)), np.ones((1, 2)), np.ones(1, int)),))
+    found = explain(vehicle, 2.0, 20.0) if isinstance(vehicle, Vehicle) else explain_road(vehicle, 2.0)
+    assert found["effects_left_out"] == left_out_at(vehicle, 2.0, 20.0) == ["route"]

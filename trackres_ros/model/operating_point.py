@@ -232,9 +232,10 @@ def left_out_at(vehicle: AnyVehicle, speed: float, ambient: float) -> list[str]:
 
 
 def _effects(vehicle: AnyVehicle) -> tuple[list[Active], list[str]]:
-    """Effects of the vehicle file whose inputs a steady straight drive gives, and the names of the others."""
+    """Effects of the vehicle file whose inputs a steady straight drive gives, and the names of the others, with the route."""
     usable = [active for active in vehicle.active if not set(active.effect.needs) & UNKNOWN]
-    return usable, [active.effect.name for active in vehicle.active if active not in usable]
+    left_out = [active.effect.name for active in vehicle.active if active not in usable]
+    return usable, [*left_out, *(["route"] if vehicle.route else [])]
 
 
 def _terms(active: Active, at: Conditions) -> Terms | None:
