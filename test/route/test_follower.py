@@ -123,9 +123,10 @@ def test_scatter_of_positions_leaves_it_usable(on):
     assert np.abs(found - slope_at(way))[known].mean() < 0.008
 
 
-def test_backing_down_a_slope_it_still_points_up(on):
-    way = np.concatenate([np.arange(50.0, 130.0, 5.0), np.full(5, 125.0), np.arange(125.0, 70.0, -3.0)])
-    speed = np.concatenate([np.full(16, 5.0), np.zeros(5), np.full(len(way) - 21, -3.0)])
+@pytest.mark.parametrize("back", [3.0, 0.2])
+def test_backing_down_a_slope_it_still_points_up(on, back):
+    way = np.concatenate([np.arange(50.0, 130.0, 5.0), np.full(5, 125.0), np.arange(125.0, 70.0, -back)])
+    speed = np.concatenate([np.full(16, 5.0), np.zeros(5), np.full(len(way) - 21, -back)])
     found = followed(on["slopes"], way, speed)
     assert np.abs(found - slope_at(way))[25:].max() < 0.01
 
@@ -147,6 +148,38 @@ def test_a_short_gap_is_bridged_and_a_long_one_is_not(on):
     assert np.abs(found - slope_at(way))[20:26].max() < 0.006
     assert np.isnan(found[66:90]).all()
     assert (reasons_of(rows)[66:90] & Reason.PLACE_UNKNOWN).all()
+
+
+@pytest.mark.parametrize("offset_s", [0.0, 3600.0])
+def test_a_repeated_position_is_none_whatever_its_clock(slopes, offset_s):
+    way, kept = np.arange(50.0, 950.0, 8.0), 40
+    estimator = Estimator(replace(tr.load_vehicle("xgd24d"), route=(slopes,)), Settings(position_hold_s=60.0))
+    sent, missing = (messages(way, np.full(len(way), 8.0), hidden=hidden) for hidden in ((), range(kept, len(way))))
+    last = {channel: value for channel, _, value in sent[: 3 * kept]}
+    session, rows = estimator.session(), []
+    for i, (channel, stamp, value) in enumerate(sent):
+        of_receiver = round(offset_s * SECOND_NS) if channel in POSITIONS else 0
+        repeated = last[channel] if channel in POSITIONS and i >= 3 * kept else float(value)
+        if (estimate := session.handle(channel, stamp + of_receiver, stamp, repeated)) is not None:
+            rows.append(estimate.row)
+    np.testing.assert_array_equal(np.array(rows), driven(estimator, missing))
+    assert (reasons_of(np.array(rows))[kept + 13 :] & Reason.PLACE_UNKNOWN).all()
+
+
+def test_without_a_position_it_comes_back_on_its_way(on):
+    speed = np.concatenate([np.full(19, 8.0), [4.0, 0.0, -4.0], np.full(4, -8.0)])
+    way = 50.0 + np.cumsum(speed)
+    found = followed(on["slopes"], way, speed, hidden=range(17, len(way)))
+    assert np.abs(found - slope_at(way))[5:].max() < 0.007
+
+
+@pytest.mark.parametrize(("apart_ns", "is_one"), [(-5_000_000, True), (5_000_000, True), (100_000_000, False)])
+def test_halves_of_a_position_are_at_most_50_ms_apart(on, apart_ns, is_one):
+    way = np.arange(50.0, 950.0, 8.0)
+    sent = messages(way, np.full(len(way), 8.0))
+    shifted = [(channel, stamp + (apart_ns if channel == at.LONGITUDE else 0), value) for channel, stamp, value in sent]
+    unknown = reasons_of(driven(on["slopes"], shifted)) & Reason.PLACE_UNKNOWN > 0
+    assert not unknown[5:].any() if is_one else unknown.all()
 
 
 def test_how_long_a_position_holds_is_a_setting(slopes):

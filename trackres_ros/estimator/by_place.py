@@ -24,6 +24,9 @@ from trackres_ros.units import NANOSECOND
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+TOGETHER_NS = 50_000_000  # between the stamps of latitude and longitude: a bus sends them in two messages
+PLACE_UNKNOWN = int(at.Reason.PLACE_UNKNOWN)
+
 
 @inlined
 def has_route(k: Constants) -> bool:
@@ -33,11 +36,12 @@ def has_route(k: Constants) -> bool:
 
 @inlined
 def position_came(k: Constants, times: IntArray, values: Array, followed: Array) -> None:
-    """A latitude or a longitude was accepted: it is a position once both of a time are there."""
+    """A latitude or a longitude was accepted: it is a position once both of about one time came. Each serves one position."""
     latitude, longitude = Times(times[at.LATITUDE]), Times(times[at.LONGITUDE])
-    if not has_route(k) or latitude.seen == 0 or longitude.seen == 0:
+    if not has_route(k) or latitude.fresh == 0 or longitude.fresh == 0:
         return
-    if latitude.last_stamp == longitude.last_stamp:
+    if abs(latitude.last_stamp - longitude.last_stamp) <= TOGETHER_NS:
+        latitude.fresh = longitude.fresh = 0
         position_at(k, followed, values[at.LATITUDE], values[at.LONGITUDE])
 
 

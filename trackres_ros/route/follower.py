@@ -21,20 +21,21 @@ IntArray = NDArray[np.int64]
 
 COURSE_M = 15.0  # between two positions for a course: their scatter is a part of it
 FARTHEST_M = 150.0  # between two positions: beyond, the path between them is unknown
-MOVING_MPS = 0.5  # slower, positions do not show the course
+REVERSING_MPS = 0.1  # slower, the sign is noise
 LONGEST_M = 100.0  # without a position, that its place is carried on by its speed
 EVERY_S = 0.2  # between two looks at the route
 
 SLOPES, TORQUES = range(2)  # kinds of values learned by place, as of `lookup.lookup_of`
 
 # What is remembered: the last position and the one that the course counts from, east and north of a frame [m]; the course, of
-# length 1; whether it backs up; distance driven since that position, and since the last one [m]; time since the last look [s];
-# and what that saw: slope the way it points, torque against travel and its standard deviation [Nm], whether the place was known.
+# length 1; whether it backs up; distance driven since that position, and along the course since the last one [m]; whether the
+# last one came after the last speed; time since the last look [s]; and what that saw: slope the way it points, torque against
+# travel and its standard deviation [Nm], whether the place was known.
 (
-    AT_X, AT_Y, FROM_X, FROM_Y, EAST, NORTH, BACKWARD, SINCE_M, AHEAD_M, LOOKED_S, SLOPE, TORQUE, TORQUE_STD, PLACE_KNOWN,
-) = range(14)  # fmt: skip
-FOLLOWED = 14
-NOTHING_YET = (*(math.nan,) * 6, 0.0, 0.0, 0.0, EVERY_S, *(math.nan,) * 3, 0.0)
+    AT_X, AT_Y, FROM_X, FROM_Y, EAST, NORTH, BACKWARD, SINCE_M, AHEAD_M, IS_NEW, LOOKED_S, SLOPE, TORQUE, TORQUE_STD, PLACE_KNOWN,
+) = range(15)  # fmt: skip
+FOLLOWED = 15
+NOTHING_YET = (*(math.nan,) * 6, 0.0, 0.0, 0.0, 0.0, EVERY_S, *(math.nan,) * 3, 0.0)
 
 
 @compiled
@@ -46,7 +47,11 @@ def forget(followed: Array) -> None:
 
 @inlined
 def take_position(followed: Array, x: float, y: float) -> None:
-    """A position came, east and north of the frame [m]; nan of one beyond it."""
+    """A position came, east and north of the frame [m]; nan of one beyond it. A repeated one is none: receivers repeat their last
+    one where they have no reception.
+    """
+    if x == followed[AT_X] and y == followed[AT_Y]:
+        return
     moved = length(x - followed[FROM_X], y - followed[FROM_Y])
     if math.isnan(moved) or moved > FARTHEST_M:
         followed[EAST] = followed[NORTH] = math.nan
@@ -54,20 +59,22 @@ def take_position(followed: Array, x: float, y: float) -> None:
     elif moved >= COURSE_M and followed[SINCE_M] > 0.5 * COURSE_M:
         followed[EAST], followed[NORTH] = (x - followed[FROM_X]) / moved, (y - followed[FROM_Y]) / moved
         followed[FROM_X], followed[FROM_Y], followed[SINCE_M] = x, y, 0.0
-    followed[AT_X], followed[AT_Y], followed[AHEAD_M] = x, y, 0.0
+    followed[AT_X], followed[AT_Y], followed[AHEAD_M], followed[IS_NEW] = x, y, 0.0, 1.0
 
 
 @inlined
 def drive_on(followed: Array, speed: float, dt: float, since_position: float) -> None:
     """Process a speed [m/s], given the time since the last one and since the last position, by their stamps [s]."""
     followed[SINCE_M] += abs(speed) * dt
-    followed[AHEAD_M] += abs(speed) * min(max(since_position, 0.0), dt)
     followed[LOOKED_S] += dt
-    if abs(speed) > MOVING_MPS:
+    if abs(speed) > REVERSING_MPS:
         backward = 1.0 if speed < 0.0 else 0.0
         if backward != followed[BACKWARD]:  # it comes back on its way
-            followed[EAST], followed[NORTH] = -followed[EAST], -followed[NORTH]
+            followed[EAST], followed[NORTH], followed[AHEAD_M] = -followed[EAST], -followed[NORTH], -followed[AHEAD_M]
         followed[BACKWARD] = backward
+    along = -speed if followed[BACKWARD] > 0.0 else speed
+    followed[AHEAD_M] += along * (min(max(since_position, 0.0), dt) if followed[IS_NEW] > 0.0 else dt)
+    followed[IS_NEW] = 0.0
 
 
 @inlined
@@ -80,7 +87,7 @@ def look(cells: IntArray, places: Array, followed: Array, is_old: bool) -> None:
     followed[LOOKED_S] = followed[PLACE_KNOWN] = 0.0
     followed[SLOPE] = followed[TORQUE] = followed[TORQUE_STD] = math.nan
     ahead, east, north = followed[AHEAD_M], followed[EAST], followed[NORTH]
-    if math.isnan(followed[AT_X]) or math.isnan(east) or (is_old and ahead > 0.0) or ahead > LONGEST_M:
+    if math.isnan(followed[AT_X]) or math.isnan(east) or (is_old and ahead != 0.0) or abs(ahead) > LONGEST_M:
         return
     followed[PLACE_KNOWN] = 1.0
     x, y = followed[AT_X] + ahead * east, followed[AT_Y] + ahead * north
