@@ -159,7 +159,7 @@ def test_a_torque_by_place_is_the_same_live_and_in_a_fit(loaded, effects, drive,
     begin = estimator.cold_start(estimator.inputs(float(drive.speed[0]), ambient=float(drive.ambient[0])))
     _, rows = estimator.run(
         begin, drive.time, drive.speed, drive.weight, drive.ambient, drive.accel, math.nan, drive.yaw_rate, drive.heading,
-        ground=GroundSeries(unknown, soft, unknown),
+        ground=GroundSeries(unknown, soft, unknown, np.ones_like(unknown)),
     )  # fmt: skip
     fitted = simulated(loaded.base, [replace(drive, torque_by_place=soft)], active)
     agree([picked(estimator, rows)], fitted)

@@ -300,7 +300,7 @@ def expected_live(vehicle, sessions):
         unknown = np.full(len(session), np.nan)
         _, rows = estimator.run(
             begin, session.time, session.speed, session.weight, session.ambient, session.accel, session.grade, session.yaw_rate,
-            session.heading, ground=GroundSeries(unknown, session.torque_by_place, unknown),
+            session.heading, ground=GroundSeries(unknown, session.torque_by_place, unknown, np.ones_like(unknown)),
         )  # fmt: skip
         found.append(vehicle.values["torque_scale"] * late.sensed(rows[:, at.Results.drive_torque_nm], session))
     return found

@@ -203,7 +203,7 @@ def test_a_run_refuses_dates_and_other_lengths(reference, name):
 
 @pytest.mark.parametrize("at", range(len(GroundSeries._fields)))
 def test_a_run_refuses_ground_of_another_length(reference, at):
-    ground = GroundSeries(*(np.zeros(TIMES - (i == at)) for i in range(3)))
+    ground = GroundSeries(*(np.zeros(TIMES - (i == at)) for i in range(len(GroundSeries._fields))))
     with pytest.raises(InputError, match="place"):
         a_run(reference, ground=ground)
 

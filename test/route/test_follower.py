@@ -408,6 +408,19 @@ def test_a_simulation_follows_the_positions_of_its_profile(replays):
     assert np.abs(drive["grade_nm"] - replayed)[uphill].mean() < 0.1 * np.abs(replayed[uphill]).mean()
 
 
+@pytest.mark.parametrize("ends", [(0, 0), (30, 70)])
+def test_a_place_is_unknown_in_a_simulation_as_in_a_replay(replays, tmp_path, ends):
+    _, folder, _ = replays
+    head, *lines = (folder / "latit.csv").read_text().splitlines()
+    lines = [line if ends[0] <= i < ends[1] else line.rsplit(",", 2)[0] + ",," for i, line in enumerate(lines)]
+    (tmp_path / "drive.csv").write_text("\n".join([head, *lines]))
+    vehicle = tr.load_vehicle("xgd24d", surroundings=folder / "surroundings.yaml")
+    drive, replayed = tr.simulate(vehicle, profile=tmp_path / "drive.csv", dt=1.0), tr.replay(tmp_path / "drive.csv", vehicle)
+    count = int((replayed["reasons"].astype(int) & Reason.PLACE_UNKNOWN > 0).sum())
+    assert 0 < count <= len(lines)
+    assert f"{at.REASON_TEXT[Reason.PLACE_UNKNOWN]} ({count} steps)" in drive.remarks
+
+
 def test_a_simulation_over_the_date_line_is_as_elsewhere(replays, slopes, torques, tmp_path):
     _, folder, _ = replays
     table = np.genfromtxt(folder / "latit.csv", delimiter=",", names=True)

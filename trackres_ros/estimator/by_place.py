@@ -83,6 +83,12 @@ def is_missing(k: Constants, grade: float, slope: float, torque: float) -> bool:
 
 
 @inlined
+def of_place(k: Constants, known: bool, grade: float, slope: float, torque: float) -> int:
+    """The reason to report if the surroundings have no data because the place is unknown, else 0."""
+    return PLACE_UNKNOWN if not known and is_missing(k, grade, slope, torque) else 0
+
+
+@inlined
 def follow_along(
     k: Constants, followed: Array, times: Array, speeds: Array, latitudes: Array, longitudes: Array, out: Array
 ) -> None:
@@ -96,3 +102,4 @@ def follow_along(
         drive_on(followed, speeds[i], min(dt, hold_s), times[i] - at_s)
         look(k.route_cells, k.route_places, followed, times[i] - at_s > hold_s)
         out[i, 0], out[i, 1], out[i, 2] = followed[SLOPE], followed[TORQUE], followed[TORQUE_STD]
+        out[i, 3] = followed[PLACE_KNOWN]

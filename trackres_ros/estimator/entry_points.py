@@ -18,7 +18,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED
 from trackres_ros.estimator.belt_step import roll
 from trackres_ros.estimator.between_steps import turn
-from trackres_ros.estimator.by_place import follow_along, position_came
+from trackres_ros.estimator.by_place import follow_along, of_place, position_came
 from trackres_ros.estimator.columns import Assembly, Motion, Results, Times
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.guards import ACCEPTED_AFTER_RESET, GAP, Memory, admit, forget_others, gather
@@ -133,10 +133,11 @@ def advance_along(
     for i in range(series.times.shape[0]):
         for j in range(loads.shape[0]):
             loads[j] = series.weights[i] * Assembly(k.assembly[j]).share_of_all
+        grade, slope, torque = series.grades[i], series.slopes_by_place[i], series.torques_by_place[i]
         inputs = Inputs(
-            series.speeds[i], loads, series.ambients[i], ambient_std, no_belts, series.accelerations[i], series.grades[i],
-            series.yaw_rates[i], series.headings[i], series.distances[i], math.nan, series.slopes_by_place[i],
-            series.torques_by_place[i], series.torque_stds_by_place[i], 0, 1.0,
+            series.speeds[i], loads, series.ambients[i], ambient_std, no_belts, series.accelerations[i], grade,
+            series.yaw_rates[i], series.headings[i], series.distances[i], math.nan, slope, torque,
+            series.torque_stds_by_place[i], of_place(k, series.places_known[i] > 0.0, grade, slope, torque), 1.0,
         )  # fmt: skip
         advance(k, carried, inputs, series.times[i] - series.times[i - 1] if i > 0 else 0.0, out[i])
 

@@ -44,10 +44,10 @@ from trackres_ros.estimator.settings import Settings
 from trackres_ros.route.follower import NOTHING_YET
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle, load_any
 
-UNKNOWN_GROUND = math.nan, math.nan, math.nan
+UNKNOWN_GROUND = math.nan, math.nan, math.nan, 0.0
 FIRST_NS, LAST_NS = -(2**63), 2**63 - 1  # stamps
 ALONG = (
-    "speed", "weight", "ambient", "acceleration", "grade", "yaw_rate", "heading", "distance", *DriveSeries._fields[-3:],
+    "speed", "weight", "ambient", "acceleration", "grade", "yaw_rate", "heading", "distance", *DriveSeries._fields[-4:],
 )  # fmt: skip
 """Arguments of `Estimator.run` that are series, as in `DriveSeries`."""
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.by_place import ground_now, is_missing
+from trackres_ros.estimator.by_place import ground_now, of_place
 from trackres_ros.estimator.columns import Assembly, Motion, Times, Tracked
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.plausible_speed import (
@@ -46,7 +46,6 @@ LOAD_HELD, LOAD_NOMINAL = int(at.Reason.LOAD_HELD), int(at.Reason.LOAD_NOMINAL)
 SPEED_QUANTISED = int(at.Reason.SPEED_QUANTISED)
 AMBIENT_NOMINAL, SPEED_STUCK = int(at.Reason.AMBIENT_NOMINAL), int(at.Reason.SPEED_STUCK)
 CLOCK_JUMPED, TIME_RESET = int(at.Reason.CLOCK_JUMPED), int(at.Reason.TIME_RESET)
-PLACE_UNKNOWN = int(at.Reason.PLACE_UNKNOWN)
 SPEED_IMPLAUSIBLE, SPEED_DISAGREES = int(at.Reason.SPEED_IMPLAUSIBLE), int(at.Reason.SPEED_DISAGREES)
 DISABLED, ENABLE_OLD = int(at.Reason.DISABLED), int(at.Reason.ENABLE_OLD)
 
@@ -270,8 +269,7 @@ def gather(
         memory.times[first_belt + i, FRESH] = 0
     grade = held(memory, at.GRADE, now, k.number.motion_hold_ns)
     slope, torque, torque_std, known = ground_now(k, memory.times, memory.followed, speed, elapsed)
-    if not known and is_missing(k, grade, slope, torque):
-        reasons |= PLACE_UNKNOWN
+    reasons |= of_place(k, known, grade, slope, torque)
     unfed = not_enabled(k, memory, now)
     drive_on(k, tracked, speed, elapsed)
     if disagrees(k, memory.times, memory.values, speed, stamp, now) or tracked.apart > 0.0:

@@ -92,6 +92,7 @@ class DriveSeries(NamedTuple):
     slopes_by_place: Array  # as grades, used where these are unknown
     torques_by_place: Array  # Nm against travel
     torque_stds_by_place: Array  # Nm
+    places_known: Array  # as `GroundSeries.known`
 
 
 class GroundSeries(NamedTuple):
@@ -100,6 +101,7 @@ class GroundSeries(NamedTuple):
     slopes: Array  # rise over run the way the vehicle points
     torques: Array  # Nm against travel
     torque_stds: Array  # Nm
+    known: Array  # 1 where the place on the route is known, else 0
 
 
 def floats(given: ArrayLike, where: str, shape: tuple[int, ...] | None = None) -> Array:

@@ -54,6 +54,8 @@ def read_profile(profile: str | PathLike[str] | Recording, on_route: bool = Fals
 def conditions(recording: Recording, time_s: Array, given: Collection[str], weight: float) -> dict[str, Array]:
     """Conditions of a profile at some times [s], interpolated, by role.
 
+    Before its first and after its last value a position is nan, as in a replay; the others keep that value.
+
     Raises
     ------
     InputError
@@ -72,5 +74,6 @@ def conditions(recording: Recording, time_s: Array, given: Collection[str], weig
         if bad.size:
             raise InputError(f"{recording.name}: {role}", float(bad[0]), f"{low:g} to {high:g} {ROLES[role].unit}")
         value = np.unwrap(samples.value) if role == "longitude" else samples.value  # it goes on over the date line
-        found[role] = np.interp(time_s, recording.time_s(role), value)
+        outside = np.nan if role in POSITION else None
+        found[role] = np.interp(time_s, recording.time_s(role), value, left=outside, right=outside)
     return found

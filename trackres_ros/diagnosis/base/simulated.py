@@ -64,6 +64,7 @@ def simulated(
             unknown,
             acting.torque_by_place(session, i),
             unknown,
+            unknown,
         )
         COMPILED.predict_series(*arguments, *state, count, *series, rows)
         acting.check(rows[:, PREDICTED_OUTCOME] == UNUSABLE, session, facts)
