@@ -57,7 +57,8 @@ def slope_of_altitude(session: DriveSession) -> tuple[DriveSession, str]:
     if spread**2 < found.std**2 / (1.0 - WORTH):
         return session, f"{where} gives no usable slope: slopes {text}, as large as the slopes themselves; it is not used"
     grade = np.where(known, found.value, 0.0)
-    with_it = replace(session, grade=grade, grade_std=found.std, used=used, given=session.given | {"grade"})
+    given, computed = session.given | {"grade"}, session.computed | {"grade"}
+    with_it = replace(session, grade=grade, grade_std=found.std, used=used, given=given, computed=computed)
     return with_it, f"{where} gives a slope {text}"
 
 
