@@ -89,7 +89,8 @@ def inputs(good, tmp_path_factory):
     (folder / "vehicle.csv").write_text("of an instrument\n")
     (folder / "topics.yaml").write_text("speed: {column: speed_mps}\n")
     (folder / "params.yaml").write_text("gap_s: 2.0\n")
-    (folder / "around.yaml").write_text("schema: 1\nvehicle: vehicle\neffects: {}\n")
+    (folder / "route.csv").write_text("latitude_deg,longitude_deg,course_deg,slope,std,passes\n47,8,90,0.01,0.001,4\n")
+    (folder / "around.yaml").write_text("schema: 1\nvehicle: vehicle\nroute: route.csv\neffects: {}\n")
     return folder
 
 
@@ -141,7 +142,7 @@ OF_SWEEP = "sweep vehicle.yaml --vary loss_modulus_scale=1 --cycle d.csv"
         "simulate --vehicle vehicle.yaml --speed-kmh 5 -o rubber/nr_sbr_10hz.csv",
         f"{OF_SWEEP} -o d.csv",
         f"{OF_SWEEP} -o rubber/nr_sbr_10hz.csv",
-        f"{OF_REPLAY} -o d.csv",
+        *(f"{OF_REPLAY} -o {one}.csv" for one in ("d", "route")),
         *(f"{OF_REPLAY} -o x.csv --save-vehicle {one}.yaml" for one in ("vehicle", "around", "topics", "params")),
         *(f"{OF_REPLAY} -o x.csv --save-state {one}" for one in ("d.csv", "vehicle.yaml", "topics.yaml", "vehicle.csv")),
         "compound fit vehicle.csv --vehicle vehicle.yaml -o .",

@@ -264,16 +264,17 @@ def test_an_unconfirmed_value_out_of_range_returns_to_its_end(driven):
     assert all(q.low >= q.by_file[0] and q.high <= q.by_file[1] for q in again.problem.base.parameters)
 
 
-def test_alone_means_without_given_surroundings_and_route(driven, loaded, effects):
+@pytest.mark.parametrize(("by_site", "added"), [(True, {"grade"}), (False, set())])
+def test_alone_means_without_given_surroundings_and_route(driven, loaded, effects, by_site, added):
     found, _ = driven({})
     sessions = found.problem.sessions
-    site = Active(effects["grade"], {"grade": 0.02})
-    around = type(loaded.base)(replace(loaded.base.vehicle, surroundings=(site,)))
-    raised = [replace(s, torque_by_place=np.full(len(s), 300.0), given=s.given | {"grade"}) for s in sessions]
+    site = (Active(effects["grade"], {"grade": 0.02}),) if by_site else ()
+    around = type(loaded.base)(replace(loaded.base.vehicle, surroundings=site))
+    raised = [replace(s, torque_by_place=np.full(len(s), 300.0), given=s.given | added) for s in sessions]
     laps = HeldOutLaps(sessions, [s.used for s in sessions], np.random.default_rng(1))
     use = AsUsed(around, raised, sessions, laps)
     plain = loaded.base.predict(sessions, {q.name: q.nominal for q in loaded.base.parameters}, ())
-    for alone, more in ((True, 0.0), (False, 300.0)):
+    for alone, more in ((True, 0.0), (False, 290.0)):
         apart = use.expected(None, (), alone)[0] - plain[0].torque
         assert (np.median(apart[sessions[0].used]) > more) == (not alone)
         assert np.allclose(apart, 0.0) == alone

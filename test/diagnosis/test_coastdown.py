@@ -13,10 +13,12 @@ import pytest
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.diagnosis.coastdown.stretches import NO_TORQUE_SHARE, rollouts
-from trackres_ros.units import GRAVITY
+from trackres_ros.route.learned import SLOPE, RouteMap
+from trackres_ros.units import EARTH_M, GRAVITY
 
 DT_S, FROM_MPS, ACCELERATION = 0.05, 12.0, 0.3
 HEADER = "time_s,speed_mps,torque_nm,grade"
+COLUMNS = f"{HEADER},altitude_m,latitude_deg,longitude_deg".split(",")
 
 
 def drive(vehicle, times=4, noise=0.01, slope=0.0, seed=1):
@@ -53,8 +55,8 @@ def heavier_bearings(vehicle, factor=1.4):
 
 
 def written(path, table, columns=HEADER):
-    of = [HEADER.split(",").index(name) for name in columns.split(",")]
-    np.savetxt(path, table[:, of], delimiter=",", header=columns, comments="", fmt="%.4f")
+    of = [COLUMNS.index(name) for name in columns.split(",")]
+    np.savetxt(path, table[:, of], delimiter=",", header=columns, comments="", fmt="%.7f")
     return path
 
 
@@ -90,27 +92,42 @@ def cart(path, mass, rise=(-0.002, 0.002)):
 
 
 TRUE_CAR, CAR_KG = {"rolling_coefficient": 0.0105, "rolling_rise": 0.00015, "drag_area": 0.66}, 1600.0
+HILL_M, HILLY = 300.0, 0.006  # their length over 2 pi, and their slope
 
 
-def car_drive(seed=0, step=0.2, noise=0.05):
-    """A road car is driven up to a speed, holds it, and rolls, four times; as `drive`."""
-    speed, rows = 8.0, []
+def car_drive(seed=0, step=0.2, noise=0.05, hills=0.0):
+    """A road car is driven up to a speed, holds it, and rolls, four times, eastwards over hills of a slope; as `drive`, with its
+    places.
+    """
+    speed, way, rows = 8.0, 0.0, []
 
     def resists():
         f, rise, area = TRUE_CAR.values()
-        return CAR_KG * GRAVITY * (f + rise * speed) + 0.6 * area * speed**2
+        return CAR_KG * GRAVITY * (f + rise * speed + hills * np.sin(way / HILL_M)) + 0.6 * area * speed**2
+
+    def row(torque):
+        nonlocal way
+        way += speed * step
+        height = hills * HILL_M * (1.0 - np.cos(way / HILL_M))
+        rows.append((speed, torque, hills * np.sin(way / HILL_M), height, 1.0, *np.degrees(longitude_at([way]))))
 
     for _ in range(4):
         while speed < 25.0:
             speed += step
-            rows.append((speed, 0.4 * (resists() + 1.1 * CAR_KG)))
-        rows += [(speed, 0.4 * resists())] * round(10.0 / step)
+            row(0.4 * (resists() + 1.1 * CAR_KG))
+        for _ in range(round(10.0 / step)):
+            row(0.4 * resists())
         while speed > 8.0:
             speed -= resists() / (1.1 * CAR_KG) * step
-            rows.append((speed, 0.0))
-    table = np.column_stack([np.arange(len(rows)) * step, rows, np.zeros(len(rows))])
+            row(0.0)
+    table = np.column_stack([np.arange(len(rows)) * step, rows])
     table[:, 1] += noise * np.random.default_rng(seed).normal(size=len(rows))
     return table
+
+
+def longitude_at(way):
+    """At a degree of latitude [rad]."""
+    return 0.1 + np.asarray(way) / (EARTH_M * np.cos(np.radians(1.0)))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -157,7 +174,7 @@ def test_a_torque_that_does_not_drive_is_not_used(tmp_path, scale):
         return rollouts([tr.read(written(tmp_path / name, table, columns))], loaded.known, 0.4, 1.0)
 
     right = car_drive()
-    wrong = right * [1.0, 1.0, scale, 1.0]
+    wrong = right * [1.0, 1.0, scale, 1.0, 1.0, 1.0, 1.0]
     without, unused = rolled("without.csv", right, "time_s,speed_mps"), rolled("wrong.csv", wrong)
     assert unused.stretches == without.stretches
     assert not unused.sessions[0].torque.any()
@@ -165,6 +182,40 @@ def test_a_torque_that_does_not_drive_is_not_used(tmp_path, scale):
     release = int(np.argmax(right[:, 2] == 0.0))
     for used in (right, right[release : release + int(np.argmax(right[release:, 2] > 0.0))]):  # driven, or rolling only
         assert not rolled("right.csv", used).notes
+
+
+def slope_error(rolled, table):
+    """Root mean square error of the slopes in coast-downs."""
+    of = [(s.grade - np.interp(s.time + 0.5 * s.step, table[:, 0], table[:, 3]))[s.used] for s in rolled.sessions]
+    return float(np.sqrt(np.mean(np.concatenate(of) ** 2)))
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.0, -1.0])
+def test_decelerations_decide_on_the_slopes_of_an_altitude(tmp_path, factor):
+    """Each coast-down is a recording of its own."""
+    table = car_drive(hills=HILLY)
+    ends = np.flatnonzero((table[1:, 2] > 0.0) & (table[:-1, 2] == 0.0)) + 1
+    shown = table * [1.0, 1.0, 1.0, 1.0, factor, 1.0, 1.0] + [0.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0]
+    files = [written(tmp_path / f"{i}.csv", part, "time_s,speed_mps,altitude_m") for i, part in enumerate(np.split(shown, ends))]
+    found = rollouts([tr.read(file) for file in files], load_base(cart(tmp_path / "car.yaml", CAR_KG)).known, 0.4, 1.0)
+    assert len(found.stretches) == 4
+    assert [("grade" in s.given) for s in found.sessions] == [factor == 1.0] * 4
+    if factor == -1.0:
+        assert all("no usable slope" in note for note in found.notes if "altitude" in note)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.7])
+def test_coast_downs_have_the_slopes_of_a_route_and_end_with_it(tmp_path, share):
+    table = car_drive(hills=HILLY)
+    way = np.arange(0.0, share * np.sum(table[:, 1]) * 0.2, 20.0)
+    slope, one = HILLY * np.sin(way / HILL_M), np.ones(len(way))
+    value, std = np.stack([slope, -slope], axis=1), np.full((len(way), 2), 0.001)
+    route = RouteMap(SLOPE, np.radians(one), longitude_at(way), 0.0 * one, value, std, 4 * one.astype(int))
+    file = written(tmp_path / "roll.csv", table, "time_s,speed_mps,latitude_deg,longitude_deg")
+    known = load_base(cart(tmp_path / "car.yaml", CAR_KG)).known
+    without, found = (rollouts([tr.read(file)], known, 0.4, 1.0, maps) for maps in ((), (route,)))
+    assert slope_error(found, table) < 0.001 < slope_error(without, table)
+    assert (found.sessions[0].used.sum() < 0.9 * without.sessions[0].used.sum()) == (share < 1.0)
 
 
 def resistance(vehicle, found, speed_kmh):

@@ -52,11 +52,25 @@ def test_it_finds_what_the_command_finds(scrub_result, scrubbed):
     assert [f"  {stage}" for stage in (*stages, "report")] == done.stderr.splitlines()
 
 
-def test_it_says_where_a_replay_has_no_recorded_acceleration(found):
+PAST = "the acceleration from past speeds alone"
+
+
+@pytest.mark.parametrize(
+    ("computed", "says"),
+    [
+        ((), ""),
+        (("heading",), ""),  # that no effect needs
+        (("accel",), PAST),
+        (("yaw_rate", "heading"), "no yaw rate"),
+        (("accel", "grade", "yaw_rate"), f"{PAST}, no slope from the altitude, no yaw rate"),
+    ],
+)
+def test_it_says_which_inputs_a_replay_does_not_compute(found, computed, says):
     other, d = copy.copy(found), found.diagnosis
-    for given, says in ((frozenset({"accel"}), False), (frozenset(), True)):
-        other.diagnosis = replace(d, gated=replace(d.gated, sessions=[replace(s, given=given) for s in d.gated.sessions]))
-        assert ("\nNo acceleration was recorded: a replay computes it from past speeds alone" in repr(other)) == says
+    sessions = [replace(s, computed=frozenset(computed)) for s in d.gated.sessions]
+    other.diagnosis = replace(d, gated=replace(d.gated, sessions=sessions))
+    assert (f"A replay computes {says}, so its error is larger" in repr(other)) == bool(says)
+    assert ("A replay computes" in repr(other)) == bool(says)
 
 
 def test_the_report_is_the_commands(written, found, scrubbed):

@@ -94,5 +94,6 @@ def test_the_gate_makes_one_only_where_none_was_recorded(tmp_path, recorded):
     (session,) = gated.sessions
     said = [note for note in gated.notes if "the yaw rate is computed from heading" in note]
     assert len(said) == (0 if recorded else 1)
+    assert session.computed == {"accel", *([] if recorded else ["yaw_rate"])}
     expected = np.interp(session.time + 0.5, time, yaw) * (2.0 if recorded else 1.0)
     assert np.abs(session.yaw_rate - expected)[1:-1].max() < 0.02 * (2.0 if recorded else 1.0)

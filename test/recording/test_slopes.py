@@ -43,3 +43,9 @@ def test_no_slope_is_steeper_than_roads_are():
     found = slopes(time, speed, 0.01 * way + np.where(way > way[-1] / 2, 300.0, 0.0)).value
     assert np.nanmax(np.abs(found)) <= STEEPEST
     assert np.isnan(found).any()
+
+
+def test_in_reverse_the_slope_is_that_the_way_the_vehicle_points():
+    time, speed, _, altitude, _ = hills()
+    forward, reverse = (slopes(time, way * speed, altitude).value for way in (1.0, -1.0))
+    np.testing.assert_allclose(reverse[speed > 0.0], -forward[speed > 0.0])

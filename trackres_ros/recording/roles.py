@@ -47,7 +47,7 @@ ROLES: Mapping[str, Role] = MappingProxyType(
         "grade": Role("1", "slope as rise over run, positive uphill", columns={"grade": "1"}),
         "yaw_rate": Role("rad/s", "turning rate about the upward axis",
             lively=True, columns={"yaw_rate_radps": "rad/s"}, words=r"\byaw ?rate\b"),
-        "heading": Role("rad", "direction of travel about the upward axis", columns={"heading_rad": "rad"}),
+        "heading": Role("rad", "angle about the upward axis at which the vehicle points", columns={"heading_rad": "rad"}),
         "distance": Role("m", "distance travelled", columns={"distance_m": "m"}),
         "stood": Role("s", "standing time before the recording began; one value", columns={"stood_s": "s"}),
         "latitude": Role("rad", "latitude, positive north",

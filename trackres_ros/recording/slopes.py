@@ -30,7 +30,7 @@ MAD_TO_STD = 1.4826
 class Slopes(NamedTuple):
     """Slopes along a drive."""
 
-    value: Array  # rise over run, shape (n,); nan where unknown
+    value: Array  # rise over run the way the vehicle points, shape (n,); nan where unknown
     std: float  # their standard deviation, due to the error of the altitude
     length_m: float  # distance over which each is fitted
 
@@ -69,6 +69,7 @@ def slopes(time_s: Array, speed: Array, altitude: Array, error_m: float = 0.0) -
     length = min(max(noise * OF_A_LINE / SURE_SLOPE, SHORTEST_M), LONGEST_M)
     found = np.interp(distance, at, _lines(profile, length)[1])
     found[~(np.abs(found) <= STEEPEST) | _untrusted(time_s, height, speed, moving)] = np.nan
+    found[speed < 0.0] *= -1.0  # a vehicle that reverses downhill points uphill
     return Slopes(found, noise * OF_A_LINE / length, length)
 
 

@@ -21,6 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.own import OwnBase, OwnModel
+from trackres_ros.diagnosis.base.road_load import RoadBase
+from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.content import report
@@ -38,7 +40,11 @@ if TYPE_CHECKING:
     from trackres_ros.diagnosis.report.interactive import Interactive
 
 REPORT_FILE, VEHICLE_FILE = "report.json", "vehicle.yaml"
-REPLAYED = "No acceleration was recorded: a replay computes it from past speeds alone, so its error is larger than this one."
+REPLAYED = {
+    "accel": "the acceleration from past speeds alone", "grade": "no slope from the altitude", "yaw_rate": "no yaw rate",
+    "heading": "no heading",
+}  # fmt: skip
+"""What a replay computes of the channels that a diagnosis computes."""
 DATA_FILES = (REPORT_FILE, VEHICLE_FILE, SURROUNDINGS_FILE)
 
 
@@ -181,9 +187,20 @@ class DiagnosisResult:
         return dict(self._content)
 
     def __repr__(self) -> str:
-        why, d = self.diagnosis.kept.text, self.diagnosis
-        derived = not isinstance(d.base, OwnBase) and not all("accel" in s.given for s in d.gated.sessions)
-        return "\n".join([self.sentence, f"{why[0].upper()}{why[1:]}.", *([REPLAYED] if derived else []), *self.to_do])
+        why = self.diagnosis.kept.text
+        return "\n".join([self.sentence, f"{why[0].upper()}{why[1:]}.", *self._worse_in_replay(), *self.to_do])
+
+    def _worse_in_replay(self) -> list[str]:
+        """Sentence on the inputs that the diagnosis computes from others, but a replay does not."""
+        d = self.diagnosis
+        if not isinstance(d.base, TrackBase | RoadBase):
+            return []
+        acting = (*d.base.vehicle.active, *d.kept.effects)
+        needed = {"accel", "grade", *(need for active in acting for need in active.effect.needs)}
+        less = [text for c, text in REPLAYED.items() if c in needed and any(c in s.computed for s in d.gated.sessions)]
+        if not less:
+            return []
+        return [f"Not all inputs were recorded. A replay computes {', '.join(less)}, so its error is larger than this one."]
 
     def _repr_html_(self) -> str:
         rows = []

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,7 @@ class RouteMap:
     value: Array  # (places, 2), for travel in the direction of a place, and against it; nan where not driven
     std: Array
     passes: NDArray[np.int64]  # number of passes used for learning
+    source: Path | None = None  # its table; None for one that is not read from a file
 
     def __len__(self) -> int:
         return len(self.latitude)

@@ -98,7 +98,7 @@ def read_route(path: Path) -> tuple[RouteMap, ...]:
         raise InputError(str(path), "no place", "at least one row")
     table = np.array([_row(row, known, f"{path}, line {line}") for line, row in numbered[1:]])
     columns = dict(zip(known, table.T, strict=True))
-    route = tuple(_map(kind, columns) for kind in LEARNED if set(LEARNED[kind]) <= set(known))
+    route = tuple(_map(kind, columns, path) for kind in LEARNED if set(LEARNED[kind]) <= set(known))
     route = tuple(one for one in route if len(one))
     if not route:
         raise InputError(str(path), "no learned value", "at least one row with a slope or a torque")
@@ -128,7 +128,7 @@ def _parsed(text: str) -> float | str:
         return text
 
 
-def _map(kind: str, columns: Mapping[str, Array]) -> RouteMap:
+def _map(kind: str, columns: Mapping[str, Array], source: Path) -> RouteMap:
     """The places of a kind with a learned value."""
     learned = np.stack([columns[name] for name in LEARNED[kind]], axis=1)
     value, std = learned[:, ::2], learned[:, 1::2]
@@ -136,9 +136,8 @@ def _map(kind: str, columns: Mapping[str, Array]) -> RouteMap:
         value, std = np.concatenate([value, -value], axis=1), np.concatenate([std, std], axis=1)
     there = np.isfinite(value).any(axis=1)
     latitude, longitude, course = (DEGREE * columns[name][there] for name in PLACE)
-    return RouteMap(
-        kind, latitude, longitude, 0.5 * math.pi - course, value[there], std[there], columns["passes"][there].astype(np.int64)
-    )
+    passes = columns["passes"][there].astype(np.int64)
+    return RouteMap(kind, latitude, longitude, 0.5 * math.pi - course, value[there], std[there], passes, source)
 
 
 def _check_places(path: Path, route: Sequence[RouteMap]) -> None:

@@ -166,8 +166,9 @@ def _check_rolling(reader: ValueReader, values: Mapping[str, float]) -> None:
 def files_of(vehicle: AnyVehicle) -> list[Path]:
     """The vehicle file and all files that it was read with."""
     rubber = vehicle.rubber_source if isinstance(vehicle, Vehicle) else None
-    found = (vehicle.source, rubber, vehicle.surroundings_source, *(active.effect.source for active in vehicle.active))
-    return [path for path in found if path is not None]
+    tables = (one.source for one in vehicle.route)
+    found = (vehicle.source, rubber, vehicle.surroundings_source, *tables, *(active.effect.source for active in vehicle.active))
+    return [path for path in dict.fromkeys(found) if path is not None]
 
 
 def build_road(path: Path, content: Mapping[str, Any]) -> RoadVehicle:

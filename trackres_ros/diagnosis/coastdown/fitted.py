@@ -122,7 +122,7 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
         given = "a vehicle file with a zero-width range on every value that a coast-down could determine"
         raise InputError("vehicle", given, "ranges for its values", "widen the ranges of uncertain values")
     step = step_for(recordings, SAMPLES_A_STEP)
-    rolled = rollouts(list(recordings), loaded.known, base.facts.radius, step)
+    rolled = rollouts(list(recordings), loaded.known, base.facts.radius, step, loaded.route)
     for session in rolled.sessions:
         check_speed(session, loaded.known.max_speed)
     if not rolled.stretches:

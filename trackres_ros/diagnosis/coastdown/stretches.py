@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trackres_ros.diagnosis.prepare.altitude import with_slope
+from trackres_ros.diagnosis.prepare.altitude import coasting_errors, confirmed, slope_of_altitude, with_slope
+from trackres_ros.diagnosis.prepare.gate import Gated
+from trackres_ros.diagnosis.prepare.on_route import on_route
 from trackres_ros.diagnosis.prepare.refuse import refuse_repeated
 from trackres_ros.diagnosis.prepare.resample import resample
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
@@ -20,6 +22,7 @@ from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.role_units import Conversion
 from trackres_ros.recording.samples import Series
+from trackres_ros.route.learned import RouteMap
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import GRAVITY
 
@@ -53,11 +56,35 @@ class Rollouts:
     remedies: tuple[str, ...]  # lines for the topics file that may give recordings a coast-down
 
 
-def rollouts(recordings: list[Recording], settings: GateSettings, radius: float, step: float) -> Rollouts:
+@dataclass(frozen=True, eq=False)
+class _Drive:
+    """A recording on an even grid."""
+
+    recording: Recording
+    session: DriveSession
+    unknown: Mapping[str, Mask]  # steps without a needed measurement
+    limit: float | None  # torque that may be measured in a coast-down [Nm]; None without a torque
+
+    def over(self, ground: DriveSession) -> _Drive:
+        """The same on known ground: the session with a slope or a torque by place, in use where that is known."""
+        return replace(self, session=ground, unknown={**self.unknown, "ground not known": ~ground.used})
+
+    def coasting(self, settings: GateSettings, rejected: Counter[str], first: int) -> tuple[DriveSession, list[tuple[int, int]]]:
+        """The session with only its coast-downs in use, as blocks from a `first` number on; and their begins and ends."""
+        used, block = np.zeros(len(self.session), dtype=bool), np.full(len(self.session), -1, dtype=np.int64)
+        falls = _falls(self.session, self.unknown, settings, self.limit, rejected)
+        for number, (begin, end) in enumerate(falls, first):
+            used[begin:end], block[begin:end] = True, number
+        return replace(self.session, used=used, block=block), falls
+
+
+def rollouts(
+    recordings: list[Recording], settings: GateSettings, radius: float, step: float, route: Sequence[RouteMap] = ()
+) -> Rollouts:
     """Find the coast-downs of recordings, on a grid of `step` [s].
 
     With a recorded torque, only stretches of zero torque are used. One that stays near zero while the vehicle accelerates is
-    treated as not recorded. `radius` is that of the sprocket, or of the wheel [m].
+    treated as not recorded. `radius` is that of the sprocket, or of the wheel [m]. Stretches off a given `route` are not used.
 
     Raises
     ------
@@ -71,22 +98,35 @@ def rollouts(recordings: list[Recording], settings: GateSettings, radius: float,
     notes: list[str] = []
     remedies: list[str] = []
     limit = NO_TORQUE_SHARE * settings.weight * radius
-    for recording in recordings:
-        session, unknown, measured = _resampled(recording, step, settings, limit, notes)
-        session, of_slope = with_slope(session)
-        notes += [of_slope] if of_slope else []
-        used = np.zeros(len(session), dtype=bool)
-        block = np.full(len(session), -1, dtype=np.int64)
-        for begin, end in _falls(session, unknown, settings, limit if measured else None, rejected):
-            block[begin:end] = len(stretches)
-            used[begin:end] = True
-            stretches.append(RollOut(len(sessions), begin, end))
-        if measured:
-            remedies += _of_offset(session, _slows(session, settings)[1], limit, min(_torques(recording)))
-        elif torques := _torques(recording):
-            remedies.append(f"check sensor and unit of {min(torques)} in {recording.name}, which {_hardly(limit)}")
-        sessions.append(replace(session, used=used, block=block))
-    return Rollouts(tuple(sessions), tuple(stretches), dict(rejected), tuple(notes), tuple(remedies))
+    drives = _with_slopes([_resampled(one, step, settings, limit, notes) for one in recordings], settings, notes)
+    known = on_route(Gated(tuple(drive.session for drive in drives), {}, tuple(notes)), route)
+    for drive in (one.over(ground) for one, ground in zip(drives, known.sessions, strict=True)):
+        session, falls = drive.coasting(settings, rejected, len(stretches))
+        stretches += [RollOut(len(sessions), begin, end) for begin, end in falls]
+        sessions.append(session)
+        if drive.limit is not None:
+            remedies += _of_offset(session, _slows(session, settings)[1], limit, min(_torques(drive.recording)))
+        elif torques := _torques(drive.recording):
+            remedies.append(f"check sensor and unit of {min(torques)} in {session.name}, which {_hardly(limit)}")
+    return Rollouts(tuple(sessions), tuple(stretches), dict(rejected), known.notes, tuple(remedies))
+
+
+def _with_slopes(drives: Sequence[_Drive], settings: GateSettings, notes: list[str]) -> list[_Drive]:
+    """The drives with slopes from their altitude. Where no torque is measured, the decelerations of all coast-downs must confirm
+    them.
+    """
+    made = [slope_of_altitude(one.session) if one.limit is None else with_slope(one.session) for one in drives]
+    trial, count = dict[int, DriveSession](), 0
+    for i, (one, (ground, _)) in enumerate(zip(drives, made, strict=True)):
+        if one.limit is None and ground is not one.session:
+            trial[i], falls = one.over(ground).coasting(settings, Counter(), count)
+            count += len(falls)
+    errors = coasting_errors(list(trial.values())) if count else None
+    for i in trial:
+        before = drives[i].session
+        made[i] = (before, "") if errors is None else confirmed(before, *made[i], "force", "N", errors)
+    notes += [text for _, text in made if text]
+    return [replace(one, session=ground) for one, (ground, _) in zip(drives, made, strict=True)]
 
 
 def _torques(recording: Recording) -> list[str]:
@@ -94,20 +134,18 @@ def _torques(recording: Recording) -> list[str]:
     return [r for r, s in recording.series.items() if r.partition("/")[0] == "torque" and np.isfinite(s.value).any()]
 
 
-def _resampled(
-    recording: Recording, step: float, settings: GateSettings, limit: float, notes: list[str]
-) -> tuple[DriveSession, dict[str, Mask], bool]:
-    """The session, its steps without a needed measurement, and whether a torque is measured, beyond a `limit` [Nm]."""
+def _resampled(recording: Recording, step: float, settings: GateSettings, limit: float, notes: list[str]) -> _Drive:
+    """The recording on an even grid; with a measured torque only if that exceeds a `limit` [Nm]."""
     why = "no torque was recorded"
     if _torques(recording):
         said: list[str] = []
         session, unknown = resample(recording, step, settings, said, SHORTEST_RECORDING_S)
         if not _lacks_torque(session, unknown, limit):
             notes += said
-            return session, unknown, True
+            return _Drive(recording, session, unknown, limit)
         why = f"the torque {_hardly(limit)} (a dead sensor, or another unit), and is not used"
     notes.append(f"{recording.name}: {why}; deceleration is assumed to be without drive or brakes")
-    return *resample(_without_torque(recording), step, settings, notes, SHORTEST_RECORDING_S), False
+    return _Drive(recording, *resample(_without_torque(recording), step, settings, notes, SHORTEST_RECORDING_S), None)
 
 
 def _hardly(limit: float) -> str:

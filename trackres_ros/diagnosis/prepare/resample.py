@@ -43,6 +43,7 @@ QUICK, STEADY = 1.0 / 3.0, 0.01
 a bus reaches 0.004, robots driven to and fro 0.03 to 0.17, a carriage on a screw 0.56."""
 SHORTER_STEPS_S = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
+COMPUTED = ("accel", "yaw_rate", "heading")  # from others where they are not recorded
 
 
 def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES, slowest_speed: float = SLOWEST_MPS) -> float:
@@ -199,6 +200,7 @@ def resample(
         used=~grid.nowhere,
         block=np.zeros(grid.count, dtype=np.int64),
         given=frozenset(grid.given),
+        computed=frozenset(c for c in COMPUTED if not grid.has(c) and c in {*grid.given, "accel"}),
         torque_course=_course(torque.samples),
         accel_noise=speed.accel_noise,
         torque_noise=torque.noise,

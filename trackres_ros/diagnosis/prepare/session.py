@@ -92,7 +92,8 @@ class DriveSession:
     block: NDArray[np.int64]  # number of the lap, or of the piece, counted through all sessions
     gap: float = np.inf  # time off since the previous session [s]; infinite where the belt starts at ambient temperature
     after_unseen: bool = False  # whether the drive before is not among the recordings
-    given: frozenset[str] = field(default_factory=frozenset)  # the measured channels
+    given: frozenset[str] = field(default_factory=frozenset)  # the known channels
+    computed: frozenset[str] = field(default_factory=frozenset)  # from others, where a replay has less: see `results.diagnosis`
     torque_course: Cumulative | None = None  # the torque as measured, for delays of less than a step
     accel_noise: float = 0.0  # standard deviation due to errors of the speed [m/s^2]; 0 where unknown
     torque_noise: float = 0.0  # of a step's mean, due to sample-to-sample noise [Nm]; 0 where unknown

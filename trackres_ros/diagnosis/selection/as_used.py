@@ -43,8 +43,8 @@ class AsUsed:
     def __init__(self, base: Base, sessions: Sequence[DriveSession], recorded: Sequence[DriveSession], laps: HeldOutLaps) -> None:
         self._around = base, tuple(sessions)
         self._alone = self._around
-        if base.alone is not base or any(s.given != r.given for s, r in zip(sessions, recorded, strict=True)):
-            pairs = zip(sessions, recorded, strict=True)
+        pairs = list(zip(sessions, recorded, strict=True))
+        if base.alone is not base or any(s.given != r.given or s.torque_by_place is not r.torque_by_place for s, r in pairs):
             plain = (replace(s, grade=r.grade, given=r.given, torque_by_place=r.torque_by_place) for s, r in pairs)
             self._alone = base.alone, tuple(plain)
         self._laps = laps
