@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from sweeps import FERRY_K, moduli, published, sweep
 from trackres_ros.compound.fitting import ARRHENIUS, KEPT, WLF, fit_compound
 from trackres_ros.compound.reading import read_sweep
 from trackres_ros.compound.shift import ABSOLUTE_ZERO_DEGC, GAS_CONSTANT, Shift
-from trackres_ros.compound.writing import files_of, write_compound
+from trackres_ros.compound.writing import ALIKE_K, MOST_MEASURED_ROWS, ROWS_K, files_of, table_degc, write_compound
 from trackres_ros.files.resources import config_dir
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.vehicle import load
@@ -194,6 +195,18 @@ def test_one_frequency_keeps_the_shift_of_the_vehicle(vehicle, frequencies, said
     assert said in found.why
     assert found.values["wlf_c1"].value == vehicle.rubber.wlf_c1
     assert found.values["wlf_c1"].low == vehicle.parameters["rubber.wlf_c1"].low
+
+
+@pytest.mark.parametrize("step", [0.01, 0.04, 0.049, 0.06])
+@pytest.mark.parametrize("low", [15.0, -60.0])
+def test_rows_of_a_ramp_cover_it_evenly(vehicle, low, step):
+    ramp = np.arange(low, 21.0, step)
+    one = SimpleNamespace(temp_degc=ramp, frequencies=[10.0])
+    rows = table_degc(SimpleNamespace(sweep=one, master=SimpleNamespace(low_degc=ramp[0], high_degc=ramp[-1])))
+    steps = np.diff([*rows, ramp[-1]])
+    assert rows[0] == ramp[0]
+    assert (steps[:-1] > ALIKE_K).all()
+    assert steps.max() < max(2.0 * ALIKE_K, ROWS_K) if len(ramp) > MOST_MEASURED_ROWS else 2.0 * ALIKE_K
 
 
 def test_the_written_vehicle_has_the_measured_moduli(vehicle, natural_rubber, tmp_path):

@@ -19,6 +19,7 @@ from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.diagnosis.base.own import OwnBase
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.prepare.torque_checks import check_torque
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.errors import InputError
 
@@ -117,12 +118,36 @@ def test_a_model_that_cannot_be_is_refused(changed, said):
         (lambda inputs, p: p["mass"] * inputs.accel, "KeyError"),
         (lambda inputs, _: inputs.accel[1:], "shape"),
         (lambda inputs, _: np.nan * inputs.accel, "finite"),
+        (lambda inputs, _: inputs.accel + 0j, "complex"),
+        (lambda inputs, _: np.multiply(inputs.time, 0.0, out=inputs.time), "read-only"),
     ],
 )
 def test_a_function_that_fails_is_named(session, torque, said):
     base = OwnBase(model(torque=torque))
     with pytest.raises(InputError, match=said):
         base.predict([session], {}, ())
+
+
+def test_a_function_that_changes_its_inputs_changes_no_result(session):
+    def careless(inputs, p):
+        torque = motor(inputs, p)
+        inputs.speed[:], inputs.accel[:] = 0.0, 0.0
+        p["drag"] = 0.0
+        return torque
+
+    friction = Active(catalogue(size=0.6)["coulomb_friction"], {"friction": 0.1})
+    values = {"inertia": 4e-4, "drag": 1e-3}
+    bases = (OwnBase(model(torque=torque)) for torque in (motor, careless))
+    pure, other = ([one.torque for one in base.predict([session] * 2, values, [friction])] for base in bases)
+    np.testing.assert_array_equal(pure, other)
+
+
+def test_a_constant_model_is_compared_without_nan_if_not_zero(session):
+    nothing, session = np.zeros(len(session)), replace(session, torque=np.abs(session.torque))
+    with np.errstate(invalid="raise", divide="raise"):
+        check_torque([session], [nothing + 0.125], [nothing], model().known)
+        with pytest.raises(InputError, match="always 0"):
+            check_torque([session], [nothing], [nothing], model().known)
 
 
 @pytest.mark.parametrize("name", ["surroundings", "hysteresis", "thermal"])

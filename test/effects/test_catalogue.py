@@ -5,6 +5,7 @@
 
 import gc
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,8 +19,10 @@ from trackres_ros.effects.native import is_compiled, reads_drag_area
 from trackres_ros.effects.stepping import FIRST_OWN, effect_table, look, new_memory, new_work, step_effects
 from trackres_ros.effects.vehicle.payne import EXPONENT
 from trackres_ros.errors import InputError
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.jit import code_cache
 from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.offline.vehicle_check import check_vehicle
 from trackres_ros.vehicle import load
 
 NAMES = [
@@ -297,14 +300,61 @@ def test_an_effect_of_the_users_own_joins_the_catalogue(own):
         ("(Parameter", "[(Parameter", "SyntaxError"),
         ('parameters = (Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0),)', "parameters = (1,)", "Parameter"),
         ("class Squeak", "raise SystemExit(0)\n\nclass Squeak", "SystemExit"),
+        ("off=0.0),)", "off=0.0))", "one ends with a comma"),
+        ('    text = "', '    needs = "speed"\n    text = "', "yaw_rate"),
+        ('    text = "', '    needs = ("speed", "grade")\n    text = "', "grade.*yaw_rate"),
+        ('    text = "', '    needs = None\n    text = "', "yaw_rate"),
+        ('    text = "', '    only_of = "tracks"\n    text = "', "rolls"),
+        ("0.0, 100.0", '"0", 100.0', "numbers"),
+        ("0.0, 100.0", "float('nan'), 100.0", "finite"),
+        ('Parameter("torque"', "Parameter(3", "texts"),
+        ("off=0.0),)", 'off=0.0),) + (Parameter("torque", "Nm", 0.0, 1.0, 1.0, "", off=0.0),)', "each name once"),
+        ('"squeak"', '"drag_after_braking"', "no other effect"),
+        ("    def terms", "    def __init__(self, size):\n        pass\n\n    def terms", "Squeak.*missing 1 required"),
+        ("    def terms", "    __slots__ = ()\n    __hash__ = None\n\n    def terms", "unhashable"),
+        ("    def terms", "    def lag(self, at, p):\n        return 5.0\n\n    def terms", "lag.*Lag"),
+        ("def terms", "def term", "no terms"),
+        ("at.direction", "at.yawrate", "AttributeError.*yawrate"),
+        ("at.direction", "direction", "NameError.*direction"),
+        ("at.direction", "len(at.speed)", "TypeError"),
+        ("p.torque", 'p["torque"]', "p.name"),
+        ("return Terms", "return 0.0, Terms", "terms.*Terms"),
+        ("return ", "", "given None.*Terms"),
     ],
 )
 def test_an_effect_of_the_users_own_that_is_not_right_is_refused(own, was, becomes, said):
     squeak = own / "squeak.py"
     assert was in squeak.read_text()
     squeak.write_text(squeak.read_text().replace(was, becomes))
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=rf"squeak\.py.*{said}"):
         catalogue(own)
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "said"),
+    [
+        ("        return", '        raise ValueError("boo")\n        return', "ValueError: boo"),
+        ("at.direction", "(1.0 / (at.speed - at.speed))", "ZeroDivisionError"),
+        ("p.torque", "1e300", "torque 1e[+]300"),
+        ("torque=", "loss_factor=-", "loss_factor -"),
+        ("    def terms", "    def lag(self, at, p):\n        return Lag(1.0, 0.0, 0.0)\n\n    def terms", "time_constant 0"),
+    ],
+)
+def test_an_own_effect_that_can_never_act_is_refused_at_the_start(own, was, becomes, said):
+    squeak = own / "squeak.py"
+    squeak.write_text("from trackres_ros.effects import Lag\n" + squeak.read_text().replace(was, becomes))
+    effect = catalogue(own)["squeak"]
+    for start in (Estimator, lambda vehicle: check_vehicle(vehicle, 1)):
+        with pytest.raises(InputError, match=rf"squeak\.py: effect squeak.*{said}"):
+            start(replace(load("xgd24d"), effects=(Active(effect, effect.values()),)))
+
+
+def test_an_abstract_class_between_is_no_effect(own):
+    squeak = own / "squeak.py"
+    between = "from abc import abstractmethod\n\nclass Between(Effect):\n    @abstractmethod\n    def extra(self): ...\n\n"
+    whole = squeak.read_text().replace("class Squeak(Effect)", f"{between}class Squeak(Between)")
+    squeak.write_text(f"{whole}\n    def extra(self): ...\n")
+    assert set(catalogue(own)) == {*NAMES, "squeak"}
 
 
 def test_the_command_lists_them():

@@ -68,6 +68,19 @@ def test_a_path_that_exists_is_no_glob_and_no_url(folder, monkeypatch, name, for
     assert not is_there(found.url)
 
 
+def test_linked_folders_are_searched_once_and_never_in_a_loop(folder):
+    (folder / "elsewhere" / "t2").mkdir(parents=True)
+    (folder / "elsewhere" / "t2" / "x.csv").touch()
+    (folder / "elsewhere" / "t2" / "back").symlink_to(folder / "depot")
+    (folder / "depot" / "t1").mkdir(parents=True)
+    (folder / "depot" / "t1" / "y.csv").touch()
+    for name, to in (("t2", "../elsewhere/t2"), ("up", "."), ("newest", "t1"), ("again.csv", "../elsewhere/t2"), ("gone", "no")):
+        (folder / "depot" / name).symlink_to(to)
+    assert names(find_recordings([f"{folder}/depot"]), folder / "depot") == ["again.csv/x.csv", "t1/y.csv"]
+    (folder / "depot" / "again.csv").unlink()
+    assert names(find_recordings([f"{folder}/depot"]), folder / "depot") == ["t1/y.csv", "t2/x.csv"]
+
+
 def test_each_recording_comes_once_however_often_it_is_named(folder):
     found = names(find_recordings([str(folder / "a"), str(folder), str(folder / "a" / "one.csv")]), folder)
     assert found[:2] == ["a/one.csv", "a/two.mcap"]
@@ -194,6 +207,7 @@ def test_a_recordings_vehicle_comes_from_its_folder_or_pattern(tmp_path):
         ("vehicles: {a: {file: xgd24d, topic: x}}", "topics"),
         ("vehicles: {a: {file: xgd24d, recordings: 3}}", "globs"),
         ("vehicles: {a: {file: xgd24d, limits: {x: hot}}}", "limits"),
+        *((f"vehicles: {{{name}: xgd24d}}", "in quotes") for name in ("0123", "12e3", "yes", "0x1F", "1_0", "1:30", "~", "1.50")),
         ("vehicle: {a: xgd24d}", "vehicles"),
         ("[1, 2]", "vehicles"),
     ],
@@ -202,6 +216,11 @@ def test_a_bad_fleet_file_is_one_line(tmp_path, text, part):
     with pytest.raises(InputError, match=part) as refused:
         fleet_of(tmp_path, text)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["7", "2026-06-01", "1.5", '"0123"', "'yes'", "-3"])
+def test_a_vehicle_has_the_name_that_its_file_says(tmp_path, name):
+    assert list(fleet_of(tmp_path, f"vehicles:\n  {name} : xgd24d\n").vehicles) == [name.strip("'\"")]
 
 
 def test_the_digest_of_a_vehicle_follows_the_files_it_names(tmp_path, repository):

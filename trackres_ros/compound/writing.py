@@ -83,10 +83,12 @@ def write_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -
 def table_degc(fit: CompoundFit) -> Array:
     """Temperatures of the rows of a rubber file: the measured ones for one frequency, else evenly spaced."""
     low, high = max(fit.master.low_degc, SWEEP_DEGC.low), min(fit.master.high_degc, SWEEP_DEGC.high)
-    measured = np.unique(fit.sweep.temp_degc)
-    measured = measured[np.concatenate([[True], np.diff(measured) > ALIKE_K])]
+    measured: list[float] = []
+    for temp in np.unique(fit.sweep.temp_degc):
+        if not measured or temp - measured[-1] > ALIKE_K:  # a ramp has smaller steps throughout
+            measured.append(temp)
     if len(fit.sweep.frequencies) == 1 and len(measured) <= MOST_MEASURED_ROWS:
-        return np.asarray(measured)
+        return np.array(measured)
     return np.linspace(low, high, max(int(np.ceil((high - low) / ROWS_K)) + 1, 4))
 
 

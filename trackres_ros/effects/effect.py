@@ -140,6 +140,12 @@ def conditions(
     )  # fmt: skip
 
 
+# Of `conditions`: any drive in which an effect must work.
+ALL_KNOWN = {
+    "speed": 1.0, "accel": 0.1, "yaw_rate": 0.1, "heading": 0.1, "distance": 1.0, "drive_torque": 100.0, "belt": 25.0,
+}  # fmt: skip
+
+
 class Terms(NamedTuple):
     """The action of an effect at one instant. The defaults do nothing."""
 

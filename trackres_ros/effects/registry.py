@@ -14,6 +14,7 @@ import pkgutil
 from collections.abc import Mapping, Sequence
 from importlib.machinery import SourceFileLoader
 from itertools import pairwise
+from numbers import Real
 from os import PathLike
 from pathlib import Path
 from types import ModuleType
@@ -22,11 +23,15 @@ from typing import Any
 from trackres_ros import checks
 from trackres_ros.effects.effect import (
     ACTS_ON,
+    ALL_KNOWN,
     BELONGS_TO,
     REFERENCE_NM,
     Active,
+    Conditions,
     Effect,
+    Lag,
     Parameter,
+    Terms,
     VehicleConstants,
     VehicleKind,
     conditions,
@@ -35,6 +40,8 @@ from trackres_ros.effects.learned import NAMES as LEARNED
 from trackres_ros.effects.learned import EmpiricalEffect, learned
 from trackres_ros.errors import InputError, nearest
 
+ONLY_OF = ("", "rolls", "slides")
+CHANNELS = tuple(name for name in Conditions._fields if name != "facts")
 NOWHERE = VehicleConstants(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 ELSEWHERE = {
     "vehicle": "list it under effects of the vehicle file",
@@ -60,18 +67,16 @@ def catalogue(
         for package in packages
         for found in pkgutil.iter_modules(package.__path__)
     ]
-    shipped = [effect for module in modules for effect in _effects_in(module)]
+    shipped = [kind() for module in modules for kind in _effects_in(module)]
     effects = {effect.name: effect for effect in sorted(shipped, key=lambda effect: effect.name)}
     in_folder = [] if folder is None else _python_files(checks.path(folder, "effects"))
     for path in (*in_folder, *files):
         own = _effects_in(_module_of(path))
         if not own:
             raise InputError(str(path), "no class derived from trackres_ros.effects.Effect", "at least one in each file")
-        for effect in own:
-            _check(effect, path)
-            if effect.name in effects:
+        for effect in (_own(kind, path) for kind in own):
+            if effect.name in effects or effect.name in LEARNED:
                 raise InputError(f"{path}: name", effect.name, "a name that no other effect has")
-            effect.source = path.resolve()
             effects[effect.name] = effect
     return {name: effect.for_size(size, on_tyres) for name, effect in effects.items()} if size else effects
 
@@ -145,12 +150,27 @@ def _with_range(given: Any, where: str, q: Parameter) -> tuple[float, tuple[floa
     return checks.number(given["value"], f"{where}.value", low, high, q.unit), (low, high)
 
 
-def _effects_in(module: ModuleType) -> list[Effect]:
+def _effects_in(module: ModuleType) -> list[type[Effect]]:
     return [
-        cls()
+        cls
         for _, cls in inspect.getmembers(module, inspect.isclass)
-        if issubclass(cls, Effect) and cls is not Effect and cls.__module__ == module.__name__
+        if issubclass(cls, Effect) and cls.__module__ == module.__name__ and not inspect.isabstract(cls)
     ]
+
+
+def _own(kind: type[Effect], path: Path) -> Effect:
+    """An effect of a user's file. Raises InputError whatever is wrong with it."""
+    try:
+        effect = kind()
+        _check(effect, path)
+        hash(effect)  # its functions are kept by it
+        effect.source = path.resolve()
+    except InputError:
+        raise
+    except Exception as error:  # of any kind, as the code is not ours
+        given = f"{type(error).__name__}: {error}"
+        raise InputError(f"{path}: {kind.__name__}", given, "an effect as in docs/own-effect.md") from error
+    return effect
 
 
 def _python_files(folder: Path) -> list[Path]:
@@ -189,24 +209,55 @@ def _check(effect: Effect, path: Path) -> None:
             raise InputError(f"{path}: {type(effect).__name__}", f"no {attribute}", wanted, remedy)
     if not isinstance(effect.name, str) or not isinstance(effect.text, str):
         raise InputError(f"{path}: name, text", (effect.name, effect.text), "two texts")
-    for attribute, allowed in (("acts_on", ACTS_ON), ("belongs_to", BELONGS_TO)):
-        checks.one_of(getattr(effect, attribute), f"{path}: {attribute}", allowed)
+    for attribute, allowed in (("acts_on", ACTS_ON), ("belongs_to", BELONGS_TO), ("only_of", ONLY_OF)):
+        checks.one_of(getattr(effect, attribute), f"{path}: {effect.name}.{attribute}", allowed)
     if (effect.acts_on == "sensor") != (effect.belongs_to == "sensor"):
         given = f"acts_on {effect.acts_on}, belongs_to {effect.belongs_to}"
         raise InputError(f"{path}: {effect.name}", given, "both sensor, or neither")
-    if not all(isinstance(q, Parameter) for q in effect.parameters):
-        raise InputError(f"{path}: parameters", effect.parameters, "a tuple of trackres_ros.effects.Parameter")
-    for q in effect.parameters:
+    checks.each_of(effect.needs, f"{path}: {effect.name}.needs", CHANNELS)
+    _check_parameters(effect.parameters, f"{path}: {effect.name}.parameters")
+    _check_functions(effect, f"{path}: {effect.name}")
+
+
+def _check_parameters(given: Any, where: str) -> None:
+    if not isinstance(given, list | tuple) or not all(isinstance(q, Parameter) for q in given):
+        raise InputError(where, given, "a tuple of trackres_ros.effects.Parameter", "a tuple of one ends with a comma: (one,)")
+    for q in given:
+        if not all(isinstance(text, str) for text in (q.name, q.unit, q.text)):
+            raise InputError(where, (q.name, q.unit, q.text), "texts for name, unit and text")
         if not q.name.isidentifier() or keyword.iskeyword(q.name) or q.name.startswith("_"):
-            raise InputError(f"{path}: parameters", q.name, "a name that Python can write as p.name")
+            raise InputError(where, q.name, "a name that Python can write as p.name")
+        given_numbers = q.low, q.high, q.start, *(x for x in (q.off, q.on_tyres) if x is not None), *q.more_starts
+        if not all(isinstance(value, Real) for value in given_numbers):
+            raise InputError(f"{where}: {q.name}", given_numbers, "numbers")
         if not -math.inf < q.low <= q.start <= q.high < math.inf or (q.off is not None and not q.low <= q.off <= q.high):
-            raise InputError(f"{path}: {q.name}", (q.low, q.start, q.high, q.off), "start and off within finite low and high")
-    if all(q.off is None for q in effect.parameters):
-        raise InputError(f"{path}: parameters", [q.name for q in effect.parameters], "one with a value without effect (off)")
+            raise InputError(f"{where}: {q.name}", (q.low, q.start, q.high, q.off), "start and off within finite low and high")
+    names = [q.name for q in given]
+    if len(set(names)) < len(names):
+        raise InputError(where, names, "each name once")
+    if all(q.off is None for q in given):
+        raise InputError(where, names, "one with a value without effect (off)")
+
+
+def _check_functions(effect: Effect, where: str) -> None:
+    """Run `lag` and `terms` once, where everything is known. Mistakes in the code raise."""
+    if type(effect).terms is Effect.terms:
+        raise InputError(where, "no terms", "a function terms(self, at, p) that returns trackres_ros.effects.Terms")
+    at, active = conditions(NOWHERE, **ALL_KNOWN), Active(effect, effect.values())
     try:
-        Active(effect, effect.values()).terms(conditions(NOWHERE, speed=1.0))
+        lag = active.lag(at)
+        if not isinstance(lag, Lag | None):
+            raise InputError(f"{where}.lag", lag, "trackres_ros.effects.Lag(target, time_constant, start), or None")
+        terms = active.terms(at, 0.0 if lag is None else lag.start)
+        if not isinstance(terms, Terms):
+            raise InputError(f"{where}.terms", terms, "trackres_ros.effects.Terms(...)")
+        for value in (*terms, *(lag or ())):
+            math.isfinite(value)  # refuses what is no number
+    except InputError:
+        raise
     except TypeError as error:
         if "indices must be" in str(error):  # as effects were written once
-            raise InputError(f"{path}: {effect.name}", 'p["name"]', "p.name for the value of a parameter") from error
-    except Exception:  # reported at its use, with its purpose
+            raise InputError(where, 'p["name"]', "p.name for the value of a parameter") from error
+        raise
+    except (ArithmeticError, ValueError):  # a matter of values, which are other ones in a vehicle: reported at its use
         return

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active, Conditions, Terms, VehicleConstants
 from trackres_ros.effects.native import ANSWERED, FACTS, LOOKED_AT, call_at, native, reads_drag_area
+from trackres_ros.errors import InputError
 from trackres_ros.jit.arithmetic import length, squared
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.units import STANDSTILL_MPS
@@ -85,6 +86,8 @@ LOWEST, HIGHEST = (tuple(pair[i] for pair in LIMITS.values()) for i in (0, 1))
 LIMITED = len(LIMITS)
 MOST_STATE = 1e9
 LEAST_TIME_S = 1e-3
+LAG_LIMITS = {"target": (-MOST_STATE, MOST_STATE), "time_constant": (LEAST_TIME_S, math.inf), "start": (-MOST_STATE, MOST_STATE)}
+USABLE = "finite, plausible terms, with all values of its parameters within their bounds"
 
 # Outcome of the effects of a step: all well; one is outside the range in which it was learned; an input of one is not known; one
 # gives no number, or one outside of the limits.
@@ -124,6 +127,25 @@ def effect_table(
     for i, row in enumerate(values):
         table[i, : len(row)] = row
     return EffectTable(np.array(rows, dtype=np.int64).reshape(-1, ROW), table)
+
+
+def refuse_unusable(active: Active, at: Conditions) -> None:
+    """Raise the error of a user's effect that fails under known conditions, or gives no plausible numbers there."""
+    where = f"{active.effect.source}: effect {active.effect.name}"
+    try:
+        lag = active.lag(at)
+        terms = active.terms(at, 0.0 if lag is None else lag.start)
+        said = {**terms._asdict(), **({} if lag is None else lag._asdict())}
+        bad = {name: value for name, value in said.items() if not math.isfinite(value)}
+    except Exception as error:  # of any kind, as the code is not ours
+        raise InputError(where, f"{type(error).__name__}: {error}", USABLE) from error
+    most = MOST_TORQUE * at.facts.weight * at.facts.radius
+    for name, (low, high) in {**LIMITS, "torque": (-most, most), **({} if lag is None else LAG_LIMITS)}.items():
+        if not low <= said[name] <= high:
+            bad[name] = said[name]
+    if bad:
+        said_of = ", ".join(f"{name} {value:g}" for name, value in bad.items())
+        raise InputError(where, f"{said_of} with {dict(active.values)} at {at.speed:g} m/s", USABLE)
 
 
 def new_memory(count: int) -> Array:

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.effects.effect import VehicleConstants
-from trackres_ros.effects.stepping import effect_table, new_work
+from trackres_ros.effects.effect import ALL_KNOWN, VehicleConstants, conditions
+from trackres_ros.effects.stepping import effect_table, new_work, refuse_unusable
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.motion_step import ROLLS_FROM
 from trackres_ros.estimator.settings import PARTS, Settings
@@ -169,8 +169,17 @@ class Running(NamedTuple):
     numbers: dict[str, Any]
 
 
+def check_own_effects(vehicle: AnyVehicle) -> None:
+    """Refuse a user's effect that fails where all that it may look at is known. In a step it would only be inactive."""
+    at = conditions(vehicle_constants(vehicle), **ALL_KNOWN)
+    for active in vehicle.active:
+        if active.effect.source is not None:
+            refuse_unusable(active, at)
+
+
 def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None = None, machine: bool = True) -> Constants:
     """Gather the constants; builds the loss tables or takes them from the cache. Effects are `machine` code or plain Python."""
+    check_own_effects(vehicle)
     runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache)
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
     acting = effect_table(vehicle.own, vehicle.surroundings, machine=machine)

@@ -4,6 +4,7 @@
 """Finds recordings: paths, folders, globs and URLs of any file system that fsspec knows."""
 
 import hashlib
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
@@ -110,7 +111,7 @@ def _listed(system: Any, path: str, place: str) -> Iterator[FoundRecording]:
 def _one(system: Any, path: str, sought: bool) -> Iterator[FoundRecording]:
     """Recordings at a path; a file of another kind only if it was `sought` by name."""
     if system.isdir(path):
-        yield from _inside(system, path)
+        yield from _inside(system, path, [os.path.realpath(path)])
     elif sought or path.lower().endswith(SUFFIXES):
         yield FoundRecording(_url(system, path), _stamp([system.info(path)]))
 
@@ -120,8 +121,11 @@ def _holds_results(system: Any, folder: str) -> bool:
     return _is_local(system) and system.isfile(f"{folder}/{LOCK}") and system.isdir(f"{folder}/{ROWS}")
 
 
-def _inside(system: Any, folder: str) -> Iterator[FoundRecording]:
-    """Recordings in a folder, by name, then those in its folders; a folder that cannot be read is one with a problem."""
+def _inside(system: Any, folder: str, searched: list[str]) -> Iterator[FoundRecording]:
+    """Recordings in a folder, by name, then those in its folders; a folder that cannot be read is one with a problem.
+
+    `searched`: real paths of the given folder and of linked ones. A link into one of them is not followed: it may be a loop.
+    """
     errors: list[OSError] = []
     # One level at a time: a walk of fsspec asks `on_error` about its first folder alone, and leaves out others that fail.
     for _, folders, files in system.walk(folder, maxdepth=1, detail=True, on_error=errors.append):
@@ -130,11 +134,18 @@ def _inside(system: Any, folder: str) -> Iterator[FoundRecording]:
         if OF_A_BAG in files:
             yield FoundRecording(_url(system, folder), _stamp([files[name] for name in sorted(files)]))
             return
+        linked = {name: info for name, info in files.items() if info.get("islink") and system.isdir(info["name"])}
         for name in sorted(files):
-            if name.lower().endswith(SUFFIXES):
+            if name.lower().endswith(SUFFIXES) and name not in linked:
                 yield FoundRecording(_url(system, str(PurePosixPath(folder) / name)), _stamp([files[name]]))
-        for name in sorted(folders):
-            yield from _inside(system, folders[name]["name"].rstrip("/"))
+        for name, info in sorted({**folders, **linked}.items()):
+            path = info["name"].rstrip("/")
+            if name in linked:
+                target = PurePosixPath(os.path.realpath(path))
+                if any(target.is_relative_to(known) for known in searched):
+                    continue
+                searched.append(str(target))
+            yield from _inside(system, path, searched)
     for error in errors:
         yield FoundRecording(_url(system, folder), "", _why(error))
 

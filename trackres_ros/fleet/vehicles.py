@@ -4,6 +4,7 @@
 """The vehicles of a fleet, with their files and recordings."""
 
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -14,7 +15,8 @@ from typing import Any
 from trackres_ros.checks import number
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.resources import find_topics, find_vehicle
-from trackres_ros.files.yamls import read_yaml
+from trackres_ros.files.small_files import read_text
+from trackres_ros.files.yamls import MOST_BYTES, read_yaml
 
 KEYS = ("file", "recordings", "topics", "limits")
 ALLOWED = "vehicles: a name for each, with file, and if need be recordings, topics, limits"
@@ -82,7 +84,16 @@ def read_fleet(path: Path) -> Fleet:
     vehicles = content.get("vehicles")
     if not isinstance(vehicles, dict) or not vehicles:
         raise InputError(f"{path}: vehicles", vehicles, ALLOWED)
-    return Fleet({str(name): _vehicle(path, str(name), of) for name, of in vehicles.items()})
+    text = read_text(path, "YAML file", MOST_BYTES)
+    named = [(_name(key, path, text), of) for key, of in vehicles.items()]
+    return Fleet({name: _vehicle(path, name, of) for name, of in named})
+
+
+def _name(key: object, path: Path, text: str) -> str:
+    """The name of a vehicle: a number, date or truth value only if it reads as it is written. YAML reads 0123 as 83."""
+    if not isinstance(key, str) and not re.search(rf"(?<![\w.+:-]){re.escape(str(key))}\s*:", text):
+        raise InputError(f"{path}: vehicles", key, "names that are texts", "write such a name in quotes")
+    return str(key)
 
 
 def _vehicle(path: Path, name: str, content: Any) -> FleetVehicle:

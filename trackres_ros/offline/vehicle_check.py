@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError
+from trackres_ros.estimator.constants import check_own_effects
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.uncertainty import spread
 from trackres_ros.model import belt as belt_model
@@ -37,6 +38,7 @@ def check_vehicle(vehicle: AnyVehicle, points: int) -> dict[str, Any]:
     """
     if isinstance(vehicle, RoadVehicle):
         return _check_road(vehicle)
+    check_own_effects(vehicle)
     rubber = vehicle.rubber
     tracks, remarks = {}, []
     for name, track in vehicle.tracks.items():

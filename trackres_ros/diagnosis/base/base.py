@@ -16,14 +16,12 @@ import numpy as np
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern, SlopeByPlace, TorqueByPlace
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
-from trackres_ros.effects.effect import Active, Conditions, Terms, VehicleConstants, conditions, terms_by_parameters
-from trackres_ros.effects.stepping import LIMITS, MOST_TORQUE, EffectTable, effect_table
-from trackres_ros.errors import InputError
+from trackres_ros.effects.effect import Active, Terms, VehicleConstants, conditions, terms_by_parameters
+from trackres_ros.effects.stepping import EffectTable, effect_table, refuse_unusable
 from trackres_ros.vehicle.writing.changes import FileChanges
 
 Values = Mapping[str, float]
 
-USABLE = "finite, plausible terms, with all values of its parameters within their bounds"
 ROUNDING = 1e-6  # of the span between the bounds of a fit
 MOST_CHECKED = 20  # steps checked to find why an effect was omitted
 
@@ -205,7 +203,7 @@ class Acting:
             )  # fmt: skip
             for active in own:
                 if all(np.isfinite(getattr(at, need)) for need in active.effect.needs):
-                    _refuse_unusable(active, at)
+                    refuse_unusable(active, at)
 
 
 def _with_series(values: Array, effects: Sequence[Active], session: int) -> Array:
@@ -214,22 +212,3 @@ def _with_series(values: Array, effects: Sequence[Active], session: int) -> Arra
         assert isinstance(active.effect, ResidualPattern)
         values = values + active.numbers[0] * active.effect.shape[session]
     return values
-
-
-def _refuse_unusable(active: Active, at: Conditions) -> None:
-    where = f"{active.effect.source}: effect {active.effect.name}"
-    try:
-        lag = active.lag(at)
-        terms = active.terms(at, 0.0 if lag is None else lag.start)
-        said = {**terms._asdict(), **({} if lag is None else lag._asdict())}
-        bad = {name: value for name, value in said.items() if not np.isfinite(float(value))}
-    except Exception as error:
-        raise InputError(where, f"{type(error).__name__}: {error}", USABLE) from error
-    most = MOST_TORQUE * at.facts.weight * at.facts.radius
-    for name, (low, high) in LIMITS.items():
-        low, high = (-most, most) if name == "torque" else (low, high)
-        if not low <= said[name] <= high:
-            bad[name] = said[name]
-    if bad:
-        said_of = ", ".join(f"{name} {value:g}" for name, value in bad.items())
-        raise InputError(where, f"{said_of} with {dict(active.values)} at {at.speed:g} m/s", USABLE)

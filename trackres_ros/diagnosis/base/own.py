@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from numbers import Real
 from pathlib import Path
 
@@ -59,6 +59,7 @@ class OwnModel:
     torque
         ``torque(inputs, p)``: the driving torque or force in each step, shape (n,), in the unit of the recording's ``torque``.
         ``inputs.speed`` and ``inputs.accel`` are arrays of that shape, means over each step; ``p["name"]`` is a parameter.
+        Both are copies for the function; other series of ``inputs`` are read-only.
     parameters
         By name: value, expected minimum and maximum (read as +-2 standard deviations), and unit. A fit may exceed the range
         by its width, but not change the sign. With equal limits the value is fixed.
@@ -147,7 +148,10 @@ class OwnBase(Base):
     def _own(self, session: DriveSession, values: Values) -> Array:
         """Result of the user's function; an `InputError` if it fails, or is not a finite number for each step."""
         try:
-            own = np.array(self.model.torque(session, values), dtype=float)
+            own = np.array(self.model.torque(_handed_out(session), dict(values)))
+            if np.iscomplexobj(own):
+                raise TypeError("complex numbers")
+            own = own.astype(float)
         except Exception as error:
             raise InputError(f"{self.name}: torque", f"{type(error).__name__}: {error}", "a function of inputs and p") from error
         if own.shape != session.speed.shape or not np.isfinite(own).all():
@@ -169,6 +173,15 @@ class OwnBase(Base):
             span = kept.range_of(name) if kept.values is not None else None
             lines.append(f"  {name}: {flow({'value': value, 'unit': unit, 'range': list(span or (low, high))})}")
         return finish(Document("\n".join(lines) + "\n"), self.name, self.model.effects, (), path, kept, text)
+
+
+def _handed_out(session: DriveSession) -> DriveSession:
+    """A session that a user's function cannot change: speed and acceleration are copies, other series are read-only."""
+    series = {f.name: getattr(session, f.name) for f in fields(session) if f.name not in ("speed", "accel")}
+    views = {name: value.view() for name, value in series.items() if isinstance(value, np.ndarray)}
+    for view in views.values():
+        view.flags.writeable = False
+    return replace(session, speed=session.speed.copy(), accel=session.accel.copy(), **views)
 
 
 def _parameter(name: str, value: float, low: float, high: float, unit: str) -> BaseParameter:

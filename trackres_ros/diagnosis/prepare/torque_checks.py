@@ -73,7 +73,9 @@ def check_torque(
     where = f"{', '.join(s.name for s in sessions)}: torque"
     if np.ptp(m) == 0.0:
         raise InputError(where, f"always {m[0]:g} Nm", "a torque that changes; is the sensor connected?")
-    slope, alike = float(m @ e / (e @ e)), float(np.corrcoef(m, e)[0, 1])
+    if not e.any():
+        raise InputError(f"{where} of the model", "always 0", "a torque that depends on speed or acceleration")
+    slope, alike = float(m @ e / (e @ e)), float(np.corrcoef(m, e)[0, 1]) if np.ptp(e) > 0.0 else 0.0
     if alike < -SURE or (slope < 0.0 and abs(m.mean()) > 0.3 * abs(e.mean())):
         given = f"changes by {slope:.2g} times the expected torque (correlation {alike:.2f})"
         raise InputError(where, given, "a torque that is positive when driving forward", Conversion(-1.0).line("torque"))
