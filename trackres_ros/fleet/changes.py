@@ -215,7 +215,7 @@ def _beginnings(of: VehicleHistory, found: Sequence[Found], j: int) -> tuple[lis
 
 def _aligned(of: VehicleHistory, found: list[Found]) -> list[Found]:
     """With the likeliest beginning of each, given the others: J. Bai, Econometric Theory 13 (1997) 315."""
-    for _ in range(ROUNDS if len(found) > 1 else 0):
+    for _ in range(ROUNDS):
         before = list(found)
         for j in range(len(found)):
             begin, gain = _beginnings(of, found, j)

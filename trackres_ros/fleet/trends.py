@@ -72,11 +72,14 @@ def without_copies(rows: Sequence[Mapping[str, Any]]) -> tuple[list[Mapping[str,
 
 
 def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
-    """Rows without overlapping times of a vehicle, and the excluded ones, with the reason."""
+    """Rows without overlapping times of a vehicle, and the excluded ones, with the reason.
+
+    Of recordings that begin at the same time, the longest stays.
+    """
     kept: list[Mapping[str, Any]] = []
     left_out: list[dict[str, str]] = []
     before: Mapping[str, Any] | None = None  # the vehicle's last good one with a day
-    for row in sorted(rows, key=lambda row: (row["vehicle"], row["start_s"] or 0.0, row["url"])):
+    for row in sorted(rows, key=lambda row: (row["vehicle"], row["start_s"] or 0.0, -(row["duration_s"] or 0.0), row["url"])):
         timed = row["status"] == "good" and row["day"] != NO_DAY
         if before is not None and before["vehicle"] != row["vehicle"]:
             before = None
