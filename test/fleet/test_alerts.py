@@ -279,6 +279,24 @@ def test_a_row_without_the_digest_of_its_values_is_compared(dataset):
     assert trends(dataset, {}) == before
 
 
+@pytest.mark.parametrize(("day", "whole"), [("2025-06-1", False), ("2025-06", True), ("2025", True), ("2025-06-17", True)])
+def test_a_beginning_of_a_day_is_a_year_a_month_or_a_day(dataset, day, whole):
+    assert row("worn", 1)["day"] == "2025-06-17"
+    side = f"{dataset.folder}:worn"
+    if whole:
+        assert f"@{day} (" in compare(f"{side}@{day}", side)["one"]
+    else:
+        with pytest.raises(InputError, match="a day, month or year"):
+            compare(f"{side}@{day}", side)
+
+
+def test_a_vehicle_with_only_unusable_recordings_has_its_line(dataset):
+    dataset.put(broken(FoundRecording("/data/silent/1.csv", "1"), "silent", "x", "no speed"), None)
+    page = write_pages(dataset.folder, trends(dataset, {}), dataset)
+    assert 'href="vehicles/silent.html"' in page.read_text()
+    assert "None of its recordings could be compared" in (page.parent / "vehicles" / "silent.html").read_text()
+
+
 def test_copies_are_only_listed(dataset):
     before, kept = trends(dataset, {}), row("worn", 0)["url"]
     for name, status in (("copy", "good"), ("worn", "broken")):

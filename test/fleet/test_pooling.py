@@ -10,7 +10,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.fleet.changes import DAY_S, RAMP, STEP, VehicleChange, exceeded, shapes, vehicle_changes
+from trackres_ros.fleet.changes import (
+    DAY_S,
+    RAMP,
+    STEP,
+    Line,
+    VehicleChange,
+    VehicleHistory,
+    exceeded,
+    first_seen,
+    fit,
+    lines_of,
+    search,
+    shapes,
+    size_of,
+    variants,
+    vehicle_changes,
+)  # fmt: skip
 from trackres_ros.fleet.pooling import Vehicles, pool, softened
 from trackres_ros.fleet.trends import forecast
 
@@ -152,18 +168,19 @@ def test_what_rises_more_and_more_is_a_ramp_with_a_forecast():
     last = 1.7e9 + 46.0 * DAY_S
     now = change.before + change.size
     told = forecast(change, last, now + change.size, 1.0)
-    days = (last - change.since_s) / DAY_S
+    days = change.size / change.lines[0].slope
+    assert days == pytest.approx((last - change.since_s) / DAY_S + 2.0)  # from the recording before its first
     assert told is not None
     assert told["from"] <= told["day"] <= (told["to"] or "9999")
     expected = np.datetime64("1970-01-01") + np.timedelta64(int((last + days * DAY_S) // DAY_S), "D")
     assert told["day"] == str(expected)
     assert forecast(change, last, None, 1.0) is None
-    assert forecast(replace(change, kind=STEP), last, now + 1.0, 1.0) is None
 
 
 @given(st.sampled_from([1.0, -1.0]), st.floats(0.1, 10.0), st.floats(-10.0, 10.0), st.floats(0.1, 10.0))
 def test_a_limit_is_reached_only_on_the_way_of_the_trend(sign, size, before, far):
-    change = VehicleChange("x", (), RAMP, 0.0, DAY_S, 8, sign * before, sign * size, 0.1 * size, 0.1, 20.0)
+    line = Line(sign * (before + size), 0.01 * sign * size, 0.0, (0.001 * size) ** 2, 0.0, 0.0)
+    change = VehicleChange("x", (), RAMP, 0.0, DAY_S, 8, sign * before, sign * size, 0.1 * size, 0.1, 20.0, (line,))
 
     def told(limit, in_file):  # both along the trend, which goes up or down
         return forecast(change, 100.0 * DAY_S, sign * limit, sign * in_file)
@@ -174,6 +191,63 @@ def test_a_limit_is_reached_only_on_the_way_of_the_trend(sign, size, before, far
     for in_file in (behind, before, ahead):
         assert told(passed, in_file)["reached"]
         assert told(ahead, in_file)["reached"] is False
+
+
+LEAST = 9.0  # gain of a change, in log-likelihood
+
+
+def history(true, seed, std=0.29):
+    """Recordings every three days, each with the parameters `true`, shape (n, p), and noise."""
+    (n, p), rng = true.shape, np.random.default_rng(seed)
+    precision, value = np.tile(np.eye(p) / std**2, (n, 1, 1)), true + std * rng.standard_normal(true.shape)
+    return VehicleHistory(precision, value / std**2, np.eye(p), np.zeros(p), 1.7e9 + 3.0 * DAY_S * np.arange(n), tuple(range(p)))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_sizes_of_two_changes_are_true_within_three_stds(seed):
+    day = 3.0 * np.arange(51)
+    repaired = np.where(day < 40.0, 0.0, -1.5 + 0.02 * np.maximum(0.0, day - 60.0))
+    of = history(repaired[:, None], seed)
+    found = search(of, LEAST)
+    whole, varied = fit(of, found), variants(of, found)
+    assert sorted(change.kind for change in found) == [RAMP, STEP]
+    for j, change in enumerate(found):
+        size, std = size_of(whole, found, varied, j)
+        assert abs(size - (-1.5 if change.kind == STEP else 1.8)) < 3.0 * std < 1.5
+
+
+def test_a_change_that_others_explain_is_not_kept():
+    day = 3.0 * np.arange(51)
+    worn = np.where(day < 100.0, 0.03 * np.maximum(0.0, day - 30.0), 0.02 * np.maximum(0.0, day - 100.0))
+    of = history(worn[:, None], seed=0)
+    found = search(of, LEAST)
+    assert len(found) == 2  # and a third on the way to them
+    assert fit(of, found).gain.min() >= LEAST
+
+
+def test_the_range_of_a_forecast_covers_the_truth():
+    day, inside, begin = 3.0 * np.arange(31), 0, np.datetime64("2023-11-14")
+    for seed in range(30):
+        of = history(0.02 * np.maximum(0.0, day - 30.0)[:, None], seed, std=0.15)
+        found = search(of, LEAST)[:1]
+        lines = lines_of(variants(of, found), 0, 0.0, 1.0)
+        change = VehicleChange("x", (), RAMP, 0.0, 0.0, 8, 0.0, 1.2, 0.1, 0.1, 20.0, lines)
+        told = forecast(change, of.time_s[-1], 2.4, 0.0)
+        inside += np.datetime64(told["from"]) <= begin + 151 and begin + 149 <= np.datetime64(told["to"] or "2099")
+    assert inside >= 27
+
+
+def test_a_change_is_known_when_a_search_until_then_finds_it():
+    day = 3.0 * np.arange(51)
+    for seed in range(3):
+        of = history(np.stack((1.2 * (day >= 20.0), 0.03 * np.maximum(0.0, day - 60.0)), axis=1), seed)
+        found = search(of, LEAST)
+        assert sorted(change.parameter for change in found) == [0, 1]
+        for j, change in enumerate(found):
+            seen = first_seen(of, found, j, (), LEAST)
+            for count, there in ((seen, False), (seen + 1, True)):
+                until = replace(of, precision=of.precision[:count], linear=of.linear[:count], time_s=of.time_s[:count])
+                assert (change.parameter in {f.parameter for f in search(until, LEAST)}) is there
 
 
 def test_a_ramp_begins_with_the_recording_before_its_first():

@@ -323,6 +323,13 @@ def test_a_later_recording_is_dropped_if_its_clock_overlaps():
     assert without_overlaps([*rows, between])[1] == left_out
 
 
+def test_of_equal_beginnings_the_longest_recording_stays():
+    whole = good("a", 1e9)
+    cut = {**whole, "url": "0", "duration_s": 250.0}
+    for rows in ([whole, cut], [cut, whole]):
+        assert without_overlaps(rows)[0] == [whole]
+
+
 @pytest.mark.parametrize(
     ("content", "part"),
     [

@@ -97,7 +97,7 @@ def test_a_run_analyses_each_recording_and_a_rerun_only_new_ones(recordings, goo
     assert {q["parameter"] for q in compared["parameters"]} >= {"bearing_friction", "loss_modulus_scale"}
     same = json.loads(good("compare", f"{recordings}/out:truck-01", f"{recordings}/out:truck-01", "--json"))
     assert not any(q["differs"] or q["difference"] for q in same["parameters"])
-    for given, part in (("out:nobody", "truck-01"), ("out@1999", "a day or month")):
+    for given, part in (("out:nobody", "truck-01"), ("out@1999", "a day, month or year")):
         refused = trackres("compare", f"{recordings}/{given}", f"{recordings}/out")
         assert refused.returncode == 2
         assert part in refused.stderr
@@ -225,6 +225,14 @@ def test_bad_options_are_one_line(recordings, trackres, given, part):
     refused = trackres(*words(recordings, *given))
     assert refused.returncode == 2
     assert part in refused.stderr
+
+
+def test_a_limit_of_no_parameter_is_refused_before_the_work(tmp_path, trackres):
+    (tmp_path / "fleet.yaml").write_text("vehicles: {a: {file: xgd24d, limits: {bearing_frictoin: 0.012}}}")
+    refused = trackres(*words(tmp_path))
+    assert refused.returncode == 2
+    assert all(part in refused.stderr for part in ("limits of a", "torque_offset.offset", "did you mean bearing_friction"))
+    assert not (tmp_path / "out").exists()
 
 
 def test_nothing_that_can_be_used_ends_with_two(tmp_path, trackres):

@@ -9,6 +9,7 @@ raises the likelihood more than chance does. The rate of false alarms is given, 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,10 @@ MOST_DRAWN_FOR = 120  # recordings of a vehicle in a draw of chance; more have t
 FEWEST = 2  # recordings on either side of a change
 FEWEST_OF_RAMP = 5  # recordings that rise
 MOST_CHANGES = 3
+UNLIKELY = 4.0  # in log-likelihood: a beginning that is not considered
+ROUNDS = 5  # of fitting the beginnings of several changes in turn
 ALIKE = 2.0  # in log-likelihood: parameters that would explain it as well
+TWO_SIDED_95 = 1.96
 YEAR_S, DAY_S = 365.25 * 86400.0, 86400.0
 SUFFER_CHANGE = (
     "bearing_friction", "loss_modulus_scale", "drag_coefficient", "film_scale", "torque_gain.error", "torque_offset.offset",
@@ -33,9 +37,21 @@ SUFFER_CHANGE = (
 """Parameters to check for a change, if the base has them."""
 
 
+class Line(NamedTuple):
+    """A trend if it begins with one recording: the parameter's value at the last one, and its slope per day."""
+
+    now: float
+    slope: float
+    # their variances and covariance
+    now_var: float
+    slope_var: float
+    both: float
+    behind: float  # the likeliest beginning [log-likelihood]
+
+
 @dataclass(frozen=True, slots=True)
 class VehicleChange:
-    """A change of one parameter of one vehicle."""
+    """A change of one parameter of one vehicle, fitted together with all its other changes."""
 
     # the changed parameter, and others that would explain it nearly as well
     parameter: str
@@ -45,12 +61,13 @@ class VehicleChange:
     since_s: float
     known_s: float
     recordings: int  # number of recordings until then
-    # the value before, and its change up to the last recording, in the parameter's unit
+    # the value at the recording before it, and its change up to the last recording, in the parameter's unit
     before: float
     size: float
     size_std: float
     relative: float  # its size over the value before; nan for a value of 0 in the vehicle file, such as an error of an instrument
-    gain: float  # in log-likelihood
+    gain: float  # in log-likelihood, with all the other changes known
+    lines: tuple[Line, ...] = ()  # of a ramp: with each plausible beginning, the likeliest first
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,17 +84,12 @@ class VehicleHistory:
     looked_for: tuple[int, ...]  # indices of the parameters to check for a change
 
 
-@dataclass(frozen=True, slots=True)
-class Best:
-    """The best change: its gain, first recording, parameter, kind, size and its standard deviation; gains of all."""
+class Found(NamedTuple):
+    """A found change: its parameter, first recording and kind."""
 
-    gain: float
-    at: int
     parameter: int
+    at: int
     kind: str
-    size: float
-    std: float
-    by_parameter: Array
 
 
 def course(pooled: Pooled, vehicle: str) -> VehicleHistory:
@@ -115,10 +127,10 @@ class Gains:
         return np.asarray(0.5 * self.score**2 / self.information)
 
 
-def gains(of: VehicleHistory, known: Sequence[tuple[int, Array]], draws: Array) -> Gains:
+def gains(of: VehicleHistory, known: Sequence[Found], draws: Array) -> Gains:
     """Gain of each possible change in addition to the known ones.
 
-    `known`: parameter and shape of each; `draws`: of `VehicleHistory.linear`, shape (draws, n, p).
+    `draws`: of `VehicleHistory.linear`, shape (draws, n, p).
     """
     n = len(of.linear)
     design, whole, right = _model(of, known, draws)
@@ -136,13 +148,13 @@ def gains(of: VehicleHistory, known: Sequence[tuple[int, Array]], draws: Array) 
     return Gains(tuple(candidates), score, np.maximum(own - np.einsum("cqj,cqj->cq", cross, solved), 1e-12))
 
 
-def _model(of: VehicleHistory, known: Sequence[tuple[int, Array]], draws: Array) -> tuple[Array, Array, Array]:
+def _model(of: VehicleHistory, known: Sequence[Found], draws: Array) -> tuple[Array, Array, Array]:
     """Design of a vehicle with known changes, shape (n, p, parameters), its information, and right hand sides of the draws."""
     n, p = of.linear.shape
     design = np.zeros((n, p, p + len(known)))
     design[:, :, :p] = np.eye(p)
-    for j, (parameter, shape) in enumerate(known):
-        design[:, parameter, p + j] = shape
+    for j, (parameter, first, kind) in enumerate(known):
+        design[:, parameter, p + j] = shapes(of.time_s, first, kind)
     whole = np.einsum("nij,nik->jk", design, of.precision @ design)
     whole[:p, :p] += of.prior
     whole[p:, p:] += 1e-9 * np.eye(len(known))
@@ -151,16 +163,88 @@ def _model(of: VehicleHistory, known: Sequence[tuple[int, Array]], draws: Array)
     return design, whole, right
 
 
-def best_change(of: VehicleHistory, known: Sequence[tuple[int, Array]] = ()) -> Best | None:
-    """The change with the greatest likelihood in addition to the known ones; None with too few recordings."""
-    if len(of.linear) < 2 * FEWEST:
-        return None
-    found = gains(of, known, of.linear[np.newaxis])
-    gain = found.gain[0]
-    c, q = (int(i) for i in np.unravel_index(int(gain.argmax()), gain.shape))
-    first, kind = found.candidates[c]
-    size, std = float(found.score[0, c, q] / found.information[c, q]), float(found.information[c, q] ** -0.5)
-    return Best(float(gain[c, q]), first, of.looked_for[q], kind, size, std, gain.max(axis=0))
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Parameters of a vehicle before its changes and, last, the changes, all fitted together."""
+
+    design: Array  # parameters at each recording, shape (n, p, parameters)
+    mean: Array
+    covariance: Array
+
+    @property
+    def gain(self) -> Array:
+        """Of each change, with all the others known, in log-likelihood."""
+        p = self.design.shape[1]
+        return np.asarray(0.5 * self.mean[p:] ** 2 / np.diag(self.covariance)[p:])
+
+
+def fit(of: VehicleHistory, known: Sequence[Found]) -> Fit:
+    """All changes and the parameters before them."""
+    design, whole, right = _model(of, known, of.linear[np.newaxis])
+    covariance = np.asarray(np.linalg.inv(whole))
+    return Fit(design, covariance @ right[0], covariance)
+
+
+def search(of: VehicleHistory, least: float) -> list[Found]:
+    """Changes that gain at least that much, each with all the others known. The most likely one is added first."""
+    found: list[Found] = []
+    while len(found) < MOST_CHANGES and len(of.linear) >= 2 * FEWEST:
+        free = gains(of, found, of.linear[np.newaxis])
+        c, q = np.unravel_index(int(free.gain[0].argmax()), free.gain[0].shape)
+        if free.gain[0, c, q] < least:
+            break
+        found.append(Found(of.looked_for[int(q)], *free.candidates[int(c)]))
+        found = _aligned(of, found)
+    while found:  # a change may be explained by those that were found later
+        gain = fit(of, found).gain
+        if gain.min() >= least:
+            break
+        del found[int(gain.argmin())]
+        found = _aligned(of, found)
+    return found
+
+
+def _beginnings(of: VehicleHistory, found: Sequence[Found], j: int) -> tuple[list[Found], Array]:
+    """Each possible beginning of one of the changes, and its gain with all the others known."""
+    parameter, _, kind = found[j]
+    free = gains(of, [*found[:j], *found[j + 1 :]], of.linear[np.newaxis])
+    own = [c for c, candidate in enumerate(free.candidates) if candidate[1] == kind]
+    gain = free.gain[0, own, of.looked_for.index(parameter)]
+    return [Found(parameter, *free.candidates[c]) for c in own], gain
+
+
+def _aligned(of: VehicleHistory, found: list[Found]) -> list[Found]:
+    """With the likeliest beginning of each, given the others: J. Bai, Econometric Theory 13 (1997) 315."""
+    for _ in range(ROUNDS):
+        before = list(found)
+        for j in range(len(found)):
+            begin, gain = _beginnings(of, found, j)
+            found[j] = begin[int(gain.argmax())]
+        if found == before:
+            break
+    return found
+
+
+class Variant(NamedTuple):
+    """The changes of a vehicle with another beginning of one, which is that much less likely [log-likelihood]."""
+
+    found: list[Found]
+    fit: Fit
+    behind: float
+
+
+def variants(of: VehicleHistory, found: Sequence[Found]) -> list[list[Variant]]:
+    """For each change those of its beginnings that are not unlikely."""
+    listed = []
+    for j in range(len(found)):
+        begin, gain = _beginnings(of, found, j)
+        others = [
+            ([*found[:j], other, *found[j + 1 :]], float(gain.max() - g))
+            for other, g in zip(begin, gain, strict=True)
+            if gain.max() - g < UNLIKELY
+        ]
+        listed.append([Variant(known, fit(of, known), behind) for known, behind in others])
+    return listed
 
 
 def threshold(of: VehicleHistory, rate: float = FALSE_ALARMS, seed: int = 1) -> float:
@@ -201,52 +285,76 @@ def exceeded(highest: Array, share: float) -> float:
 
 def vehicle_changes(pooled: Pooled, vehicle: str, rate: float = FALSE_ALARMS) -> tuple[list[VehicleChange], float]:
     """Changes of a vehicle, by significance; and the threshold of the gain."""
-    of, names, std, nominal = course(pooled, vehicle), pooled.of.names, pooled.of.std, pooled.of.nominal
+    of = course(pooled, vehicle)
     least = threshold(of, rate)
-    known: list[tuple[int, Array]] = []
-    found: list[VehicleChange] = []
-    while len(found) < MOST_CHANGES:
-        best = best_change(of, known)
-        if best is None or best.gain < least:
-            break
-        alike = [i for i, gain in zip(of.looked_for, best.by_parameter, strict=True) if gain > best.gain - ALIKE]
-        seen = _first_seen(of, known, best, least)
-        shape = shapes(of.time_s, best.at, best.kind)
-        known.append((best.parameter, shape))
-        before = nominal[best.parameter] + std[best.parameter] * _before(of, known)[best.parameter]
-        reach = shape[-1] * std[best.parameter]
-        found.append(
-            VehicleChange(
-                parameter=names[best.parameter],
-                alike=tuple(names[i] for i in alike if i != best.parameter),
-                kind=best.kind,
-                since_s=float(of.time_s[best.at]),
-                known_s=float(of.time_s[seen]),
-                recordings=seen - best.at + 1,
-                before=float(before),
-                size=float(best.size * reach),
-                size_std=float(best.std * reach),
-                relative=float(best.size * reach / before) if nominal[best.parameter] and before else float("nan"),
-                gain=best.gain,
-            )
-        )
-    return found, least
+    found = search(of, least)
+    varied = variants(of, found)
+    changes = [_described(pooled, of, found, varied, j, least) for j in range(len(found))]
+    return sorted(changes, key=lambda change: -change.gain), least
 
 
-def _first_seen(of: VehicleHistory, known: Sequence[tuple[int, Array]], best: Best, least: float) -> int:
-    """The recording with which a change was first sure, had one looked after each."""
-    for count in range(max(best.at + FEWEST, 2 * FEWEST), len(of.linear)):
+def _described(
+    pooled: Pooled, of: VehicleHistory, found: Sequence[Found], varied: Sequence[Sequence[Variant]], j: int, least: float
+) -> VehicleChange:
+    """One of the changes of a vehicle."""
+    names, (parameter, at, kind) = pooled.of.names, found[j]
+    whole = fit(of, found)
+    nominal, std = float(pooled.of.nominal[parameter]), float(pooled.of.std[parameter])
+    before = nominal + std * float(whole.design[at - 1, parameter] @ whole.mean)
+    size, size_std = (std * x for x in size_of(whole, found, varied, j))
+    best = gains(of, [*found[:j], *found[j + 1 :]], of.linear[np.newaxis]).gain[0].max(axis=0)
+    own = best[of.looked_for.index(parameter)]
+    alike = [i for i, gain in zip(of.looked_for, best, strict=True) if i != parameter and gain > own - ALIKE]
+    seen = first_seen(of, found, j, alike, least)
+    return VehicleChange(
+        parameter=names[parameter],
+        alike=tuple(names[i] for i in alike),
+        kind=kind,
+        since_s=float(of.time_s[at]),
+        known_s=float(of.time_s[seen]),
+        recordings=seen - at + 1,
+        before=before,
+        size=size,
+        size_std=size_std,
+        relative=size / before if nominal and before else float("nan"),
+        gain=float(whole.gain[j]),
+        lines=lines_of(varied, parameter, nominal, std) if kind == RAMP else (),
+    )
+
+
+def size_of(whole: Fit, found: Sequence[Found], varied: Sequence[Sequence[Variant]], j: int) -> tuple[float, float]:
+    """Size of a change up to the last recording, and its standard deviation with that of each beginning."""
+    parameter, column = found[j].parameter, whole.design.shape[1] + j
+    size = float(whole.design[-1, parameter, column] * whole.mean[column])
+    variance = float(whole.design[-1, parameter, column] ** 2 * whole.covariance[column, column])
+    for of_one in varied:
+        sizes = np.array([v.fit.design[-1, parameter, column] * v.fit.mean[column] for v in of_one])
+        variance += float(np.average((sizes - size) ** 2, weights=np.exp([-v.behind for v in of_one])))
+    return size, variance**0.5
+
+
+def lines_of(varied: Sequence[Sequence[Variant]], parameter: int, nominal: float, std: float) -> tuple[Line, ...]:
+    """The trend of a parameter with each beginning that is not unlikely."""
+    lines = []
+    for known, whole, behind in (variant for of_one in varied for variant in of_one):
+        slope = np.zeros(len(whole.mean))
+        slope[-len(known) :] = [f.parameter == parameter and f.kind == RAMP for f in known]
+        both = std * np.stack((whole.design[-1, parameter], slope))
+        (now, rise), spread = both @ whole.mean, both @ whole.covariance @ both.T
+        lines.append(Line(*map(float, (nominal + now, rise, spread[0, 0], spread[1, 1], spread[0, 1], behind))))
+    return tuple(sorted(lines, key=lambda line: line.behind))
+
+
+def first_seen(of: VehicleHistory, found: Sequence[Found], j: int, alike: Sequence[int], least: float) -> int:
+    """Recording with which a search after each one first finds a change, of its parameter or of one alike."""
+    same = [f for f in found if f.parameter in (found[j].parameter, *alike)]
+    for count in range(max(found[j].at + FEWEST, 2 * FEWEST), len(of.linear)):
         part = VehicleHistory(of.precision[:count], of.linear[:count], of.prior, of.right, of.time_s[:count], of.looked_for)
-        early = best_change(part, [(parameter, shape[:count]) for parameter, shape in known])
-        if early is not None and early.gain >= least and early.parameter in (best.parameter, *of.looked_for):
-            return count - 1
+        for early in search(part, least):
+            nearest = min(same, key=lambda f: abs(f.at - early.at))
+            if early.parameter in (found[j].parameter, *alike) and nearest == found[j]:
+                return count - 1
     return len(of.linear) - 1
-
-
-def _before(of: VehicleHistory, known: Sequence[tuple[int, Array]]) -> Array:
-    """Parameters of the vehicle before all changes, in standard deviations."""
-    _, whole, right = _model(of, known, of.linear[np.newaxis])
-    return np.asarray(np.linalg.solve(whole, right[0])[: of.linear.shape[1]])
 
 
 def levels(pooled: Pooled, vehicle: str, name: str) -> tuple[Array, Array, Array]:

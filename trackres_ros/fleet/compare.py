@@ -162,7 +162,7 @@ def side(given: str) -> Side:
 
 
 def _parts(given: str) -> tuple[Path, str, str]:
-    """Folder, vehicle and beginning of the day of DIR:VEHICLE@DAY."""
+    """Folder, vehicle and day, month or year of DIR:VEHICLE@DAY."""
     if (Path(given) / ROWS).is_dir():
         return Path(given), "", ""
     rest, _, day = given.rpartition("@") if "@" in given else (given, "", "")
@@ -176,13 +176,14 @@ def _of_fleet(folder: Path, vehicle: str, day: str, given: str) -> Side:
     names = sorted({row["vehicle"] for row in good})
     if vehicle and vehicle not in names:
         raise InputError(given, vehicle, f"one of {some_of(names)}", nearest(vehicle, names))
-    chosen = [row for row in good if vehicle in ("", row["vehicle"]) and row["day"].startswith(day)]
+    of_vehicle = [row for row in good if vehicle in ("", row["vehicle"])]
+    chosen = [row for row in of_vehicle if day in ("", row["day"], row["day"][: len("2025-06")], row["day"][: len("2025")])]
     if not chosen:
-        days = sorted({row["day"] for row in good if vehicle in ("", row["vehicle"])})
+        days = sorted({row["day"] for row in of_vehicle})
         raise InputError(
             given,
             day or "no recording",
-            f"a day or month from {days[0]} to {days[-1]}" if days else "a recording that is compared",
+            f"a day, month or year from {days[0]} to {days[-1]}" if days else "a recording that is compared",
         )
     chosen, outdated = of_present_files(chosen)
     wanted, last = {row["url"] for row in chosen}, {row["vehicle"]: row for row in chosen}

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Base
-from trackres_ros.diagnosis.base.instrument import narrowed
+from trackres_ros.diagnosis.base.instrument import instrument, narrowed
 from trackres_ros.diagnosis.base.loading import LoadedBase
-from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit, jacobian, of_rows, valid_rows
+from trackres_ros.diagnosis.inference.fitting import Fit, Free, Problem, fit, free_parameters, jacobian, of_rows, valid_rows
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
 from trackres_ros.diagnosis.inference.noise import Noise
 from trackres_ros.diagnosis.prepare.gate import gate
@@ -86,7 +86,7 @@ def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = (
     left = (session.torque - refit)[used]
     speed, weight, ambient = (float(series[used].mean()) for series in (np.abs(session.speed), session.weight, session.ambient))
     return Evidence(
-        names=tuple(f"{effect}.{name}" if effect else name for effect, name in (f.key for f in free)),
+        names=tuple(map(name_of, free)),
         units=tuple(f.unit for f in free),
         nominal=np.array([f.nominal for f in free]),
         std=std,
@@ -107,6 +107,16 @@ def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = (
         load_recorded=not session.given.isdisjoint(("load", "passengers")),
         notes=gated.notes,
     )
+
+
+def name_of(parameter: Free) -> str:
+    """As ``bearing_friction``, or ``torque_offset.offset``."""
+    return ".".join(filter(None, parameter.key))
+
+
+def parameters_of(base: Base) -> tuple[str, ...]:
+    """Names of all parameters that a recording may tell."""
+    return tuple(map(name_of, free_parameters(base, instrument(base))))
 
 
 def weather(session: DriveSession, base: Base) -> list[Effect]:

@@ -16,7 +16,7 @@ from typing import Any
 
 from trackres_ros.checks import one_of
 from trackres_ros.engine.executor import LOCAL, dashboard, done, engine, why
-from trackres_ros.errors import InputError
+from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import read, write
 from trackres_ros.fleet.dataset import CachedRow, FleetDataset
@@ -208,6 +208,21 @@ def alone(folder: Path) -> Iterator[None]:
             lock.write(f"process {os.getpid()} on {socket.gethostname()}\n")
             lock.flush()
         yield
+
+
+def check_limits(fleet: Fleet) -> None:
+    """Raise InputError if a limit is of no parameter of its vehicle."""
+    from trackres_ros.diagnosis.base.loading import load_base
+    from trackres_ros.fleet.likelihood import parameters_of
+
+    known: dict[Path, tuple[str, ...]] = {}
+    for vehicle in fleet.vehicles.values():
+        for name in vehicle.limits:
+            if vehicle.file not in known:
+                known[vehicle.file] = parameters_of(load_base(vehicle.file).base)
+            names = known[vehicle.file]
+            if name not in names:
+                raise InputError(f"limits of {vehicle.name}", name, f"one of {', '.join(names)}", nearest(name, names))
 
 
 def keep_limits(folder: Path, fleet: Fleet) -> None:

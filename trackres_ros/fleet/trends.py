@@ -11,13 +11,22 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError, nearest
-from trackres_ros.fleet.changes import DAY_S, FALSE_ALARMS, RAMP, YEAR_S, VehicleChange, levels, vehicle_changes
+from trackres_ros.fleet.changes import (
+    DAY_S,
+    FALSE_ALARMS,
+    RAMP,
+    TWO_SIDED_95,
+    YEAR_S,
+    Line,
+    VehicleChange,
+    levels,
+    vehicle_changes,
+)
 from trackres_ros.fleet.dataset import LOAD_RECORDED, FleetDataset
 from trackres_ros.fleet.pooling import Pooled, Vehicles, pool, type_of
 from trackres_ros.fleet.task import FIRST_DAY_S, NO_DAY
 from trackres_ros.text.numbers import figures, number_of
 
-TWO_SIDED_95 = 1.96
 SHOWN = "bearing_friction", "loss_modulus_scale"  # over time, changed or not
 OVERLAP_S = 1.0  # allowed overlap of two recordings: their clocks differ
 MOST_NAMES = 8  # in a message
@@ -63,11 +72,14 @@ def without_copies(rows: Sequence[Mapping[str, Any]]) -> tuple[list[Mapping[str,
 
 
 def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
-    """Rows without overlapping times of a vehicle, and the excluded ones, with the reason."""
+    """Rows without overlapping times of a vehicle, and the excluded ones, with the reason.
+
+    Of recordings that begin at the same time, the longest stays.
+    """
     kept: list[Mapping[str, Any]] = []
     left_out: list[dict[str, str]] = []
     before: Mapping[str, Any] | None = None  # the vehicle's last good one with a day
-    for row in sorted(rows, key=lambda row: (row["vehicle"], row["start_s"] or 0.0, row["url"])):
+    for row in sorted(rows, key=lambda row: (row["vehicle"], row["start_s"] or 0.0, -(row["duration_s"] or 0.0), row["url"])):
         timed = row["status"] == "good" and row["day"] != NO_DAY
         if before is not None and before["vehicle"] != row["vehicle"]:
             before = None
@@ -231,20 +243,35 @@ def forecast(found: VehicleChange, last_s: float, limit: float | None, in_file: 
     or without a trend towards it.
 
     It has reached the limit if that is between its present value and the one before, or the vehicle file's, `in_file`: it may
-    begin beyond. The remaining time has the relative uncertainty of the change so far, which is assumed to continue.
+    begin beyond. The present slope is assumed to continue. The interval has the uncertainty of the present value, the slope
+    and the beginning.
     """
-    if limit is None or found.kind != RAMP or last_s <= found.since_s:
+    if limit is None or not found.lines:
         return None
-    now, days = found.before + found.size, (last_s - found.since_s) / DAY_S
-    slopes = [found.size / days, *((found.size + sign * TWO_SIDED_95 * found.size_std) / days for sign in (1.0, -1.0))]
-    if (limit - now) * found.size <= 0.0:
+    line = found.lines[0]
+    if (limit - line.now) * found.size <= 0.0:
         reached = any((limit - begin) * found.size > 0.0 for begin in (found.before, in_file))
         return {"limit": limit, "reached": True, "day": None, "from": None, "to": None} if reached else None
-    ends = [(limit - now) / slope if slope * found.size > 0.0 else np.inf for slope in slopes]
-    first, last = min(ends), max(ends)
+    if line.slope * found.size <= 0.0:  # another change has ended it
+        return None
+    spans = [_span(line, limit) for line in found.lines if line.behind <= 0.5 * TWO_SIDED_95**2]
+    ends = (limit - line.now) / line.slope, min(first for first, _ in spans), max(last for _, last in spans)
     far = FARTHEST_YEARS * 365.25
-    shown = [day_of(last_s + end * DAY_S) if end < far else None for end in (ends[0], first, last)]
+    shown = [day_of(last_s + end * DAY_S) if end < far else None for end in ends]
     return {"limit": limit, "reached": False, "day": shown[0], "from": shown[1], "to": shown[2]}
+
+
+def _span(line: Line, limit: float) -> tuple[float, float]:
+    """First and last day from now on which the limit is within the line's 95 % interval: E. C. Fieller, Journal of the Royal
+    Statistical Society B 16 (1954) 175.
+    """
+    away, wide = limit - line.now, TWO_SIDED_95**2 - 2.0 * line.behind
+    # (away - slope t)^2 <= wide (now_var + 2 both t + slope_var t^2), as a square in t
+    square, rest = line.slope**2 - wide * line.slope_var, away**2 - wide * line.now_var
+    half = away * line.slope + wide * line.both
+    top = half + float(np.sqrt(max(half**2 - square * rest, 0.0)))
+    first = 0.0 if rest <= 0.0 or top <= 0.0 else rest / top
+    return first, max(top / square, 0.0) if square > 0.0 else np.inf
 
 
 def without_load(row: Mapping[str, Any]) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 from trackres_ros.files.own_files import write
 from trackres_ros.fleet.dataset import LOAD_RECORDED, FleetDataset
 from trackres_ros.fleet.periods import verdicts
+from trackres_ros.fleet.task import NO_VEHICLE
 from trackres_ros.fleet.trends import change_sentence, day_of, sentences, without_copies
 from trackres_ros.text.numbers import alike, decimals, figures
 from trackres_ros.text.templates import templates
@@ -36,14 +37,14 @@ def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -
     )
     style = environment.get_template("style.css").render()
     diagnosed = verdicts(folder)
-    names = sorted({*found["vehicles"], *found["months"]})
+    rows: dict[str, list[Mapping[str, Any]]] = {}
+    for row in without_copies(dataset.rows(list(SHOWN)))[0]:
+        rows.setdefault(row["vehicle"], []).append(row)
+    names = sorted(rows.keys() - {NO_VEHICLE})
     pages = {name: f"{VEHICLES}/{quote(name, safe='')}.html" for name in names}
     months = sorted({month for of in found["months"].values() for month in of})
     cells = [cell["mismatch"] for of in found["months"].values() for cell in of.values()]
     worst = max((mismatch for mismatch in cells if mismatch is not None), default=0.0)
-    rows: dict[str, list[Mapping[str, Any]]] = {}
-    for row in without_copies(dataset.rows(list(SHOWN)))[0]:
-        rows.setdefault(row["vehicle"], []).append(row)
     text = environment.get_template("index.html").render(
         style=style, found=found, months=months, pages=pages, lines=sentences(found), diagnosed=diagnosed,
         shade=lambda mismatch: shade(mismatch, worst), worst=worst, colours=COLOURS,
