@@ -35,12 +35,12 @@ class Entry:
 
 
 ENTRIES = {
-    "torque": Entry("torque against the travel", 300.0, 6.0),  # Nm
+    "torque": Entry("torque", 300.0, 6.0),  # Nm
     "gain": Entry("gain on the torque", 0.08, 4.0),
-    "loss": Entry("loss modulus of the rubber", 0.25, 3.0),
+    "loss": Entry("loss modulus", 0.25, 3.0),
     "heat": Entry("heat into the belt", 400.0, 6.0),  # W/m^2
     "cooling": Entry("cooling of the belt", 0.6, 3.0),  # of its logarithm
-    "sensor": Entry("reading of the torque sensor", 200.0, 6.0),  # Nm
+    "sensor": Entry("torque sensor", 200.0, 6.0),  # Nm
 }
 
 
@@ -92,10 +92,10 @@ FUNCTIONS: dict[str, tuple[tuple[tuple[float, float], ...], Callable[..., Array]
     "power": (((0.4, 3.0),), lambda u, p: np.sign(u) * np.minimum(np.abs(u), 1.5) ** p),
     "saturating curve": (((2.0, 8.0), (0.1, 0.6)), lambda u, steep, at: np.tanh(steep * (u - at))),
     "bump": (((0.15, 0.8), (0.08, 0.25)), lambda u, at, width: np.exp(-0.5 * ((u - at) / width) ** 2)),
-    "bump with tails": (((0.15, 0.8), (0.08, 0.25)), lambda u, at, width: 1.0 / (1.0 + ((u - at) / width) ** 2)),
+    "wide bump": (((0.15, 0.8), (0.08, 0.25)), lambda u, at, width: 1.0 / (1.0 + ((u - at) / width) ** 2)),
     "sine": (((0.7, 3.0), (0.0, 2.0)), lambda u, waves, turn: np.sin(np.pi * (2.0 * waves * u + turn))),
     "step": (((0.2, 0.75), (1e-3, 0.03)), lambda u, at, soft: 0.5 + 0.5 * np.tanh((u - at) / soft)),
-    "monotone curve with kinks": (((0.02, 1.0),) * 10, _kinked),
+    "kinked curve": (((0.02, 1.0),) * 10, _kinked),
 }
 """Functions of a scaled variable, between about -1 and 1: ranges of the draws, and the function."""
 
@@ -141,8 +141,8 @@ MEMORIES: dict[str, tuple[str, tuple[tuple[float, float], ...], Callable[..., Ar
     "lag": ("with a lag", ((1.4, 5.3),), _lag),
     "integrator": ("added up until ", ((0.0, 3.0), (0.0, 1.0), (3.7, 5.5)), _integrator),
     "latch": ("latched", ((0.4, 0.7), (0.15, 0.35)), _latch),
-    "chatter": ("coming and going by chance", ((2.0, 60.0), (5.0, 120.0)), _chatter),
-    "counter": ("growing with each time it comes", ((0.2, 0.6), (3.0, 15.0)), _counter),
+    "chatter": ("at random times", ((2.0, 60.0), (5.0, 120.0)), _chatter),
+    "counter": ("growing each time", ((0.2, 0.6), (3.0, 15.0)), _counter),
 }
 """Memories: words, ranges of the draws, and the transformation of a series in a drive with its own chance."""
 
