@@ -60,7 +60,7 @@ class OwnModel:
     torque
         ``torque(inputs, p)``: the driving torque or force in each step, shape (n,), in the unit of the recording's ``torque``.
         ``inputs.speed`` and ``inputs.accel`` are arrays of that shape, means over each step; ``p["name"]`` is a parameter.
-        Both are copies for the function; other series of ``inputs`` are read-only.
+        These arrays and ``p`` are copies; other series of ``inputs`` are read-only.
     parameters
         By name: value, expected minimum and maximum (read as +-2 standard deviations), and unit. A fit may exceed the range
         by its width, but not change the sign. With equal limits the value is fixed.
