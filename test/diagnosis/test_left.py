@@ -300,7 +300,7 @@ def test_lines_of_two_sides_correct_the_sum_of_their_torques(wrong):
         assert after[role].delay_s == pytest.approx(before[role].delay_s + wrong.get("delay", 0.0))
 
 
-@pytest.mark.parametrize("says", ["at.direction / 0", "at.direction * float('nan')", "p.nothing"])
+@pytest.mark.parametrize("says", ["at.direction / 0", "at.direction * float('nan')", "(1.0 if at.speed < 2.0 else p.nothing)"])
 def test_a_failing_user_effect_ends_the_fit_with_its_name(says, loaded, own):
     own_file = own / "squeak.py"
     own_file.write_text(own_file.read_text().replace("p.torque * at.direction", says))

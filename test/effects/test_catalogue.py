@@ -340,7 +340,7 @@ def test_an_effect_of_the_users_own_that_is_not_right_is_refused(own, was, becom
         ("    def terms", "    def lag(self, at, p):\n        return Lag(1.0, 0.0, 0.0)\n\n    def terms", "time_constant 0"),
     ],
 )
-def test_an_own_effect_that_can_never_act_is_refused_at_the_start(own, was, becomes, said):
+def test_an_own_effect_that_never_acts_is_refused_at_the_start(own, was, becomes, said):
     squeak = own / "squeak.py"
     squeak.write_text("from trackres_ros.effects import Lag\n" + squeak.read_text().replace(was, becomes))
     effect = catalogue(own)["squeak"]

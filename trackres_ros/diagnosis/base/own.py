@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from numbers import Real
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +60,7 @@ class OwnModel:
     torque
         ``torque(inputs, p)``: the driving torque or force in each step, shape (n,), in the unit of the recording's ``torque``.
         ``inputs.speed`` and ``inputs.accel`` are arrays of that shape, means over each step; ``p["name"]`` is a parameter.
-        Both are copies for the function; other series of ``inputs`` are read-only.
+        These arrays and ``p`` are copies; other series of ``inputs`` are read-only.
     parameters
         By name: value, expected minimum and maximum (read as +-2 standard deviations), and unit. A fit may exceed the range
         by its width, but not change the sign. With equal limits the value is fixed.
@@ -178,7 +179,7 @@ class OwnBase(Base):
 def _handed_out(session: DriveSession) -> DriveSession:
     """A session that a user's function cannot change: speed and acceleration are copies, other series are read-only."""
     series = {f.name: getattr(session, f.name) for f in fields(session) if f.name not in ("speed", "accel")}
-    views = {name: value.view() for name, value in series.items() if isinstance(value, np.ndarray)}
+    views: dict[str, Any] = {name: value.view() for name, value in series.items() if isinstance(value, np.ndarray)}
     for view in views.values():
         view.flags.writeable = False
     return replace(session, speed=session.speed.copy(), accel=session.accel.copy(), **views)
