@@ -208,6 +208,7 @@ def test_a_recordings_vehicle_comes_from_its_folder_or_pattern(tmp_path):
         ("vehicles: {a: {file: xgd24d, recordings: 3}}", "globs"),
         ("vehicles: {a: {file: xgd24d, limits: {x: hot}}}", "limits"),
         *((f"vehicles: {{{name}: xgd24d}}", "in quotes") for name in ("0123", "12e3", "yes", "0x1F", "1_0", "1:30", "~", "1.50")),
+        ("vehicles: {7: xgd24d, '7': xgd24d}", "each name once"),
         ("vehicle: {a: xgd24d}", "vehicles"),
         ("[1, 2]", "vehicles"),
     ],

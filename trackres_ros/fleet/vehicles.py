@@ -86,6 +86,9 @@ def read_fleet(path: Path) -> Fleet:
         raise InputError(f"{path}: vehicles", vehicles, ALLOWED)
     text = read_text(path, "YAML file", MOST_BYTES)
     named = [(_name(key, path, text), of) for key, of in vehicles.items()]
+    names = [name for name, _ in named]
+    if len(set(names)) < len(names):  # as 7 and "7"
+        raise InputError(f"{path}: vehicles", names, "each name once")
     return Fleet({name: _vehicle(path, name, of) for name, of in named})
 
 
