@@ -14,7 +14,7 @@ from trackres_ros.fleet.changes import (
     DAY_S,
     RAMP,
     STEP,
-    Line,
+    TrendLine,
     VehicleChange,
     VehicleHistory,
     exceeded,
@@ -179,7 +179,7 @@ def test_what_rises_more_and_more_is_a_ramp_with_a_forecast():
 
 @given(st.sampled_from([1.0, -1.0]), st.floats(0.1, 10.0), st.floats(-10.0, 10.0), st.floats(0.1, 10.0))
 def test_a_limit_is_reached_only_on_the_way_of_the_trend(sign, size, before, far):
-    line = Line(sign * (before + size), 0.01 * sign * size, 0.0, (0.001 * size) ** 2, 0.0, 0.0)
+    line = TrendLine(sign * (before + size), 0.01 * sign * size, 0.0, (0.001 * size) ** 2, 0.0, 0.0)
     change = VehicleChange("x", (), RAMP, 0.0, DAY_S, 8, sign * before, sign * size, 0.1 * size, 0.1, 20.0, (line,))
 
     def told(limit, in_file):  # both along the trend, which goes up or down

@@ -37,7 +37,7 @@ SUFFER_CHANGE = (
 """Parameters to check for a change, if the base has them."""
 
 
-class Line(NamedTuple):
+class TrendLine(NamedTuple):
     """A trend if it begins with one recording: the parameter's value at the last one, and its slope per day."""
 
     now: float
@@ -67,7 +67,7 @@ class VehicleChange:
     size_std: float
     relative: float  # its size over the value before; nan for a value of 0 in the vehicle file, such as an error of an instrument
     gain: float  # in log-likelihood, with all the other changes known
-    lines: tuple[Line, ...] = ()  # of a ramp: with each plausible beginning, the likeliest first
+    lines: tuple[TrendLine, ...] = ()  # of a ramp: with each plausible beginning, the likeliest first
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +164,7 @@ def _model(of: VehicleHistory, known: Sequence[Found], draws: Array) -> tuple[Ar
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class JointFit:
     """Parameters of a vehicle before its changes and, last, the changes, all fitted together."""
 
     design: Array  # parameters at each recording, shape (n, p, parameters)
@@ -178,11 +178,11 @@ class Fit:
         return np.asarray(0.5 * self.mean[p:] ** 2 / np.diag(self.covariance)[p:])
 
 
-def fit(of: VehicleHistory, known: Sequence[Found]) -> Fit:
+def fit(of: VehicleHistory, known: Sequence[Found]) -> JointFit:
     """All changes and the parameters before them."""
     design, whole, right = _model(of, known, of.linear[np.newaxis])
     covariance = np.asarray(np.linalg.inv(whole))
-    return Fit(design, covariance @ right[0], covariance)
+    return JointFit(design, covariance @ right[0], covariance)
 
 
 def search(of: VehicleHistory, least: float) -> list[Found]:
@@ -229,7 +229,7 @@ class Variant(NamedTuple):
     """The changes of a vehicle with another beginning of one, which is that much less likely [log-likelihood]."""
 
     found: list[Found]
-    fit: Fit
+    fit: JointFit
     behind: float
 
 
@@ -322,7 +322,7 @@ def _described(
     )
 
 
-def size_of(whole: Fit, found: Sequence[Found], varied: Sequence[Sequence[Variant]], j: int) -> tuple[float, float]:
+def size_of(whole: JointFit, found: Sequence[Found], varied: Sequence[Sequence[Variant]], j: int) -> tuple[float, float]:
     """Size of a change up to the last recording, and its standard deviation with that of each beginning."""
     parameter, column = found[j].parameter, whole.design.shape[1] + j
     size = float(whole.design[-1, parameter, column] * whole.mean[column])
@@ -333,7 +333,7 @@ def size_of(whole: Fit, found: Sequence[Found], varied: Sequence[Sequence[Varian
     return size, variance**0.5
 
 
-def lines_of(varied: Sequence[Sequence[Variant]], parameter: int, nominal: float, std: float) -> tuple[Line, ...]:
+def lines_of(varied: Sequence[Sequence[Variant]], parameter: int, nominal: float, std: float) -> tuple[TrendLine, ...]:
     """The trend of a parameter with each beginning that is not unlikely."""
     lines = []
     for known, whole, behind in (variant for of_one in varied for variant in of_one):
@@ -341,7 +341,7 @@ def lines_of(varied: Sequence[Sequence[Variant]], parameter: int, nominal: float
         slope[-len(known) :] = [f.parameter == parameter and f.kind == RAMP for f in known]
         both = std * np.stack((whole.design[-1, parameter], slope))
         (now, rise), spread = both @ whole.mean, both @ whole.covariance @ both.T
-        lines.append(Line(*map(float, (nominal + now, rise, spread[0, 0], spread[1, 1], spread[0, 1], behind))))
+        lines.append(TrendLine(*map(float, (nominal + now, rise, spread[0, 0], spread[1, 1], spread[0, 1], behind))))
     return tuple(sorted(lines, key=lambda line: line.behind))
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from trackres_ros.checks import one_of
 from trackres_ros.engine.executor import LOCAL, dashboard, done, engine, why
-from trackres_ros.errors import InputError, nearest
+from trackres_ros.errors import InputError
 from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import read, write
 from trackres_ros.fleet.dataset import CachedRow, FleetDataset
@@ -220,9 +220,7 @@ def check_limits(fleet: Fleet) -> None:
         for name in vehicle.limits:
             if vehicle.file not in known:
                 known[vehicle.file] = parameters_of(load_base(vehicle.file).base)
-            names = known[vehicle.file]
-            if name not in names:
-                raise InputError(f"limits of {vehicle.name}", name, f"one of {', '.join(names)}", nearest(name, names))
+            one_of(name, f"limits of {vehicle.name}", known[vehicle.file])
 
 
 def keep_limits(folder: Path, fleet: Fleet) -> None:

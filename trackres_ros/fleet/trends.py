@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from trackres_ros.checks import one_of
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.fleet.changes import (
     DAY_S,
@@ -17,7 +18,7 @@ from trackres_ros.fleet.changes import (
     RAMP,
     TWO_SIDED_95,
     YEAR_S,
-    Line,
+    TrendLine,
     VehicleChange,
     levels,
     vehicle_changes,
@@ -144,9 +145,7 @@ def trends(
     known = sorted({name for of in types for name in of.of.names})
     for owner, of_owner in limits.items():
         for name in of_owner:
-            if name not in known:
-                where = "--limit" if owner is None else f"limits of {owner}"
-                raise InputError(where, name, f"one of {', '.join(known)}", nearest(name, known))
+            one_of(name, "--limit" if owner is None else f"limits of {owner}", known)
     by_vehicle: dict[str, list[Mapping[str, Any]]] = {}
     for row in good:
         by_vehicle.setdefault(row["vehicle"], []).append(row)
@@ -261,7 +260,7 @@ def forecast(found: VehicleChange, last_s: float, limit: float | None, in_file: 
     return {"limit": limit, "reached": False, "day": shown[0], "from": shown[1], "to": shown[2]}
 
 
-def _span(line: Line, limit: float) -> tuple[float, float]:
+def _span(line: TrendLine, limit: float) -> tuple[float, float]:
     """First and last day from now on which the limit is within the line's 95 % interval: E. C. Fieller, Journal of the Royal
     Statistical Society B 16 (1954) 175.
     """
