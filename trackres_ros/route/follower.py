@@ -9,15 +9,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from trackres_ros.jit.arithmetic import length
 from trackres_ros.jit.compiled import compiled, inlined
-from trackres_ros.route.lookup import learned_at
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from trackres_ros.route.lookup import Array, IntArray, learned_at
 
 COURSE_M = 15.0  # between two positions for a course: their scatter is a part of it
 FARTHEST_M = 150.0  # between two positions: beyond, the path between them is unknown

@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.route.follower import SLOPES, TORQUES
-from trackres_ros.route.lookup import NUMBER, PLACE_COLUMNS, POSE, STDS, VALUES, Lookup, learned_at, lookup_of
+from trackres_ros.route.lookup import NUMBER, PLACE_COLUMNS, POSE, STDS, VALUES, Array, Lookup, learned_at, lookup_of
 from trackres_ros.route.matching import Places
 from trackres_ros.route.track import Frame
-
-Array = NDArray[np.float64]
 
 SLOPE, TORQUE = "slope", "torque"
 KINDS = {SLOPE: SLOPES, TORQUE: TORQUES}

@@ -17,6 +17,7 @@ from trackres_ros.route.lookup import (
     PLACE_COLUMNS,
     POSE,
     SPACING_M,
+    Array,
     Lookup,
     between,
     cell_of,
@@ -25,7 +26,6 @@ from trackres_ros.route.lookup import (
 )
 from trackres_ros.route.track import STEP_M, DrivenTrack
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 AGAIN_M = 150.0  # driven before a place is passed once more

@@ -12,18 +12,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.checks import number
 from trackres_ros.errors import InputError
 from trackres_ros.files.own_files import write
 from trackres_ros.files.small_files import read_text
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap, followed_in, frame_of, of_kind
-from trackres_ros.route.lookup import CELL_M, END, FIRST
+from trackres_ros.route.lookup import CELL_M, END, FIRST, Array
 from trackres_ros.route.track import FARTHEST_M
 from trackres_ros.units import DEGREE
-
-Array = NDArray[np.float64]
 
 MOST_BYTES = 1 << 26  # half a million places, ten thousand kilometres of streets
 MOST_IN_A_CELL = 200  # places: crossing streets have some tens, and each takes computing time in the vehicle

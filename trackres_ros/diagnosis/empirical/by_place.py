@@ -22,12 +22,9 @@ from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 from trackres_ros.diagnosis.inference.noise import Noise, autoregression
-from trackres_ros.diagnosis.prepare.session import whole_past
+from trackres_ros.diagnosis.prepare.session import Array, Mask, whole_past
 from trackres_ros.route.lookup import SPACING_M
 from trackres_ros.route.matching import Matched
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 LENGTHS_M = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0)  # candidate correlation lengths
 SIZES = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)  # candidate sizes of the values, relative to the residual's spread

@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.empirical.thresholds import found_by_scan, most_on_side
 from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.effects.effect import Conditions
 from trackres_ros.effects.learned import (
     ACCELERATING,
@@ -46,8 +46,6 @@ from trackres_ros.effects.learned import (
 )
 from trackres_ros.jit.compiled import interpreted
 from trackres_ros.units import STANDSTILL_MPS
-
-Array = NDArray[np.float64]
 
 DRIVEN = (0.02, 0.98)  # quantiles that bound the knots
 KNOTS = {SPEED: 5, LOAD: 3, AMBIENT: 2, TURNING: 3, CURVATURE: 3, ACCELERATION: 4, TURN: 4, DRIVING_TORQUE: 4, BELT: 3}

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.empirical.level_changes import LevelChange, find_change, piece_s, sharpened
@@ -35,13 +34,12 @@ from trackres_ros.diagnosis.empirical.terms import Described, of_drift, of_recor
 from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.empirical.waves import Wave, find_wave, followed
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
-from trackres_ros.diagnosis.prepare.session import DriveSession, Mask
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.selection.naming import Candidate, compared, rms, spurious_gain
 from trackres_ros.estimator.disturbance import BLOCK_S, later_there, seen_there
 from trackres_ros.progress import counted
 from trackres_ros.vehicle.writing.changes import BY_PLACE
 
-Array = NDArray[np.float64]
 Search = Callable[[Fit, Sequence[Array]], "Term | None"]
 """Searches the torque residual of each session [Nm] for a term of the clock alone, in addition to a fit."""
 

@@ -16,14 +16,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from trackres_ros.diagnosis.empirical.candidates import FEWEST_SESSIONS
 from trackres_ros.diagnosis.empirical.spells import Blocks
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from trackres_ros.diagnosis.prepare.session import Array, Mask
 
 PIECE_S, MOST_PIECES = 10.0, 400  # the search takes the cube of their number; longer recordings have longer pieces
 SURE = 10.0  # in log-likelihood, beyond the cost of the possible positions

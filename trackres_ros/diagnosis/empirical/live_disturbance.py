@@ -10,19 +10,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.empirical.finders import Term, beginnings, fill, residuals_without, torque_blocks
 from trackres_ros.diagnosis.empirical.spells import Blocks, expected_level, find_drifting_level, levels_given, spell_probability
 from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
 from trackres_ros.estimator.disturbance import BLOCK_S
 from trackres_ros.vehicle import Drift, Spells
 from trackres_ros.vehicle.schema import DISTURBANCES
 from trackres_ros.vehicle.writing.changes import LearnedDisturbance
 
-Array = NDArray[np.float64]
 Range = tuple[float, float]
 
 

@@ -22,14 +22,12 @@ from scipy.sparse.linalg import splu
 from trackres_ros.diagnosis.empirical.by_place import WhitenedRows
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise, whitened
-from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 STOP_S = 5.0  # a shorter stop changes no load
 FEWEST_STRETCHES = 6

@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.empirical.waves import LONGEST_M
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise, whitened
+from trackres_ros.diagnosis.prepare.session import Array, Mask
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 SHORTEST_LAP_M = LONGEST_M  # a shorter period is a wave
 BIN_M = 25.0

@@ -21,7 +21,7 @@ from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, SHORT_ROOT, Noise, estimate_noise
 from trackres_ros.diagnosis.prepare.on_route import way_of
-from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.selection.naming import Candidate, compared
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
@@ -30,9 +30,6 @@ from trackres_ros.route.matching import Matched, Places, matched, neighbours, pl
 from trackres_ros.route.track import Frame, track_of
 from trackres_ros.text.numbers import figures
 from trackres_ros.vehicle.writing.changes import BY_PLACE
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SLOPES = ("grade", "grade_profile")  # effects of the catalogue that a slope by place includes
 SURE = 10.0  # in log-likelihood: of a term by place, and beyond shifted places on passes not used for learning

@@ -19,11 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.estimator.disturbance import BLOCK_S, later_level, seen_level
 from trackres_ros.jit.compiled import compiled
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 FEWEST_SAMPLES = 2  # of a block
 INNER = (0.03, 0.97)  # quantiles: a mean is limited to once their distance beyond them

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.empirical import terms
 from trackres_ros.diagnosis.empirical.candidates import series
@@ -18,10 +17,9 @@ from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.empirical.waves import part_of
 from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.effects.learned import ALWAYS, MOVING_MPS, EmpiricalEffect
 from trackres_ros.estimator.disturbance import BLOCK_S
-
-Array = NDArray[np.float64]
 
 BEGINNINGS_S = 15.0  # largest time from a stop to a spell that begins with it
 MOST_BEGIN = 0.7  # of the spells

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.empirical.level_changes import LevelChange
 from trackres_ros.diagnosis.empirical.payload import Payload, Stretch
@@ -21,12 +20,10 @@ from trackres_ros.diagnosis.empirical.places import Place
 from trackres_ros.diagnosis.empirical.routes import SURE_OF_KIND, Route
 from trackres_ros.diagnosis.empirical.spells import Chain, DriftingLevel
 from trackres_ros.diagnosis.empirical.waves import Wave
-from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects import learned
 from trackres_ros.effects.learned import BuildUp, Corner, Curve, EmpiricalEffect, Latch, SidedGain
 from trackres_ros.text.numbers import figures, on_scale
-
-Array = NDArray[np.float64]
 
 MECHANISMS: Mapping[int, tuple[str, ...]] = {
     learned.SPEED: ("a resonance of belt, wheels or drive train", "a fan or pump driven by the vehicle's motion"),

@@ -15,14 +15,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.inference.fitting import Fit, valid_rows
 from trackres_ros.diagnosis.inference.noise import shortened, whitened
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.effects.learned import ABOVE, BELOW, LATCHED, STEP, Corner, EmpiricalEffect, Latch
 
-Array = NDArray[np.float64]
 Columns = Callable[[Array], list[Array]]
 """Columns of each session for thresholds, shape (n, thresholds)."""
 

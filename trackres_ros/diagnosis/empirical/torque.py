@@ -8,12 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.prepare.session import DriveSession
-
-Array = NDArray[np.float64]
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 
 
 def torque_residuals(found: Fit) -> list[Array]:

@@ -20,9 +20,7 @@ from scipy.special import gammainccinv
 
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.noise import whitened
-from trackres_ros.diagnosis.prepare.session import DriveSession
-
-Array = NDArray[np.float64]
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 
 SHORTEST_M, LONGEST_M = 3.0, 400.0
 PIECE_M = 4000.0  # with a constant phase: the integrated distance slips

@@ -15,11 +15,9 @@ from trackres_ros.diagnosis.base.variables import BY_NAME, varying
 from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.text.numbers import figures, on_scale
 from trackres_ros.units import GRAVITY
-
-Array = NDArray[np.float64]
 
 ACTING_SHARE = 0.5  # of its 95th percentile
 BOTH_WAYS_SHARE = 0.25  # of the larger side: an effect with more than this on the other side changes its sign

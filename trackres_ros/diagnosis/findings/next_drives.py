@@ -12,17 +12,14 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Fit, jacobian
 from trackres_ros.diagnosis.inference.noise import whitened
-from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
 from trackres_ros.diagnosis.selection.naming import MODEL_ERROR, Step
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Points = Sequence[tuple[float, float]]
 
 STEP_S = 1.0

@@ -18,8 +18,7 @@ from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.base.variables import BY_NAME, varying
 from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Fit
-
-Array = NDArray[np.float64]
+from trackres_ros.diagnosis.prepare.session import Array
 
 BINS = 6
 FEWEST_IN_BIN = 30

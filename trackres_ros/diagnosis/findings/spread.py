@@ -22,13 +22,10 @@ from scipy.special import stdtr
 
 from trackres_ros.diagnosis.empirical.terms import Described, Form
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.speed_smoothing import SECOND_DIFFERENCE
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import MAD_TO_STD
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 FORM: Form = "spread"
 WITHIN = 5  # parts of a step: shows periods between two parts and two steps

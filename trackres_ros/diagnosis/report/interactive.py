@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, smoothed
 from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.report.series import (
     MOST_RECORDINGS,
     bars,
@@ -48,8 +48,6 @@ from trackres_ros.diagnosis.report.timeline import (
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.output.style import GREY, ORANGE, shortened
 from trackres_ros.text.numbers import alike, figures, rising
-
-Array = NDArray[np.float64]
 
 DOCUMENT = "diagnosis"
 SHOWN_EACH_S = 4.0  # of means over `SMOOTHED_S`

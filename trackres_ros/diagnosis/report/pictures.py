@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, rms_over_time, smoothed
 from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.report.picture import MOST_POINTS, TITLE_LETTERS, WIDTH, Picture
 from trackres_ros.diagnosis.report.series import (
     INTERVAL,
@@ -31,8 +31,6 @@ from trackres_ros.diagnosis.report.term_pictures import draw_effect, draw_route,
 from trackres_ros.diagnosis.report.timeline import draw_timeline
 from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, picture, picture_with_legend, shortened, thinned
 from trackres_ros.text.numbers import alike, figures, rising
-
-Array = NDArray[np.float64]
 
 LONGEST_SHOWN_S = 400.0
 PIECE_S = 30.0  # mean errors of longer pieces are hardly correlated

@@ -17,10 +17,8 @@ from trackres_ros.diagnosis.findings.found import NamedEffect
 from trackres_ros.diagnosis.findings.residual_bins import Bin, regime_map
 from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.prepare.session import DriveSession, Mask
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.output.style import BLUE, GREY, VERMILION
-
-Array = NDArray[np.float64]
 
 NOWHERE, IN_TWO = ".", "a"
 INTERVAL = 1.96  # standard deviations, of 95 %

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.variables import BY_NAME
 from trackres_ros.diagnosis.empirical.routes import Route
@@ -20,14 +19,13 @@ from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, evenly_filled, smoothed
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.report.picture import MOST_POINTS, TITLE_LETTERS, WIDTH, Picture
 from trackres_ros.diagnosis.report.series import INTERVAL, clock, lasting
 from trackres_ros.output.style import BLUE, GREY, VERMILION, picture_with_legend, shortened, thinned
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.route.lookup import SPACING_M
 from trackres_ros.text.numbers import alike, figures
-
-Array = NDArray[np.float64]
 
 SHOWN_BINS = 24
 OFF_NM = 1e-6  # a term whose gate is closed adds no more

@@ -11,7 +11,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.findings.found import NamedEffect, by_improvement
 from trackres_ros.diagnosis.findings.locate import smoothed
@@ -19,14 +18,12 @@ from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
 from trackres_ros.diagnosis.findings.wording import differs, largest_of, range_of, short
 from trackres_ros.diagnosis.inference.fitting import Fit, jacobian, valid_rows
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.prepare.session import Mask
+from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.diagnosis.report.picture import WIDTH, Picture
 from trackres_ros.diagnosis.report.series import acts_most, clock, lasting, runs, within
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
 from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, picture_with_legend, thinned
 from trackres_ros.text.numbers import figures
-
-Array = NDArray[np.float64]
 
 AVERAGED_S = 10.0
 MARK = "#777777"
