@@ -92,7 +92,7 @@ def _lines(profile: Array, length: float) -> tuple[Array, Array]:
 
 def _untrusted(time_s: Array, height: Array, speed: Array, moving: Mask) -> Mask:
     """Around each standstill with a drifting altitude, at most up to the standstills before and after."""
-    stands = [(a, b) for a, b in _runs(~moving) if time_s[b - 1] - time_s[a] >= STAND_S]
+    stands = [(a, b) for a, b in runs_of(~moving) if time_s[b - 1] - time_s[a] >= STAND_S]
     usual = float(np.median(np.abs(speed[moving])))
     bad = np.zeros(len(time_s), dtype=bool)
     for i, (a, b) in enumerate(stands):
@@ -107,7 +107,7 @@ def _untrusted(time_s: Array, height: Array, speed: Array, moving: Mask) -> Mask
     return bad
 
 
-def _runs(mask: Mask) -> Iterator[tuple[int, int]]:
+def runs_of(mask: Mask) -> Iterator[tuple[int, int]]:
     """Begin and end of each run of true values."""
     edges = np.flatnonzero(np.diff(mask.astype(int), prepend=0, append=0))
     return zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)

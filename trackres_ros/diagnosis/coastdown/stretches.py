@@ -22,6 +22,7 @@ from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.role_units import Conversion
 from trackres_ros.recording.samples import Series
+from trackres_ros.recording.slopes import runs_of
 from trackres_ros.route.learned import RouteMap
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import GRAVITY
@@ -204,7 +205,7 @@ def _falls(
         falls &= ~bad
     found = []
     ends = math.ceil(END_S / session.step)  # steps that may contain a part of driving or of a stop
-    for begin, end in ((a + ends, b - ends) for a, b in _runs(falls)):
+    for begin, end in ((a + ends, b - ends) for a, b in runs_of(falls)):
         if end <= begin:
             continue
         speed = np.abs(session.speed[begin:end])
@@ -224,8 +225,3 @@ def _smooth(values: Array, step: float) -> Array:
     """Moving averages over a few seconds."""
     count = max(1, round(AROUND_S / step))
     return np.asarray(np.convolve(values, np.ones(count), "same") / np.convolve(np.ones(len(values)), np.ones(count), "same"))
-
-
-def _runs(mask: Mask) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(int)))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

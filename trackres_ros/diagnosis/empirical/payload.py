@@ -25,6 +25,7 @@ from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise, whiten
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
 from trackres_ros.diagnosis.selection.visibility import base_columns
+from trackres_ros.recording.slopes import runs_of
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 
 Indices = NDArray[np.int64]
@@ -250,11 +251,10 @@ def mass_of(current: Fit) -> float:
 
 def stretch_numbers(session: DriveSession) -> Indices:
     """Number of the stretch of each sample; a stop belongs to the stretch before it."""
-    still = np.concatenate(([False], np.abs(np.nan_to_num(session.speed)) < STANDSTILL_MPS, [False])).astype(int)
-    begins, ends = np.flatnonzero(np.diff(still) > 0), np.flatnonzero(np.diff(still) < 0)
-    long = ((ends - begins) * session.step >= STOP_S) & (begins > 0) & (ends < len(session))
     next_one = np.zeros(len(session), dtype=np.int64)
-    next_one[ends[long]] = 1
+    for begin, end in runs_of(np.abs(np.nan_to_num(session.speed)) < STANDSTILL_MPS):
+        if (end - begin) * session.step >= STOP_S and begin > 0 and end < len(session):
+            next_one[end] = 1
     return np.cumsum(next_one)
 
 

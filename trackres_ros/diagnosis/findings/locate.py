@@ -69,14 +69,12 @@ def spans(sessions: tuple[DriveSession, ...], series: list[Array]) -> list[Span]
     found: list[Span] = []
     for session, x in zip(sessions, series, strict=True):
         acting = (np.abs(x) >= limit) & session.used
-        begins = session.time[np.flatnonzero(np.diff(acting.astype(int), prepend=0) == 1)]
-        ends = session.time[np.flatnonzero(np.diff(acting.astype(int), append=0) == -1)] + session.step
-        for begin, end in zip(begins, ends, strict=True):
+        for begin, end in session.stretches(acting):
             last = found[-1] if found and found[-1].recording == session.name else None
             if last and begin - last.end <= JOINED_S * session.pace:
-                found[-1] = replace(last, end=float(end))
+                found[-1] = replace(last, end=end)
             else:
-                found.append(Span(session.name, float(begin), float(end)))
+                found.append(Span(session.name, begin, end))
     lasting = [s for s in found if s.end - s.begin >= SHORTEST_S * sessions[0].pace]
     longest = sorted(lasting, key=lambda s: s.begin - s.end)[:MOST_SPANS]
     return [s for s in lasting if s in longest]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.prepare.settings import pace
+from trackres_ros.recording.slopes import runs_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -121,6 +122,11 @@ class DriveSession:
     def pace(self) -> float:
         """Time scale over that of a drive, see `settings.pace`."""
         return pace(self.step)
+
+    def stretches(self, inside: Mask) -> Iterator[tuple[float, float]]:
+        """Begin and end [s] of each stretch inside a mask."""
+        for begin, end in runs_of(inside):
+            yield float(self.time[begin]), float(self.time[end - 1] + self.step)
 
     @cached_property
     def lightest_and_heaviest(self) -> tuple[float, float]:

@@ -18,6 +18,7 @@ from scipy.optimize import minimize
 
 from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.jit.compiled import compiled
+from trackres_ros.recording.slopes import runs_of
 from trackres_ros.units import MAD_TO_STD
 
 SLOWEST_S, FEWEST = 0.25, 100  # slower samples, or fewer, do not separate noise from motion
@@ -133,13 +134,10 @@ def resolution(shown: Array) -> float:
 
 def at_rest(at: Array, shown: Array) -> Mask:
     """Samples in lasting runs of zeros."""
-    zero = np.concatenate(([False], shown == 0.0, [False]))
-    begins, ends = np.flatnonzero(zero[1:] & ~zero[:-1]), np.flatnonzero(zero[:-1] & ~zero[1:]) - 1
-    lasts = at[ends] - at[begins] >= REST_S
-    marks = np.zeros(len(shown) + 1)
-    np.add.at(marks, begins[lasts], 1.0)
-    np.add.at(marks, ends[lasts] + 1, -1.0)
-    return np.asarray(np.cumsum(marks)[:-1] > 0.5)
+    rest = np.zeros(len(shown), dtype=bool)
+    for begin, end in runs_of(shown == 0.0):
+        rest[begin:end] = at[end - 1] - at[begin] >= REST_S
+    return rest
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from trackres_ros.diagnosis.prepare.refuse import too_short_pieces
 from trackres_ros.diagnosis.prepare.session import FEWEST_FITTED, MOST_LAGS, DriveSession, Split, whole_past
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
 from trackres_ros.errors import InputError
+from trackres_ros.recording.slopes import runs_of
 
 FEWEST_SESSIONS = 4
 HELD_OUT_SHARE = 0.25
@@ -100,10 +101,8 @@ def _by_laps(sessions: Sequence[DriveSession], blocks: Sequence[Sequence[int]], 
 def lap_numbers(session: DriveSession) -> NDArray[np.int64]:
     """Number of the drive between two stops, or of a piece of equal length if there are few stops; shape (n,), from 0."""
     standing = np.abs(session.speed) < SLOWEST_MPS
-    begins = np.flatnonzero(np.diff(standing.astype(int), prepend=0) == 1)
-    ends = np.flatnonzero(np.diff(standing.astype(int), append=0) == -1)
     full_stop = FULL_STOP_S * session.pace
-    cuts = [b for b, e in zip(begins, ends, strict=True) if (e - b + 1) * session.step >= full_stop and 0 < b < len(session)]
+    cuts = [begin for begin, end in runs_of(standing) if begin > 0 and (end - begin) * session.step >= full_stop]
     if len(cuts) >= FEWEST_DRIVES - 1:
         return np.searchsorted(np.array(cuts), np.arange(len(session)), side="right").astype(np.int64)
     duration = len(session) * session.step

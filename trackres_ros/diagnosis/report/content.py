@@ -24,7 +24,6 @@ from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.findings.wording import LEAST_AHEAD, NOT_CONFIRMED, joined, likelier, rejected
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.report.series import runs
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, Improvement
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.effects.effect import BELONGS_TO
@@ -339,7 +338,7 @@ def inputs(d: Diagnosis) -> dict[str, Any]:
     used = np.concatenate([s.used for s in d.sessions])
     recordings = []
     for s in d.sessions:
-        gaps = [end - begin for begin, end in runs(s, ~s.used)]
+        gaps = [end - begin for begin, end in s.stretches(~s.used)]
         recordings.append(
             {
                 "name": s.name,

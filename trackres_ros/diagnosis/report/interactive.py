@@ -30,7 +30,6 @@ from trackres_ros.diagnosis.report.series import (
     bins_of_steps,
     clock,
     lasting,
-    runs,
     shown_lap,
     stages,
 )
@@ -260,7 +259,7 @@ def _over_time(d: Diagnosis, shown: Sequence[int]) -> list[tuple[str, Any]]:
         columns = {key: _numbers(of[i][rows], places + 1) for key, of in every.items()}
         source = ColumnDataSource({"t": _numbers(session.time[rows] / unit, 3), **columns})
         figure = _figure(shortened(Path(session.name).name, TITLE_LETTERS), RESIDUAL_HEIGHT, x_range=across, y_range=up)
-        for begin, end in runs(session, np.isin(session.block, d.split.held_out)):
+        for begin, end in session.stretches(np.isin(session.block, d.split.held_out)):
             figure.add_layout(
                 BoxAnnotation(left=begin / unit, right=end / unit, fill_color=GREY, fill_alpha=0.15, line_color=None)
             )

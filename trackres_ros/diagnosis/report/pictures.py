@@ -23,7 +23,6 @@ from trackres_ros.diagnosis.report.series import (
     clock,
     half_interval,
     lasting,
-    runs,
     shown_lap,
     stages,
 )
@@ -101,7 +100,7 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
         axes = grid.T.ravel()
         for axis, i in zip(axes, shown, strict=False):
             session = d.sessions[i]
-            for begin, end in runs(session, np.isin(session.block, d.split.held_out)):
+            for begin, end in session.stretches(np.isin(session.block, d.split.held_out)):
                 axis.axvspan(begin / unit, end / unit, color=GREY, alpha=0.18, linewidth=0, label="held out")
             for stage, of in zip(stages(d), residuals, strict=True):
                 line = thinned(session.time / unit, of[i], MOST_POINTS)

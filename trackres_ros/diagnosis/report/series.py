@@ -75,13 +75,6 @@ def shown_lap(d: Diagnosis) -> tuple[int, NDArray[np.intp]]:
     return index, np.flatnonzero(d.sessions[index].block == lap)
 
 
-def runs(session: DriveSession, inside: Mask) -> Iterator[tuple[float, float]]:
-    """Begin and end [s] of each stretch of a session inside a mask."""
-    edges = np.flatnonzero(np.diff(inside.astype(np.int8), prepend=0, append=0))
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        yield float(session.time[begin]), float(session.time[end - 1] + session.step)
-
-
 def bins_by_variable(bins: Sequence[Bin]) -> dict[str, list[Bin]]:
     """Bins of each variable with more than one: a single bin has no location."""
     found: dict[str, list[Bin]] = {}

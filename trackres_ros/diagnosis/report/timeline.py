@@ -20,7 +20,7 @@ from trackres_ros.diagnosis.inference.fitting import Fit, jacobian, valid_rows
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.diagnosis.report.picture import WIDTH, Picture
-from trackres_ros.diagnosis.report.series import acts_most, clock, lasting, runs, within
+from trackres_ros.diagnosis.report.series import acts_most, clock, lasting, within
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
 from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, picture_with_legend, thinned
 from trackres_ros.text.numbers import figures
@@ -134,7 +134,7 @@ def marked_times(d: Diagnosis) -> tuple[str, list[tuple[float, float]]]:
 
 def _times(d: Diagnosis, inside: Sequence[Mask]) -> Iterator[tuple[float, float]]:
     for session, begin, mask in zip(d.sessions, begins(d), inside, strict=False):
-        for first, last in runs(session, mask):
+        for first, last in session.stretches(mask):
             yield begin + (first - session.time[0]) / clock(d)[0], begin + (last - session.time[0]) / clock(d)[0]
 
 

@@ -26,6 +26,7 @@ from trackres_ros.effects.effect import Effect
 from trackres_ros.effects.sensor.torque_offset import TorqueOffset
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
 from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.slopes import runs_of
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import STANDSTILL_MPS
 
@@ -94,10 +95,9 @@ def seconds_without_torque(sessions: Sequence[DriveSession], most: float) -> flo
         slow = np.abs(session.speed) < STANDSTILL_MPS
         rests = slow & np.roll(slow, 1) & np.roll(slow, -1) & _measured(session)  # no part of a start within the step
         rests[[0, -1]] = False
-        ends = np.flatnonzero(np.diff(rests.astype(np.int8)))
-        for begin, end in ends.reshape(-1, 2) + 1:
+        for begin, end in runs_of(rests):
             if abs(float(np.median(session.torque[begin:end]))) <= most:
-                seconds += session.step * float(end - begin)
+                seconds += session.step * (end - begin)
     return seconds if seconds >= LEAST_S else 0.0
 
 

@@ -30,6 +30,7 @@ from trackres_ros.evaluation.reproduce.section import (
 )
 from trackres_ros.offline.simulate import SimulatedDrive, laps, simulate, through_points
 from trackres_ros.output.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_beside, picture, thinned
+from trackres_ros.recording.slopes import runs_of
 from trackres_ros.units import KMH_PER_MPS
 
 Array = NDArray[np.float64]
@@ -85,11 +86,9 @@ TRIALS = (
 
 def held(series: Series) -> Iterator[slice]:
     """The stretches at full speed, without their first two samples: the belt strain by the drive lags one step."""
-    full = np.concatenate([[False], series["speed_mps"] >= series["speed_mps"].max() - 1e-9, [False]])
-    edges = np.flatnonzero(np.diff(full.astype(int)))
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
+    for start, end in runs_of(series["speed_mps"] >= series["speed_mps"].max() - 1e-9):
         if end - start >= LEAST_HELD:
-            yield slice(int(start) + 2, int(end))
+            yield slice(start + 2, end)
 
 
 def held_means(series: Series) -> Array:
