@@ -232,8 +232,7 @@ def driven(loaded):
     def make(values, *effects):
         rng = np.random.default_rng(3)
         sessions = drives(loaded.base, loaded.known.max_speed, 2, 4.0, rng, step=1.0)
-        nominal = {q.name: q.nominal for q in loaded.base.parameters}
-        true = loaded.base.predict(sessions, {**nominal, **values}, effects)
+        true = loaded.base.predict(sessions, loaded.base.nominal | values, effects)
         noisy = [replace(s, torque=p.torque + rng.normal(0.0, 20.0, len(s))) for s, p in zip(sessions, true, strict=True)]
         moving = [replace(s, used=np.abs(s.speed) > 0.3, block=np.full(len(s), i)) for i, s in enumerate(noisy)]
         masks = [s.used & (i == 0) for i, s in enumerate(moving)]
@@ -273,7 +272,7 @@ def test_alone_means_without_given_surroundings_and_route(driven, loaded, effect
     raised = [replace(s, torque_by_place=np.full(len(s), 300.0), given=s.given | added) for s in sessions]
     laps = HeldOutLaps(sessions, [s.used for s in sessions], np.random.default_rng(1))
     use = AsUsed(around, raised, sessions, laps)
-    plain = loaded.base.predict(sessions, {q.name: q.nominal for q in loaded.base.parameters}, ())
+    plain = loaded.base.predict(sessions, loaded.base.nominal, ())
     for alone, more in ((True, 0.0), (False, 290.0)):
         apart = use.expected(None, (), alone)[0] - plain[0].torque
         assert (np.median(apart[sessions[0].used]) > more) == (not alone)
@@ -377,7 +376,7 @@ def test_vehicle_yaml_alone_is_no_worse_whatever_is_hidden(tmp_path, loaded, nam
     held, errors = held_out_of(paths, file, report), []
     for vehicle in (file, diagnosed.vehicle.source):
         base = load_base(vehicle).base
-        expected = base.predict([s for s, _ in held], {q.name: q.nominal for q in base.parameters}, sensors)
+        expected = base.predict([s for s, _ in held], base.nominal, sensors)
         errors.append(np.concatenate([np.abs(s.torque - p.torque)[m] for (s, m), p in zip(held, expected, strict=True)]).mean())
     assert {a.effect.name for a in diagnosed.vehicle.effects} == set(report["kept"]["vehicle"])
     for active in diagnosed.vehicle.effects:

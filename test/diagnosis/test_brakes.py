@@ -25,8 +25,7 @@ def found(loaded, motor, seed=1):
     """The torque down to which a motor brakes alone that takes a share of the torques of drives; `motor` says which."""
     rng = np.random.default_rng(seed)
     sessions = drives(loaded.base, 30.0, 3, 15.0, rng, step=1.0)
-    values = {q.name: q.nominal for q in loaded.base.parameters}
-    torques = [p.torque for p in loaded.base.predict(sessions, values, ())]
+    torques = [p.torque for p in loaded.base.predict(sessions, loaded.base.nominal, ())]
     shown = [replace(s, torque=motor(t, rng) + rng.normal(0.0, NOISE_NM, len(t))) for s, t in zip(sessions, torques, strict=True)]
     return motor_brakes_alone(shown, [np.abs(s.speed) > 0.5 for s in shown]), min(t.min() for t in torques)
 
@@ -66,7 +65,7 @@ def test_too_little_driving_tells_nothing(loaded):
 def test_the_gate_says_down_to_where_it_compares(loaded, tmp_path, brakes):
     rng = np.random.default_rng(2)
     (session,) = drives(loaded.base, 30.0, 1, 30.0, rng, step=1.0)
-    torque = loaded.base.predict([session], {q.name: q.nominal for q in loaded.base.parameters}, ())[0].torque
+    torque = loaded.base.predict([session], loaded.base.nominal, ())[0].torque
     shown = np.maximum(torque, -80.0) + rng.normal(0.0, NOISE_NM, len(torque))
     path = tmp_path / "drive.csv"
     at = np.arange(5 * len(session)) / 5.0  # so often that steps are of a second

@@ -93,7 +93,7 @@ def test_the_kept_file_is_never_worse_on_held_out_laps(diagnoses, loaded, names)
     found = diagnoses(*names)
     masks = [found.split.held_out_mask(s) for s in found.sessions]
     laps = HeldOutLaps(found.sessions, masks, np.random.default_rng(1))
-    values = found.kept.values or {q.name: q.nominal for q in loaded.base.parameters}
+    values = found.kept.values or loaded.base.nominal
     written = found.base.predict(found.sessions, values, found.kept.effects)
     error = np.abs(laps.measured - laps.of([p.torque for p in written])).mean()
     # The driving torque that some effects look at is that of the last fit here.

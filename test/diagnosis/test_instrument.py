@@ -30,8 +30,7 @@ def problem_with(loaded, effects):
     def make(values):
         base, rng = loaded.base, np.random.default_rng(6)
         sessions = drives(base, loaded.known.max_speed, 2, 8.0, np.random.default_rng(4), step=1.0)
-        nominal = {q.name: q.nominal for q in base.parameters}
-        shown = base.predict(sessions, nominal, sensors(effects, values))
+        shown = base.predict(sessions, base.nominal, sensors(effects, values))
         measured = [replace(s, torque=p.torque + rng.normal(0.0, 5.0, len(s))) for s, p in zip(sessions, shown, strict=True)]
         return Problem(base, tuple(measured), tuple(s.used for s in measured))
 

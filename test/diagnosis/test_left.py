@@ -250,10 +250,7 @@ def test_a_road_load_file_too(tmp_path, own):
     text = (tmp_path / "v.yaml").read_text()
     assert "# A small skid-steered robot" in text
     (session,) = drives(first, 1.5, 1, 2.0, np.random.default_rng(1))
-    torques = [
-        base.predict([session], {q.name: q.nominal for q in first.parameters}, active)[0].torque
-        for base, active in ((first, effects), (second, ()))
-    ]
+    torques = [base.predict([session], first.nominal, active)[0].torque for base, active in ((first, effects), (second, ()))]
     np.testing.assert_allclose(*torques, rtol=1e-4, atol=1e-3)
 
 
@@ -306,9 +303,8 @@ def test_a_failing_user_effect_ends_the_fit_with_its_name(says, loaded, own):
     own_file.write_text(own_file.read_text().replace("p.torque * at.direction", says))
     squeak = catalogue(own)["squeak"]
     (session,) = drives(loaded.base, loaded.known.max_speed, 1, 1.0, np.random.default_rng(1))
-    values = {q.name: q.nominal for q in loaded.base.parameters}
     with np.errstate(all="ignore"), pytest.raises(InputError, match=r"squeak\.py: effect squeak"):
-        loaded.base.predict([session], values, [Active(squeak, squeak.values())])
+        loaded.base.predict([session], loaded.base.nominal, [Active(squeak, squeak.values())])
 
 
 def test_a_hidden_slope_is_never_pushed_against_at_a_standstill(loaded, effects, tmp_path):

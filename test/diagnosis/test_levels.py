@@ -63,7 +63,7 @@ def test_an_unbiased_refit_is_no_worse_than_file_or_robust_fit(road, robust_leas
         levelled = with_levels(fit(problem))
         means.append(errors(levelled, trained=True).mean() / errors(levelled, trained=True).std())
         ours.append(np.abs(errors(levelled, trained=False)).mean())
-        nominal = problem.predict({q.name: q.nominal for q in road.base.parameters}, ())
+        nominal = problem.predict(road.base.nominal, ())
         files.append(np.abs(errors(replace(levelled, predicted=tuple(nominal)), trained=False)).mean())
         robust.append(np.abs(errors(replace(levelled, predicted=tuple(robust_least_squares(problem))), trained=False)).mean())
     assert np.max(np.abs(means)) < 0.1
@@ -84,8 +84,7 @@ def test_near_a_unit_root_the_level_fit_halves_the_bias(road):
 def test_where_noise_is_short_both_are_one(loaded):
     rng, base = np.random.default_rng(4), loaded.base
     sessions = drives(base, loaded.known.max_speed, 2, 10.0, rng, STEP_S)
-    values = {q.name: q.nominal for q in base.parameters}
-    predicted = base.predict(sessions, values, ())
+    predicted = base.predict(sessions, base.nominal, ())
     shown = tuple(replace(s, torque=p.torque + rng.normal(0.0, 20.0, len(s))) for s, p in zip(sessions, predicted, strict=True))
     found = fit(Problem(base, shown, tuple(s.used for s in shown)))
     levelled = with_levels(found)

@@ -108,8 +108,7 @@ def picked(estimator, rows):
 
 
 def simulated(base, sessions, active):
-    values = {q.name: q.nominal for q in base.parameters}
-    return [(p.at_sprockets, p.belt) for p in base.predict(sessions, values, active)]
+    return [(p.at_sprockets, p.belt) for p in base.predict(sessions, base.nominal, active)]
 
 
 def agree(found, others):

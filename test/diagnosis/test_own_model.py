@@ -79,7 +79,7 @@ def test_a_fit_finds_the_values_that_made_the_torque(session):
 
 def test_an_effect_adds_to_what_the_function_says(session):
     base = OwnBase(model())
-    values = {q.name: q.nominal for q in base.parameters}
+    values = base.nominal
     friction = catalogue(size=base.facts.weight)["coulomb_friction"]
     plain, (rubs,) = base.predict([session], values, ()), base.predict([session], values, [Active(friction, {"friction": 0.1})])
     assert plain[0].torque == pytest.approx(motor(session, values), abs=1e-15)

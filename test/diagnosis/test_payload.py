@@ -52,7 +52,7 @@ def fitted(base, loaded_kg, seed=1, mean_kg=0.0, gain=1.0, later_kg=0.0):
         course = {"speed": speed, "accel": np.gradient(speed), "grade": np.zeros(len(drive)), "weight": weight}
         sessions.append(replace(drive, **course, given=frozenset({"grade", "load"})))
         masses.append(mass)
-    torques = [p.torque for p in base.predict(sessions, {q.name: q.nominal for q in base.parameters}, ())]
+    torques = [p.torque for p in base.predict(sessions, base.nominal, ())]
     shown = []
     for session, torque in zip(sessions, torques, strict=True):
         noise = lfilter([1.0], [1.0, -NOISE_PHI], rng.normal(0.0, NOISE_NM, len(torque)))

@@ -35,7 +35,7 @@ def fitted(base, given=frozenset({"grade"}), **true):
     for session in drives(base, 30.0, 2, 10.0, rng, step=1.0):
         grade = 0.04 * np.sin(session.distance / 300.0) * ("grade" in given)
         made.append(replace(session, grade=grade, given=given, weight=np.full(len(session), 1.1 * base.facts.weight)))
-    values = {q.name: q.nominal for q in base.parameters} | true
+    values = base.nominal | true
     torques = [p.torque + rng.normal(0.0, 3.0, len(p.torque)) for p in base.predict(made, values, ())]
     sessions = tuple(replace(s, torque=t) for s, t in zip(made, torques, strict=True))
     return fit(Problem(base, sessions, tuple(np.abs(s.speed) > 0.5 for s in sessions)))

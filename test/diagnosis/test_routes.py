@@ -55,8 +55,7 @@ def session_of(base, seed, rounds, slope=0.0, soft_nm=0.0, loads=(1.0,), with_po
         (one.distance // LAP_M).astype(np.int64), given=frozenset({"grade", "load", "position"}), latitude=latitude,
         longitude=longitude,
     )  # fmt: skip
-    values = {q.name: q.nominal for q in base.parameters}
-    torque = base.predict([made], values, ())[0].torque + soft_nm * ((one.way > 600.0) & (one.way < 1000.0))
+    torque = base.predict([made], base.nominal, ())[0].torque + soft_nm * ((one.way > 600.0) & (one.way < 1000.0))
     torque = (
         torque + autoregression(n, rng, 3.0, noise_nm) + rng.normal(0.0, noise_nm, n) + autoregression(n, rng, 150.0, wanders_nm)
     )
@@ -224,9 +223,10 @@ def test_a_route_that_is_given_is_taken_as_recorded(hilly, diagnosed):
     session = gated.sessions[0]
     assert "grade" in session.given
     assert any("of it is on the route" in note for note in gated.notes)
-    values = {q.name: q.nominal for q in given.base.parameters}
     level = replace(session, grade=np.zeros(len(session)))
-    errors = [np.abs(s.torque - given.base.predict([s], values, ())[0].torque)[s.used].mean() for s in (session, level)]
+    errors = [
+        np.abs(s.torque - given.base.predict([s], given.base.nominal, ())[0].torque)[s.used].mean() for s in (session, level)
+    ]
     assert errors[0] < 0.5 * errors[1]
 
 
@@ -330,7 +330,7 @@ def test_a_replay_follows_the_slopes_that_were_written(hilly, diagnosed, good, t
 def test_on_a_bus_live_expects_what_the_diagnosis_does():
     known = load_base("ztbus_hess19")
     gated = gate(read_recordings([BUS], Topics.load("ztbus")), known.known)
-    (expected,) = known.base.predict(gated.sessions, {q.name: q.nominal for q in known.base.parameters}, ())
+    (expected,) = known.base.predict(gated.sessions, known.base.nominal, ())
     (shown,) = expected_live(known.base.vehicle, gated.sessions)
     np.testing.assert_allclose(shown, expected.torque, rtol=0.0, atol=1e-9)
     (session,) = gated.sessions

@@ -50,7 +50,7 @@ def driven(loaded, known):
     def make(gain=1.0, adds=None, held_out_gain=None):
         base, rng = loaded.base, np.random.default_rng(1)
         sessions = drives(base, MOST_SPEED_MPS, 2, MINUTES, rng, step=1.0)
-        bare = [p.torque for p in base.predict(sessions, {q.name: q.nominal for q in base.parameters}, ())]
+        bare = [p.torque for p in base.predict(sessions, base.nominal, ())]
         shown, masks = [], []
         for i, (session, torque) in enumerate(zip(sessions, bare, strict=True)):
             lap = (session.time // LAP_S).astype(np.int64)

@@ -240,7 +240,7 @@ def test_temperature_is_carried_over_a_gap_and_forgotten_without(loaded):
     base = loaded.base
     one, two = drives(base, loaded.known.max_speed, 2, 10.0, np.random.default_rng(4))
     two = replace(two, ambient=one.ambient)
-    values = {q.name: q.nominal for q in base.parameters}
+    values = base.nominal
     first, soaked = base.predict([one, two], values, ())
     _, straight_on = base.predict([one, replace(two, gap=1.0)], values, ())
     _, next_day = base.predict([one, replace(two, gap=86400.0)], values, ())

@@ -35,9 +35,8 @@ def drive(base):
 def begins(base, name, *sessions):
     """Torque of an effect that warms up in the first minute of driving of the last of some sessions [Nm]."""
     effect = catalogue(size=base.facts.weight * base.facts.radius, on_tyres=True)[name]
-    values = {q.name: q.nominal for q in base.parameters}
-    with_it = base.predict(sessions, values, [Active(effect, effect.values())])
-    without = base.predict(sessions, values, ())
+    with_it = base.predict(sessions, base.nominal, [Active(effect, effect.values())])
+    without = base.predict(sessions, base.nominal, ())
     assert len(with_it) == len(sessions)
     moving = np.flatnonzero(np.abs(sessions[-1].speed) > 1.0)[:60]
     return float(np.mean((with_it[-1].torque - without[-1].torque)[moving]))

@@ -12,7 +12,6 @@ from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.empirical.candidates import candidates, shows
 from trackres_ros.diagnosis.empirical.thresholds import found_by_scan, latched_states
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.diagnosis.stages.prepare import prepared
 from trackres_ros.effects.effect import conditions
 from trackres_ros.effects.learned import ABOVE, AMBIENT, BELT, SPEED, STEP, Corner, Latch, latched
@@ -22,26 +21,23 @@ LEVEL_NM = 400.0
 
 @pytest.fixture(scope="module")
 def fitted(recorded, loaded):
-    """A fit of recordings with nothing hidden, and the columns of its own parameters."""
+    """A fit of recordings with nothing hidden."""
     gated, _, _ = prepared(read_recordings(recorded(), None), loaded, (), ())
-    found = fit(Problem(loaded.base, gated.sessions, tuple(s.used for s in gated.sessions)))
-    return found, base_columns(found)
+    return fit(Problem(loaded.base, gated.sessions, tuple(s.used for s in gated.sessions)))
 
 
 def scanned(fitted, code, x, shapes):
     """Result of a scan of one variable after a torque of a shape is added to the measured one."""
-    found, own = fitted
     sessions = tuple(
         replace(s, torque=s.torque + LEVEL_NM * shape * np.sign(s.speed))
-        for s, shape in zip(found.problem.sessions, shapes, strict=True)
+        for s, shape in zip(fitted.problem.sessions, shapes, strict=True)
     )
-    return found_by_scan(replace(found, problem=replace(found.problem, sessions=sessions)), {code: x}, own)
+    return found_by_scan(replace(fitted, problem=replace(fitted.problem, sessions=sessions)), {code: x})
 
 
 def test_a_scan_finds_the_thresholds_of_what_is_there(fitted):
-    found, _ = fitted
-    speed = [np.abs(s.speed) for s in found.problem.sessions]
-    belt = [p.belt for p in found.predicted]
+    speed = [np.abs(s.speed) for s in fitted.problem.sessions]
+    belt = [p.belt for p in fitted.predicted]
     warm = float(np.median(np.concatenate(belt)))
     high = float(np.quantile(np.concatenate(belt), 0.98))
     by_kind = {
@@ -59,19 +55,17 @@ def test_a_scan_finds_the_thresholds_of_what_is_there(fitted):
 
 
 def test_where_nothing_is_hidden_a_scan_offers_few_forms(fitted):
-    found, own = fitted
-    names = [form.name for form in candidates(found, own).values()]
+    names = [form.name for form in candidates(fitted).values()]
     assert sum(name.startswith(("step", "hinge", "latch")) for name in names) <= 4
     assert "curve_of_belt_temperature" in names
 
 
 @pytest.mark.parametrize(("within_k", "shown"), [(0.5, False), (10.0, True)])
 def test_weather_that_differs_by_recording_alone_is_no_variable(fitted, within_k, shown):
-    found, _ = fitted
     sessions = tuple(
-        replace(s, ambient=10.0 * i + within_k * np.linspace(-1.0, 1.0, len(s))) for i, s in enumerate(found.problem.sessions)
+        replace(s, ambient=10.0 * i + within_k * np.linspace(-1.0, 1.0, len(s))) for i, s in enumerate(fitted.problem.sessions)
     )
-    assert shows(AMBIENT, replace(found, problem=replace(found.problem, sessions=sessions))) == shown
+    assert shows(AMBIENT, replace(fitted, problem=replace(fitted.problem, sessions=sessions))) == shown
 
 
 def test_latched_states_are_those_of_the_effect():

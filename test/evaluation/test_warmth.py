@@ -54,7 +54,7 @@ def test_cold_and_warm_starts_of_simulated_drives_are_told_apart():
     effect = WarmUp().for_size(base.facts.weight * base.facts.radius, True)
     gaps = [np.inf, 10.0, 1e5, 10.0]
     sessions = [replace(s, gap=gap) for s, gap in zip(drives(base, 25.0, 4, 25.0, rng, step=1.0), gaps, strict=True)]
-    values = {q.name: q.nominal for q in base.parameters}
+    values = base.nominal
     true = [Active(effect, {"torque": 60.0, "time_constant": 200.0, "cooling": 5000.0})]
     torques = [p.torque + rng.normal(0.0, 10.0, len(p.torque)) for p in base.predict(sessions, values, true)]
     used = [np.abs(s.speed) > 0.5 for s in sessions]

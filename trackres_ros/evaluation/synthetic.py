@@ -67,8 +67,7 @@ def write_recordings(
     base: Base, folder: Path, sessions: Sequence[DriveSession], effects: Sequence[Active], rng: np.random.Generator
 ) -> list[Path]:
     """Simulate drives and write them as tables; the paths."""
-    values = {q.name: q.nominal for q in base.parameters}
-    expected = base.predict(sessions, values, effects)
+    expected = base.predict(sessions, base.nominal, effects)
     paths = []
     for i, (session, predicted) in enumerate(zip(sessions, expected, strict=True)):
         n = len(session)

@@ -76,7 +76,7 @@ def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = (
     precision, linear, std = quadratic(whole, fitted)
     precision, linear, std = *whatever_others(precision, linear, own), std[own]
     free = [f for f, kept in zip(fitted.free, own, strict=True) if kept]
-    by_file = loaded.base.predict(gated.sessions, {q.name: q.nominal for q in loaded.base.parameters}, ())[0].torque
+    by_file = loaded.base.predict(gated.sessions, loaded.base.nominal, ())[0].torque
     refit, used, held = fitted.predicted[0].torque, session.used, session.used & ~training
     torque = float(np.abs(session.torque[used]).mean())
 

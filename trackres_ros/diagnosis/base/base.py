@@ -78,6 +78,11 @@ class Base(ABC):
         self.parts: Mapping[str, float] = {}  # rotating ones, with their distance per turn [m]
         self.fixed: Values = {}  # of parameters that no fit changes
 
+    @property
+    def nominal(self) -> dict[str, float]:
+        """Values of `parameters` in the vehicle file."""
+        return {q.name: q.nominal for q in self.parameters}
+
     @abstractmethod
     def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """Simulate sessions in sequence.

@@ -157,7 +157,7 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
         problem = replace(problem, base=_with_free(base, determined))
         found = _fit(problem, found.at)
         parameters = _parameters(base, all_free, found, scatter, mass_std)
-    nominal = tuple(p.torque for p in problem.predict({q.name: q.nominal for q in base.parameters}, ()))
+    nominal = tuple(p.torque for p in problem.predict(base.nominal, ()))
     rng = np.random.default_rng(seed)
     return Coastdown(
         loaded,

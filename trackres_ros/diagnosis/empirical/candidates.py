@@ -167,8 +167,8 @@ def thresholds(gate: int, fit: Fit) -> list[float]:
     return [at] if FEWEST_OPEN <= is_open.sum() <= len(x) - FEWEST_OPEN else []
 
 
-def candidates(fit: Fit, own: Array | None = None) -> dict[str, EmpiricalEffect]:
-    """All possible forms here, by a unique key; one name may have several. `own` are the `base_columns` of the fit, if known.
+def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
+    """All possible forms here, by a unique key; one name may have several.
 
     Notes
     -----
@@ -182,7 +182,7 @@ def candidates(fit: Fit, own: Array | None = None) -> dict[str, EmpiricalEffect]
     measured = all("accel" in s.given for s in fit.problem.sessions)
     shown = [code for code in KNOTS if shows(code, fit) and (code != ACCELERATION or measured)]
     found += [Curve(code, OPEN, knots(code, x[code], KNOTS[code])) for code in shown]
-    found += found_by_scan(fit, {code: series(code, fit) for code in shown}, own)
+    found += found_by_scan(fit, {code: series(code, fit) for code in shown})
     if DRIVING_TORQUE in shown:
         most = {side: most_on_side(x[DRIVING_TORQUE], side) for side in SIDES}
         found += [SidedGain(side, most[side]) for side in SIDES if min(most.values()) > 0.0]

@@ -75,12 +75,12 @@ class _Scores:
         return np.where(left > LEAST_KEPT * whole, 0.5 * score**2 / np.maximum(left, 1e-12), 0.0)
 
 
-def found_by_scan(fit: Fit, series: dict[int, list[Array]], own: Array | None = None) -> list[EmpiricalEffect]:
+def found_by_scan(fit: Fit, series: dict[int, list[Array]]) -> list[EmpiricalEffect]:
     """The best step, hinge and latch of each variable, if it gains enough.
 
-    `series` has the values of each variable in each session, by its code; `own` are the `base_columns` of the fit, if known.
+    `series` has the values of each variable in each session, by its code.
     """
-    own = base_columns(fit) if own is None else own
+    own = base_columns(fit)
     short = shortened(fit.noise)
     fits = [fit, *([] if short is None else [replace(fit, noises={**fit.noises, "torque": short})])]
     scores = [_Scores.of(one, own) for one in fits]

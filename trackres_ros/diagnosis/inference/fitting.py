@@ -94,6 +94,10 @@ class Problem:
     def _belt(self, session: int, predicted: Predicted) -> Array:
         return (predicted.skin if self.sessions[session].belt_shows_surface else predicted.belt)[::BELT_EVERY]
 
+    def of_torque(self, torques: Sequence[Array]) -> list[Array]:
+        """A torque of each session, at each segment; zero for belts."""
+        return [torques[g.session] if g.kind == "torque" else np.zeros(len(g.measured)) for g in self.segments]
+
     def split(self, rows: Array) -> list[Array]:
         """Split concatenated rows into segments."""
         return list(np.split(rows, np.cumsum([len(g.measured) for g in self.segments])[:-1]))

@@ -145,16 +145,6 @@ class _Speed:
     by_way: Array | None
 
 
-@dataclass(frozen=True, eq=False)
-class _Torque:
-    """Samples of each part, means of the sum, the steps with a known value, and its noise."""
-
-    samples: list[tuple[Array, Array]]
-    mean: Array
-    known: Mask
-    noise: float
-
-
 def resample(
     recording: Recording, step: float, settings: GateSettings, notes: list[str], shortest_s: float = SHORTEST_S
 ) -> tuple[DriveSession, dict[str, Mask]]:
@@ -174,7 +164,7 @@ def resample(
     notes += check_units(recording.name, series, settings.weight)
     grid = _Grid(recording.name, series, recording.start_ns, edges, step, settings, notes, set())
     grid.given.update(role for role in CHANNELS if grid.has(role))
-    speed, torque = _speed(grid), _torque(grid)
+    speed, (torques, torque, torque_known, torque_noise) = _speed(grid), _torque(grid)
     weight, payload, passengers = _load(grid)
     latitude, longitude, altitude = _place(grid)
     belts = [held_while_sent(series[role], grid.start, edges) for role in series if role.partition("/")[0] == "belt"]
@@ -195,15 +185,15 @@ def resample(
         yaw_rate=yaw_rate,
         heading=heading,
         distance=np.cumsum(_driven(speed.mean, speed.by_way)) * step,
-        torque=torque.mean,
+        torque=torque,
         belt=belt,
         used=~grid.nowhere,
         block=np.zeros(grid.count, dtype=np.int64),
         given=frozenset(grid.given),
         computed=frozenset(c for c in COMPUTED if not grid.has(c) and c in {*grid.given, "accel"}),
-        torque_course=_course(torque.samples),
+        torque_course=_course(torques),
         accel_noise=speed.accel_noise,
-        torque_noise=torque.noise,
+        torque_noise=torque_noise,
         belt_shows_surface=settings.belt_shows_surface,
         start_s=grid.start * 1e-9 if grid.start * 1e-9 > EARLIEST_CLOCK_S else np.nan,
         latitude=latitude,
@@ -215,10 +205,10 @@ def resample(
         way=_way(grid, speed) if "position" in grid.given else None,
     )
     scale = pace(step)
-    samples = [(at / scale, value) for at, value in ((speed.at, speed.raw), *torque.samples)]
+    samples = [(at / scale, value) for at, value in ((speed.at, speed.raw), *torques)]
     return session, {
         "no speed": ~speed.known,
-        "no torque": ~torque.known,
+        "no torque": ~torque_known,
         **filled_steps(samples[0], samples[1:], edges / scale, settings.slowest),
         "slope not known": no_slope,
         BRAKES_ON: braked,
@@ -243,8 +233,8 @@ def _speed(grid: _Grid) -> _Speed:
     return _Speed(at, raw, mean, known, accel, accel_noise, by_way)
 
 
-def _torque(grid: _Grid) -> _Torque:
-    """The torque itself, or the sum of its parts."""
+def _torque(grid: _Grid) -> tuple[list[tuple[Array, Array]], Array, Mask, float]:
+    """The torque itself, or the sum of its parts: samples of each, means of the sum, steps with a known value, and its noise."""
     roles = [role for role in grid.series if role.partition("/")[0] == "torque" and grid.has(role)]
     samples = [grid.samples(role) for role in (["torque"] if "torque" in roles else roles)]
     torque, known, noise = np.zeros(grid.count), ~grid.nowhere, 0.0
@@ -252,7 +242,7 @@ def _torque(grid: _Grid) -> _Torque:
         part, there = means(*of_part, grid.edges)
         torque, known = torque + part, known & there
         noise = float(np.hypot(noise, noise_of_means(*of_part, grid.step)))
-    return _Torque(samples, torque, known, noise)
+    return samples, torque, known, noise
 
 
 def _load(grid: _Grid) -> tuple[Array, Array, Array]:

@@ -16,12 +16,13 @@ from trackres_ros.diagnosis.findings.found import NamedEffect, by_improvement
 from trackres_ros.diagnosis.findings.locate import smoothed
 from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
 from trackres_ros.diagnosis.findings.wording import differs, largest_of, range_of, short
-from trackres_ros.diagnosis.inference.fitting import Fit, jacobian, valid_rows
+from trackres_ros.diagnosis.inference.fitting import Fit, valid_rows
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.diagnosis.report.picture import WIDTH, Picture
 from trackres_ros.diagnosis.report.series import acts_most, clock, lasting, within
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
+from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, picture_with_legend, thinned
 from trackres_ros.text.numbers import figures
 
@@ -92,15 +93,14 @@ def terms(d: Diagnosis) -> list[Line]:
 
 def _beyond_a_refit(refitted: Fit, adds: Sequence[Sequence[Array]]) -> list[list[Array]]:
     """Torque of each term minus the part absorbed by a re-fit of the base, to first order; of each session [Nm]."""
-    problem, free = refitted.problem, refitted.free
-    change = jacobian(lambda at: np.concatenate(problem.expected(problem.predict(*refitted.model_at(at)))), refitted.point, free)
-    by_segment = problem.split(change)
+    problem = refitted.problem
+    by_segment = problem.split(base_columns(refitted))
     white = valid_rows(problem.white(by_segment, refitted.noises))
-    curvature = white.T @ white + np.diag([f.std**-2.0 for f in free])
+    curvature = white.T @ white + np.diag([f.std**-2.0 for f in refitted.free])
     found = []
     for term in adds:
-        rows = [term[g.session] if g.kind == "torque" else np.zeros(len(g.measured)) for g in problem.segments]
-        moved = np.linalg.lstsq(curvature, white.T @ valid_rows(problem.white(rows, refitted.noises)), rcond=1e-12)[0]
+        rows = problem.white(problem.of_torque(term), refitted.noises)
+        moved = np.linalg.lstsq(curvature, white.T @ valid_rows(rows), rcond=1e-12)[0]
         found.append([x - columns @ moved for x, columns in zip(term, by_segment, strict=False)])  # torques come first
     return found
 

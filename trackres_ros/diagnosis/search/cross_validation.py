@@ -88,7 +88,7 @@ class CrossValidation:
         folds = np.concatenate([
             self._fold[g.session] if g.kind == "torque" else np.full(len(g.measured), -1) for g in problem.segments
         ])  # fmt: skip
-        by_session = _of_torque(found, columns)
+        by_session = problem.split(columns)  # torques come first
         for fold in range(FOLDS):
             rows = folds == fold
             own = (x[rows] * weights[rows, np.newaxis]).T @ x[rows]
@@ -173,7 +173,8 @@ class CrossValidation:
 
     def beyond(self, base: Fit) -> Callable[[Sequence[Array]], Array]:
         """Function that returns the scored samples of each session's series, orthogonal to the parameters of a base."""
-        own = self._of(_of_torque(base, base_columns(base) * np.array([f.scale for f in base.free])))
+        columns = base_columns(base) * np.array([f.scale for f in base.free])
+        own = self._of(base.problem.split(columns)[: len(self._scored)])  # torques come first
         basis, size, _ = np.linalg.svd(own, full_matrices=False)
         basis = basis[:, size > 1e-9 * size[0]]
 
@@ -188,12 +189,6 @@ class CrossValidation:
 
     def _sum(self, of_samples: Array) -> Array:
         return np.asarray(np.bincount(self._pieces, weights=of_samples, minlength=len(self._count)), dtype=np.float64)
-
-
-def _of_torque(found: Fit, columns: Array) -> list[Array]:
-    """Changes of the predicted torque of each session."""
-    segments = found.problem.segments
-    return [part for part, g in zip(found.problem.split(columns), segments, strict=True) if g.kind == "torque"]
 
 
 def _piece(session: DriveSession) -> NDArray[np.int64]:

@@ -65,7 +65,7 @@ class AsUsed:
             if key not in self._read:
                 self._read[key] = base.as_written(values)
             base = self._read[key]
-        return [p.torque for p in base.predict(sessions, {q.name: q.nominal for q in base.parameters}, effects)]
+        return [p.torque for p in base.predict(sessions, base.nominal, effects)]
 
     def error(self, values: Values | None, effects: Sequence[Active] = (), alone: bool = False) -> float:
         """Mean absolute error on hold-out laps [Nm]."""

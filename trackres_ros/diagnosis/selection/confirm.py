@@ -87,10 +87,10 @@ def at_implausible_bounds(found: Fit) -> tuple[str, ...]:
     )
 
 
-def moved_parameters(found: Fit, by: float = MOVED) -> list[tuple[BaseParameter, float]]:
-    """Base parameters that moved by more than `by` standard deviations of their range, furthest first."""
+def moved_parameters(found: Fit) -> list[tuple[BaseParameter, float]]:
+    """Base parameters that moved by more than `MOVED` standard deviations of their range, furthest first."""
     moved = [(q, found.base_values[q.name]) for q in found.problem.base.parameters if np.isfinite(q.std)]
-    far = [(q, value) for q, value in moved if abs(value - q.nominal) > by * q.std]
+    far = [(q, value) for q, value in moved if abs(value - q.nominal) > MOVED * q.std]
     return sorted(far, key=lambda pair: -abs(pair[1] - pair[0].nominal) / pair[0].std)
 
 

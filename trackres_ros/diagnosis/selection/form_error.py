@@ -36,10 +36,6 @@ def other_forms(fit: Fit) -> Array:
             spread = float(over.std()) if np.isfinite(over).all() else 0.0
             if spread > 0.0:
                 mean = float(over.mean())
-                found.append(_rows(fit, [FORM_ERROR * x * (z - mean) / spread for x, z in zip(adds, shape, strict=True)]))
+                changes = [FORM_ERROR * x * (z - mean) / spread for x, z in zip(adds, shape, strict=True)]
+                found.append(np.concatenate(fit.problem.of_torque(changes)))
     return np.column_stack(found) if found else np.empty((sum(len(g.measured) for g in fit.problem.segments), 0))
-
-
-def _rows(fit: Fit, torques: list[Array]) -> Array:
-    """Rows of all segments; zero for belts."""
-    return np.concatenate([torques[g.session] if g.kind == "torque" else np.zeros(len(g.measured)) for g in fit.problem.segments])

@@ -120,8 +120,7 @@ def prepared(
     """
 
     def by_file(sessions: Sequence[DriveSession]) -> list[Array]:
-        values = {q.name: q.nominal for q in vehicle.base.parameters}
-        return [p.torque for p in vehicle.base.predict(sessions, values, ())]
+        return [p.torque for p in vehicle.base.predict(sessions, vehicle.base.nominal, ())]
 
     refused = list(refused)
     while True:
