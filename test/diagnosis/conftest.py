@@ -57,12 +57,12 @@ def recorded(loaded, effects, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def run():
-    """`trackres diagnose` on recordings of the reference vehicle, as typed, without a page unless a test looks at it."""
+    """`trackres diagnose` on recordings, as typed, without a page unless a test looks at it."""
 
-    def run_it(paths, out, *options, page=False):
+    def run_it(paths, out, *options, page=False, vehicle="xgd24d"):
         without = () if page else ("--no-page",)
-        command = ["diagnose", *map(str, paths), "--vehicle", "xgd24d", "-o", str(out), "--quick", *without, *options]
-        done = CliRunner().invoke(cli, command, catch_exceptions=True)
+        words = ["diagnose", *paths, "--vehicle", vehicle, "-o", out, "--quick", *without, *options]
+        done = CliRunner().invoke(cli, [str(word) for word in words], catch_exceptions=True)
         if done.exit_code == 0:
             check_report(json.loads((Path(out) / "report.json").read_text()))
         return done

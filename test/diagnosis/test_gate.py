@@ -29,6 +29,24 @@ def judged(paths, loaded):
     return prepared(read_recordings(paths, None), loaded)[0]
 
 
+@pytest.fixture
+def with_first(recorded, loaded, tmp_path):
+    """Judges recordings of which the first is changed: the result, and the notes on that one."""
+
+    def judge(change, count=2):
+        first, *others = recorded(count=count)
+        path = rewritten(first, tmp_path, change)
+        found = judged([path, *others], loaded)
+        return found, [n.removeprefix(f"{path}: ") for n in found.notes if n.startswith(f"{path}: ")]
+
+    return judge
+
+
+def filled(found):
+    """Seconds in gaps that were filled."""
+    return [seconds for reason, seconds in found.excluded.items() if "filled" in reason]
+
+
 def scaled(name, scale=1.0, offset=0.0):
     """A change: the column as another unit shows it."""
 
@@ -128,7 +146,7 @@ def test_nothing_is_concluded_if_the_mean_beats_the_model():
     assert nothing_to_conclude("steady.csv", worse, off, 5000.0) is None
 
 
-def test_a_gap_filled_by_straight_lines_is_left_out_and_counted(recorded, loaded, tmp_path):
+def test_a_gap_filled_by_straight_lines_is_left_out_and_counted(with_first, recorded, loaded):
     begin, end = 200.0, 260.0
 
     def fill(columns):
@@ -137,13 +155,11 @@ def test_a_gap_filled_by_straight_lines_is_left_out_and_counted(recorded, loaded
         for name in columns:
             columns[name][inside] = np.interp(time[inside], time[~inside], columns[name][~inside])
 
-    one, other = recorded()
-    healthy = judged([one, other], loaded)
-    found = judged([rewritten(one, tmp_path, fill), other], loaded)
-    (count,) = [seconds for reason, seconds in found.excluded.items() if "filled" in reason]
+    found, _ = with_first(fill)
+    (count,) = filled(found)
     assert end - begin - 1 <= count <= end - begin + 2
     assert not found.sessions[0].used[round(begin) + 1 : round(end) - 1].any()
-    assert not any("filled" in reason for reason in healthy.excluded)
+    assert not filled(judged(recorded(), loaded))
 
 
 SENSORS = {"fine": (0.01 / 3.6, 1.0), "usual": (0.1 / 3.6, 5.0), "coarse": (1.0 / 3.6, 50.0)}  # resolution [m/s], [Nm]
@@ -157,7 +173,7 @@ def shown(columns, sensors):
 
 @pytest.mark.parametrize("sensors", ["fine", "usual"])
 @pytest.mark.parametrize("of", [("speed_mps", "torque_nm"), ("speed_mps",), ("torque_nm",)])
-def test_lines_in_a_gap_show_within_the_resolution_of_a_sensor(recorded, loaded, tmp_path, sensors, of):
+def test_lines_in_a_gap_show_within_the_resolution_of_a_sensor(with_first, recorded, sensors, of):
     def fill(columns):
         columns["speed_mps"] += np.random.default_rng(4).normal(0.0, 0.05, len(columns["speed_mps"]))  # as of wheels on a road
         inside = np.zeros(len(columns["time_s"]), dtype=bool)
@@ -166,12 +182,11 @@ def test_lines_in_a_gap_show_within_the_resolution_of_a_sensor(recorded, loaded,
             columns[name][inside] = np.linspace(columns[name][gap.start], columns[name][gap.stop], inside.sum())
         shown(columns, sensors)
 
-    one, other = recorded()
-    speed, torque = (columns_of(one)[name] for name in ("speed_mps", "torque_nm"))
+    speed, torque = (columns_of(recorded()[0])[name] for name in ("speed_mps", "torque_nm"))
     rises = np.abs((speed[300:] - speed[:-300]) * (torque[300:] - torque[:-300]))
     gap = slice(int(np.argmax(rises)), int(np.argmax(rises)) + 300)
-    found = judged([rewritten(one, tmp_path, fill), other], loaded)
-    (count,) = [seconds for reason, seconds in found.excluded.items() if "filled" in reason]
+    found, _ = with_first(fill)
+    (count,) = filled(found)
     assert 56 <= count <= 62
     assert not found.sessions[0].used[gap.start // 5 + 2 : gap.stop // 5 - 2].any()
 
@@ -182,13 +197,12 @@ def test_no_sensor_that_rounds_shows_a_filled_gap(recorded, loaded, tmp_path, se
     assert not any("filled" in reason or "repeated" in reason for reason in found.excluded)
 
 
-def test_a_last_value_that_is_repeated_is_left_out_and_counted(recorded, loaded, tmp_path):
+def test_a_last_value_that_is_repeated_is_left_out_and_counted(with_first):
     def hold(columns):
         for name in ("speed_mps", "torque_nm"):
             columns[name][1000:1200] = columns[name][1000]
 
-    one, other = recorded()
-    found = judged([rewritten(one, tmp_path, hold), other], loaded)
+    found, _ = with_first(hold)
     assert [seconds for reason, seconds in found.excluded.items() if "repeated" in reason] == [pytest.approx(40, abs=1)]
     assert not found.sessions[0].used[201:239].any()
 
@@ -333,13 +347,11 @@ def test_start_of_a_recording_that_counts_from_zero():
 
 
 @pytest.mark.parametrize("what", WRONG)
-def test_one_wrong_recording_is_left_out_with_the_line(recorded, loaded, tmp_path, what):
+def test_one_wrong_recording_is_left_out_with_the_line(with_first, recorded, what):
     change, said = WRONG[what]
-    one, *others = recorded(count=3)
-    wrong = rewritten(one, tmp_path, change)
-    found = judged([wrong, *others], loaded)
-    assert [s.name for s in found.sessions] == [str(path) for path in others]
-    (note,) = [n for n in found.notes if n.startswith(f"{wrong}: not used: ")]
+    found, notes = with_first(change, count=3)
+    assert [s.name for s in found.sessions] == [str(path) for path in recorded(count=3)[1:]]
+    (note,) = [n for n in notes if n.startswith("not used: ")]
     assert said in note
     assert [seconds for reason, seconds in found.excluded.items() if "left out" in reason] == [pytest.approx(600, abs=1)]
 
@@ -379,13 +391,11 @@ UNUSABLE = {
 
 
 @pytest.mark.parametrize("change", UNUSABLE, ids=lambda change: change.__name__)
-def test_one_unusable_recording_is_left_out_with_a_reason(recorded, loaded, tmp_path, change):
-    one, *others = recorded(count=3)
-    wrong = rewritten(one, tmp_path, change)
-    found = judged([wrong, *others], loaded)
-    assert [s.name for s in found.sessions] == [str(path) for path in others]
+def test_one_unusable_recording_is_left_out_with_a_reason(with_first, recorded, change):
+    found, notes = with_first(change, count=3)
+    assert [s.name for s in found.sessions] == [str(path) for path in recorded(count=3)[1:]]
     assert {s.step for s in found.sessions} == {1.0}
-    (note,) = [n for n in found.notes if n.startswith(f"{wrong}: not used: ")]
+    (note,) = [n for n in notes if n.startswith("not used: ")]
     assert UNUSABLE[change] in note
 
 
@@ -435,29 +445,21 @@ def late(*names, by=HOUR_S):
     return change
 
 
-def noted(gated, path):
-    return [n.removeprefix(f"{path}: ") for n in gated.notes if n.startswith(f"{path}: ")]
-
-
-def test_a_torque_an_hour_late_is_moved_and_all_of_it_compared(recorded, loaded, tmp_path):
-    one, other = recorded()
-    healthy = judged([one, other], loaded)
-    path = rewritten(one, tmp_path, late("torque_nm", "weight_n"))
-    found = judged([path, other], loaded)
+def test_a_torque_an_hour_late_is_moved_and_all_of_it_compared(with_first, recorded, loaded):
+    healthy = judged(recorded(), loaded)
+    found, notes = with_first(late("torque_nm", "weight_n"))
     assert abs(int(found.sessions[0].used.sum()) - int(healthy.sessions[0].used.sum())) <= 2
     assert np.corrcoef(found.sessions[0].torque[20:580], healthy.sessions[0].torque[20:580])[0, 1] > 0.99
-    said = " ".join(noted(found, path))
+    said = " ".join(notes)
     assert "torque: its clock differs from the speed's by +3600 s; corrected" in said
     assert "load: its clock differs from the speed's by +3600 s; corrected (by the torque)" in said
 
 
-def test_a_load_an_hour_late_is_not_used_and_noted(recorded, loaded, tmp_path):
-    one, other = recorded()
-    path = rewritten(one, tmp_path, late("weight_n", "ambient_degc"))
-    found = judged([path, other], loaded)
+def test_a_load_an_hour_late_is_not_used_and_noted(with_first):
+    found, notes = with_first(late("weight_n", "ambient_degc"))
     assert "load" not in found.sessions[0].given
     assert "ambient" in found.sessions[0].given
-    said = " ".join(noted(found, path))
+    said = " ".join(notes)
     assert "load is recorded from 3600 s to 4200 s, the speed from 0 s to 600 s: its clock seems to be +3600 s off" in said
 
 
@@ -471,28 +473,23 @@ def test_header_stamps_an_hour_late_are_moved_by_the_log(recorded, loaded):
     np.testing.assert_array_equal(found.sessions[0].weight, healthy.sessions[0].weight)
 
 
-def test_an_unlike_torque_an_hour_late_is_left_out(recorded, loaded, tmp_path):
+def test_an_unlike_torque_an_hour_late_is_left_out(with_first):
     def change(columns):
         columns["torque_nm"] = np.roll(columns["torque_nm"], 1111)
         late("torque_nm")(columns)
 
-    one, other = recorded()
-    path = rewritten(one, tmp_path, change)
-    found = judged([path, other], loaded)
-    (said,) = noted(found, path)
+    (said,) = with_first(change)[1]
     for part in ("not used: torque", "from 3600 s to 4200 s", "its clock may be +3600 s off", "correct the times"):
         assert part in said
 
 
-def test_a_torque_recorded_for_longer_is_noted_and_not_shifted(recorded, loaded, tmp_path):
+def test_a_torque_recorded_for_longer_is_noted_and_not_shifted(with_first):
     def change(columns):
         columns["torque_nm"][:1000] = np.nan
         columns["speed_mps"][-500:] = np.nan
 
-    one, other = recorded()
-    path = rewritten(one, tmp_path, change)
-    found = judged([path, other], loaded)
-    assert any("torque is recorded from 200 s to 600 s" in note for note in noted(found, path))
+    found, notes = with_first(change)
+    assert any("torque is recorded from 200 s to 600 s" in note for note in notes)
     assert not any("moved" in note for note in found.notes)
 
 
@@ -509,26 +506,21 @@ def set_from_1970(columns):
 
 
 @pytest.mark.parametrize("change", [set_back, set_back_into_what_was, set_from_1970])
-def test_a_clock_that_was_set_is_left_out_with_the_place(recorded, loaded, tmp_path, change):
-    one, other = recorded()
-    path = rewritten(one, tmp_path, change)
-    found = judged([path, other], loaded)
-    (said,) = noted(found, path)
+def test_a_clock_that_was_set_is_left_out_with_the_place(with_first, change):
+    (said,) = with_first(change)[1]
     assert "not used: speed" in said
     assert re.search("correct the (later|earlier) times", said)
     assert f"{19.8 if change is set_from_1970 else 299.8:.0f} s after the beginning" in said
 
 
-def test_a_clock_set_forward_an_hour_is_noted(recorded, loaded, tmp_path):
-    one, other = recorded()
-    path = rewritten(one, tmp_path, lambda c: c.update(time_s=c["time_s"] + HOUR_S * (np.arange(len(c["time_s"])) > 1500)))
-    assert "no speed for 3600 s, 300 s after the beginning; treated as a pause" in noted(judged([path, other], loaded), path)
+def test_a_clock_set_forward_an_hour_is_noted(with_first):
+    _, notes = with_first(lambda c: c.update(time_s=c["time_s"] + HOUR_S * (np.arange(len(c["time_s"])) > 1500)))
+    assert "no speed for 3600 s, 300 s after the beginning; treated as a pause" in notes
 
 
-def test_rows_in_any_order_are_the_same_recording(recorded, loaded, tmp_path):
+def test_rows_in_any_order_are_the_same_recording(with_first, recorded, loaded):
     def backwards(columns):
         columns.update({name: values[::-1] for name, values in columns.items()})
 
-    one, other = recorded()
-    healthy, found = (judged([path, other], loaded) for path in (one, rewritten(one, tmp_path, backwards)))
+    found, healthy = with_first(backwards)[0], judged(recorded(), loaded)
     np.testing.assert_array_equal(found.sessions[0].torque, healthy.sessions[0].torque)

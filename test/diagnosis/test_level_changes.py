@@ -5,7 +5,7 @@
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from streets import autoregression
 
 from trackres_ros.diagnosis.empirical.candidates import FEWEST_SESSIONS
 from trackres_ros.diagnosis.empirical.level_changes import LevelChange, find_change, piece_s, sharpened
@@ -14,11 +14,6 @@ from trackres_ros.diagnosis.empirical.spells import blocks
 WHITE_NM, COLOURED_NM = 40.0, 40.0
 MINUTE = 60  # samples
 LONG, SHORT = (1350, 1350), (600,) * 7
-
-
-def autoregression(n, rng, seconds, size):
-    keep = np.exp(-1.0 / seconds)
-    return lfilter([1.0], [1.0, -keep], rng.normal(0.0, size * np.sqrt(1.0 - keep**2), n + 5000))[5000:]
 
 
 def noise(lengths, rng, seconds=3.0):

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from streets import autoregression
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.empirical.finders import driven_along
@@ -18,11 +18,6 @@ from trackres_ros.diagnosis.prepare.gate import gate
 WHITE_NM, COLOURED_NM = 40.0, 40.0
 LAP_M, BEGIN_M, END_M = 1870.0, 420.0, 610.0
 LONG = (1350, 1350)  # samples of 1 s
-
-
-def autoregression(n, rng, seconds, size):
-    keep = np.exp(-1.0 / seconds)
-    return lfilter([1.0], [1.0, -keep], rng.normal(0.0, size * np.sqrt(1.0 - keep**2), n + 5000))[5000:]
 
 
 def spells(n, rng, on_s, off_s):

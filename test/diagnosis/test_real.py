@@ -8,10 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import trackres_ros as tr
-from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
@@ -32,44 +30,40 @@ pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no real recordings on
 
 
 @pytest.fixture
-def run(check_form):
-    def run_it(vehicle, out, *given):
-        found = diagnosed_by_command(vehicle, out, *given)
-        check_form(found)
-        return found
+def report_of(run):
+    def diagnosed(vehicle, out, *given):
+        done = run((), out, *given, vehicle=vehicle)
+        if done.exception and not isinstance(done.exception, SystemExit):
+            raise done.exception
+        return json.loads((out / "report.json").read_text())
 
-    return run_it
-
-
-def diagnosed_by_command(vehicle, out, *given):
-    done = CliRunner().invoke(cli, ["diagnose", *map(str, given), "--vehicle", vehicle, "-o", str(out), "--quick", "--no-page"])
-    if done.exception and not isinstance(done.exception, SystemExit):
-        raise done.exception
-    return json.loads((Path(out) / "report.json").read_text())
+    return diagnosed
 
 
-def test_a_robot_off_the_ground_neither_rolls_nor_turns(run, tmp_path):
-    found = run("husky", tmp_path / "out", robot(DATA, "husky_avide2", tmp_path))
+def test_a_robot_off_the_ground_neither_rolls_nor_turns(report_of, tmp_path):
+    found = report_of("husky", tmp_path / "out", robot(DATA, "husky_avide2", tmp_path))
     assert {"turning_scrub", "cornering", "soft_ground", "grade"}.isdisjoint(n for e in found["effects"] for n in e["class"])
 
 
-def test_a_robot_on_wet_grass_shows_scrub_with_a_known_yaw_rate(run, tmp_path):
+def test_a_robot_on_wet_grass_shows_scrub_with_a_known_yaw_rate(report_of, tmp_path):
     path = robot(DATA, "husky_wetgrass", tmp_path)
-    found = run("husky", tmp_path / "known", path)
+    found = report_of("husky", tmp_path / "known", path)
     (effect,) = found["effects"]
     assert effect["class"] == ["turning_scrub"]
     assert 0.2 < effect["parameters"]["friction"]["value"] < 1.2
     assert found["heldout"]["mae"]["with_effects"] < 0.6 * found["heldout"]["mae"]["refitted"]
     nothing_turns = [word for channel in SHOWS_TURNING for word in ("--hide", channel)]
-    assert not any("turning_scrub" in e["class"] for e in run("husky", tmp_path / "hidden", path, *nothing_turns)["effects"])
-    by_wheels = run("husky", tmp_path / "wheels", path, *(word for channel in BUT_WHEELS for word in ("--hide", channel)))
+    assert not any(
+        "turning_scrub" in e["class"] for e in report_of("husky", tmp_path / "hidden", path, *nothing_turns)["effects"]
+    )
+    by_wheels = report_of("husky", tmp_path / "wheels", path, *(word for channel in BUT_WHEELS for word in ("--hide", channel)))
     assert [e["name"] for e in by_wheels["effects"]] == ["turning_scrub"]
 
 
-def test_of_half_a_winter_nothing_is_named_but_what_warms_up(run, tmp_path):
+def test_of_half_a_winter_nothing_is_named_but_what_warms_up(report_of, tmp_path):
     winter = [name for name in trips(DATA) if name.startswith("TripB")]
     paths = [car(DATA, name, tmp_path) for name in winter[::2]]  # half of them do; docs/proof-real.md is of all
-    found = run("bmw_i3", tmp_path / "out", *paths, "--hide", "ambient")
+    found = report_of("bmw_i3", tmp_path / "out", *paths, "--hide", "ambient")
     # Half of the trips hold evidence at the edge of what is named: a class in which it warms up, or no name at all.
     assert found["verdict"]["status"] in ("one_of", "unexplained", "described")
     for effect in found["effects"]:
@@ -77,9 +71,9 @@ def test_of_half_a_winter_nothing_is_named_but_what_warms_up(run, tmp_path):
     assert found["heldout"]["mae"]["with_effects"] <= found["heldout"]["mae"]["refitted"]
 
 
-def test_the_car_is_refitted_to_values_of_a_car(run, tmp_path):
+def test_the_car_is_refitted_to_values_of_a_car(report_of, tmp_path):
     paths = [car(DATA, name, tmp_path) for name in ("TripB18", "TripB21", "TripB24")]
-    found = run("bmw_i3", tmp_path / "out", *paths)
+    found = report_of("bmw_i3", tmp_path / "out", *paths)
     refitted = {name: q["value"] for name, q in found["base"]["refitted"].items()}
     assert 1.0 < refitted["rotating_mass_factor"] < 1.25
     assert 0.3 < refitted["drag_area"] < 0.9
@@ -132,10 +126,10 @@ def test_a_refitted_bus_is_no_worse_than_its_file_or_robust_fit(bus, robust_leas
     assert error["refitted"] < 1.02 * error["robust"]
 
 
-def test_a_bag_without_a_torque_has_nothing_to_diagnose(run, tmp_path):
+def test_a_bag_without_a_torque_has_nothing_to_diagnose(report_of, tmp_path):
     bag = DATA / "rosbag_gps_vehicle" / "bag"
     with pytest.raises(InputError, match="torque"):
-        run("xgd24d", tmp_path / "out", bag)
+        report_of("xgd24d", tmp_path / "out", bag)
 
 
 @needs_bus

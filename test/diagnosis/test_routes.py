@@ -8,11 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from streets import LAP_M, autoregression, drive, position_of, slope_at
 
 import trackres_ros as tr
-from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.base.base import Acting
 from trackres_ros.diagnosis.base.patterns import SlopeByPlace, TorqueByPlace
@@ -151,14 +149,17 @@ def as_table(path, session, one):
     return path
 
 
-def diagnose(recording, out, vehicle="ztbus_hess19", surroundings=None, page=False):
+@pytest.fixture(scope="module")
+def diagnose(run):
     """The report of `trackres diagnose`."""
-    given = ["--surroundings", str(surroundings)] if surroundings else []
-    words = ["diagnose", str(recording), "--vehicle", str(vehicle), *given, "-o", str(out), "--quick"]
-    words += [] if page else ["--no-page"]
-    done = CliRunner().invoke(cli, words)
-    assert done.exit_code == 0, done.output
-    return json.loads((out / "report.json").read_text())
+
+    def report_of(recording, out, vehicle="ztbus_hess19", surroundings=None, page=False):
+        given = ("--surroundings", surroundings) if surroundings else ()
+        done = run([recording], out, *given, page=page, vehicle=vehicle)
+        assert done.exit_code == 0, done.output
+        return json.loads((out / "report.json").read_text())
+
+    return report_of
 
 
 ROUNDS = (1, -1, 1, -1, 1, -1, 1, -1)
@@ -171,14 +172,14 @@ def hilly(base, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def diagnosed(hilly, tmp_path_factory):
+def diagnosed(hilly, diagnose, tmp_path_factory):
     out = tmp_path_factory.mktemp("diagnosed")
     diagnose(hilly, out, page=True)
     return out
 
 
 @pytest.fixture(scope="module")
-def soft(base, tmp_path_factory):
+def soft(base, diagnose, tmp_path_factory):
     """A table of rounds over soft ground, and what a diagnosis leaves of it."""
     made = session_of(base, 22, ROUNDS, soft_nm=2500.0)
     folder = tmp_path_factory.mktemp("soft")
@@ -186,9 +187,8 @@ def soft(base, tmp_path_factory):
     return *made, path, folder, diagnose(path, folder / "out")
 
 
-def test_the_diagnosis_names_it_and_draws_it(diagnosed, check_form):
+def test_the_diagnosis_names_it_and_draws_it(diagnosed):
     report = json.loads((diagnosed / "report.json").read_text())
-    check_form(report)
     assert report["verdict"]["status"] == "named"
     assert report["effects"][0]["name"] == "grade"
     assert report["effects"][0]["grade"] == "confirmed"
@@ -258,7 +258,7 @@ def test_soft_ground_is_described_confirmed_and_written_each_way(soft):
         assert 20.0 < np.nanmedian(std) < 600.0
 
 
-def test_with_its_written_files_a_rerun_finds_nothing_new(soft):
+def test_with_its_written_files_a_rerun_finds_nothing_new(soft, diagnose):
     _, _, path, folder, report = soft
     out = folder / "out"
     again = diagnose(path, folder / "again", out / "vehicle.yaml", out / "surroundings.yaml")
@@ -272,7 +272,7 @@ def test_with_its_written_files_a_rerun_finds_nothing_new(soft):
     np.testing.assert_array_equal(written.value, kept.value)  # what was given is written on
 
 
-def test_given_the_slope_the_torque_is_found_and_written_with_it(base, diagnosed, tmp_path):
+def test_given_the_slope_the_torque_is_found_and_written_with_it(base, diagnosed, diagnose, tmp_path):
     """Of the block's slope from elsewhere, and rounds that have soft ground too."""
     path = as_table(tmp_path / "rounds.csv", *session_of(base, 23, ROUNDS, slope=1.0, soft_nm=2500.0))
     report = diagnose(path, tmp_path / "out", diagnosed / "vehicle.yaml", diagnosed / "surroundings.yaml")

@@ -28,6 +28,7 @@ STREET_M = 1000.0
 START_NS = 1_700_000_000 * SECOND_NS
 SOFT_NM, BACK_NM, STD_NM = 900.0, 300.0, 120.0
 POSITIONS = at.LATITUDE, at.LONGITUDE
+WAY = np.arange(50.0, 950.0, 8.0)  # of most drives, at 8 m/s
 
 
 def slope_at(way):
@@ -67,11 +68,11 @@ def on(slopes, torques):
     return {name: Estimator(replace(vehicle, route=route)) for name, route in routes.items()}
 
 
-def messages(way, speed, aside=0.0, scatter_m=0.0, hidden=(), step_s=1.0, more=()):
+def messages(way=WAY, speed=8.0, aside=0.0, scatter_m=0.0, hidden=(), step_s=1.0, more=()):
     """Messages of a vehicle in each second: channel, stamp and value; `more` of (sample, channel, value) come before the
     speed.
     """
-    rng, n = np.random.default_rng(1), len(way)
+    rng, n, speed = np.random.default_rng(1), len(way), np.broadcast_to(speed, way.shape)
     x, y = (autoregression(n, rng, 30.0, scatter_m) + where for where in (way, np.broadcast_to(aside, way.shape)))
     latitude, longitude = Frame(LATITUDE, LONGITUDE).position(x, y)
     found = []
@@ -91,6 +92,18 @@ def driven(estimator, sent, session=None):
     return steps.rows.copy()
 
 
+def one_by_one(session, sent):
+    """The same by single messages, each with its arrival."""
+    estimates = (session.handle(channel, stamp, arrival, float(value)) for channel, stamp, arrival, value in sent)
+    return np.array([estimate.row for estimate in estimates if estimate is not None])
+
+
+def late(sent, offset_s):
+    """Messages with arrivals, their positions on the clock of a receiver that is so far ahead."""
+    ahead = dict.fromkeys(POSITIONS, round(offset_s * SECOND_NS))
+    return [(channel, stamp + ahead.get(channel, 0), stamp, value) for channel, stamp, value in sent]
+
+
 def slope_of(estimator, rows):
     """The slope used by a step; nan off the route."""
     radius = estimator.vehicle.track_of(estimator.vehicle.assemblies[0]).sprocket_radius
@@ -103,24 +116,22 @@ def reasons_of(rows):
     return rows[:, at.Results.reasons].astype(int)
 
 
-def followed(estimator, way, speed, **given):
-    return slope_of(estimator, driven(estimator, messages(way, speed, **given)))
+def followed(estimator, *way_and_speed, **given):
+    return slope_of(estimator, driven(estimator, messages(*way_and_speed, **given)))
 
 
 def test_the_slope_is_that_of_the_place_either_way(on):
-    way = np.arange(50.0, 950.0, 8.0)
-    there = followed(on["slopes"], way, np.full(len(way), 8.0))
-    back = followed(on["slopes"], way[::-1], np.full(len(way), 8.0))[::-1]
-    assert np.abs(there - slope_at(way))[3:-3].max() < 0.004
-    assert np.abs(back + slope_at(way))[3:-3].max() < 0.004
+    there = followed(on["slopes"])
+    back = followed(on["slopes"], WAY[::-1])[::-1]
+    assert np.abs(there - slope_at(WAY))[3:-3].max() < 0.004
+    assert np.abs(back + slope_at(WAY))[3:-3].max() < 0.004
 
 
 def test_scatter_of_positions_leaves_it_usable(on):
-    way = np.arange(50.0, 950.0, 8.0)
-    found = followed(on["slopes"], way, np.full(len(way), 8.0), scatter_m=6.0)
+    found = followed(on["slopes"], scatter_m=6.0)
     known = np.isfinite(found)
     assert known.mean() > 0.9
-    assert np.abs(found - slope_at(way))[known].mean() < 0.008
+    assert np.abs(found - slope_at(WAY))[known].mean() < 0.008
 
 
 @pytest.mark.parametrize("back", [3.0, 0.2])
@@ -141,29 +152,24 @@ def test_standing_it_keeps_its_slope_whatever_positions_scatter(on):
 
 
 def test_a_short_gap_is_bridged_and_a_long_one_is_not(on):
-    way = np.arange(50.0, 950.0, 8.0)
     hidden = (*range(20, 26), *range(50, 90))
-    rows = driven(on["slopes"], messages(way, np.full(len(way), 8.0), hidden=hidden))
+    rows = driven(on["slopes"], messages(hidden=hidden))
     found = slope_of(on["slopes"], rows)
-    assert np.abs(found - slope_at(way))[20:26].max() < 0.006
+    assert np.abs(found - slope_at(WAY))[20:26].max() < 0.006
     assert np.isnan(found[66:90]).all()
     assert (reasons_of(rows)[66:90] & Reason.PLACE_UNKNOWN).all()
 
 
 @pytest.mark.parametrize("offset_s", [0.0, 3600.0])
 def test_a_repeated_position_is_none_whatever_its_clock(slopes, offset_s):
-    way, kept = np.arange(50.0, 950.0, 8.0), 40
+    kept = 40
     estimator = Estimator(replace(tr.load_vehicle("xgd24d"), route=(slopes,)), Settings(position_hold_s=60.0))
-    sent, missing = (messages(way, np.full(len(way), 8.0), hidden=hidden) for hidden in ((), range(kept, len(way))))
-    last = {channel: value for channel, _, value in sent[: 3 * kept]}
-    session, rows = estimator.session(), []
-    for i, (channel, stamp, value) in enumerate(sent):
-        of_receiver = round(offset_s * SECOND_NS) if channel in POSITIONS else 0
-        repeated = last[channel] if channel in POSITIONS and i >= 3 * kept else float(value)
-        if (estimate := session.handle(channel, stamp + of_receiver, stamp, repeated)) is not None:
-            rows.append(estimate.row)
-    np.testing.assert_array_equal(np.array(rows), driven(estimator, missing))
-    assert (reasons_of(np.array(rows))[kept + 13 :] & Reason.PLACE_UNKNOWN).all()
+    sent, missing = (messages(hidden=hidden) for hidden in ((), range(kept, len(WAY))))
+    last = {channel: value for channel, _, value in sent[: 3 * kept] if channel in POSITIONS}
+    repeated = [(channel, stamp, last.get(channel, value)) for channel, stamp, value in sent[3 * kept :]]
+    rows = one_by_one(estimator.session(), late([*sent[: 3 * kept], *repeated], offset_s))
+    np.testing.assert_array_equal(rows, driven(estimator, missing))
+    assert (reasons_of(rows)[kept + 13 :] & Reason.PLACE_UNKNOWN).all()
 
 
 def test_without_a_position_it_comes_back_on_its_way(on):
@@ -175,8 +181,7 @@ def test_without_a_position_it_comes_back_on_its_way(on):
 
 @pytest.mark.parametrize(("apart_ns", "is_one"), [(-5_000_000, True), (5_000_000, True), (100_000_000, False)])
 def test_halves_of_a_position_are_at_most_50_ms_apart(on, apart_ns, is_one):
-    way = np.arange(50.0, 950.0, 8.0)
-    sent = messages(way, np.full(len(way), 8.0))
+    sent = messages()
     shifted = [(channel, stamp + (apart_ns if channel == at.LONGITUDE else 0), value) for channel, stamp, value in sent]
     unknown = reasons_of(driven(on["slopes"], shifted)) & Reason.PLACE_UNKNOWN > 0
     assert not unknown[5:].any() if is_one else unknown.all()
@@ -184,7 +189,7 @@ def test_halves_of_a_position_are_at_most_50_ms_apart(on, apart_ns, is_one):
 
 def test_how_long_a_position_holds_is_a_setting(slopes):
     way = np.arange(50.0, 950.0, 2.0)
-    sent = messages(way, np.full(len(way), 2.0), hidden=range(100, 140))
+    sent = messages(way, 2.0, hidden=range(100, 140))
     for hold_s, last in ((3.0, 103), (30.0, 130)):
         estimator = Estimator(replace(tr.load_vehicle("xgd24d"), route=(slopes,)), Settings(position_hold_s=hold_s))
         unknown = reasons_of(driven(estimator, sent)) & Reason.PLACE_UNKNOWN > 0
@@ -195,8 +200,7 @@ def test_how_long_a_position_holds_is_a_setting(slopes):
 
 @pytest.mark.parametrize("aside", [60.0, -200.0])
 def test_off_the_street_nothing_is_expected_and_status_says_why(on, aside):
-    way = np.arange(50.0, 950.0, 8.0)
-    rows = driven(on["both"], messages(way, np.full(len(way), 8.0), aside=aside))
+    rows = driven(on["both"], messages(aside=aside))
     assert np.isnan(slope_of(on["both"], rows)).all()
     assert (rows[:, at.Results.effects_nm] == 0.0).all()
     assert (reasons_of(rows) & Reason.OFF_ROUTE).all()
@@ -204,29 +208,27 @@ def test_off_the_street_nothing_is_expected_and_status_says_why(on, aside):
 
 
 def test_a_measured_slope_comes_before_that_of_the_place(on):
-    way = np.arange(50.0, 950.0, 8.0)
     more = [(i, at.GRADE, 0.07) for i in range(60)]
-    rows = driven(on["slopes"], messages(way, np.full(len(way), 8.0), more=more))
+    rows = driven(on["slopes"], messages(more=more))
     found = slope_of(on["slopes"], rows)
     assert found[10:60] == pytest.approx(0.07)
     assert not (reasons_of(rows)[:60] & (Reason.OFF_ROUTE | Reason.PLACE_UNKNOWN)).any()
-    assert np.abs(found - slope_at(way))[62:].max() < 0.004
+    assert np.abs(found - slope_at(WAY))[62:].max() < 0.004
 
 
 def test_the_torque_of_a_place_is_signed_against_travel(on):
-    way = np.arange(50.0, 950.0, 8.0)
-    rows = driven(on["torques"], messages(way, np.full(len(way), 8.0)))
-    soft = (way > 370.0) & (way < 630.0)
+    rows = driven(on["torques"], messages())
+    soft = (WAY > 370.0) & (WAY < 630.0)
     assert rows[soft, at.Results.effects_nm] == pytest.approx(SOFT_NM, rel=1e-6)
-    back = driven(on["torques"], messages(way[::-1], np.full(len(way), 8.0)))[::-1]
+    back = driven(on["torques"], messages(WAY[::-1]))[::-1]
     assert back[soft, at.Results.effects_nm] == pytest.approx(BACK_NM, rel=1e-6)
-    reverse = driven(on["torques"], messages(way[::-1], np.full(len(way), -4.0), step_s=2.0))[::-1]
+    reverse = driven(on["torques"], messages(WAY[::-1], -4.0, step_s=2.0))[::-1]
     assert reverse[soft, at.Results.effects_nm] == pytest.approx(-BACK_NM, rel=1e-6)
 
 
 def test_an_undriven_direction_expects_nothing_and_is_reported(on):
-    way = np.arange(50.0, 950.0, 8.0)[::-1]
-    rows = driven(on["torques"], messages(way, np.full(len(way), 8.0)))
+    way = WAY[::-1]
+    rows = driven(on["torques"], messages(way))
     never, driven_so = way < 290.0, (way > 350.0) & (way < 900.0)
     assert (rows[never, at.Results.effects_nm] == 0.0).all()
     assert (reasons_of(rows)[never] & Reason.OFF_ROUTE).all()
@@ -234,15 +236,14 @@ def test_an_undriven_direction_expects_nothing_and_is_reported(on):
 
 
 def test_the_torque_of_a_place_enters_drive_torque_and_its_std(on):
-    way = np.arange(50.0, 950.0, 8.0)
-    sent = messages(way, np.full(len(way), 8.0))
+    sent = messages()
     bare, soft = (driven(on[name], sent) for name in ("none", "torques"))
     place = soft[:, at.Results.effects_nm]
     np.testing.assert_allclose(
         soft[:, at.Results.resistance_torque_nm] - bare[:, at.Results.resistance_torque_nm], place, atol=1.0
     )  # it strains belts too
     np.testing.assert_allclose(soft[:, at.Results.drive_torque_nm] - bare[:, at.Results.drive_torque_nm], place, atol=1.0)
-    known = np.arange(len(way)) > 5
+    known = np.arange(len(WAY)) > 5
     of_place = np.sqrt(soft[:, at.Results.resistance_std_nm] ** 2 - bare[:, at.Results.resistance_std_nm] ** 2)
     assert of_place[known] == pytest.approx(STD_NM, rel=0.05)
 
@@ -252,8 +253,7 @@ def test_nothing_of_it_is_fed_forward_whatever_parts_are(name, slopes, torques):
     settings = Settings(feedforward_parts=("hysteresis", "bearing", "wind", "grade", "inertia"))
     vehicle = replace(tr.load_vehicle("xgd24d"), thermal="lumped")
     route = {"slopes": (slopes,), "torques": (torques,), "both": (slopes, torques)}[name]
-    way = np.arange(50.0, 950.0, 8.0)
-    sent = messages(way, np.full(len(way), 8.0))
+    sent = messages()
     found, bare = (driven(Estimator(replace(vehicle, route=of), settings), sent) for of in (route, ()))
     assert np.abs(found[:, at.Results.drive_torque_nm] - bare[:, at.Results.drive_torque_nm]).max() > 800.0
     np.testing.assert_allclose(found[:, at.Results.feedforward_torque_nm], bare[:, at.Results.feedforward_torque_nm], atol=1.0)
@@ -279,19 +279,13 @@ def test_at_a_standstill_nothing_pushes_whatever_the_table_says(torque, slope, p
 
 def test_single_messages_and_blocks_give_the_same_bits(on):
     way = np.arange(50.0, 950.0, 3.0)
-    sent = messages(way, np.full(len(way), 3.0), scatter_m=4.0, hidden=range(90, 130))
-    whole = driven(on["both"], sent)
-    session, rows = on["both"].session(), []
-    for channel, stamp, value in sent:
-        estimate = session.handle(channel, stamp, stamp, float(value))
-        if estimate is not None:
-            rows.append(estimate.row)
-    np.testing.assert_array_equal(np.array(rows), whole)
+    sent = messages(way, 3.0, scatter_m=4.0, hidden=range(90, 130))
+    np.testing.assert_array_equal(one_by_one(on["both"].session(), late(sent, 0.0)), driven(on["both"], sent))
 
 
 def test_resumed_on_the_way_the_numbers_are_the_same_bits(on, tmp_path):
     way = np.arange(50.0, 950.0, 3.0)
-    sent = messages(way, np.full(len(way), 3.0), scatter_m=4.0)
+    sent = messages(way, 3.0, scatter_m=4.0)
     whole = driven(on["both"], sent)
     first = on["both"].session()
     before = driven(on["both"], sent[:400], first)
@@ -302,7 +296,7 @@ def test_resumed_on_the_way_the_numbers_are_the_same_bits(on, tmp_path):
 
 def test_a_state_of_another_route_is_refused(on, slopes, tmp_path):
     session = on["slopes"].session()
-    driven(on["slopes"], messages(np.arange(50.0, 90.0, 8.0), np.full(5, 8.0)), session)
+    driven(on["slopes"], messages(WAY[:5]), session)
     snapshot.save(session, tmp_path / "state.json", saved_at=1.0)
     other = Estimator(replace(on["slopes"].vehicle, route=(slopes.times(2.0),)))
     with pytest.raises(tr.InputError, match="other values"):
@@ -311,8 +305,7 @@ def test_a_state_of_another_route_is_refused(on, slopes, tmp_path):
 
 @pytest.mark.parametrize("broken", [math.nan, 7.0])
 def test_a_position_of_which_one_half_is_refused_is_none(on, broken):
-    way = np.arange(50.0, 950.0, 8.0)
-    sent = messages(way, np.full(len(way), 8.0))
+    sent = messages()
     spoilt = [(c, stamp, broken if c == at.LONGITUDE and i > 180 else value) for i, (c, stamp, value) in enumerate(sent)]
     session = on["slopes"].session()
     rows = driven(on["slopes"], spoilt, session)
@@ -324,22 +317,14 @@ def test_a_position_of_which_one_half_is_refused_is_none(on, broken):
 
 
 def test_a_receiver_whose_clock_is_another_is_followed_too(on):
-    way = np.arange(50.0, 950.0, 8.0)
-    sent = messages(way, np.full(len(way), 8.0))
+    sent = messages()
     for offset_s in (-3600.0, -0.4, 0.4, 3600.0):
-        session, rows = on["slopes"].session(), []
-        for channel, stamp, value in sent:
-            of_receiver = round(offset_s * SECOND_NS) if channel in POSITIONS else 0
-            estimate = session.handle(channel, stamp + of_receiver, stamp, float(value))
-            if estimate is not None:
-                rows.append(estimate.row)
-        found = slope_of(on["slopes"], np.array(rows))
-        assert np.abs(found - slope_at(way))[5:-3].max() < 0.007, offset_s
+        found = slope_of(on["slopes"], one_by_one(on["slopes"].session(), late(sent, offset_s)))
+        assert np.abs(found - slope_at(WAY))[5:-3].max() < 0.007, offset_s
 
 
 def test_time_that_goes_back_forgets_the_place(on):
-    way = np.arange(50.0, 450.0, 8.0)
-    sent = messages(way, np.full(len(way), 8.0))
+    sent = messages(WAY[WAY < 450.0])
     session = on["slopes"].session()
     driven(on["slopes"], sent, session)
     session.start_anew(time_went_back=True)
