@@ -8,49 +8,13 @@ import json
 import numpy as np
 import pytest
 from csv_tables import rewritten
-from hypothesis import given
-from hypothesis import strategies as st
 
 from trackres_ros.diagnosis.findings.verdict import Verdict
-from trackres_ros.diagnosis.selection.confirm import Graded
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED, NO_WORSE, REFUTED, SUSPECTED, HeldOutLaps, Improvement
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, NO_WORSE, REFUTED, SUSPECTED, HeldOutLaps
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.synthetic import drives
 
 PUMP_NM, PUMP_S = 600.0, 100.0
-
-
-@given(st.floats(1.0, 1e3), st.floats(0.0, 2e3), st.floats(-1e3, 1e3), st.floats(0.0, 1e3))
-def test_a_grade_is_never_better_than_its_interval(before, after, low, wide):
-    grade = Improvement(before, after, low, low + wide).grade
-    assert grade in (CONFIRMED, SUSPECTED, REFUTED)
-    if after > NO_WORSE * before or low + wide < 0.0:
-        assert grade == REFUTED
-    elif low <= 0.0:
-        assert grade == SUSPECTED
-    assert Graded("x", Improvement(before, after, low, low + wide), ("edge",)).grade != CONFIRMED
-
-
-@given(st.integers(1, 40), st.integers(0, 2**31))
-def test_equal_error_is_suspected_and_smaller_error_confirmed(laps, seed):
-    rng = np.random.default_rng(seed)
-    (session,) = drives_like(laps * 60)
-    held = HeldOutLaps([session], [np.ones(len(session), dtype=bool)], rng)
-    wrong = [session.torque + rng.normal(0.0, 30.0, len(session))]
-    assert held.improvement(wrong, wrong).grade == SUSPECTED
-    better = [session.torque + 0.5 * (wrong[0] - session.torque)]
-    assert held.improvement(wrong, better).grade == CONFIRMED
-    assert held.improvement(better, wrong).grade == REFUTED
-
-
-def drives_like(seconds):
-    from trackres_ros.diagnosis.prepare.session import DriveSession
-
-    series = np.zeros(seconds)
-    time = np.arange(seconds, dtype=float)
-    return (
-        DriveSession("laps", 1.0, time, *(series,) * 8, series + 100.0, series, series == 0.0, (time // 60).astype(np.int64)),
-    )
 
 
 def test_laps_without_a_sample_are_refused(loaded):

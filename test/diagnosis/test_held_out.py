@@ -5,6 +5,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOutLaps, Improvement, held_out
@@ -37,6 +39,17 @@ def session(laps, lap_s=60, torque=None, name="drive", first=0):
     none = np.zeros(len(time))
     block = first + (time // lap_s).astype(np.int64)
     return DriveSession(name, 1.0, time, *(none,) * 8, none if torque is None else torque, none, none == 0.0, block)
+
+
+@given(st.integers(1, 40), st.integers(0, 2**31))
+def test_equal_error_is_suspected_and_smaller_error_confirmed(laps, seed):
+    rng, one = np.random.default_rng(seed), session(laps)
+    held = HeldOutLaps([one], [np.ones(len(one), dtype=bool)], rng)
+    wrong = [one.torque + rng.normal(0.0, 30.0, len(one))]
+    assert held.improvement(wrong, wrong).grade == SUSPECTED
+    better = [one.torque + 0.5 * (wrong[0] - one.torque)]
+    assert held.improvement(wrong, better).grade == CONFIRMED
+    assert held.improvement(better, wrong).grade == REFUTED
 
 
 def test_many_laps_are_resampled_whole_and_few_in_minute_pieces():

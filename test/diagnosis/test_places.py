@@ -4,11 +4,12 @@
 """A torque at the same place on each pass: found where there is one, with place and size, and nowhere else."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from streets import autoregression
+import streets
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.empirical.finders import driven_along
@@ -18,6 +19,7 @@ from trackres_ros.diagnosis.prepare.gate import gate
 WHITE_NM, COLOURED_NM = 40.0, 40.0
 LAP_M, BEGIN_M, END_M = 1870.0, 420.0, 610.0
 LONG = (1350, 1350)  # samples of 1 s
+autoregression = partial(streets.autoregression, lead=5000)
 
 
 def spells(n, rng, on_s, off_s):

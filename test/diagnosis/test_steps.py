@@ -3,7 +3,6 @@
 
 """The steps of the diagnosis by themselves: laws first."""
 
-import pickle
 from dataclasses import fields, replace
 from itertools import chain, combinations, pairwise
 
@@ -354,9 +353,3 @@ def test_every_menu_manoeuvre_is_long_enough_to_diagnose(problem):
         made = drive(problem.sessions[0])
         assert len(made) * made.step >= SHORTEST_S, name
         assert (np.abs(made.speed) > SLOWEST_MPS).sum() * made.step >= SHORTEST_MOVING_S, name
-
-
-def test_a_refusal_crosses_from_one_process_to_another():
-    refused = pickle.loads(pickle.dumps(InputError("a.csv", 3, "more than 4", "drive on")))
-    assert isinstance(refused, InputError)
-    assert str(refused) == "a.csv: given 3; allowed: more than 4; drive on"

@@ -27,9 +27,9 @@ def place_at(way):
     return tuple(np.interp(way % LAP_M, _WAY, part) for part in _ROUND)
 
 
-def autoregression(n, rng, seconds, size):
+def autoregression(n, rng, seconds, size, lead=2000):
     keep = np.exp(-1.0 / seconds)
-    return lfilter([1.0], [1.0, -keep], rng.normal(0.0, size * np.sqrt(1.0 - keep**2), n + 2000))[2000:]
+    return lfilter([1.0], [1.0, -keep], rng.normal(0.0, size * np.sqrt(1.0 - keep**2), n + lead))[lead:]
 
 
 @dataclass(frozen=True)

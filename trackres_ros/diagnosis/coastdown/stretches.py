@@ -175,7 +175,6 @@ def _of_offset(session: DriveSession, falls: Mask, limit: float, role: str) -> l
 
 
 def _without_torque(recording: Recording) -> Recording:
-    """The same with a torque of zero."""
     if "speed" not in recording.series:
         return recording
     speed = recording.series["speed"]

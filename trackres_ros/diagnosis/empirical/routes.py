@@ -235,7 +235,6 @@ def _shows_on_others(
 
 
 def _effect(current: Fit, roads: Roads, best: _ByPlace, passes: NDArray[np.int64]) -> ByPlace:
-    """The learned values as an effect."""
     facts, masks = current.problem.base.facts, current.problem.masks
     route, shape = _map(roads, best.kind, best.learned, passes), best.expected
     if best.kind == SLOPE:

@@ -152,7 +152,6 @@ def _of_build_up(effect: BuildUp, values: Mapping[str, float]) -> Described:
 
 
 def _of_threshold(effect: Corner | Latch, values: Mapping[str, float]) -> Described:
-    """Describe a step, a hinge or a latch."""
     follows, level, scale = learned.VARIABLES[effect.variable], values["y1"], values["x2"] - values["x1"]
     form: Form
 
@@ -179,7 +178,6 @@ def _of_threshold(effect: Corner | Latch, values: Mapping[str, float]) -> Descri
 
 
 def _of_gain(effect: SidedGain, values: Mapping[str, float]) -> Described:
-    """Describe another gain for one sign of the torque."""
     gain, side, follows = values["gain"], learned.SIDES[effect.side], learned.VARIABLES[effect.variable]
     text = f"The torque {side.text} is {abs(gain):.1%} {'larger' if gain > 0.0 else 'smaller'} than in the model"
     size, mechanisms = abs(gain) * values["x1"], OF_GAINS[effect.side]
@@ -293,5 +291,4 @@ def _more_or_less(by: float) -> str:
 
 
 def _signed(torque: float) -> str:
-    """A torque with its sign."""
     return f"{'+' if torque > 0.0 else ''}{figures(torque)} Nm"

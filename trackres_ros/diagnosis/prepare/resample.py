@@ -310,7 +310,6 @@ def _slope(grid: _Grid) -> Mask:
 
 
 def _braked(grid: _Grid, binding: TopicBinding) -> Mask:
-    """Steps with brakes on."""
     if not grid.has("brake"):
         return grid.nowhere
     grid.given.add("brake")
@@ -333,7 +332,6 @@ def _driven(speed: Array, by_way: Array | None) -> Array:
 
 
 def _course(torques: Sequence[tuple[Array, Array]]) -> Cumulative:
-    """Sum of the measured torques."""
     at = np.unique(np.concatenate([t for t, _ in torques]))
     return Cumulative.of(at, np.sum([np.interp(at, t, v) for t, v in torques], axis=0))
 

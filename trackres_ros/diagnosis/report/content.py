@@ -134,7 +134,6 @@ def _verdict(d: Diagnosis) -> dict[str, Any]:
 
 
 def _held_out(d: Diagnosis) -> dict[str, Any]:
-    """Errors on the hold-out laps."""
     of = d.held_out
     return {
         "laps": of.laps,
@@ -160,7 +159,6 @@ def _advice(d: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _candidate(round_: int, c: Candidate, step: Step) -> dict[str, Any]:
-    """A candidate of a round, and why it was chosen or not."""
     return {
         "round": round_,
         "name": c.name,
@@ -191,7 +189,6 @@ def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
 
 
 def _why(c: Candidate, step: Step) -> str:
-    """Why a candidate was chosen or not."""
     if step.chosen is c:
         return "chosen"
     if step.chosen is not None and c.name in step.members:
@@ -289,7 +286,6 @@ def _term(of: Described, improvement: Improvement | None, grade: str) -> dict[st
 
 
 def _route(route: Route, final: Fit) -> dict[str, Any]:
-    """A term by place."""
     learned = route.learned(final)
     return {
         "name": route.candidate.name,

@@ -185,7 +185,6 @@ def _places(torques: Array) -> int:
 
 
 def _nm(column: str, places: int) -> str:
-    """A torque of a column for Bokeh's hover."""
     return f"@{column}{{0{'.' + '0' * places if places else ''}}} Nm"
 
 

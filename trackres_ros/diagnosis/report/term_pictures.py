@@ -73,7 +73,6 @@ def _begins(d: Diagnosis) -> list[float]:
 
 
 def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], of: Described, path: Path) -> Picture:
-    """All recordings in sequence."""
     unit, word = clock(d)
     without = f"residual without the term, means over {lasting(d, SMOOTHED_S)}"
     with picture_with_legend(path, WIDTH, 3.0) as body:

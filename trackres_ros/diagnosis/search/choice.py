@@ -136,7 +136,6 @@ class Choice:
         return all(self.graded(judged, name).confirmed for name in judged.explanation.candidates)
 
     def _kept(self, judged: ScoredExplanation) -> Improvement:
-        """Improvement of the hold-out error."""
         return self._laps.improvement_of(self._refitted, judged.final)
 
     def best(self, keep_suspected: bool = False) -> Chosen:

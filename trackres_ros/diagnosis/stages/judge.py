@@ -142,7 +142,6 @@ def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen, as_file: 
 
 
 def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
-    """The named effects of the final fit."""
     final, sessions = chosen.final, chosen.final.problem.sessions
     of_base = torque_residuals(base.refitted)
     rms_nm = rms_over_time([smoothed(s, r) for s, r in zip(sessions, of_base, strict=True)])[1]
@@ -168,7 +167,6 @@ def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
 
 
 def _terms(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[UnnamedTerm]:
-    """The unnamed terms of the final fit."""
     final, of_base, terms = chosen.final, torque_residuals(base.refitted), []
     for name in final.effect_names:
         if not chosen.is_named(name):
