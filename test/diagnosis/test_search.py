@@ -15,7 +15,8 @@ from scipy.signal import lfilter
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT, with_levels
+from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, ScoredExplanation, _class_of, _competes
 from trackres_ros.diagnosis.search.cross_validation import FOLDS, CrossValidation
 from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Search
@@ -130,7 +131,7 @@ def test_what_is_expected_of_a_fold_is_that_of_a_fit_without_it(scaled):
     for fold in range(FOLDS):
         masks = tuple(m & (of != fold) for m, of in zip(problem.masks, validation._fold, strict=True))
         effects = [a.effect for a in true.effects]
-        refit = fit(replace(problem, masks=masks), effects, true.at, true.noises, largest_root=LARGEST_ROOT)
+        refit = fit(replace(problem, masks=masks), effects, true.at, true.noises, largest_root=SHORT_ROOT)
         at = fold_of == fold
         moved = validation._of([p.torque for p in refit.predicted])[at] - whole[at]
         off = score.expected[at] - whole[at] - moved

@@ -15,8 +15,7 @@ from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.instrument import instrument, narrowed
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.inference.fitting import Fit, Free, Problem, fit, free_parameters, jacobian, of_rows, valid_rows
-from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
-from trackres_ros.diagnosis.inference.noise import Noise
+from trackres_ros.diagnosis.inference.noise import SHORT_ROOT, Noise
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.diagnosis.prepare.split import split
@@ -71,7 +70,7 @@ def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = (
     (session,) = gated.sessions
     whole = Problem(loaded.base, gated.sessions, (session.used,))
     training = _training(session)
-    fitted = fit(Problem(loaded.base, gated.sessions, (training,)), weather(session, loaded.base), largest_root=LARGEST_ROOT)
+    fitted = fit(Problem(loaded.base, gated.sessions, (training,)), weather(session, loaded.base), largest_root=SHORT_ROOT)
     own = np.array([f.key[0] != Headwind.name for f in fitted.free])
     precision, linear, std = quadratic(whole, fitted)
     precision, linear, std = *whatever_others(precision, linear, own), std[own]
@@ -144,7 +143,7 @@ def quadratic(problem: Problem, fitted: Fit) -> tuple[Array, Array, Array]:
     nominal = np.array([f.nominal for f in free])
     std = np.array([f.std if np.isfinite(f.std) else f.scale for f in free])
     left = problem.residuals(problem.predict(*fitted.model_at(point)))
-    noises = problem.noises(left, LARGEST_ROOT)
+    noises = problem.noises(left, SHORT_ROOT)
     white = problem.white(left, noises)
 
     def expected(at: Array) -> Array:

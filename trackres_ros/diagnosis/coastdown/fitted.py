@@ -26,7 +26,7 @@ from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.coastdown.stretches import Rollouts, rollouts
 from trackres_ros.diagnosis.inference.blas_threads import one_blas_thread
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
-from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
+from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.prepare.refuse import check_speed
 from trackres_ros.diagnosis.prepare.resample import step_for
 from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, whole_past
@@ -177,7 +177,7 @@ def _fit(problem: Problem, start: Mapping[tuple[str, str], float] | None = None)
     weighs what the smoother makes of a release, which is alike in all coast-downs.
     """
     smoothed = any(session.accel_noise > 0.0 for session in problem.sessions)
-    return fit(problem, start=start, largest_root=WHITE if smoothed else LARGEST_ROOT)
+    return fit(problem, start=start, largest_root=WHITE if smoothed else SHORT_ROOT)
 
 
 def _with_free(base: Base, names: Collection[str]) -> Base:

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.empirical.waves import LONGEST_M
-from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
-from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise, whitened
+from trackres_ros.diagnosis.inference.noise import SHORT_ROOT, Noise, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import Array, Mask
 
 Indices = NDArray[np.int64]
@@ -85,7 +84,7 @@ class _Rows:
         loads: Sequence[Array],
     ) -> _Rows:  # fmt: skip
         """Whiten the residuals, with the noise of the remainder `left`."""
-        noise = estimate_noise(left, masks, LARGEST_ROOT)
+        noise = estimate_noise(left, masks, SHORT_ROOT)
         white, without = (
             np.concatenate([whitened(x, m, noise.phi) / noise.std for x, m in zip(of, masks, strict=True)])
             for of in (residuals, left)
@@ -148,7 +147,7 @@ def find_place(
         return None
     longest, ways = max(float(np.abs(d).max()) for d in distances), [_way(d) for d in distances]
     laps = _laps(longest, len(distances))
-    away = _whitened(means, known, ways, estimate_noise(means, known, LARGEST_ROOT))
+    away = _whitened(means, known, ways, estimate_noise(means, known, SHORT_ROOT))
     first = _best(away, laps, away)
     left = [m - x for m, x in zip(means, _expected(means, known, ways, first), strict=True)]
     noise = estimate_noise(left, known)

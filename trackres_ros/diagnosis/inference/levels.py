@@ -15,14 +15,13 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
-
-LARGEST_ROOT = 0.7
+from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 
 
 def with_levels(found: Fit, without: Collection[str] = (), fixed: Mapping[tuple[str, str], float] | None = None) -> Fit:
     """The same model, `without` some effects and with parameters `fixed` at a value, with predictive values."""
     effects = [a.effect for a in found.effects if a.effect.name not in without]
-    return fit(found.problem, effects, found.at, fixed=fixed, largest_root=LARGEST_ROOT)
+    return fit(found.problem, effects, found.at, fixed=fixed, largest_root=SHORT_ROOT)
 
 
 def for_tests(found: Fit) -> Fit:

@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
-from trackres_ros.diagnosis.inference.noise import estimate_noise, whitened
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
-from trackres_ros.diagnosis.selection.held_out import FEWEST_LAPS, PIECE_S, RESAMPLES, Improvement
+from trackres_ros.diagnosis.inference.noise import SHORT_ROOT, estimate_noise, whitened
+from trackres_ros.diagnosis.prepare.session import Array, Mask
+from trackres_ros.diagnosis.selection.held_out import FEWEST_LAPS, PIECE_S, RESAMPLES, Improvement, lap_pieces
 from trackres_ros.diagnosis.selection.visibility import base_columns
 
 FOLDS = 4
@@ -51,8 +50,8 @@ class CrossValidation:
         self._fold = [np.full(len(s), -1) for s in sessions]
         laps = np.unique(np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)]))
         if len(laps) < FOLDS:  # too few laps: pieces of time
-            laps = np.unique(np.concatenate([_piece(s)[m] for s, m in zip(sessions, masks, strict=True)]))
-            of = [_piece(s) for s in sessions]
+            laps = np.unique(np.concatenate([lap_pieces(s)[m] for s, m in zip(sessions, masks, strict=True)]))
+            of = [lap_pieces(s) for s in sessions]
         else:
             of = [s.block for s in sessions]
         for fold, mask, number in zip(self._fold, masks, of, strict=True):
@@ -62,7 +61,7 @@ class CrossValidation:
         self.measured = self._of([s.torque for s in sessions])
         pieces = self._of([s.block for s in sessions])
         if len(np.unique(pieces)) < FEWEST_LAPS:
-            pieces = self._of([_piece(s) for s in sessions])
+            pieces = self._of([lap_pieces(s) for s in sessions])
         _, first, self._pieces = np.unique(pieces, return_index=True, return_inverse=True)
         self._count = np.bincount(self._pieces)
         self._begin = self._of([s.time for s in sessions])[first]
@@ -102,7 +101,7 @@ class CrossValidation:
         error = [s.torque - e for s, e in zip(problem.sessions, expected, strict=True)]
         # Noise of the forecast: that of the fit is too small for unpredictable events, such as the start of a
         # spell.
-        noise = estimate_noise(error, self._scored, LARGEST_ROOT)
+        noise = estimate_noise(error, self._scored, SHORT_ROOT)
         density = []
         for left, mask in zip(error, self._scored, strict=True):
             e = whitened(left, mask, noise.phi) / noise.std
@@ -189,11 +188,6 @@ class CrossValidation:
 
     def _sum(self, of_samples: Array) -> Array:
         return np.asarray(np.bincount(self._pieces, weights=of_samples, minlength=len(self._count)), dtype=np.float64)
-
-
-def _piece(session: DriveSession) -> NDArray[np.int64]:
-    """Number of the piece of each sample: by lap and by time in it."""
-    return np.asarray(session.block * 10_000 + (session.time // (PIECE_S * session.pace)).astype(np.int64))
 
 
 def correlation_length(series: Sequence[Array]) -> float:

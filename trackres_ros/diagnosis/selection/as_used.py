@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trackres_ros.diagnosis.base.base import Base, BaseParameter
+from trackres_ros.diagnosis.base.base import Base, BaseParameter, Values
 from trackres_ros.diagnosis.base.patterns import WATCHED, ByPlace
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import with_levels
@@ -26,7 +26,6 @@ from trackres_ros.errors import InputError
 from trackres_ros.text.numbers import figures
 from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 
-Values = Mapping[str, float]
 Bounds = Mapping[tuple[str, str], Interval]
 
 VEHICLE, SURROUNDINGS, SENSOR = "vehicle", "surroundings", "sensor"

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
@@ -72,14 +74,13 @@ class HeldOutLaps:
         self.names = {int(b): lap_name(s, int(b)) for s in sessions for b in np.unique(s.block)}
         pieces = self.blocks
         if len(np.unique(self.blocks)) < FEWEST_LAPS:
-            number = self.of([s.time // (PIECE_S * s.pace) for s in sessions]).astype(np.int64)
-            pieces = self.blocks * (1 + int(number.max(initial=0))) + number
+            pieces = self.of([lap_pieces(s) for s in sessions])
         _, self._piece = np.unique(pieces, return_inverse=True)
         self._count = np.bincount(self._piece)
         n = len(self._count)
         self._draws = rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES)
 
-    def of(self, series: Sequence[Array]) -> Array:
+    def of(self, series: Sequence[NDArray[Any]]) -> NDArray[Any]:
         """The hold-out samples of a series of each session."""
         return np.concatenate([x[m] for x, m in zip(series, self._masks, strict=True)])
 
@@ -94,6 +95,11 @@ class HeldOutLaps:
     def improvement_of(self, before: Fit, after: Fit) -> Improvement:
         """Improvement by one fit over another."""
         return self.improvement(*([p.torque for p in fit.predicted] for fit in (before, after)))
+
+
+def lap_pieces(session: DriveSession) -> NDArray[np.int64]:
+    """Number of the piece of each sample: by lap and by time in it."""
+    return np.asarray(session.block * 10_000 + (session.time // (PIECE_S * session.pace)).astype(np.int64))
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from trackres_ros.diagnosis.inference.fitting import Fit, Free, fit, free_parameters
-from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
+from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.selection.confirm import ON_BOUND
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
 from trackres_ros.diagnosis.selection.visibility import base_columns
@@ -88,7 +88,7 @@ def _edge(found: Fit, key: tuple[str, str], side: float, bound: float) -> tuple[
     inside, outside = (0.0, 0.0), None
     for _ in range(MOST_TRIES):
         fixed = {key: at + side * step}
-        held = fit(found.problem, effects, found.at, found.noises, rounds=1, fixed=fixed, largest_root=LARGEST_ROOT)
+        held = fit(found.problem, effects, found.at, found.noises, rounds=1, fixed=fixed, largest_root=SHORT_ROOT)
         fallen = found.log_likelihood - held.log_likelihood
         if fallen >= DROP:
             outside = (step, fallen)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +37,7 @@ from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.prepare.torque_checks import inconsistent_scale_notes, nothing_to_conclude
 from trackres_ros.diagnosis.search.choice import Chosen
+from trackres_ros.diagnosis.selection.as_used import Bounds
 from trackres_ros.diagnosis.selection.confirm import Graded
 from trackres_ros.diagnosis.selection.held_out import MUCH_LARGER, HeldOut, Improvement, held_out
 from trackres_ros.diagnosis.selection.intervals import intervals
@@ -45,8 +46,6 @@ from trackres_ros.diagnosis.stages.prepare import PreparedSessions
 from trackres_ros.diagnosis.stages.refit import Refitted
 from trackres_ros.errors import InputError
 from trackres_ros.vehicle.writing.changes import Interval
-
-Bounds = Mapping[tuple[str, str], Interval]
 
 
 @dataclass(frozen=True, eq=False)
