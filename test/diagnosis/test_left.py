@@ -31,12 +31,6 @@ FITTED = {"loss_modulus_scale", "bearing_friction", "drag_coefficient", "heat_ca
 DRIVE = "time_s,speed_mps,heading_rad\n" + "".join(f"{i * 0.1:.1f},{5.0 if i < 100 else 0.0},0.0\n" for i in range(200))
 
 
-def run(*arguments):
-    done = CliRunner().invoke(cli, [str(a) for a in arguments])
-    assert done.exit_code == 0, done.exception
-    return done
-
-
 def kept_of(base, effects, share=0.98, half=0.03):
     """Values a little off, known to a few percent; effects known to a tenth."""
     values = {q.name: share * q.nominal for q in base.parameters}
@@ -148,7 +142,7 @@ def test_nothing_kept_leaves_the_file_as_it_was(loaded, tmp_path):
     assert not (tmp_path / "surroundings.yaml").exists()
 
 
-def test_a_moved_folder_still_works_with_every_command(left, own, tmp_path, monkeypatch):
+def test_a_moved_folder_still_works_with_every_command(good, left, own, tmp_path, monkeypatch):
     moved = tmp_path / "elsewhere" / "vehicle"
     moved.parent.mkdir()
     shutil.move(left, moved)
@@ -157,21 +151,20 @@ def test_a_moved_folder_still_works_with_every_command(left, own, tmp_path, monk
     drive = tmp_path / "drive.csv"
     drive.write_text(DRIVE)
     around = ("--surroundings", "vehicle/surroundings.yaml")
-    checked = run("vehicle", "check", "vehicle/vehicle.yaml", "--points", 10, "--json")
-    assert set(json.loads(checked.output)["effects"]) == {"stribeck", "squeak"}
-    run("explain", "--vehicle", "vehicle/vehicle.yaml", "--speed-kmh", 20, "--belt-degc", 20)
-    run("simulate", "--vehicle", "vehicle/vehicle.yaml", *around, "--speed-kmh", 20, "--duration-s", 60, "-o", "s.csv")
-    done = run("replay", drive, "--vehicle", "vehicle/vehicle.yaml", *around, "-o", "r.csv")
-    assert "surroundings" in done.output
+    checked = good("vehicle", "check", "vehicle/vehicle.yaml", "--points", 10, "--json")
+    assert set(json.loads(checked)["effects"]) == {"stribeck", "squeak"}
+    good("explain", "--vehicle", "vehicle/vehicle.yaml", "--speed-kmh", 20, "--belt-degc", 20)
+    good("simulate", "--vehicle", "vehicle/vehicle.yaml", *around, "--speed-kmh", 20, "--duration-s", 60, "-o", "s.csv")
+    assert "surroundings" in good("replay", drive, "--vehicle", "vehicle/vehicle.yaml", *around, "-o", "r.csv")
     assert load_base("vehicle/vehicle.yaml").base.includes == ("stribeck", "squeak")
 
 
-def test_at_standstill_no_surroundings_are_fed_forward(left, tmp_path):
+def test_at_standstill_no_surroundings_are_fed_forward(good, left, tmp_path):
     drive = tmp_path / "drive.csv"
     drive.write_text(DRIVE)
     rows = {}
     for name, around in (("without", ()), ("with", ("--surroundings", left / "surroundings.yaml"))):
-        run("replay", drive, "--vehicle", left / "vehicle.yaml", *around, "-o", tmp_path / "r.csv")
+        good("replay", drive, "--vehicle", left / "vehicle.yaml", *around, "-o", tmp_path / "r.csv")
         rows[name] = np.genfromtxt(tmp_path / "r.csv", delimiter=",", names=True)
         assert rows[name]["feedforward_torque_nm"][-1] == 0.0
     assert rows["with"]["effects_nm"][-1] > 900.0  # the slope of the plane is there, measured or not
@@ -307,13 +300,13 @@ def test_a_failing_user_effect_ends_the_fit_with_its_name(says, loaded, own):
         loaded.base.predict([session], loaded.base.nominal, [Active(squeak, squeak.values())])
 
 
-def test_a_hidden_slope_is_never_pushed_against_at_a_standstill(loaded, effects, tmp_path):
+def test_a_hidden_slope_is_never_pushed_against_at_a_standstill(good, run, loaded, effects, tmp_path):
     rng = np.random.default_rng(4)
     sessions = drives(loaded.base, loaded.known.max_speed, 2, 6.0, rng)
     tilted = Active(effects["grade_profile"], {"rise_ahead": 0.02, "rise_left": 0.0})
     paths = write_recordings(loaded.base, tmp_path, sessions, [tilted], rng)
     out = tmp_path / "report"
-    done = run("diagnose", *paths, "--vehicle", "xgd24d", "-o", out, "--quick", "--no-page")
+    done = run(paths, out)
     found = json.loads((out / "report.json").read_text())
     assert found["effects"][0]["belongs_to"] == "surroundings"
     assert found["kept"] == {"vehicle": [], "surroundings": ["grade_profile"], "sensor": []}
@@ -324,7 +317,7 @@ def test_a_hidden_slope_is_never_pushed_against_at_a_standstill(loaded, effects,
     drive = tmp_path / "drive.csv"
     drive.write_text(DRIVE)
     for around in ((), ("--surroundings", out / "surroundings.yaml")):
-        run("replay", drive, "--vehicle", out / "vehicle.yaml", *around, "-o", tmp_path / "r.csv")
+        good("replay", drive, "--vehicle", out / "vehicle.yaml", *around, "-o", tmp_path / "r.csv")
         row = np.genfromtxt(tmp_path / "r.csv", delimiter=",", names=True)[-1]
         assert row["feedforward_torque_nm"] == 0.0
         assert (abs(row["effects_nm"]) > 1500.0) == bool(around)
