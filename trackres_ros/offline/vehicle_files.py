@@ -84,12 +84,8 @@ def differences(one: str, other: str) -> list[dict[str, Any]]:
     """Differences of two vehicle files: path, unit, both values, the second over the first if both are numbers with a
     true zero, ranges, and flags if only one value is fitted: its uncertainty then is the whole one.
 
-    Files that both name, such as that of the rubber, are compared by a digest of their content.
-
-    Raises
-    ------
-    InputError
-        If one is no vehicle file.
+    Files that both name, such as that of the rubber, are compared by a digest of their content. Raises InputError if one is
+    no vehicle file.
     """
     places = [find_vehicle(given) for given in (one, other)]
     contents = [read_yaml(place) for place in places]

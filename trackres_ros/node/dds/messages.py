@@ -90,12 +90,8 @@ def diagnostic_array(stamp: int, statuses: Sequence[Status], frame_id: str) -> b
 class CdrInput:
     """Reads stamp and numbers of the messages of one input topic.
 
-    Messages of a topic mostly have the same layout, so field positions are reused from message to message.
-
-    Raises
-    ------
-    InputError
-        For an unknown type, or a field path that does not lead to a number.
+    Messages of a topic mostly have the same layout, so field positions are reused from message to message. Raises
+    InputError for an unknown type, or a field path that does not lead to a number.
     """
 
     def __init__(self, given: InputTopic, origin: str) -> None:
@@ -113,12 +109,7 @@ class CdrInput:
 
     def read(self, raw: bytes) -> tuple[int | None, list[float | None]]:
         """Stamp [ns], None where the type has none; and the scaled number of each binding, None where the message lacks it,
-        nan of a receiver without a fix.
-
-        Raises
-        ------
-        MalformedError
-            If the bytes are no message of the type.
+        nan of a receiver without a fix. Raises MalformedError if the bytes are no message of the type.
         """
         if len(raw) != self._length or any(raw[where] != content for where, content in self._fixed):
             self._learn(raw)
@@ -142,13 +133,7 @@ class CdrInput:
 
 
 def clock_ns(raw: bytes) -> int:
-    """Time [ns] in a rosgraph_msgs/msg/Clock.
-
-    Raises
-    ------
-    MalformedError
-        If the bytes are too few, or contain no valid time.
-    """
+    """Time [ns] in a rosgraph_msgs/msg/Clock. Raises MalformedError if the bytes are too few, or contain no valid time."""
     if len(raw) < CLOCK_BYTES:
         raise MalformedError("too short")
     seconds, nanoseconds = struct.unpack_from("<iI" if raw[1] else ">iI", raw, 4)

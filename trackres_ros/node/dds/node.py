@@ -37,13 +37,7 @@ LOG_PATIENCE_S = 1.0  # with who reads the log, at the end
 
 
 class DdsNode:
-    """The node; `spin` runs it.
-
-    Raises
-    ------
-    InputError
-        If parameters, vehicle or topics cannot be used.
-    """
+    """The node; `spin` runs it. Raises InputError if parameters, vehicle or topics cannot be used."""
 
     def __init__(self, parameters: Parameters, node: str, namespace: str) -> None:
         self._name = full_name(node, "", namespace).replace("//", "/").strip("/").replace("/", ".")

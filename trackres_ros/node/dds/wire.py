@@ -68,13 +68,7 @@ def _without_char(kind: Any) -> Any:
 
 
 def known_type(name: str, where: str) -> str:
-    """The message type, if known.
-
-    Raises
-    ------
-    InputError
-        If unknown.
-    """
+    """The message type, if known. Raises InputError if unknown."""
     if name not in typestore().types:
         raise InputError(
             f"{where}: type",
@@ -145,13 +139,7 @@ def qos(quality: Quality, user_data: bytes, transient: bool = False) -> Any:
 
 
 def domain_id() -> int:
-    """Domain from ROS_DOMAIN_ID, 0 by default.
-
-    Raises
-    ------
-    InputError
-        If it is no domain.
-    """
+    """Domain from ROS_DOMAIN_ID, 0 by default. Raises InputError if it is no domain."""
     given = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not given.isdecimal() or int(given) > MOST_DOMAIN:
         raise InputError("environment ROS_DOMAIN_ID", given, f"a whole number from 0 to {MOST_DOMAIN}")

@@ -107,10 +107,7 @@ def diagnostic_array(stamp_ns: int, statuses: Sequence[Status], frame_id: str) -
 def input_type(given: InputTopic, origin: str) -> Any:
     """Message class of an input, with its field paths checked.
 
-    Raises
-    ------
-    InputError
-        For a type that is not installed, or a field path that does not lead to a number.
+    Raises InputError for a type that is not installed, or a field path that does not lead to a number.
     """
     where = f"{origin}: {', '.join(given.roles)}"
     message = installed_type(given.type, where)
@@ -121,13 +118,7 @@ def input_type(given: InputTopic, origin: str) -> Any:
 
 
 def installed_type(name: str, where: str) -> Any:
-    """The class of a message type.
-
-    Raises
-    ------
-    InputError
-        If it is not installed.
-    """
+    """The class of a message type. Raises InputError if it is not installed."""
     try:
         return get_message(name)
     except (AttributeError, ImportError, ValueError):
