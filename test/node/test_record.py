@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 rosbags = pytest.importorskip("rosbags")
+from ros_messages import STORE, build, stamped, twist  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
-from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
 import trackres_ros as tr  # noqa: E402
 from trackres_ros.estimator.columns import LOAD  # noqa: E402
@@ -22,7 +22,6 @@ from trackres_ros.node.inbox import Inbox  # noqa: E402
 from trackres_ros.node.record import Recorder  # noqa: E402
 
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
-STORE = get_typestore(Stores.ROS2_JAZZY)
 TWIST, WRENCH, TEMPERATURE, NUMBER = (
     "geometry_msgs/msg/TwistStamped",
     "geometry_msgs/msg/WrenchStamped",
@@ -37,21 +36,10 @@ brake: {{topic: brake, type: {NUMBER}, field: data, threshold: 0.5}}
 """
 
 
-def vector(x=0.0, y=0.0):
-    return STORE.types["geometry_msgs/msg/Vector3"](x=x, y=y, z=0.0)
-
-
 def made(kind, value, stamp_ns):
     """A message with one number."""
-    types = STORE.types
-    time = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, SECOND_NS))
-    header = types["std_msgs/msg/Header"](stamp=time, frame_id="hull")
-    return {
-        TWIST: lambda: types[TWIST](header, types["geometry_msgs/msg/Twist"](vector(x=value), vector())),
-        WRENCH: lambda: types[WRENCH](header, types["geometry_msgs/msg/Wrench"](vector(), vector(y=value))),
-        TEMPERATURE: lambda: types[TEMPERATURE](header, value, 0.0),
-        NUMBER: lambda: types[NUMBER](value),
-    }[kind]()
+    fields = {TWIST: {"twist": twist(value)}, WRENCH: {"wrench": {"torque": {"y": value}}}, TEMPERATURE: {"temperature": value}}
+    return build(kind, header=stamped(stamp_ns, "hull"), **fields.get(kind, {"data": value}))
 
 
 class Wire:

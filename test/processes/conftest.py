@@ -21,6 +21,7 @@ if not importlib.util.find_spec("cyclonedds"):
     collect_ignore_glob = ["test_*.py"]
 else:
     import peer
+    from ros_messages import stamped
     from ros_shell import Shell
 
     from trackres_ros.vehicle import load_any
@@ -171,7 +172,7 @@ class Node:
 
     def send(self, role, value, stamp_ns=None):
         """Publish a value of a role, stamped now or as given."""
-        header = peer.stamp(time.time_ns() if stamp_ns is None else stamp_ns)
+        header = stamped(time.time_ns() if stamp_ns is None else stamp_ns)
         if role == "speed":
             self.inputs[role].publish(header=header, twist={"linear": {"x": float(value), "y": 0.0, "z": 0.0}})
         elif role == "ambient":

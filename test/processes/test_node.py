@@ -13,8 +13,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-import peer
 import pytest
+from ros_messages import STORE, build, fill, stamped
 from rosbags.rosbag2 import StoragePlugin, Writer
 from waiting import exit_code
 
@@ -118,7 +118,7 @@ def along_the_street(seconds):
     """Topic, type and fields of each message of a drive, and when it is sent [ns]: two speeds a second, and a position."""
     for half in range(2 * seconds):
         now, way, second = START_NS + half * SECOND_NS // 2, 8.0 * 0.5 * half, half // 2
-        header = peer.stamp(now)
+        header = stamped(now)
         if half % 2 == 0:
             aside = 300.0 if second in ASIDE else 4.0 * np.sin(0.2 * second)
             latitude, longitude = np.degrees(Frame(LATITUDE, LONGITUDE).position(way, aside))
@@ -133,12 +133,11 @@ def along_the_street(seconds):
 
 def recorded(path, messages, namespace):
     """A bag of messages."""
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        known = {}
-        for i, (now, topic, kind, fields) in enumerate(messages):
-            if topic not in known:
-                known[topic] = writer.add_connection(f"{namespace}/{topic}", kind, typestore=peer.STORE)
-            writer.write(known[topic], now + i, bytes(peer.STORE.serialize_cdr(peer.build(kind, **fields), kind)))
+    rows = (
+        (f"{namespace}/{topic}", kind, now + i, bytes(STORE.serialize_cdr(build(kind, **fields), kind)))
+        for i, (now, topic, kind, fields) in enumerate(messages)
+    )
+    fill(Writer(path, version=9, storage_plugin=StoragePlugin.MCAP), rows)
     return path
 
 
@@ -293,7 +292,7 @@ def test_a_measured_torque_gives_residual_and_mismatch(node):
     for step in range(300):
         sim.to(sim.now_ns + 2 * SECOND_NS // 5)
         torque.publish(
-            header=peer.stamp(sim.now_ns),
+            header=stamped(sim.now_ns),
             wrench={
                 "torque": {"x": 0.0, "y": 4500.0 + noise.gauss(0.0, 100.0), "z": 0.0},
                 "force": {"x": 0.0, "y": 0.0, "z": 0.0},
