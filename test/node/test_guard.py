@@ -44,12 +44,11 @@ class Failure(BaseException):
 @pytest.fixture
 def node(desk, tmp_path):
     """A node that does everything: it learns, saves its state, and records its inputs and outputs."""
-    (tmp_path / "topics.yaml").write_text(TOPICS)
     number = itertools.count()
 
     def start(rate_hz=50.0):
         d = desk(
-            topics=str(tmp_path / "topics.yaml"),
+            TOPICS,
             state_file=str(tmp_path / f"state{next(number)}.json"),
             learning="on",
             output_rate_hz=rate_hz,
