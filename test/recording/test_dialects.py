@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import sys
 import zipfile
 from datetime import UTC, datetime, time, timedelta
 from pathlib import Path
@@ -17,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import trackres_ros as tr
-from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.errors import InputError
 
 WHEN = datetime(2026, 11, 23, 10, tzinfo=UTC)
 ENDS = ("\n", "\r\n", "\r")
@@ -361,10 +360,3 @@ def test_a_workbook_that_unpacks_to_too_much_is_refused(tmp_path):
                 packed.writestr(name, b"<a/>" * (size // 4) if name == part else whole.read(name))
         with pytest.raises(InputError, match=f"{part}.*save the sheet as CSV"):
             tr.read(bomb)
-
-
-def test_excel_needs_openpyxl(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "openpyxl", None)
-    written(tmp_path, "PK\x03\x04", "run.xlsx")
-    with pytest.raises(MissingExtraError, match=r"pip install openpyxl \(or this package with its extra \[excel\]\)"):
-        tr.read(tmp_path / "run.xlsx")

@@ -551,7 +551,7 @@ def test_nothing_unpacks_beyond_its_ceiling(files, monkeypatch, kind, where):
 
 
 def test_a_missing_library_says_how_to_install_it(files, monkeypatch):
-    kinds = {"MF4": "asammdf", "BLF": "can", "ASC": "cantools", "MATLAB 7.3": "h5py", "Excel": "openpyxl"}
+    kinds = {"MF4": "asammdf", "BLF": "can", "ASC": "cantools", "MATLAB 7.3": "h5py", "Excel": "openpyxl", "Parquet": "pyarrow"}
     for kind, module in kinds.items():
         with monkeypatch.context() as without:
             without.setitem(sys.modules, module, None)
