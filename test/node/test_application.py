@@ -12,7 +12,6 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Count
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.node import message_handler
-from trackres_ros.node.notices import KINDS
 from trackres_ros.node.transport import Level, Peer
 from trackres_ros.output.topics import output_topics, values_of
 from trackres_ros.vehicle import load
@@ -399,12 +398,6 @@ def test_a_fault_inside_is_said_and_does_not_silence_the_outputs(desk, monkeypat
     d.forward(0.5)
     assert len(d.published) > count
     assert d.all_finite()
-
-
-def test_every_remark_that_can_be_made_is_in_the_table(desk):
-    d = desk()
-    d.drive(1.5)
-    assert d.names() <= set(KINDS)
 
 
 def test_a_deactivated_node_keeps_the_temperature_and_is_silent(desk):

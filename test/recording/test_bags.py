@@ -429,7 +429,7 @@ def check_outputs(rows: list[tuple[str, int, Any]], count: int) -> None:
     ]
 
 
-@pytest.mark.parametrize("count", [0, 1, 300, 3_000])
+@pytest.mark.parametrize("count", [0, 1, 300, 12_000])
 def test_what_is_written_the_library_reads(tmp_path: Path, count: int) -> None:
     path = tmp_path / "out.mcap"
     path.write_text("old")
@@ -462,13 +462,6 @@ def test_what_is_written_another_library_reads(tmp_path: Path) -> None:
                 assert schema.data.decode() == STORE.generate_msgdef(schema.name, ros_version=2)[0]
                 rows.append((channel.topic, message.log_time, STORE.deserialize_cdr(message.data, schema.name)))
         check_outputs(rows, 1000)
-
-
-def test_what_is_written_is_in_the_order_of_log_time(tmp_path: Path) -> None:
-    path = tmp_path / "out.mcap"
-    write_outputs(path, 20_000)
-    rows = by_blocks(open_source([path]))
-    assert [value for *_, value in rows] == [row / 8 for row in range(20_000)]
 
 
 def test_nothing_is_left_or_lost_when_writing_fails(tmp_path: Path) -> None:
