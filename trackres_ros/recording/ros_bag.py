@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import quote
 
@@ -102,11 +103,6 @@ class RosFile:
             self.dbconn.close()
 
 
-@dataclass(slots=True)
-class _Storage:
-    storages: list[RosFile]
-
-
 class RosBag:
     """A rosbag2, opened with the libraries of ROS 2.
 
@@ -119,7 +115,7 @@ class RosBag:
         self.connections: list[RosTopic] = []
         self.message_count = 0
         self.compression_mode = ""
-        self.storage = _Storage([])
+        self.storage = SimpleNamespace(storages=list[RosFile]())
         self._stack = ExitStack()
         try:
             if path.is_dir():

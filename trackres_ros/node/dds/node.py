@@ -164,7 +164,8 @@ class DdsNode:
     def _take_clock(self, clock: TopicReader) -> None:
         for raw, _ in clock.take():
             with suppress(MalformedError):
-                self._set_clock(clock_ns(raw))
+                before, self._sim_ns = self._sim_ns, clock_ns(raw)
+                self.application.time_went_back(before - self._sim_ns)
 
     def _take_kept(self) -> None:
         for index, kept in self._kept:
@@ -218,11 +219,6 @@ class DdsNode:
         self.log(Level.OK, self.application.close())
         self._participant.close()
         self._lines.close(LOG_PATIENCE_S)
-
-    def _set_clock(self, now_ns: int) -> None:
-        back_ns = self._sim_ns - now_ns
-        self._sim_ns = now_ns
-        self.application.time_went_back(back_ns)
 
 
 def run(
