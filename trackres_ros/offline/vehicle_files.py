@@ -43,17 +43,9 @@ def shipped_text(found: Iterable[Mapping[str, str]]) -> str:
 
 
 def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
-    """Write a copy of a shipped vehicle under another name, with the files it needs, as a template.
+    """Write a copy of a shipped vehicle under another name, with the files it needs, as a template; return all their paths.
 
-    Returns
-    -------
-    list of Path
-        The vehicle file, and the files it names.
-
-    Raises
-    ------
-    InputError
-        If the name is invalid, no such vehicle is shipped, or the file exists.
+    Raises InputError if the name is invalid, no such vehicle is shipped, or the file exists.
     """
     if not NAME.fullmatch(name):
         raise InputError("NAME", name, "a letter and at most 63 more letters, digits, _ and -")

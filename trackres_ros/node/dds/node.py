@@ -229,13 +229,7 @@ def run(
     started: Callable[[Application], None] | None = None,
     watched: ParameterFile | None = None,
 ) -> int:
-    """Run the node until a signal requests a stop.
-
-    Returns
-    -------
-    int
-        Exit code: 0, or 1 if a fault of the loop itself ended it.
-    """
+    """Run the node until a signal requests a stop; the exit code is 0, or 1 if a fault of the loop itself ended it."""
     running = DdsNode(parameters, node, namespace)
     gc.freeze()  # loaded objects stay: scanning them would delay a message now and then
     fault: Exception | None = None
