@@ -24,9 +24,11 @@ else:
     from ros_messages import stamped
     from ros_shell import Shell
 
+    from trackres_ros.files.resources import shipped_topics
     from trackres_ros.vehicle import load_any
 
     DOMAIN = peer.domain_of_worker(71)
+    DEFAULT_TOPICS = shipped_topics()["default"].read_text()
 
 FEEDFORWARD_LIMIT_NM = 0.1 * 272000 * 0.4
 WRENCH, JOINTS = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState"

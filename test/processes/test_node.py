@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import DEFAULT_TOPICS, Node
 from ros_messages import STORE, build, fill, stamped
 from rosbags.rosbag2 import StoragePlugin, Writer
 from waiting import exit_code
@@ -87,12 +88,7 @@ def simulated(node):
     return start
 
 
-MEASURED = """
-speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
-load: {topic: load, type: std_msgs/msg/Float64, field: data}
-ambient: {topic: ambient, type: sensor_msgs/msg/Temperature, field: temperature}
-torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
-"""
+MEASURED = DEFAULT_TOPICS + "torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}\n"
 TOPICS_ON_ROUTE = MEASURED + "position: {topic: fix, type: sensor_msgs/msg/NavSatFix, max_age_s: 7.3}\n"
 STREET_M, LATITUDE, LONGITUDE = 1200.0, 0.827, 0.1486
 LOST, ASIDE = range(45, 75), range(95, 112)  # seconds without a fix, and off the street
@@ -272,8 +268,6 @@ def test_a_disk_that_takes_no_more_is_said_and_stops_nothing(node, tmp_path):
 
 
 def test_a_parameter_out_of_range_ends_it_with_one_line(transport, tmp_path, wire):
-    from conftest import Node
-
     n = Node(transport, tmp_path, wire, gap_s=1e9)
     assert exit_code(n.process) == 2
     assert "gap_s" in n.log
@@ -314,8 +308,6 @@ def test_a_measured_torque_gives_residual_and_mismatch(node):
 
 
 def test_without_ros_its_parameter_file_is_watched(tmp_path, wire):
-    from conftest import Node
-
     n = Node("dds", tmp_path, wire).started()
     try:
         n.drive(0.3)
