@@ -7,10 +7,10 @@ import math
 import struct
 
 import numpy as np
-import peer
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ros_messages import build, stamped
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.dds.messages import CdrInput, DdsEstimate, clock_ns, diagnostic_array, prepared
@@ -106,14 +106,14 @@ def reader(kind, *fields, scale=1.0, offset=0.0):
 
 
 def raw_of(kind, big=False, **fields):
-    return bytes(typestore().serialize_cdr(peer.build(kind, **fields), kind, little_endian=not big))
+    return bytes(typestore().serialize_cdr(build(kind, **fields), kind, little_endian=not big))
 
 
 @pytest.mark.parametrize("big", [False, True])
 def test_a_number_is_read_whatever_the_frame_is_called(big):
     speed = reader(TWIST, "twist.linear.x", scale=2.0, offset=1.0)
     for frame, value in (("base_link", 1.25), ("", -3.0), ("base_link", 7.0), ("hull", math.inf)):
-        header = {**peer.stamp(STAMP_NS), "frame_id": frame}
+        header = {**stamped(STAMP_NS), "frame_id": frame}
         raw = raw_of(TWIST, big, header=header, twist={"linear": {"x": value, "y": 5.0, "z": 5.0}})
         assert speed.read(raw) == (STAMP_NS, [2.0 * value + 1.0])
 
@@ -127,7 +127,7 @@ def test_big_and_little_ends_may_alternate():
 @pytest.mark.parametrize("status", [-2, -1, 0, 2])
 def test_a_receiver_without_a_fix_says_nothing(status):
     both = reader(FIX, "latitude", "altitude", scale=2.0)
-    raw = raw_of(FIX, header=peer.stamp(STAMP_NS), status={"status": status, "service": 1}, latitude=47.0, altitude=400.0)
+    raw = raw_of(FIX, header=stamped(STAMP_NS), status={"status": status, "service": 1}, latitude=47.0, altitude=400.0)
     found = [math.nan, math.nan] if status == -1 else [94.0, 800.0]
     stamp, numbers = both.read(raw)
     assert stamp == STAMP_NS
@@ -144,7 +144,7 @@ def test_a_joint_is_found_by_name_wherever_it_stands():
         ([], [], [], [None, None]),
     ):
         message = {"name": names, "velocity": np.array(velocity), "effort": np.array(effort)}
-        assert both.read(raw_of(JOINTS, header=peer.stamp(5), **message)) == (5, found), names
+        assert both.read(raw_of(JOINTS, header=stamped(5), **message)) == (5, found), names
 
 
 @given(st.binary(max_size=120))

@@ -20,6 +20,7 @@ from cyclonedds.idl import types as idl
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
+from ros_messages import STORE
 from waiting import exit_code, wait_for
 
 from trackres_ros.node.dds.participant import Participant, Publication
@@ -203,7 +204,7 @@ def test_messages_come_in_order_with_the_time_they_were_sent(wire):
         wait = mine.waiter()
         taken = []
         assert wait_for(lambda: wait(10**8) is not None and taken.extend(reader.take()) is None and len(taken) == 20)
-        assert [peer.STORE.deserialize_cdr(raw, FLOAT).data for raw, _ in taken] == list(range(20))
+        assert [STORE.deserialize_cdr(raw, FLOAT).data for raw, _ in taken] == list(range(20))
         sent = [sent_ns for _, sent_ns in taken]
         assert sent == sorted(sent)
         assert before <= sent[0] <= sent[-1] <= time.time_ns()

@@ -8,10 +8,10 @@ import os
 from pathlib import Path
 
 import numpy as np
-import peer
 import pytest
 from cyclonedds.core import Policy
 from cyclonedds.util import duration
+from ros_messages import build
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.dds.wire import (
@@ -85,7 +85,7 @@ def filled(name):
         one = filled(kind) if named else {"string": "text", "bool": True}.get(kind, count)
         many = [one] * (inner[1] if node == 3 else 2)
         values[field] = one if node < 3 else many if named or kind == "string" else np.array(many, dtype=kind)
-    return peer.build(name, **values)
+    return build(name, **values)
 
 
 @pytest.mark.parametrize("name", [*HASHES, "sensor_msgs/msg/Temperature", "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"])

@@ -83,18 +83,25 @@ class Desk:
             if tick:
                 self.app.tick()
 
+    def index(self, role):
+        """Place of the input that feeds a role."""
+        return next(i for i, given in enumerate(self.app.inputs) if role in given.roles)
+
     def send(self, role, value, stamp_s=None):
         """A message of a role, stamped now or at a time [s since the start]."""
-        index = next(i for i, given in enumerate(self.app.inputs) if role in given.roles)
         stamp = self.now_ns() if stamp_s is None else START_NS + round(stamp_s * SECOND_NS)
-        header = SimpleNamespace(stamp=SimpleNamespace(sec=stamp // SECOND_NS, nanosec=stamp % SECOND_NS))
-        message = {
+        self.app.messages.receive(self.index(role), self.message(role, *divmod(stamp, SECOND_NS), value))
+
+    @staticmethod
+    def message(role, seconds, nanoseconds, value):
+        """A message of a role with a stamp, as a transport decodes it."""
+        header = SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds))
+        return {
             "speed": SimpleNamespace(header=header, twist=SimpleNamespace(linear=SimpleNamespace(x=value))),
             "load": SimpleNamespace(data=value),
             "ambient": SimpleNamespace(header=header, temperature=value),
             "torque": SimpleNamespace(header=header, wrench=SimpleNamespace(torque=SimpleNamespace(y=value))),
         }[role]
-        self.app.messages.receive(index, message)
 
     def drive(self, seconds, speed=8.0, dt=0.02, **others):
         """Speeds every dt, with the given other inputs."""
@@ -166,25 +173,29 @@ def wild_by_clock():
 
 
 @pytest.fixture
-def wild_desk():
-    yield from _desks(Wild)
+def wild_desk(tmp_path):
+    yield from _desks(Wild, tmp_path)
 
 
 @pytest.fixture
-def desk():
-    yield from _desks(Desk)
+def desk(tmp_path):
+    """Makes an application, with a topics file of some `lines` or the default one."""
+    yield from _desks(Desk, tmp_path)
 
 
 @pytest.fixture(scope="module")
-def standing_desk():
+def standing_desk(tmp_path_factory):
     """As `desk`, for what several tests of a module look at."""
-    yield from _desks(Desk)
+    yield from _desks(Desk, tmp_path_factory.mktemp("standing"))
 
 
-def _desks(kind):
-    desks = []
+def _desks(kind, folder):
+    desks, file = [], folder / "topics.yaml"
 
-    def make(**given):
+    def make(lines="", **given):
+        if lines:
+            file.write_text(lines)
+            given["topics"] = str(file)
         desks.append(kind(**given))
         return desks[-1]
 

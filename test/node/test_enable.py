@@ -18,15 +18,8 @@ BOOL = "enable: {topic: enable, type: std_msgs/msg/Bool, field: data%s}\n"
 MODE = "enable: {topic: mode, type: std_msgs/msg/UInt8, field: data, values: [1, 4]}\n"
 
 
-def with_topics(desk, tmp_path, text, **given):
-    path = tmp_path / "topics.yaml"
-    path.write_text(text)
-    return desk(topics=str(path), **given)
-
-
 def enable(made, value):
-    index = next(i for i, topic in enumerate(made.app.inputs) if "enable" in topic.roles)
-    made.app.messages.receive(index, SimpleNamespace(data=value))
+    made.app.messages.receive(made.index("enable"), SimpleNamespace(data=value))
 
 
 def fed(made):
@@ -41,8 +34,8 @@ def drive(made, seconds, value=None, speed=8.0):
         made.send("speed", speed + 0.01 * (i % 3))
 
 
-def test_at_a_slow_rate_a_disabled_torque_is_gone_in_time(desk, tmp_path):
-    made = with_topics(desk, tmp_path, SPEED % "" + BOOL % "", output_rate_hz=0.2, output_deadline_s=0.0)
+def test_at_a_slow_rate_a_disabled_torque_is_gone_in_time(desk):
+    made = desk(SPEED % "" + BOOL % "", output_rate_hz=0.2, output_deadline_s=0.0)
     drive(made, 10.1, True)
     assert fed(made) > 3000.0
     drive(made, 1.1, False)
@@ -50,8 +43,8 @@ def test_at_a_slow_rate_a_disabled_torque_is_gone_in_time(desk, tmp_path):
 
 
 @pytest.mark.parametrize(("line", "on", "off"), [(BOOL % "", True, False), (MODE, 4, 0), (MODE, 1, 2)])
-def test_enable_takes_the_feedforward_to_zero_and_back(desk, tmp_path, line, on, off):
-    made = with_topics(desk, tmp_path, SPEED % "" + line)
+def test_enable_takes_the_feedforward_to_zero_and_back(desk, line, on, off):
+    made = desk(SPEED % "" + line)
     drive(made, 1.0)
     assert fed(made) == 0.0
     assert "ENABLE_OLD" in made.names()
@@ -70,8 +63,8 @@ def test_enable_takes_the_feedforward_to_zero_and_back(desk, tmp_path, line, on,
     assert max(abs(np.diff(values))) <= 20000.0 * 0.021
 
 
-def test_a_disable_acts_between_two_speeds_that_come_slowly(desk, tmp_path):
-    made = with_topics(desk, tmp_path, SPEED % ", max_age_s: 5.0" + BOOL % ", max_age_s: 5.0", output_rate_hz=50.0)
+def test_a_disable_acts_between_two_speeds_that_come_slowly(desk):
+    made = desk(SPEED % ", max_age_s: 5.0" + BOOL % ", max_age_s: 5.0", output_rate_hz=50.0)
     for _ in range(4):
         enable(made, True)
         made.forward(1.0)
@@ -88,8 +81,8 @@ def test_a_disable_acts_between_two_speeds_that_come_slowly(desk, tmp_path):
     assert fed(made) > 3000.0
 
 
-def test_an_enable_that_stops_coming_is_said_between_two_speeds(desk, tmp_path):
-    made = with_topics(desk, tmp_path, SPEED % ", max_age_s: 5.0" + BOOL % "", output_rate_hz=50.0)
+def test_an_enable_that_stops_coming_is_said_between_two_speeds(desk):
+    made = desk(SPEED % ", max_age_s: 5.0" + BOOL % "", output_rate_hz=50.0)
     enable(made, True)
     made.send("speed", 8.0)
     made.forward(0.4)
@@ -100,7 +93,7 @@ def test_an_enable_that_stops_coming_is_said_between_two_speeds(desk, tmp_path):
 
 
 def test_a_replay_with_enable_gives_the_numbers_of_live(desk, tmp_path):
-    made = with_topics(desk, tmp_path, SPEED % "" + BOOL % "")
+    made = desk(SPEED % "" + BOOL % "")
     rows, lines = [], ["time_s,enable,speed_mps"]
     made.app.on_estimate = lambda row, stamp, arrival: rows.append(row)
     for i in range(300):

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import trackres_ros
+from trackres_ros.files.resources import shipped_topics
 from trackres_ros.node import record
 from trackres_ros.node.record import Recorder
 from trackres_ros.node.record_files import MB, RecordLimits
@@ -29,12 +30,7 @@ STEP = {  # what makes an estimate and brings it out: without one of them there 
 }  # fmt: skip
 LOOP = "application.py", "message_handler.py", "clock.py", "guard.py"
 SILENT = {"OutputPublisher.publish_statuses", "bare_status", "Notice.level"}  # without which no status can say what fails
-TOPICS = """
-speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
-load: {topic: load, type: std_msgs/msg/Float64, field: data}
-ambient: {topic: ambient, type: sensor_msgs/msg/Temperature, field: temperature}
-torque: {topic: shaft, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
-"""
+SHAFT = "torque: {topic: shaft, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}\n"
 
 
 class Failure(BaseException):
@@ -44,12 +40,11 @@ class Failure(BaseException):
 @pytest.fixture
 def node(desk, tmp_path):
     """A node that does everything: it learns, saves its state, and records its inputs and outputs."""
-    (tmp_path / "topics.yaml").write_text(TOPICS)
     number = itertools.count()
 
     def start(rate_hz=50.0):
         d = desk(
-            topics=str(tmp_path / "topics.yaml"),
+            shipped_topics()["default"].read_text() + SHAFT,
             state_file=str(tmp_path / f"state{next(number)}.json"),
             learning="on",
             output_rate_hz=rate_hz,

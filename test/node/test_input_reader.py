@@ -115,10 +115,9 @@ def test_the_torque_delay_shifts_its_stamp_but_not_a_zero_stamp():
         assert (torque_stamp, speed_stamp) == (shifted, header)
 
 
-def test_parts_of_a_sum_without_the_other_are_said_and_counted(desk, tmp_path):
+def test_parts_of_a_sum_without_the_other_are_said_and_counted(desk):
     part = "{{topic: {0}, type: std_msgs/msg/Float64, field: data}}"
-    (tmp_path / "topics.yaml").write_text(f"speed: {{sum: [{part.format('left')}, {part.format('right')}]}}\n")
-    d = desk(topics=str(tmp_path / "topics.yaml"))
+    d = desk(f"speed: {{sum: [{part.format('left')}, {part.format('right')}]}}\n")
     left = next(i for i, given in enumerate(d.app.inputs) if given.name == "left")
     for _ in range(150):
         d.forward(0.02)

@@ -6,7 +6,6 @@
 import itertools
 import math
 import random
-from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings
@@ -35,20 +34,10 @@ EVENTS = st.lists(
 )
 
 
-def message_of(role, seconds, nanoseconds, value):
-    header = SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds))
-    return {
-        "speed": SimpleNamespace(header=header, twist=SimpleNamespace(linear=SimpleNamespace(x=value))),
-        "load": SimpleNamespace(data=value),
-        "ambient": SimpleNamespace(header=header, temperature=value),
-    }[role]
-
-
 @settings(max_examples=60)
 @given(st.booleans(), EVENTS)
 def test_whatever_comes_no_tick_raises_and_status_goes_out(wild_by_clock, simulated, events):
     d = wild_by_clock[simulated]
-    index = {role: i for i, given in enumerate(d.app.inputs) for role in given.roles}
     d.broken.clear()
     for what, *given_ in events:
         if what == "pass":
@@ -60,11 +49,11 @@ def test_whatever_comes_no_tick_raises_and_status_goes_out(wild_by_clock, simula
         else:
             role, seconds, nanoseconds, value, sent = given_
             if what == "strange":
-                d.app.messages.receive(index[role], value, sent)
+                d.app.messages.receive(d.index(role), value, sent)
             else:
                 now = divmod(START_NS + round(d.time_s * SECOND_NS), SECOND_NS)
                 stamp = (seconds, nanoseconds) if what == "message" else now
-                d.app.messages.receive(index[role], message_of(role, *stamp, value), sent)
+                d.app.messages.receive(d.index(role), d.message(role, *stamp, value), sent)
         d.app.tick()
     d.broken.clear()
     count = len(d.statuses)
@@ -113,8 +102,7 @@ def test_one_topic_that_cannot_be_published_holds_up_no_other(desk, monkeypatch)
 
 def test_a_first_stamp_beyond_the_message_range_is_refused(desk):
     d = desk(output_rate_hz=50.0)
-    index = {role: i for i, given in enumerate(d.app.inputs) for role in given.roles}
-    d.app.messages.receive(index["speed"], message_of("speed", 2**31 - 1, 10**9, 8.0))
+    d.app.messages.receive(d.index("speed"), d.message("speed", 2**31 - 1, 10**9, 8.0))
     d.forward(0.5)
     assert "REFUSED" in d.names()
     speed = next(given for given in d.app.overview().inputs if given.role == "speed")

@@ -175,11 +175,10 @@ ENABLE = "enable: {topic: enable, type: std_msgs/msg/Float64, field: data"
         (f"{ENABLE}, max_age_s: 0.3}}", "enable_hold_s", 0.2, True),
     ],
 )
-def test_a_parameter_acts_where_the_topics_file_gives_no_other(desk, tmp_path, line, name, value, fixed):
+def test_a_parameter_acts_where_the_topics_file_gives_no_other(desk, line, name, value, fixed):
     speed = "speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}"
-    (tmp_path / "topics.yaml").write_text(f"{speed}\n{line}\n")
-    given = {"topics": str(tmp_path / "topics.yaml")}
-    at_start, changed = desk(**given, **{name: value}), desk(**given)
+    lines = f"{speed}\n{line}\n"
+    at_start, changed = desk(lines, **{name: value}), desk(lines)
     before = getattr(changed.app.estimator.settings, name)
     assert (getattr(at_start.app.estimator.settings, name) == value) is not fixed
     if fixed:

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 rosbags = pytest.importorskip("rosbags")
+from ros_messages import STORE, build, stamped, twist  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
-from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
 import trackres_ros as tr  # noqa: E402
 from trackres_ros.estimator.columns import LOAD  # noqa: E402
@@ -22,7 +22,6 @@ from trackres_ros.node.inbox import Inbox  # noqa: E402
 from trackres_ros.node.record import Recorder  # noqa: E402
 
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
-STORE = get_typestore(Stores.ROS2_JAZZY)
 TWIST, WRENCH, TEMPERATURE, NUMBER = (
     "geometry_msgs/msg/TwistStamped",
     "geometry_msgs/msg/WrenchStamped",
@@ -37,21 +36,16 @@ brake: {{topic: brake, type: {NUMBER}, field: data, threshold: 0.5}}
 """
 
 
-def vector(x=0.0, y=0.0):
-    return STORE.types["geometry_msgs/msg/Vector3"](x=x, y=y, z=0.0)
-
-
 def made(kind, value, stamp_ns):
     """A message with one number."""
-    types = STORE.types
-    time = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, SECOND_NS))
-    header = types["std_msgs/msg/Header"](stamp=time, frame_id="hull")
-    return {
-        TWIST: lambda: types[TWIST](header, types["geometry_msgs/msg/Twist"](vector(x=value), vector())),
-        WRENCH: lambda: types[WRENCH](header, types["geometry_msgs/msg/Wrench"](vector(), vector(y=value))),
-        TEMPERATURE: lambda: types[TEMPERATURE](header, value, 0.0),
-        NUMBER: lambda: types[NUMBER](value),
-    }[kind]()
+    fields = {TWIST: {"twist": twist(value)}, WRENCH: {"wrench": {"torque": {"y": value}}}, TEMPERATURE: {"temperature": value}}
+    return build(kind, header=stamped(stamp_ns, "hull"), **fields.get(kind, {"data": value}))
+
+
+def messages_of(bag):
+    """Topic, log time and bytes of each message of the inputs in a bag."""
+    with AnyReader([bag]) as reader:
+        return [(c.topic, log_ns, bytes(raw)) for c, log_ns, raw in reader.messages() if not c.topic.startswith("/trackres/")]
 
 
 class Wire:
@@ -103,8 +97,7 @@ def drive(standing_desk, tmp_path_factory):
 
 def test_every_message_is_recorded_unchanged_under_its_topic(drive):
     _, wire, bag, lines = drive
-    with AnyReader([bag]) as reader:
-        found = [(c.topic, log, bytes(raw)) for c, log, raw in reader.messages() if not c.topic.startswith("/trackres/")]
+    found = messages_of(bag)
     assert {topic for topic, _, _ in found} == {"/speed", "/air", "/shaft", "/brake"}
     for topic in ("/speed", "/air", "/shaft", "/brake"):
         there, sent = ([(log, raw) for name, log, raw in some if name == topic] for some in (found, wire.sent))
@@ -159,8 +152,8 @@ def in_haste(wire, depth, chance, unknown=1 / 3):
 
 @pytest.mark.parametrize("simulated", [False, True])
 def test_inputs_sent_back_to_back_replay_as_live(desk, tmp_path, simulated):
-    (tmp_path / "topics.yaml").write_text(TOPICS + f"load: {{topic: scale, type: {NUMBER}, field: data}}\n")
-    d = desk(topics=str(tmp_path / "topics.yaml"), learning="off", use_sim_time=simulated, input_depth=1000)
+    load = f"load: {{topic: scale, type: {NUMBER}, field: data}}\n"
+    d = desk(TOPICS + load, learning="off", use_sim_time=simulated, input_depth=1000)
     wire, chance, rows = Wire(d, tmp_path / "live.mcap"), random.Random(4), {}
     record = d.app.on_estimate
     d.app.on_estimate = lambda row, stamp, arrival: (rows.update({stamp: row}), record(row, stamp, arrival))
@@ -180,16 +173,13 @@ def test_inputs_sent_back_to_back_replay_as_live(desk, tmp_path, simulated):
     for name in ("residual_nm", "weight_n", "resistance_torque_nm", "feedforward_torque_nm"):
         live = [row[d.app.estimator.column_index[name]] for row in rows.values()]
         np.testing.assert_allclose(replayed[name], live, rtol=1e-6, atol=1e-6, err_msg=name)
-    with AnyReader([tmp_path / "live.mcap"]) as reader:
-        found = sorted(bytes(raw) for c, _, raw in reader.messages() if not c.topic.startswith("/trackres/"))
-    assert found == sorted(raw for *_, raw in wire.sent)
+    assert sorted(raw for *_, raw in messages_of(tmp_path / "live.mcap")) == sorted(raw for *_, raw in wire.sent)
     assert list(tmp_path.glob("*.mcap*")) == [tmp_path / "live.mcap"]
 
 
 def test_messages_held_in_a_pause_replay_with_their_stamps(desk, tmp_path):
     unstamped = "\n".join(f"{role}: {{topic: {role}, type: {NUMBER}, field: data}}" for role in ("ambient", "load"))
-    (tmp_path / "topics.yaml").write_text(f"speed: {{topic: speed, type: {TWIST}, field: twist.linear.x}}\n{unstamped}\n")
-    d = desk(topics=str(tmp_path / "topics.yaml"), learning="off", input_depth=1000)
+    d = desk(f"speed: {{topic: speed, type: {TWIST}, field: twist.linear.x}}\n{unstamped}\n", learning="off", input_depth=1000)
     feed, now_ns, chance, stamps = d.app.session.feed, d.app.clock.now_ns, random.Random(4), []
 
     def watched(channel, stamp, *others):
@@ -216,8 +206,7 @@ def test_messages_held_in_a_pause_replay_with_their_stamps(desk, tmp_path):
 
 
 def test_each_round_of_simulated_time_is_a_file_of_its_own(desk, tmp_path):
-    (tmp_path / "topics.yaml").write_text(TOPICS)
-    d = desk(topics=str(tmp_path / "topics.yaml"), use_sim_time=True, learning="off")
+    d = desk(TOPICS, use_sim_time=True, learning="off")
     wire, last = Wire(d, tmp_path / "live.mcap"), []
     for _ in range(3):
         for _ in range(200):
@@ -236,8 +225,7 @@ def test_each_round_of_simulated_time_is_a_file_of_its_own(desk, tmp_path):
 
 
 def test_messages_before_the_sim_clock_get_its_first_time(desk, tmp_path):
-    (tmp_path / "topics.yaml").write_text(TOPICS)
-    d = desk(topics=str(tmp_path / "topics.yaml"), use_sim_time=True)
+    d = desk(TOPICS, use_sim_time=True)
     wire, clock = Wire(d, tmp_path / "live.mcap"), d.now_ns
     d.now_ns = lambda: 0
     wire.send("speed", TWIST, 8.0)
@@ -245,29 +233,28 @@ def test_messages_before_the_sim_clock_get_its_first_time(desk, tmp_path):
     d.forward(1.0)
     wire.send("speed", TWIST, 8.0)
     wire.recorder.end()
-    with AnyReader([tmp_path / "live.mcap"]) as reader:
-        times = [log for c, log, _ in reader.messages() if c.topic == "/speed"]
-    assert times == [START_NS + SECOND_NS, START_NS + SECOND_NS + 1]
+    times = [log for topic, log, _ in messages_of(tmp_path / "live.mcap") if topic == "/speed"]
+    assert times == [
+        START_NS + SECOND_NS,
+        START_NS + SECOND_NS + 1,
+    ]
 
 
 @pytest.mark.parametrize("most", [0, 1, 10])
 def test_no_message_is_lost_where_no_clock_ever_comes(desk, tmp_path, monkeypatch, most):
-    (tmp_path / "topics.yaml").write_text(TOPICS)
     monkeypatch.setattr(message_handler, "MOST_BEFORE_CLOCK", most)
-    d = desk(topics=str(tmp_path / "topics.yaml"), use_sim_time=True)
+    d = desk(TOPICS, use_sim_time=True)
     wire = Wire(d, tmp_path / "live.mcap")
     d.now_ns = lambda: 0
     for speed in (7.0, 8.0, 9.0):
         wire.send("speed", TWIST, speed)
     d.app.close()
     wire.recorder.end()
-    with AnyReader([tmp_path / "live.mcap"]) as reader:
-        assert {bytes(raw) for _, _, raw in reader.messages()} == {raw for *_, raw in wire.sent}
+    assert {raw for *_, raw in messages_of(tmp_path / "live.mcap")} == {raw for *_, raw in wire.sent}
 
 
 def test_what_is_not_handled_is_recorded_too(desk, tmp_path):
-    (tmp_path / "topics.yaml").write_text(TOPICS)
-    d = desk(topics=str(tmp_path / "topics.yaml"))
+    d = desk(TOPICS)
     wire = Wire(d, tmp_path / "live.mcap")
     d.app.messages.reader.read = lambda *_: 1 / 0
     wire.send("speed", TWIST, 8.0)
@@ -278,6 +265,10 @@ def test_what_is_not_handled_is_recorded_too(desk, tmp_path):
     d.app.messages.receive_values(wire.index["shaft"], d.now_ns(), [3000.0], sent_ns=1, raw=b"waits for a speed")
     d.app.close()
     wire.recorder.end()
-    with AnyReader([tmp_path / "live.mcap"]) as reader:
-        found = [bytes(raw) for _, _, raw in reader.messages()]
-    assert found == [wire.sent[0][2], b"no message!!", wire.sent[1][2], b"waits for a speed"]
+    found = [raw for *_, raw in messages_of(tmp_path / "live.mcap")]
+    assert found == [
+        wire.sent[0][2],
+        b"no message!!",
+        wire.sent[1][2],
+        b"waits for a speed",
+    ]

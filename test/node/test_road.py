@@ -12,17 +12,6 @@ from trackres_ros.cli.live_table import line, table
 from trackres_ros.estimator import columns as at
 
 BUS = "ztbus_hess19"
-WITH_TORQUE = """
-speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
-torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
-"""
-
-
-@pytest.fixture
-def with_torque(tmp_path):
-    path = tmp_path / "topics.yaml"
-    path.write_text(WITH_TORQUE)
-    return str(path)
 
 
 def driven(desk, speeds):
@@ -31,8 +20,8 @@ def driven(desk, speeds):
         desk.send("speed", speed)
 
 
-def test_its_topics_are_those_without_belts(desk, with_torque):
-    d = desk(vehicle=BUS, topics=with_torque)
+def test_its_topics_are_those_without_belts(desk, topics):
+    d = desk(vehicle=BUS, topics=topics)
     names = [output.name for output in d.app.outputs]
     assert not [name for name in names if "temperature" in name]
     assert {"feedforward_torque", "estimate", "resistance_torque", "torque_residual", "status"} <= set(names)
@@ -52,8 +41,8 @@ def test_nothing_is_fed_forward_once_it_stands(desk):
     assert torques[-1] == 0.0
 
 
-def test_a_measured_torque_is_compared_and_learned_from(desk, with_torque):
-    d = desk(vehicle=BUS, topics=with_torque, learning="on")
+def test_a_measured_torque_is_compared_and_learned_from(desk, topics):
+    d = desk(vehicle=BUS, topics=topics, learning="on")
     for i in range(900):
         d.send("torque", 1800.0 + 20.0 * (i % 3))
         driven(d, [8.0 + 0.01 * (i % 7)])

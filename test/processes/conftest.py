@@ -21,11 +21,14 @@ if not importlib.util.find_spec("cyclonedds"):
     collect_ignore_glob = ["test_*.py"]
 else:
     import peer
+    from ros_messages import stamped
     from ros_shell import Shell
 
+    from trackres_ros.files.resources import shipped_topics
     from trackres_ros.vehicle import load_any
 
     DOMAIN = peer.domain_of_worker(71)
+    DEFAULT_TOPICS = shipped_topics()["default"].read_text()
 
 FEEDFORWARD_LIMIT_NM = 0.1 * 272000 * 0.4
 WRENCH, JOINTS = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState"
@@ -171,7 +174,7 @@ class Node:
 
     def send(self, role, value, stamp_ns=None):
         """Publish a value of a role, stamped now or as given."""
-        header = peer.stamp(time.time_ns() if stamp_ns is None else stamp_ns)
+        header = stamped(time.time_ns() if stamp_ns is None else stamp_ns)
         if role == "speed":
             self.inputs[role].publish(header=header, twist={"linear": {"x": float(value), "y": 0.0, "z": 0.0}})
         elif role == "ambient":

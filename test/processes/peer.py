@@ -10,7 +10,6 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from cyclonedds._clayer import ddspy_take, ddspy_write
 from cyclonedds.core import InstanceState, Policy, Qos, SampleState, ViewState
 from cyclonedds.domain import Domain, DomainParticipant
@@ -19,7 +18,7 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from ros_messages import FIELDS, STORE, build
 from waiting import PATIENCE_S
 
 LOOPBACK = (
@@ -28,13 +27,6 @@ LOOPBACK = (
     '<MaxAutoParticipantIndex>60</MaxAutoParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain>'
     "</CycloneDDS>"
 )
-STORE = get_typestore(Stores.ROS2_JAZZY)
-for name, text in (  # as control_msgs of Jazzy has them
-    ("InterfaceValue", "string[] interface_names\nfloat64[] values\n"),
-    ("DynamicInterfaceGroupValues", "std_msgs/Header header\nstring[] interface_groups\nInterfaceValue[] interface_values\n"),
-):
-    STORE.register(get_types_from_msg(text, f"control_msgs/msg/{name}"))
-FIELDS = getattr(STORE, "fielddefs", None) or STORE.FIELDDEFS
 PLAIN = {"byte": types.uint8, "char": types.uint8, "bool": bool}
 ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 LAST_DOMAIN = 232
@@ -90,30 +82,6 @@ def _qos(reliable, depth, deadline_s, latched=False):
     ]
     policies += [Policy.Deadline(duration(seconds=deadline_s))] if deadline_s else []
     return Qos(*policies, *([Policy.Durability.TransientLocal] if latched else []))
-
-
-def build(kind, **given):
-    """A message with zeros, empty texts and arrays but for what is given, nested messages as dicts."""
-    values = {}
-    for name, about in FIELDS[kind][1]:
-        node, inner = int(about[0]), about[1]
-        value = given.get(name)
-        if node == 2:
-            values[name] = value if value is not None and not isinstance(value, dict) else build(inner, **(value or {}))
-        elif node == 1:
-            values[name] = value if value is not None else "" if inner[0] == "string" else False if inner[0] == "bool" else 0
-        elif value is not None:
-            values[name] = value
-        else:
-            count = inner[1] if node == 3 else 0
-            element = inner[0]
-            values[name] = np.zeros(count, element[1][0]) if int(element[0]) == 1 and element[1][0] != "string" else []
-    return STORE.types[kind](**values)
-
-
-def stamp(ns):
-    """Header with a stamp [ns]."""
-    return {"stamp": {"sec": int(ns // 10**9), "nanosec": int(ns % 10**9)}, "frame_id": "base_link"}
 
 
 @dataclass

@@ -44,20 +44,21 @@ class Shell:
         self.running.append(process)
         return process
 
-    def estimator(self, *arguments, ready="24 t chassis"):
-        """The executable `estimator`, once it is there."""
-        process = self.start(
-            sys.executable,
-            "-m",
-            "trackres_ros.node.ros.estimator",
-            "--ros-args",
-            "-p",
-            "vehicle:=xgd24d",
-            "-p",
-            "state_file:=none",
-            *arguments,
-        )
-        wait(lambda: ready in process.said(), process)
+    def begin_estimator(self, *arguments, vehicle="xgd24d"):
+        """The executable `estimator`, without a state file; ROS arguments follow."""
+        given = ["-p", f"vehicle:={vehicle}", "-p", "state_file:=none", *arguments]
+        return self.start(sys.executable, "-m", "trackres_ros.node.ros.estimator", "--ros-args", *given)
+
+    def estimator(self, *arguments):
+        """The same, once it is there."""
+        return self._there(self.begin_estimator(*arguments))
+
+    def without_ros(self, *arguments):
+        """A node on Cyclone DDS alone, once it is there."""
+        return self._there(self.start(sys.executable, "-m", "trackres_ros", "live", "--transport", "dds", "--quiet", *arguments))
+
+    def _there(self, process):
+        wait(lambda: "24 t chassis" in process.said(), process)
         return process
 
     def end(self, process, how=signal.SIGINT):

@@ -47,49 +47,37 @@ for number in (1, 2):
 """
 
 
-def messages_of(path, topics):
-    found = read(path, topics=topics)
+def messages_of(path):
+    found = read(path, topics="default")
     return found.series["speed"], [finding.text for finding in found.findings if finding.kind == "structure"]
 
 
-@pytest.fixture
-def topics(tmp_path):
-    return tmp_path / "topics.yaml"
-
-
-TOPICS = """
-speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
-load: {topic: load, type: std_msgs/msg/Float64, field: data}
-ambient: {topic: ambient, type: sensor_msgs/msg/Temperature, field: temperature}
-"""
-
-
-def test_a_killed_recording_loses_less_than_a_second(node, tmp_path, topics, good):
-    n = node(topics=TOPICS, options=("--record", tmp_path / "drive.mcap"))
+def test_a_killed_recording_loses_less_than_a_second(node, tmp_path, good):
+    n = node(options=("--record", tmp_path / "drive.mcap"))
     n.drive(2.5)
     killed_ns = time.time_ns()
     n.stop(signal.SIGKILL)
     part = tmp_path / "drive.mcap.part"
     assert not (tmp_path / "drive.mcap").exists()
-    speed, notes = messages_of(part, topics)
+    speed, notes = messages_of(part)
     assert (killed_ns - int(speed.stamp_ns[-1])) * 1e-9 < 1.0
     assert "is unfinished" in notes[0]
     good("recover", part, "-o", tmp_path / "again.mcap")
-    again, notes = messages_of(tmp_path / "again.mcap", topics)
+    again, notes = messages_of(tmp_path / "again.mcap")
     assert len(again) == len(speed) > 60
     assert not notes
-    other = node(topics=TOPICS, options=("--record", tmp_path / "drive.mcap"))
+    other = node(options=("--record", tmp_path / "drive.mcap"))
     other.drive(0.5)
     assert other.stop() == 0
     assert f"{part} is unfinished" in other.log
-    assert len(messages_of(part, topics)[0]) == len(speed)
-    assert messages_of(tmp_path / "drive.mcap", topics)[1] == []
+    assert len(messages_of(part)[0]) == len(speed)
+    assert messages_of(tmp_path / "drive.mcap")[1] == []
 
 
-def test_a_full_disk_pauses_the_recording_not_the_torque(node, tmp_path, topics):
+def test_a_full_disk_pauses_the_recording_not_the_torque(node, tmp_path):
     most = int(0.3 * MB)
     full = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))  # noqa: E731
-    n = node(topics=TOPICS, options=("--record", tmp_path / "drive.mcap"), preexec=full)
+    n = node(options=("--record", tmp_path / "drive.mcap"), preexec=full)
     n.noticed("NOT_RECORDED", meanwhile=lambda: n.drive(0.3))
     before = len(n.torques())
     n.drive(2.0)
@@ -101,7 +89,7 @@ def test_a_full_disk_pauses_the_recording_not_the_torque(node, tmp_path, topics)
     assert n.stop() == 0
     assert "not recorded: " in n.log
     (there,) = tmp_path.glob("drive.mcap*")  # finished, if its end was short enough
-    assert len(messages_of(there, topics)[0]) > 20
+    assert len(messages_of(there)[0]) > 20
 
 
 def test_a_log_and_an_output_that_nobody_takes_hold_nothing_up(transport, node):

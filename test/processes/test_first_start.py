@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from conftest import TRANSPORTS, Node, environment
-from peer import stamp
+from ros_messages import stamped
 from waiting import Pace, exit_code, wait_for, work_s
 
 from trackres_ros.files.resources import cache_dir
@@ -159,7 +159,7 @@ def test_lines_of_json_for_programs(tmp_path, wire, begin):
             pace = Pace(50.0)
             for step in range(20):
                 linear = {"x": 8.0 + 0.01 * step, "y": 0.0, "z": 0.0}
-                speed.publish(header=stamp(time.time_ns()), twist={"linear": linear})
+                speed.publish(header=stamped(time.time_ns()), twist={"linear": linear})
                 pace.next()
         lines.append(json.loads(process.stdout.readline()))
     process.send_signal(signal.SIGTERM)

@@ -13,8 +13,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-import peer
 import pytest
+from conftest import DEFAULT_TOPICS, Node
+from ros_messages import STORE, build, fill, stamped
 from rosbags.rosbag2 import StoragePlugin, Writer
 from waiting import exit_code
 
@@ -87,12 +88,7 @@ def simulated(node):
     return start
 
 
-MEASURED = """
-speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
-load: {topic: load, type: std_msgs/msg/Float64, field: data}
-ambient: {topic: ambient, type: sensor_msgs/msg/Temperature, field: temperature}
-torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
-"""
+MEASURED = DEFAULT_TOPICS + "torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}\n"
 TOPICS_ON_ROUTE = MEASURED + "position: {topic: fix, type: sensor_msgs/msg/NavSatFix, max_age_s: 7.3}\n"
 STREET_M, LATITUDE, LONGITUDE = 1200.0, 0.827, 0.1486
 LOST, ASIDE = range(45, 75), range(95, 112)  # seconds without a fix, and off the street
@@ -118,7 +114,7 @@ def along_the_street(seconds):
     """Topic, type and fields of each message of a drive, and when it is sent [ns]: two speeds a second, and a position."""
     for half in range(2 * seconds):
         now, way, second = START_NS + half * SECOND_NS // 2, 8.0 * 0.5 * half, half // 2
-        header = peer.stamp(now)
+        header = stamped(now)
         if half % 2 == 0:
             aside = 300.0 if second in ASIDE else 4.0 * np.sin(0.2 * second)
             latitude, longitude = np.degrees(Frame(LATITUDE, LONGITUDE).position(way, aside))
@@ -133,12 +129,11 @@ def along_the_street(seconds):
 
 def recorded(path, messages, namespace):
     """A bag of messages."""
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        known = {}
-        for i, (now, topic, kind, fields) in enumerate(messages):
-            if topic not in known:
-                known[topic] = writer.add_connection(f"{namespace}/{topic}", kind, typestore=peer.STORE)
-            writer.write(known[topic], now + i, bytes(peer.STORE.serialize_cdr(peer.build(kind, **fields), kind)))
+    rows = (
+        (f"{namespace}/{topic}", kind, now + i, bytes(STORE.serialize_cdr(build(kind, **fields), kind)))
+        for i, (now, topic, kind, fields) in enumerate(messages)
+    )
+    fill(Writer(path, version=9, storage_plugin=StoragePlugin.MCAP), rows)
     return path
 
 
@@ -273,8 +268,6 @@ def test_a_disk_that_takes_no_more_is_said_and_stops_nothing(node, tmp_path):
 
 
 def test_a_parameter_out_of_range_ends_it_with_one_line(transport, tmp_path, wire):
-    from conftest import Node
-
     n = Node(transport, tmp_path, wire, gap_s=1e9)
     assert exit_code(n.process) == 2
     assert "gap_s" in n.log
@@ -293,7 +286,7 @@ def test_a_measured_torque_gives_residual_and_mismatch(node):
     for step in range(300):
         sim.to(sim.now_ns + 2 * SECOND_NS // 5)
         torque.publish(
-            header=peer.stamp(sim.now_ns),
+            header=stamped(sim.now_ns),
             wrench={
                 "torque": {"x": 0.0, "y": 4500.0 + noise.gauss(0.0, 100.0), "z": 0.0},
                 "force": {"x": 0.0, "y": 0.0, "z": 0.0},
@@ -315,8 +308,6 @@ def test_a_measured_torque_gives_residual_and_mismatch(node):
 
 
 def test_without_ros_its_parameter_file_is_watched(tmp_path, wire):
-    from conftest import Node
-
     n = Node("dds", tmp_path, wire).started()
     try:
         n.drive(0.3)

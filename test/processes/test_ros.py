@@ -99,29 +99,17 @@ def test_two_publishers_and_a_wrong_type_are_seen(shell):
 
 
 def test_a_bad_start_ends_with_code_2_or_waits_to_be_configured(cyclone):
-    bad = cyclone.start(sys.executable, "-m", "trackres_ros.node.ros.estimator", "--ros-args", "-p", "vehicle:=nonsense")
+    bad = cyclone.begin_estimator(vehicle="nonsense")
     assert exit_code(bad) == 2
     assert "one of agri3t, xgd24d" in bad.said() or "xgd24d" in bad.said()
     assert "Traceback" not in bad.said()
     for name, value in (("gap_s", "1e9"), ("qos_overrides./speed.subscription.reliability", "perhaps")):
-        given = ["--ros-args", "-p", "vehicle:=xgd24d", "-p", f"{name}:={value}"]
-        bad = cyclone.start(sys.executable, "-m", "trackres_ros.node.ros.estimator", *given)
+        bad = cyclone.begin_estimator("-p", f"{name}:={value}")
         assert exit_code(bad) == 2
         assert name in bad.said()
         assert "allowed: " in bad.said()
         assert "Traceback" not in bad.said()
-    waiting = cyclone.start(
-        sys.executable,
-        "-m",
-        "trackres_ros.node.ros.estimator",
-        "--ros-args",
-        "-p",
-        "vehicle:=nonsense",
-        "-p",
-        "autostart:=false",
-        "-p",
-        "state_file:=none",
-    )
+    waiting = cyclone.begin_estimator("-p", "autostart:=false", vehicle="nonsense")
     wait(lambda: "/trackres" in cyclone.ros2("node", "list", "--no-daemon"))
     assert "successful" not in cyclone.ros2("lifecycle", "set", "/trackres", "configure", check=False)
     assert "successful" in cyclone.ros2("param", "set", "/trackres", "vehicle", "xgd24d")
@@ -213,8 +201,7 @@ def test_launch_testing_finds_it_well_while_it_runs_and_after(launcher):
 def test_the_edge_without_ros_is_seen_by_ros(shell):
     params = shell.folder / "p.yaml"
     params.write_text(json.dumps({"vehicle": "xgd24d", "state_file": "none"}))
-    node = shell.start(sys.executable, "-m", "trackres_ros", "live", "--transport", "dds", "--quiet", "--params", str(params))
-    wait(lambda: "24 t chassis" in node.said(), node)
+    node = shell.without_ros("--params", str(params))
     shell.start(ROS2, "topic", "pub", *SPEED)
     wait(lambda: "/trackres" in shell.ros2("node", "list", "--no-daemon"))
     wait(lambda: "/trackres/resistance_torque [sensor_msgs/msg/JointState]" in shell.ros2("topic", "list", "-t", "--no-daemon"))
@@ -272,20 +259,7 @@ def test_both_edges_offer_the_same(cyclone):
     ros = cyclone.estimator()
     on_ros = offered(ros)
     cyclone.end(ros)
-    dds = cyclone.start(
-        sys.executable,
-        "-m",
-        "trackres_ros",
-        "live",
-        "--transport",
-        "dds",
-        "--quiet",
-        "--vehicle",
-        "xgd24d",
-        "-p",
-        "state_file:=none",
-    )
-    wait(lambda: "24 t chassis" in dds.said(), dds)
+    dds = cyclone.without_ros("--vehicle", "xgd24d", "-p", "state_file:=none")
     assert offered(dds) == on_ros
     assert len(on_ros) == 12
     assert all("RIHS01" in said for ends in on_ros.values() for said in ends)

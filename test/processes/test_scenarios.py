@@ -14,15 +14,11 @@ import time
 
 import peer
 import pytest
+from conftest import DEFAULT_TOPICS
 from waiting import Pace
 
 SECOND_NS = 1_000_000_000
-TOPICS = """
-speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
-load: {topic: load, type: std_msgs/msg/Float64, field: data}
-ambient: {topic: ambient, type: sensor_msgs/msg/Temperature, field: temperature}
-enable: {topic: mode, type: std_msgs/msg/UInt8, field: data, values: [1, 4]}
-"""
+TOPICS = DEFAULT_TOPICS + "enable: {topic: mode, type: std_msgs/msg/UInt8, field: data, values: [1, 4]}\n"
 
 
 def recovers(node):

@@ -17,6 +17,7 @@ from trackres_ros.errors import InputError
 
 pytest.importorskip("rosbags")
 
+from ros_messages import build, stamped
 from rosbags.typesys import Stores, get_typestore
 
 from trackres_ros.recording.binding import TopicBinding
@@ -120,12 +121,7 @@ def check(decoded: Any, sent: list[Any], fields: list[str]) -> None:
 
 
 def twist(number: float, frame: str = "base_link") -> bytes:
-    types = STORE.types
-    vector = types["geometry_msgs/msg/Vector3"]
-    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 2), frame)
-    message = types["geometry_msgs/msg/TwistStamped"](
-        header, types["geometry_msgs/msg/Twist"](vector(number, 0.0, 0.0), vector(0.0, 0.0, 0.0))
-    )
+    message = build("geometry_msgs/msg/TwistStamped", STORE, header=stamped(10**9 + 2, frame), twist={"linear": {"x": number}})
     return bytes(STORE.serialize_cdr(message, "geometry_msgs/msg/TwistStamped"))
 
 
@@ -143,13 +139,11 @@ def test_same_length_other_layout() -> None:
 
 def test_more_layouts_than_are_kept() -> None:
     msgtype = "sensor_msgs/msg/JointState"
-    joint = STORE.types[msgtype]
-    header = STORE.types["std_msgs/msg/Header"](STORE.types["builtin_interfaces/msg/Time"](1, 2), "")
     raws = []
     for number in range(60):
         names = [f"{number:02d}", "left"] if number % 2 else ["left", f"{number:02d}"]
         effort = np.array([-1.0, number] if number % 2 else [number, -1.0], np.float64)
-        message = joint(header, names, np.empty(0), np.empty(0), effort)
+        message = build(msgtype, STORE, header=stamped(1, ""), name=names, effort=effort)
         raws.append(bytes(STORE.serialize_cdr(message, msgtype)))
     reader = FieldReader(definitions(STORE.fielddefs, msgtype), msgtype, ["effort[left]", "effort[gone]"])
     for _ in range(2):
@@ -242,7 +236,6 @@ def test_a_template_gives_what_serialising_gives(stamps: list[int], value: float
 
 def test_a_template_without_the_element() -> None:
     msgtype = "std_msgs/msg/Float64MultiArray"
-    layout = STORE.types["std_msgs/msg/MultiArrayLayout"]([], 0)
-    raw = bytes(STORE.serialize_cdr(STORE.types[msgtype](layout, np.zeros(2)), msgtype))
+    raw = bytes(STORE.serialize_cdr(build(msgtype, STORE, data=np.zeros(2)), msgtype))
     with pytest.raises(InputError, match="an element that the template message has"):
         Template(raw, definitions(STORE.fielddefs, msgtype), msgtype, ["data[2]"])

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import sys
 import zipfile
 from datetime import UTC, datetime, time, timedelta
 from pathlib import Path
@@ -17,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import trackres_ros as tr
-from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.errors import InputError
 
 WHEN = datetime(2026, 11, 23, 10, tzinfo=UTC)
 ENDS = ("\n", "\r\n", "\r")
@@ -203,7 +202,6 @@ NO_TIMES = (
 @pytest.mark.parametrize("topics", [None, {"time": {"column": "Time"}}])
 @pytest.mark.parametrize("cell", [*NO_TIMES, time(2, 59, 59), timedelta(seconds=3599)])
 def test_a_cell_that_is_no_time_is_shown_with_the_forms(tmp_path, cell, topics):
-    pytest.importorskip("openpyxl")
     paths = [workbook(tmp_path / "run.xlsx", ("s", [["Time", "speed_mps"], [cell, 1.0]]))]
     paths += [written(tmp_path, table("Time;speed_mps", f"{cell};1"))]
     for path in paths:
@@ -285,9 +283,7 @@ def test_no_torque_names_what_may_hold_it(tmp_path, trackres):
 
 
 def workbook(path: Path, *sheets: tuple[str, list[list[object]]]) -> Path:
-    from openpyxl import Workbook
-
-    book = Workbook()
+    book = pytest.importorskip("openpyxl").Workbook()
     book.remove(book.active)
     for title, rows in sheets:
         sheet = book.create_sheet(title)
@@ -298,7 +294,6 @@ def workbook(path: Path, *sheets: tuple[str, list[list[object]]]) -> Path:
 
 
 def test_a_workbook_reads_like_the_table_it_shows(tmp_path, good):
-    pytest.importorskip("openpyxl")
     begin = WHEN.replace(tzinfo=None)
     rows = [[begin + timedelta(milliseconds=500 * i), 18.0 + i, "1.234,5" if i else None, "x"] for i in range(9)]
     cover = ("cover", [["a drive"], ["of November"]])
@@ -328,14 +323,12 @@ def test_a_workbook_reads_like_the_table_it_shows(tmp_path, good):
     ],
 )
 def test_a_cell_of_a_workbook_that_is_none_is_refused(tmp_path, rows, says):
-    pytest.importorskip("openpyxl")
     with pytest.raises(InputError) as refused:
         tr.read(workbook(tmp_path / "run.xlsx", ("s", [["time_s", "speed_mps"], *rows])))
     assert says in str(refused.value)
 
 
 def test_a_row_of_units_below_the_names_counts(tmp_path):
-    pytest.importorskip("openpyxl")
     sheet = [["Time", "VehSpd", "weight_kn", "note"], ["ms", "km/h", "kN", None], [0, 36, 90, "x"], [500, 72, 91, "y"]]
     found = tr.read(workbook(tmp_path / "run.xlsx", ("s", sheet)), topics={"speed": {"column": "VehSpd"}})
     assert found.series["speed"].value.tolist() == pytest.approx([10.0, 20.0])
@@ -345,14 +338,12 @@ def test_a_row_of_units_below_the_names_counts(tmp_path):
 
 
 def test_two_sheets_that_fit_are_both_named(tmp_path):
-    pytest.importorskip("openpyxl")
     rows = [["time_s", "speed_mps"], [0, 1], [1, 2]]
     found = tr.read(workbook(tmp_path / "run.xlsx", ("a", rows), ("b", rows)))
     assert any(note.startswith("also possible: ") and note.endswith("sheet b") for note in found.notes)
 
 
 def test_a_workbook_that_unpacks_to_too_much_is_refused(tmp_path):
-    pytest.importorskip("openpyxl")
     path = workbook(tmp_path / "run.xlsx", ("s", [["time_s", "speed_mps"], [0, 1]]))
     for part, size in (("xl/worksheets/sheet1.xml", 30_000_000), ("xl/styles.xml", 17_000_000)):
         bomb = tmp_path / "bomb.xlsx"
@@ -361,10 +352,3 @@ def test_a_workbook_that_unpacks_to_too_much_is_refused(tmp_path):
                 packed.writestr(name, b"<a/>" * (size // 4) if name == part else whole.read(name))
         with pytest.raises(InputError, match=f"{part}.*save the sheet as CSV"):
             tr.read(bomb)
-
-
-def test_excel_needs_openpyxl(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "openpyxl", None)
-    written(tmp_path, "PK\x03\x04", "run.xlsx")
-    with pytest.raises(MissingExtraError, match=r"pip install openpyxl \(or this package with its extra \[excel\]\)"):
-        tr.read(tmp_path / "run.xlsx")

@@ -34,14 +34,15 @@ from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import SampleBlock
 
 pytest.importorskip("rosbags")
+pytest.importorskip("mcap")
 
+from ros_messages import STORE, build, fill, stamped, twist, write_speeds
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-STORE = get_typestore(Stores.LATEST)
 TWIST = "geometry_msgs/msg/TwistStamped"
-FLOATS = "std_msgs/msg/Float64MultiArray"
+FLOATS, NUMBER = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float64"
 START = 1_700_000_000 * 10**9
 CSV = b"time_s,speed_mps\n0,1\n1,2\n"
 TOPICS = Topics.parse({"speed": {"topic": "/speed", "type": TWIST, "field": "twist.linear.x"}})
@@ -305,48 +306,22 @@ def test_parquet_in_bounded_memory_and_damage_in_it(tmp_path):
 # --- bags
 
 
-def twist(number: float) -> bytes:
-    types = STORE.types
-    vector = types["geometry_msgs/msg/Vector3"]
-    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(START, 10**9)), "")
-    message = types[TWIST](header, types["geometry_msgs/msg/Twist"](vector(number, 0.0, 0.0), vector(0.0, 0.0, 0.0)))
-    return bytes(STORE.serialize_cdr(message, TWIST))
-
-
 def folder_bag(path: Path, storage: str = "SQLITE3", compression: str = "", count: int = 20) -> Path:
     writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage])
     if compression:
         writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
-    with writer:
-        topic = writer.add_connection("/speed", TWIST, typestore=STORE)
-        for row in range(count):
-            writer.write(topic, START + row, twist(float(row)))
-    return path
-
-
-def mcap_bag(
-    path: Path, messages: list[tuple[int, bytes]], schema: str = "", msgtype: str = TWIST, compression: str = "NONE"
-) -> Path:
-    writing = pytest.importorskip("mcap.writer")
-    text = schema or STORE.generate_msgdef(msgtype, ros_version=2)[0]
-    with path.open("wb") as file:
-        writer = writing.Writer(file, compression=writing.CompressionType[compression])
-        writer.start("ros2", "test")
-        number = writer.register_schema(msgtype, "ros2msg", text.encode())
-        channel = writer.register_channel("/speed", "cdr", number)
-        for log_ns, raw in messages:
-            writer.add_message(channel, log_ns, raw, log_ns)
-        writer.finish()
+    fill(writer, (("/speed", TWIST, START + row, raw) for row, raw in enumerate(messages(count))))
     return path
 
 
 def messages(count: int) -> list[bytes]:
-    return [twist(float(row)) for row in range(count)]
+    speeds = (build(TWIST, header=stamped(START, ""), twist=twist(float(row))) for row in range(count))
+    return [bytes(STORE.serialize_cdr(message, TWIST)) for message in speeds]
 
 
 def test_log_times_beyond_the_clock_are_counted(tmp_path):
     times = [START, 2**63, START + 1, 2**64 - 1, START + 2, 2**62]
-    recording = speeds(mcap_bag(tmp_path / "run.mcap", list(zip(times, messages(6), strict=True))))
+    recording = speeds(write_speeds(tmp_path / "run.mcap", TWIST, zip(times, messages(6), strict=True)))
     assert recording.series["speed"].value.tolist() == [0.0, 2.0, 4.0]
     assert found(recording)["unusable"] == 3
 
@@ -385,7 +360,8 @@ ARRAY = f"{{}}\nfloat64 speed\n{'=' * 80}\nMSG: my_msgs/E\n{{}}\n"
     ],
 )
 def test_definitions_of_arrays_without_end(tmp_path, first, element, says):
-    path = mcap_bag(tmp_path / "run.mcap", [(START, b"\0\1\0\0" + bytes(64))], ARRAY.format(first, element), "my_msgs/msg/Mine")
+    text, row = ARRAY.format(first, element), (START, b"\0\1\0\0" + bytes(64))
+    path = write_speeds(tmp_path / "run.mcap", "my_msgs/msg/Mine", [row], text)
     topics = Topics.parse({"speed": {"topic": "/speed", "type": "my_msgs/msg/Mine", "field": "speed"}})
     with pytest.raises(InputError) as caught:
         speeds(path, topics)
@@ -431,16 +407,13 @@ def test_a_message_that_unpacks_to_more_than_any_message_has(tmp_path, refused):
 @pytest.mark.parametrize("kind", ["mcap", "bag"])
 def test_a_chunk_that_unpacks_to_more_than_any_chunk_has(tmp_path, refused, monkeypatch, kind):
     if kind == "mcap":
-        path = mcap_bag(tmp_path / "run.mcap", [(START + row, raw) for row, raw in enumerate(messages(50))], compression="ZSTD")
+        path = write_speeds(tmp_path / "run.mcap", TWIST, enumerate(messages(50), START), compression="ZSTD")
     else:
         store, path = get_typestore(Stores.ROS1_NOETIC), tmp_path / "run.bag"
         writer = Writer1(path)
         writer.set_compression(Writer1.CompressionFormat.BZ2)
-        with writer:
-            number = "std_msgs/msg/Float64"
-            topic = writer.add_connection("/speed", number, typestore=store)
-            for row in range(500):
-                writer.write(topic, START + row, store.serialize_ros1(store.types[number](1.0), number))
+        raw = store.serialize_ros1(build(NUMBER, store, data=1.0), NUMBER)
+        fill(writer, (("/speed", NUMBER, START + row, raw) for row in range(500)), store)
     speeds(path, None)
     monkeypatch.setattr(unpacking, "MAX_CHUNK_BYTES", 1000)
     assert "1000" in refused(path)
@@ -473,13 +446,9 @@ def test_a_folder_called_like_a_bag_of_ros_1(tmp_path):
 
 @pytest.mark.parametrize("counts", [(3,), (0,), (3, 200)])
 def test_an_element_beyond_the_end_of_an_array(tmp_path, refused, counts):
-    types = STORE.types
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        topic = writer.add_connection("/speed", FLOATS, typestore=STORE)
-        for row in range(10):
-            layout = types["std_msgs/msg/MultiArrayLayout"]([], 0)
-            message = types[FLOATS](layout, np.ones(counts[row % len(counts)]))
-            writer.write(topic, START + row, STORE.serialize_cdr(message, FLOATS))
+    raws = [STORE.serialize_cdr(build(FLOATS, data=np.ones(count)), FLOATS) for count in counts]
+    rows = (("/speed", FLOATS, START + row, raws[row % len(raws)]) for row in range(10))
+    fill(Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP), rows)
     topics = Topics.parse({"speed": {"topic": "/speed", "type": FLOATS, "field": "data[99]"}}, "topics.yaml")
     only = f"the array data has {'only 3 elements' if counts[0] else 'no elements'}"
     if len(counts) == 1:

@@ -34,9 +34,9 @@ from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.role_units import UNITS, conversion
 from trackres_ros.recording.roles import ROLES
 
-for library in ("asammdf", "can", "cantools", "h5py", "openpyxl", "pyarrow", "rosbags"):
-    pytest.importorskip(library)
-
+LIBRARIES = ("asammdf", "can", "cantools", "h5py", "openpyxl", "pyarrow", "rosbags")
+asammdf, can, *_ = map(pytest.importorskip, LIBRARIES)
+MDF, Signal = asammdf.MDF, asammdf.Signal
 LONGEST = 12
 
 
@@ -186,8 +186,6 @@ def test_the_unit_of_a_file_fits_a_known_name_or_is_refused(name):
 
 
 def test_parts_with_other_times_are_added_between_samples(tmp_path):
-    from asammdf import MDF, Signal
-
     path, left, right = tmp_path / "sum.mf4", np.arange(0, 10, 0.1), np.arange(0.03, 10, 0.05)
     with MDF() as mdf:
         mdf.append([Signal(10.0 * left, left, name="Trq", unit="kNm"), Signal(left, left, name="speed_mps")], acq_name="left")
@@ -202,8 +200,6 @@ def test_parts_with_other_times_are_added_between_samples(tmp_path):
 
 
 def test_a_speed_of_two_groups_is_refused_with_both_names(tmp_path):
-    from asammdf import MDF, Signal
-
     path, t = tmp_path / "two.mf4", np.arange(20) / 10.0
     with MDF() as mdf:
         for group in ("ecu1", "ecu2"):
@@ -223,8 +219,6 @@ def test_a_value_without_an_error_is_available(word, mark, before):
 
 
 def test_marked_and_unfinished_records_of_mdf(tmp_path):
-    from asammdf import MDF, Signal
-
     path, t = tmp_path / "run.mf4", np.arange(0, 10, 0.5)
     invalid = t > 7.9
     with MDF() as mdf:
@@ -254,8 +248,6 @@ TABLES = {
 
 @pytest.mark.parametrize("count", [20, 400])  # asammdf converts many values in another way than few
 def test_a_text_of_mdf_is_a_number_only_in_an_enumeration(tmp_path, count):
-    from asammdf import MDF, Signal
-
     path, t, raw = tmp_path / "run.mf4", np.arange(count) / 10.0, np.arange(count, dtype=np.uint8) % 4
     with MDF() as mdf:
         for place, ((unit, _), (table, _)) in enumerate(TABLES.items()):
@@ -273,8 +265,6 @@ def test_a_text_of_mdf_is_a_number_only_in_an_enumeration(tmp_path, count):
 
 @pytest.mark.parametrize(("sync", "what"), [(1, ""), (2, "an angle"), (3, "a distance"), (4, "an index"), (None, "no master")])
 def test_channels_of_mdf_without_times_are_not_read(tmp_path, sync, what):
-    from asammdf import MDF, Signal
-
     path, t = tmp_path / "run.mf4", np.arange(50) / 10.0
     with MDF(version="4.20") as mdf:
         for name, kind in (("Spd", 1), ("Trq", sync or 1), ("speed_mps", 1)):
@@ -339,8 +329,6 @@ def test_a_database_counts_for_its_bus_alone(files, tmp_path):
 
 @pytest.mark.parametrize("kind", ["MF4 of a bus", "BLF", "ASC", "candump"])
 def test_frames_of_another_bus_change_no_series(kind, tmp_path):
-    import can
-
     drive = Drive(2.0)
     path, topics = write(kind, tmp_path, drive)
     wanted = tr.read(path, topics=topics)
@@ -448,7 +436,6 @@ def test_without_a_unit_nothing_is_guessed(files):
 
 
 def test_a_replay_as_mdf_holds_what_parquet_does(files, tmp_path):
-    from asammdf import MDF
     from pyarrow import parquet
 
     path, topics = files["MF4"]
@@ -551,7 +538,7 @@ def test_nothing_unpacks_beyond_its_ceiling(files, monkeypatch, kind, where):
 
 
 def test_a_missing_library_says_how_to_install_it(files, monkeypatch):
-    kinds = {"MF4": "asammdf", "BLF": "can", "ASC": "cantools", "MATLAB 7.3": "h5py", "Excel": "openpyxl"}
+    kinds = {"MF4": "asammdf", "BLF": "can", "ASC": "cantools", "MATLAB 7.3": "h5py", "Excel": "openpyxl", "Parquet": "pyarrow"}
     for kind, module in kinds.items():
         with monkeypatch.context() as without:
             without.setitem(sys.modules, module, None)

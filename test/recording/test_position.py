@@ -160,19 +160,15 @@ STATES = (FIXED, NO_FIX, AUGMENTED, NO_FIX, UNKNOWN, FIXED)
 
 def fixes(store: Any) -> list[Any]:
     """Messages of a receiver that loses its fix and repeats the last one."""
-    types, start = store.types, 1_700_000_000
+    from ros_messages import build, stamped
+
     return [
-        types[FIX](
-            types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](start + i, 0), "gps"),
-            types["sensor_msgs/msg/NavSatStatus"](status, 1),
-            47.0 + 0.001 * i,
-            8.0 + 0.002 * i,
-            400.0 + i,
-            np.zeros(9),
-            0,
+        build(
+            FIX, store, header=stamped((1_700_000_000 + i) * 10**9, "gps"), status={"status": status, "service": 1},
+            latitude=47.0 + 0.001 * i, longitude=8.0 + 0.002 * i, altitude=400.0 + i,
         )
         for i, status in enumerate(STATES)
-    ]
+    ]  # fmt: skip
 
 
 def test_without_a_fix_there_is_no_position_live_nor_in_a_bag(tmp_path: Path) -> None:

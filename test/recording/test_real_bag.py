@@ -57,11 +57,6 @@ def test_it_says_what_it_guessed_and_met(recording: Recording) -> None:
     assert {"stamp_offset", "quantised"} <= kinds
 
 
-def test_there_is_no_torque(recording: Recording) -> None:
-    assert "torque" not in recording.series
-    assert "torque" not in recording.aligned()
-
-
 def test_it_replays_as_it_is(tmp_path: Path, good: Any) -> None:
     """Header stamps two months off, quantised speed and drops to 0: the estimate runs through, and reports them."""
     report = json.loads(good("replay", BAG, "--vehicle", "agri3t", "-o", tmp_path / "out.csv", "--json"))

@@ -23,6 +23,8 @@ from trackres_ros.vehicle.writing.sensor_lines import _said
 
 pytest.importorskip("rosbags")
 
+from ros_messages import build, stamped, twist
+
 START, MS = 1_700_000_000 * 10**9, 10**6
 JOINTS = "sensor_msgs/msg/JointState"
 SPEED = {"topic": "/speed", "type": "geometry_msgs/msg/TwistStamped", "field": "twist.linear.x"}
@@ -36,21 +38,13 @@ def write(path: Path, sides: list[tuple[str, int, dict[str, float]]]) -> Path:
     from trackres_ros.output.mcap import BagWriter
 
     with BagWriter(path) as bag:
-        types = bag.typestore.types
-        vector = types["geometry_msgs/msg/Vector3"]
-
-        def header(ns: int) -> object:
-            return types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(ns, 10**9)), "base")
-
         speed = bag.topic("/speed", SPEED["type"])
         joints = {topic: bag.topic(topic, JOINTS) for topic in dict.fromkeys(topic for topic, *_ in sides)}
-        twist = types["geometry_msgs/msg/Twist"](vector(5.0, 0.0, 0.0), vector(0.0, 0.0, 0.0))
         for ns in (START, START + 10**9):
-            bag.write(speed, types[SPEED["type"]](header(ns), twist), ns, ns)
-        for number, (topic, stamp, efforts) in enumerate(sides):
-            none = np.empty(0)
-            message = types[JOINTS](header(stamp), list(efforts), none, none, np.array(list(efforts.values())))
-            bag.write(joints[topic], message, stamp, START + number)
+            bag.write(speed, build(SPEED["type"], bag.typestore, header=stamped(ns), twist=twist(5.0)), ns, ns)
+        for number, (topic, at_ns, efforts) in enumerate(sides):
+            given_ = {"name": list(efforts), "effort": np.array(list(efforts.values()))}
+            bag.write(joints[topic], build(JOINTS, bag.typestore, header=stamped(at_ns), **given_), at_ns, START + number)
     return path
 
 

@@ -92,11 +92,6 @@ def test_refused_with_file_role_key_and_what_is_allowed(tmp_path: Path, text: st
     assert "\n" not in str(caught.value)
 
 
-def test_no_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.yaml"):
-        Topics.load(tmp_path / "none.yaml")
-
-
 def test_field_paths() -> None:
     assert field_steps("twist.linear.x") == (FieldStep("twist"), FieldStep("linear"), FieldStep("x"))
     assert field_steps("effort[left.motor 1]") == (FieldStep("effort", element="left.motor 1"),)

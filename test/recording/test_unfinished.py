@@ -13,19 +13,18 @@ import pytest
 import trackres_ros as tr
 
 pytest.importorskip("rosbags")
+from ros_messages import STORE, build, fill, write_speeds
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 
 from trackres_ros.output.mcap import BagWriter
 
-STORE = get_typestore(Stores.LATEST)
 NUMBER = "std_msgs/msg/Float64"
 TOPICS = {"speed": {"topic": "/speed", "type": NUMBER, "field": "data"}}
 START_NS, COUNT = 1_700_000_000_000_000_000, 600
 
 
 def message(row):
-    return bytes(STORE.serialize_cdr(STORE.types[NUMBER](float(row)), NUMBER))
+    return bytes(STORE.serialize_cdr(build(NUMBER, data=float(row)), NUMBER))
 
 
 def by_us(path):
@@ -43,25 +42,15 @@ def by_us(path):
 
 def by_others(path, **chunks):
     """Written by the library of the format: definitions in the chunks, or no chunks."""
-    writer = pytest.importorskip("mcap.writer")
-    with path.open("wb") as file:
-        bag = writer.Writer(file, chunk_size=4096, **chunks)
-        bag.start("ros2", "somebody")
-        text = STORE.generate_msgdef(NUMBER, ros_version=2)[0].encode()
-        channel = bag.register_channel("/speed", "cdr", bag.register_schema(NUMBER, "ros2msg", text))
-        for row in range(COUNT):
-            bag.add_message(channel, START_NS + row * 10**7, message(row), START_NS + row * 10**7)
-        bag.finish()
+    pytest.importorskip("mcap.writer")
+    write_speeds(path, NUMBER, ((START_NS + row * 10**7, message(row)) for row in range(COUNT)), chunk_size=4096, **chunks)
 
 
 def by_rosbags(path):
     folder = path.with_suffix("")
     bag = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
     bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    with bag:
-        speed = bag.add_connection("/speed", NUMBER, typestore=STORE)
-        for row in range(COUNT):
-            bag.write(speed, START_NS + row * 10**7, message(row))
+    fill(bag, (("/speed", NUMBER, START_NS + row * 10**7, message(row)) for row in range(COUNT)))
     shutil.move(next(folder.glob("*.mcap")), path)
 
 
@@ -70,9 +59,7 @@ def without_chunks(path):
 
 
 def with_lz4(path):
-    from mcap.writer import CompressionType
-
-    by_others(path, compression=CompressionType.LZ4)
+    by_others(path, compression="LZ4")
 
 
 def whole_blocks(path):

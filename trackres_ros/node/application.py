@@ -51,13 +51,7 @@ MUST_BE_FINITE = (at.Results.resistance_torque_nm, at.Results.resistance_std_nm,
 
 
 class Application:
-    """The live estimate of one vehicle.
-
-    Raises
-    ------
-    InputError
-        If vehicle, topics file or parameters cannot be used.
-    """
+    """The live estimate of one vehicle. Raises InputError if vehicle, topics file or parameters cannot be used."""
 
     def __init__(
         self,
@@ -361,10 +355,7 @@ class Application:
     def change(self, given: Mapping[str, object]) -> None:
         """Change parameters while running; the temperatures stay.
 
-        Raises
-        ------
-        InputError
-            See `checked_change`; then nothing is changed.
+        Raises InputError as `checked_change` does; then nothing is changed.
         """
         parameters = self.checked_change(given)
         settings = settings_for(parameters.settings(), self.topics)
@@ -398,10 +389,7 @@ class Application:
     def save_state(self, patience_s: float = SAVING_ON_REQUEST_S) -> str:
         """Save the state now, waiting for the disk at most for some time [s]; return a text for the log.
 
-        Raises
-        ------
-        InputError
-            If no state is kept or it cannot be written.
+        Raises InputError if no state is kept or it cannot be written.
         """
         self._rest_unused_belts()
         return self.keeper.save(self.session, self._state_at, self.learning, patience_s)

@@ -25,10 +25,7 @@ Sample = tuple[int, int, float]
 class InputReader:
     """Reads the messages of all input topics into samples of the estimator's channels; bindings of sums say how to add the parts.
 
-    Raises
-    ------
-    InputError
-        For a role of an axle or assembly that the vehicle does not have.
+    Raises InputError for a role of an axle or assembly that the vehicle does not have.
     """
 
     def __init__(self, inputs: Sequence[InputTopic], channels: Sequence[str], bindings: Mapping[str, TopicBinding]) -> None:

@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 from trackres_ros.estimator.disturbance import LARGEST_NM, STEADY_MPS, STEADY_MPS2
 from trackres_ros.estimator.settings import setting
-from trackres_ros.units import NANOSECOND
+from trackres_ros.units import MAD_TO_STD, NANOSECOND
 
 SETTLING_BINS = 30  # before the noise is believed
 KNOWN_AFTER = 2.0  # times the holding time: earlier, slow noise such as hills cannot be distinguished from an offset
@@ -37,7 +37,6 @@ TYPICAL_OF = 5  # bins: their median is free of a spike that lasts for two
 RELATED_S = 30.0  # bins further apart have uncorrelated noise
 MOST_PHI = 0.98  # nearer to 1 an offset and a random walk are one
 OUTLIER = 5.0  # standard deviations: limit of a bin
-MAD_TO_STD = 1.4826  # of a normal distribution
 LEAST_NOISE = 0.001  # of the expected torque: finer than torque transducers are (class 0.1), for a residual without noise
 
 

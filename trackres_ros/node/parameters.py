@@ -64,10 +64,7 @@ class NodeParameter:
     def checked(self, given: object) -> Value:
         """The value as this parameter's kind: 2 for a float is 2.0, 2.0 for a count is 2, and true is the word on.
 
-        Raises
-        ------
-        InputError
-            If it is of another kind or out of range; with the given and the allowed values.
+        Raises InputError if it is of another kind or out of range; with the given and the allowed values.
         """
         where = f"parameter {self.name}"
         if isinstance(self.default, bool):
@@ -226,10 +223,8 @@ class Parameters:
     def changed(self, given: Mapping[str, object]) -> Parameters:
         """These with some changed while the node runs.
 
-        Raises
-        ------
-        InputError
-            For an unknown one, a bad value, or one that cannot be changed while the node runs; then none is changed.
+        Raises InputError for an unknown one, a bad value, or one that cannot be changed while the node runs; then none
+        is changed.
         """
         for name in given:
             parameter = known(name)
@@ -244,24 +239,12 @@ class Parameters:
 
 
 def known(name: str) -> NodeParameter:
-    """The parameter of a name.
-
-    Raises
-    ------
-    InputError
-        For an unknown name; with the nearest name.
-    """
+    """The parameter of a name. Raises InputError for an unknown name; with the nearest name."""
     return PARAMETERS[checks.one_of(name, "parameter", PARAMETERS)]
 
 
 def make_parameters(given: Mapping[str, object]) -> Parameters:
-    """Parameters from names and values, the rest by default.
-
-    Raises
-    ------
-    InputError
-        For an unknown name or a bad value.
-    """
+    """Parameters from names and values, the rest by default. Raises InputError for an unknown name or a bad value."""
     checked = {name: known(name).checked(value) for name, value in given.items()}
     parameters = Parameters(MappingProxyType({name: checked.get(name, p.default) for name, p in PARAMETERS.items()}))
     rate, deadline = parameters.number("output_rate_hz"), parameters.number("output_deadline_s")
@@ -274,10 +257,7 @@ def make_parameters(given: Mapping[str, object]) -> Parameters:
 def read_parameters(path: Path | None, node: str = "trackres", namespace: str = "/") -> dict[str, object]:
     """Names and values out of a parameter file, see `read_entries`, each of them checked.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, an entry is unknown or bad, or no section fits the node.
+    Raises InputError if the file cannot be read, an entry is unknown or bad, or no section fits the node.
     """
     if path is None:
         return {}
@@ -292,10 +272,7 @@ def read_parameters(path: Path | None, node: str = "trackres", namespace: str = 
 def read_entries(path: Path, node: str, namespace: str) -> dict[str, object]:
     """Names and values of a parameter file: flat, or the sections that fit the node in the form that ROS reads.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or no section fits the node.
+    Raises InputError if the file cannot be read, or no section fits the node.
     """
     content = read_yaml(path)
     full = f"{namespace.rstrip('/')}/{node}"
@@ -312,10 +289,7 @@ def read_entries(path: Path, node: str, namespace: str) -> dict[str, object]:
 def section_names(path: Path) -> list[str]:
     """Node patterns of the sections of a parameter file of ROS.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or has anything else.
+    Raises InputError if the file cannot be read, or has anything else.
     """
     return [name for name, _ in _sections(read_yaml(path), "", str(path))]
 

@@ -83,12 +83,7 @@ class Recorder:
     def begin(self, application: Application) -> list[str]:
         """Begin the bag, and record all inputs and results of the application from now on; return a text about earlier runs.
 
-        With learning, the learned columns follow those of the estimate.
-
-        Raises
-        ------
-        OSError
-            The file cannot be created.
+        With learning, the learned columns follow those of the estimate. Raises OSError if the file cannot be created.
         """
         learner = application.learning.learner
         self._estimator: Estimator = application.estimator

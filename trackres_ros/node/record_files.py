@@ -25,10 +25,7 @@ STILL_WRITTEN_S = 60.0  # an unfinished file with a more recent change may belon
 class RecordLimits:
     """Size at which the next file of a recording begins, and limit of all of them; 0 is no limit.
 
-    Raises
-    ------
-    InputError
-        The limit is too small for two files.
+    Raises InputError if the limit is too small for two files.
     """
 
     split_mb: float = 0.0

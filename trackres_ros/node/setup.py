@@ -33,10 +33,7 @@ class Setup:
 def read_setup(parameters: Parameters) -> Setup:
     """Read the files that the parameters of a node name.
 
-    Raises
-    ------
-    InputError
-        If no vehicle is named, or vehicle, surroundings or topics file cannot be used.
+    Raises InputError if no vehicle is named, or vehicle, surroundings or topics file cannot be used.
     """
     if not parameters.text("vehicle"):
         raise InputError("parameter vehicle", "", "a vehicle file, or the name of a shipped one", "for example xgd24d")
@@ -51,10 +48,8 @@ def read_setup(parameters: Parameters) -> Setup:
 def changed_parameters(before: Parameters, given: Mapping[str, object], topics: Topics) -> Parameters:
     """The parameters after a change while running.
 
-    Raises
-    ------
-    InputError
-        For an unknown or bad value, one that cannot be changed while running, or one that the topics file decides.
+    Raises InputError for an unknown or bad value, one that cannot be changed while running, or one that the topics file
+    decides.
     """
     parameters = before.changed(given)
     fixed = given_by(topics)

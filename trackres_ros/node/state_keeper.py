@@ -155,11 +155,8 @@ class StateKeeper:
     def save(self, session: Session, state_at: float, learning: LiveLearning, patience_s: float = 1.0) -> str:
         """Save now; return a text for the log. See `save_soon`.
 
-        Raises
-        ------
-        InputError
-            If no state is kept, the file cannot be written, or the disk takes longer than `patience_s`; or if it would replace a
-            state that was not used, without a speed yet.
+        Raises InputError if no state is kept, the file cannot be written, or the disk takes longer than `patience_s`;
+        or if it would replace a state that was not used, without a speed yet.
         """
         if self.path is None:
             raise InputError("state file", "none", "the node's parameter state_file set to a path or to auto")

@@ -28,10 +28,7 @@ ARGUMENT_OF = {"load": "weight_kn", "ambient": "ambient_degc", "grade": "", **di
 def read_profile(profile: str | PathLike[str] | Recording, on_route: bool = False) -> Recording:
     """The profile of a table; a column without effect is refused, such as a position without a route.
 
-    Raises
-    ------
-    InputError
-        For no table, or a column that a simulation does not use.
+    Raises InputError for no table, or a column that a simulation does not use.
     """
     if isinstance(profile, Recording):
         recording = profile
@@ -54,12 +51,8 @@ def read_profile(profile: str | PathLike[str] | Recording, on_route: bool = Fals
 def conditions(recording: Recording, time_s: Array, given: Collection[str], weight: float) -> dict[str, Array]:
     """Conditions of a profile at some times [s], interpolated, by role.
 
-    Before its first and after its last value a position is nan, as in a replay; the others keep that value.
-
-    Raises
-    ------
-    InputError
-        For a role that is also in `given`, and for implausible values for a vehicle of a weight [N].
+    Before its first and after its last value a position is nan, as in a replay; the others keep that value. Raises
+    InputError for a role that is also in `given`, and for implausible values for a vehicle of a weight [N].
     """
     limits = {**PLAUSIBLE, "load": (LEAST_LOAD_SHARE * weight, LARGEST_LOAD_SHARE * weight)}
     found = {}

@@ -55,10 +55,7 @@ class Replayed:
 def channel_indices(session: Session, roles: Sequence[str], learns: bool = False) -> NDArray[np.int16]:
     """Channel of each role of a source, shape (roles,); -1 of an unneeded role, such as one of the ground without learning.
 
-    Raises
-    ------
-    InputError
-        For a role of an axle or assembly that the vehicle does not have.
+    Raises InputError for a role of an axle or assembly that the vehicle does not have.
     """
     channels = session.estimator.channels
     unknown = [role for role in roles if role not in channels and base_role(role) in at.CHANNELS]

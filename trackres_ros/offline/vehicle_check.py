@@ -31,10 +31,7 @@ DEEP_STRAIN = 0.5  # of the thickness below a wheel: above it a layer is no long
 def check_vehicle(vehicle: AnyVehicle, points: int) -> dict[str, Any]:
     """Derived values of a vehicle, ready for JSON; tables of belts are compared with the exact method at random points.
 
-    Raises
-    ------
-    InputError
-        If the physics excludes a value.
+    Raises InputError if the physics excludes a value.
     """
     if isinstance(vehicle, RoadVehicle):
         return _check_road(vehicle)

@@ -43,17 +43,9 @@ def shipped_text(found: Iterable[Mapping[str, str]]) -> str:
 
 
 def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
-    """Write a copy of a shipped vehicle under another name, with the files it needs, as a template.
+    """Write a copy of a shipped vehicle under another name, with the files it needs, as a template; return all their paths.
 
-    Returns
-    -------
-    list of Path
-        The vehicle file, and the files it names.
-
-    Raises
-    ------
-    InputError
-        If the name is invalid, no such vehicle is shipped, or the file exists.
+    Raises InputError if the name is invalid, no such vehicle is shipped, or the file exists.
     """
     if not NAME.fullmatch(name):
         raise InputError("NAME", name, "a letter and at most 63 more letters, digits, _ and -")
@@ -84,12 +76,8 @@ def differences(one: str, other: str) -> list[dict[str, Any]]:
     """Differences of two vehicle files: path, unit, both values, the second over the first if both are numbers with a
     true zero, ranges, and flags if only one value is fitted: its uncertainty then is the whole one.
 
-    Files that both name, such as that of the rubber, are compared by a digest of their content.
-
-    Raises
-    ------
-    InputError
-        If one is no vehicle file.
+    Files that both name, such as that of the rubber, are compared by a digest of their content. Raises InputError if one is
+    no vehicle file.
     """
     places = [find_vehicle(given) for given in (one, other)]
     contents = [read_yaml(place) for place in places]

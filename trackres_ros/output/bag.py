@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -27,12 +27,15 @@ from trackres_ros.output.topics import (
     status_of,
     values_of,
 )
+from trackres_ros.units import SECOND_NS
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-STATUS_PERIOD_NS = 1_000_000_000
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 FIELDS = {"wrench": ("wrench.torque.y",), "number": ("data",), "temperature": ("temperature", "variance")}
+Values = Iterable[tuple[str, str]]
+"""Keys and values of a status."""
 
 
 class OutputBag:
@@ -52,10 +55,10 @@ class OutputBag:
         self.writer.__enter__()
         parameters = () if self._learned is None else (PARAMETERS_TOPIC,)
         for topic in (*output_topics(self._estimator.vehicle), *parameters):
-            fields = FIELDS.get(topic.kind, tuple(f"effort[{i}]" for i in range(len(topic.names))))
-            template = None if topic.kind == "status" else template_message(topic, self.writer.typestore, BASE_FRAME)
-            name = f"/{DEFAULT_NODE}/{topic.name}"
-            self._topics.append((topic, self.writer.topic(name, topic.type, template, fields if template is not None else ())))
+            given: tuple[Any, Sequence[str]] = (None, ())
+            if topic.kind != "status":
+                given = template_message(topic, self.writer.typestore, BASE_FRAME), number_fields(topic)
+            self._topics.append((topic, self.writer.topic(f"/{DEFAULT_NODE}/{topic.name}", topic.type, *given)))
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
@@ -93,7 +96,7 @@ class OutputBag:
     def _write_learned(self, topic: BagTopic, steps: Steps) -> None:
         """Learned values, once a second."""
         assert self._learned is not None
-        for i, second in enumerate((steps.arrival_ns // STATUS_PERIOD_NS).tolist()):
+        for i, second in enumerate((steps.arrival_ns // SECOND_NS).tolist()):
             if second != self._last_learned_ns:
                 self._last_learned_ns = second
                 found = [(0, name, message, known) for name, message, known in self._learned.lines(steps.rows[i].tolist())]
@@ -103,44 +106,54 @@ class OutputBag:
         """Rows at which a status is due: at each change, and once a second."""
         if not len(arrival_ns):
             return []
-        period = arrival_ns // STATUS_PERIOD_NS
+        period = arrival_ns // SECOND_NS
         new_second = np.concatenate([[period[0] != self._last_status_ns], np.diff(period) != 0])
         self._last_status_ns = int(period[-1])
         return [int(i) for i in np.flatnonzero(changed | new_second)]
 
-    def _diagnostics(self, statuses: Iterable[tuple[int, str, str, Iterable[tuple[str, str]]]]) -> Any:
+    def _diagnostics(self, statuses: Iterable[tuple[int, str, str, Values]]) -> Any:
         """A message of some statuses, each with level, name, text and values."""
-        types, node, vehicle = self.writer.typestore.types, DEFAULT_NODE, self._estimator.vehicle.name
-        status, pair = types["diagnostic_msgs/msg/DiagnosticStatus"], types["diagnostic_msgs/msg/KeyValue"]
-        listed = [
-            status(
-                level=level,
-                name=f"{node}: {name}",
-                message=text,
-                hardware_id=vehicle,
-                values=[pair(key=k, value=v) for k, v in of],
-            )
-            for level, name, text, of in statuses
-        ]
-        return types["diagnostic_msgs/msg/DiagnosticArray"](header=_header(types, BASE_FRAME), status=listed)
+        vehicle = self._estimator.vehicle.name
+        named = ((level, f"{DEFAULT_NODE}: {name}", text, vehicle, of) for level, name, text, of in statuses)
+        return diagnostic_array(self.writer.typestore, named, BASE_FRAME)
+
+
+def number_fields(topic: OutputTopic) -> Sequence[str]:
+    """Paths of the numbers of a topic in its message."""
+    return FIELDS.get(topic.kind, tuple(f"effort[{i}]" for i in range(len(topic.names))))
+
+
+def diagnostic_array(
+    typestore: Typestore, statuses: Iterable[tuple[int, str, str, str, Values]], frame_id: str, stamp_ns: int = 0
+) -> Any:
+    """A DiagnosticArray of some statuses, each with level, name, text, hardware and values."""
+    types = typestore.types
+    status, pair = types["diagnostic_msgs/msg/DiagnosticStatus"], types["diagnostic_msgs/msg/KeyValue"]
+    listed = [
+        status(level=level, name=name, message=text, hardware_id=hardware, values=[pair(key=k, value=v) for k, v in of])
+        for level, name, text, hardware, of in statuses
+    ]
+    return types[DIAGNOSTICS](header=header(typestore, frame_id, stamp_ns), status=listed)
 
 
 def template_message(topic: OutputTopic, typestore: Typestore, frame_id: str) -> Any:
     """A message of a topic with all its strings, and zeros for its numbers and its stamp."""
-    types = typestore.types
-    header = _header(types, frame_id)
+    types, blank = typestore.types, header(typestore, frame_id)
     if topic.kind == "joints":
         none = np.zeros(0)
         efforts = np.zeros(len(topic.names))
-        return types[topic.type](header=header, name=list(topic.names), position=none, velocity=none, effort=efforts)
+        return types[topic.type](header=blank, name=list(topic.names), position=none, velocity=none, effort=efforts)
     if topic.kind == "wrench":
         vector = types["geometry_msgs/msg/Vector3"]
         wrench = types["geometry_msgs/msg/Wrench"](force=vector(x=0.0, y=0.0, z=0.0), torque=vector(x=0.0, y=0.0, z=0.0))
-        return types[topic.type](header=header, wrench=wrench)
+        return types[topic.type](header=blank, wrench=wrench)
     if topic.kind == "temperature":
-        return types[topic.type](header=header, temperature=0.0, variance=0.0)
+        return types[topic.type](header=blank, temperature=0.0, variance=0.0)
     return types[topic.type](data=0.0)
 
 
-def _header(types: Mapping[str, Any], frame_id: str) -> Any:
-    return types["std_msgs/msg/Header"](stamp=types["builtin_interfaces/msg/Time"](sec=0, nanosec=0), frame_id=frame_id)
+def header(typestore: Typestore, frame_id: str, stamp_ns: int = 0) -> Any:
+    """The header of a message."""
+    types = typestore.types
+    time = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, SECOND_NS))
+    return types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)

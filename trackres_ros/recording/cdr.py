@@ -208,20 +208,8 @@ class Decoded:
 class FieldReader:
     """Reads some numbers, and the stamp, of messages of one type.
 
-    Raises InputError for a field path that does not lead to a number.
-
-    Parameters
-    ----------
-    types : Definitions
-        The type and all nested types.
-    msgtype : str
-        ``package/msg/Name``.
-    fields : sequence of str
-        Field paths; checked, see `check_field`.
-    encoding : Encoding
-        CDR or ROS 1.
-    where : str
-        For messages to the user.
+    `types`: the type and all nested types; `msgtype`: ``package/msg/Name``; `fields`: field paths; `encoding`: CDR or ROS 1;
+    `where`: for messages to the user. Raises InputError for a field path that does not lead to a number, see `check_field`.
     """
 
     def __init__(
@@ -298,18 +286,9 @@ class FieldReader:
 class Template:
     """One serialised message, the template of many copies with other stamps and numbers.
 
-    Raises InputError for a field path that does not lead to a number of the message.
-
-    Parameters
-    ----------
-    raw : bytes
-        The message in CDR; its strings and sequences stay.
-    types : Definitions
-        Its type and all nested types.
-    msgtype : str
-        ``package/msg/Name``.
-    fields : sequence of str
-        Paths of the k numbers that change.
+    `raw`: the message in CDR, whose strings and sequences stay; `types`: its type and all nested types; `msgtype`:
+    ``package/msg/Name``; `fields`: paths of the k numbers that change. Raises InputError for a path that does not lead to a
+    number of the message.
     """
 
     def __init__(self, raw: bytes, types: Definitions, msgtype: str, fields: Sequence[str]) -> None:

@@ -35,18 +35,8 @@ class ChannelSource:
     role without a channel in the topics file is taken from the column known by name. Raises InputError for no header, no channel
     for time or speed, a missing or ambiguous channel, a unit that does not fit its role, ambiguous numbers or dates.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    topics : Topics, optional
-        Channels of other names or units, by role.
-    read : callable
-        Opens it, see `FileKind.read`.
-    kind : str
-        Kind of the file, for messages.
-    checked : bool
-        Whether its first bytes are checked.
+    `path`: the file; `topics`: channels of other names or units, by role; `read`: opens it, see `FileKind.read`; `kind`: kind of
+    the file, for messages; `checked`: whether its first bytes are checked.
     """
 
     zero_is_unset = False

@@ -10,6 +10,7 @@ from functools import lru_cache
 from typing import Literal
 
 from trackres_ros.errors import InputError
+from trackres_ros.units import SECOND_NS
 
 ZONE = r"(?P<zone>Z|UTC|[+-]\d\d(?::?\d\d)?)?"
 CLOCK = rf"(?P<hour>\d{{1,2}}):?(?P<minute>\d\d)(?::?(?P<second>\d\d)(?:[.,](?P<part>\d+))?)?\s*{ZONE}"
@@ -17,7 +18,6 @@ FIRST = r"(?P<year>\d{4})(?P<mark>[-/]?)(?P<month>\d\d)(?P=mark)(?P<day>\d\d)[T 
 LAST = r"(?P<one>\d{1,2})(?P<mark>[./-])(?P<two>\d{1,2})(?P=mark)(?P<year>\d{4})[T ,] *"
 YEAR_FIRST, YEAR_LAST = (re.compile(day + CLOCK, re.IGNORECASE | re.ASCII) for day in (FIRST, LAST))
 UNIX_DAY = date(1970, 1, 1).toordinal()
-SECOND_NS = 1_000_000_000
 MOST_S = 2**63 // SECOND_NS - 1
 """Years that fit in 64 bits as nanoseconds: from 1678 to 2262."""
 MOST_MONTHS = 12

@@ -40,24 +40,15 @@ class Statistics:
 
 
 class McapIndex:
-    """The index of a file.
+    """The index of a file; a file without one has no chunks here.
 
     `path`: a file with its end. Raises McapError if it cannot be read; TooLargeError if a chunk states an unpacked size above the
     ceiling.
-
-    Attributes
-    ----------
-    chunks : list of IndexedChunk
-        None without an index.
-    topics : dict of int to str
-        Name of the topic of each channel.
-    statistics : Statistics or None
-        None if the file has none.
     """
 
     def __init__(self, path: Path) -> None:
         self.chunks: list[IndexedChunk] = []
-        self.topics: dict[int, str] = {}
+        self.topics: dict[int, str] = {}  # name of the topic of each channel
         self.statistics: Statistics | None = None
         with path.open("rb") as file:
             size = file.seek(0, 2)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.recording.binding import FieldStep, field_steps
@@ -21,6 +21,9 @@ NUMBERS = {
     "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
 """Numbers of the interface definition language, as numpy kind and size."""
+BASIC = {"double": "float64", "float": "float32", "boolean": "bool", "octet": "byte"}
+"""Numbers that the interface definition language calls otherwise than a .msg file."""
+WIDE = "wstring"
 LENGTH_BYTES = 4
 """Of a string or sequence, before its content."""
 MAX_DEPTH = 50
@@ -79,6 +82,36 @@ def with_nested(msgtype: str, fields: Callable[[str], tuple[Field, ...]]) -> Def
             found[name] = fields(name)
             wanted += [field.type for field in found[name] if "/" in field.type]
     return found
+
+
+def installed_fields(msgtype: str) -> tuple[Field, ...]:
+    """Return the fields of a message type. Raises KeyError if no installed package has it."""
+    from rosidl_runtime_py.utilities import get_message
+
+    try:
+        message = get_message(msgtype)
+    except (ImportError, AttributeError, ValueError):
+        raise KeyError(msgtype) from None
+    kinds = zip(message.get_fields_and_field_types(), message.SLOT_TYPES, strict=True)
+    return tuple(_of_slot(name, kind) for name, kind in kinds)
+
+
+def _of_slot(name: str, kind: Any) -> Field:
+    from rosidl_parser.definition import AbstractNestedType, AbstractString, Array, BasicType, NamespacedType
+
+    many: Literal["one", "array", "sequence"] = "one"
+    count = 1
+    if isinstance(kind, AbstractNestedType):
+        many = "array" if isinstance(kind, Array) else "sequence"
+        count = kind.size if isinstance(kind, Array) else 1
+        kind = kind.value_type
+    if isinstance(kind, BasicType):
+        return Field(name, BASIC.get(kind.typename, kind.typename), many, count)
+    if isinstance(kind, NamespacedType):
+        return Field(name, "/".join([*kind.namespaces, kind.name]), many, count)
+    if isinstance(kind, AbstractString):
+        return Field(name, "string", many, count)
+    return Field(name, WIDE, many, count)
 
 
 def check_size(types: Definitions, msgtype: str, where: str, most: int) -> None:

@@ -11,16 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from trackres_ros.errors import InputError, one_line
+from trackres_ros.files.own_files import KINDS
 
 OWN_FAULT = "a bug: please report it, with the file"
 HEAD_BYTES = 512
-SPECIAL = (
-    (stat.S_ISFIFO, "a named pipe"),
-    (stat.S_ISSOCK, "a socket"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-)
-"""Files without an end, or that block until another process writes."""
 CONTENTS: tuple[tuple[bytes, str, tuple[str, ...], str], ...] = (
     (b"\x89MCAP", "an MCAP bag", (".mcap", ".part"), "name it .mcap"),
     (b"SQLite format 3\0", "an SQLite bag", (".db3",), "name it .db3"),
@@ -62,9 +56,8 @@ def check_there(path: Path) -> None:
         else:
             given = "no such file or folder" if error.errno == errno.ENOENT else str(error.strerror)
         raise InputError(str(path), given, "a readable file or folder") from error
-    for is_it, what in SPECIAL:
-        if is_it(mode):
-            raise InputError(str(path), what, "a regular file", "save the recording to a file first")
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # without an end, or blocks until another process writes
+        raise InputError(str(path), KINDS[stat.S_IFMT(mode)], "a regular file", "save the recording to a file first")
 
 
 def check_file(path: Path) -> None:

@@ -7,23 +7,21 @@ The opened bag has the attributes of a rosbags reader that `trackres_ros.recordi
 Counts, limits and the structure of a file are read here, since its readers neither limit unpacking nor report losses.
 """
 
-import shutil
 import sqlite3
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import quote
 
 import yaml
 
-from trackres_ros.errors import InputError
 from trackres_ros.recording.mcap_index import McapIndex
 from trackres_ros.recording.unfinished import UnfinishedBag, is_unfinished
-from trackres_ros.recording.unpacking import MAX_MESSAGE_BYTES, TooLargeError, check_zstd, unpack_file
-from trackres_ros.text.numbers import figures
+from trackres_ros.recording.unpacking import MAX_MESSAGE_BYTES, TooLargeError, check_free, check_zstd, unpack_file
 
 STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
 LAST_VERSION = 9
@@ -105,11 +103,6 @@ class RosFile:
             self.dbconn.close()
 
 
-@dataclass(slots=True)
-class _Storage:
-    storages: list[RosFile]
-
-
 class RosBag:
     """A rosbag2, opened with the libraries of ROS 2.
 
@@ -122,7 +115,7 @@ class RosBag:
         self.connections: list[RosTopic] = []
         self.message_count = 0
         self.compression_mode = ""
-        self.storage = _Storage([])
+        self.storage = SimpleNamespace(storages=list[RosFile]())
         self._stack = ExitStack()
         try:
             if path.is_dir():
@@ -136,7 +129,8 @@ class RosBag:
     def _open_file(self, path: Path) -> None:
         if is_unfinished(path):
             bag = UnfinishedBag(path)
-            place = self._folder(path.stat().st_size, path) / "finished.mcap"
+            check_free(path.stat().st_size, path, "{} GB to be copied")
+            place = self._folder() / "finished.mcap"
             bag.write(place)
             file = RosFile(bag, place, "mcap")
         elif path.suffix in STORAGES:
@@ -183,18 +177,11 @@ class RosBag:
         file.open()
         self.storage.storages.append(file)
 
-    def _folder(self, size: int, path: Path) -> Path:
-        """A temporary folder with space for as many bytes."""
-        folder = self._stack.enter_context(tempfile.TemporaryDirectory())
-        free = shutil.disk_usage(folder).free
-        if size > free:
-            given = f"{figures(size / 1e9)} GB to be copied"
-            allowed = f"{figures(free / 1e9)} GB, which are free in {tempfile.gettempdir()}"
-            raise InputError(str(path), given, allowed, "name another folder: export TMPDIR=FOLDER")
-        return Path(folder)
+    def _folder(self) -> Path:
+        return Path(self._stack.enter_context(tempfile.TemporaryDirectory()))
 
     def _unpacked(self, file: Path) -> Path:
-        place = self._folder(0, file) / file.stem
+        place = self._folder() / file.stem
         unpack_file(file, place)
         return place
 

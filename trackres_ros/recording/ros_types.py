@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from trackres_ros.errors import InputError
 from trackres_ros.recording.cdr import Encoding
-from trackres_ros.recording.message_types import Definitions, Field, check_size, definitions, message_fields, with_nested
+from trackres_ros.recording.message_types import (
+    WIDE,
+    Definitions,
+    Field,
+    check_size,
+    definitions,
+    installed_fields,
+    message_fields,
+    with_nested,
+)
 from trackres_ros.recording.reading import reading
 from trackres_ros.recording.ros_bag import RosTopic
 from trackres_ros.recording.unpacking import MAX_MESSAGE_BYTES
@@ -22,11 +31,8 @@ if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict
 
 SEPARATOR = "=" * 80 + "\n"
-BASIC = {"double": "float64", "float": "float32", "boolean": "bool", "octet": "byte"}
-"""Numbers that the interface definition language calls otherwise than a .msg file."""
 EMPTY = (Field("structure_needs_at_least_one_member", "uint8", "one", 1),)
 """Content of a message without fields on the wire."""
-WIDE = "wstring"
 
 
 def types_of_text(msgtype: str, text: str) -> Definitions:
@@ -47,7 +53,7 @@ def types_of_text(msgtype: str, text: str) -> Definitions:
             package, _, last = head.removeprefix("MSG: ").strip().partition("/")
             name = f"{package}/msg/{last.rpartition('/')[2]}"
         package, last = name.split("/")[0], name.rpartition("/")[2]
-        found[name] = tuple(map(_of_field, parse_message_string(package, last, body).fields)) or EMPTY
+        found[name] = tuple(map(_of_field, parse_message_string(package, last, body).fields))
     return found
 
 
@@ -58,10 +64,10 @@ def with_installed(own: Definitions, msgtype: str) -> Definitions:
     """
 
     def fields(name: str) -> tuple[Field, ...]:
-        found = own[name] if name in own else _installed(name)
+        found = own[name] if name in own else installed_fields(name)
         if any(field.type == WIDE for field in found):
             raise KeyError(WIDE)
-        return found
+        return found or EMPTY
 
     return with_nested(msgtype, fields)
 
@@ -74,36 +80,6 @@ def _of_field(field: Any) -> Field:
     if field.type.is_array:
         many = "array" if field.type.array_size and not field.type.is_upper_bound else "sequence"
     return Field(field.name, kind, many, (field.type.array_size or 1) if many == "array" else 1)
-
-
-def _installed(msgtype: str) -> tuple[Field, ...]:
-    """Return the fields of a type of an installed package."""
-    from rosidl_runtime_py.utilities import get_message
-
-    try:
-        message = get_message(msgtype)
-    except (ImportError, AttributeError, ValueError):
-        raise KeyError(msgtype) from None
-    kinds = zip(message.get_fields_and_field_types(), message.SLOT_TYPES, strict=True)
-    return tuple(_of_slot(name, kind) for name, kind in kinds) or EMPTY
-
-
-def _of_slot(name: str, kind: Any) -> Field:
-    from rosidl_parser.definition import AbstractNestedType, AbstractString, Array, BasicType, NamespacedType
-
-    many: Literal["one", "array", "sequence"] = "one"
-    count = 1
-    if isinstance(kind, AbstractNestedType):
-        many = "array" if isinstance(kind, Array) else "sequence"
-        count = kind.size if isinstance(kind, Array) else 1
-        kind = kind.value_type
-    if isinstance(kind, BasicType):
-        return Field(name, BASIC.get(kind.typename, kind.typename), many, count)
-    if isinstance(kind, NamespacedType):
-        return Field(name, "/".join([*kind.namespaces, kind.name]), many, count)
-    if isinstance(kind, AbstractString):
-        return Field(name, "string", many, count)
-    return Field(name, WIDE, many, count)
 
 
 @lru_cache

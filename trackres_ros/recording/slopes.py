@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.units import MAD_TO_STD
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -24,7 +26,6 @@ GRID_M = 5.0
 SHORTEST_M, LONGEST_M = 200.0, 3000.0  # distance over which a slope is fitted
 SURE_SLOPE = 0.005  # sufficient standard deviation of a slope
 OF_A_LINE = 12.0**0.5  # standard deviation of the slope of a line over that of its points, and its length
-MAD_TO_STD = 1.4826
 
 
 class Slopes(NamedTuple):

@@ -173,11 +173,9 @@ class Sum:
             if len(values) < len(found):
                 self.alone += 1
                 continue
-            done.append((stamp_ns - self._binding.delay_ns if stamp_ns else 0, self._of_role(total + sum(values))))
+            value = self._binding.scale * (total + sum(values)) + self._binding.offset
+            done.append((stamp_ns - self._binding.delay_ns if stamp_ns else 0, value))
         return done
-
-    def _of_role(self, total: float) -> float:
-        return self._binding.scale * total + self._binding.offset
 
 
 def _at(samples: deque[tuple[int, float]], clock: int, apart_ns: int) -> float | str:

@@ -197,19 +197,18 @@ def _of_size(make: Callable[[], _Decompressor]) -> Callable[[bytes, int], bytes]
 
 
 def check_space(path: Path) -> None:
-    """Refuse a file that unpacks to more than fits into the temporary folder, where rosbags unpacks it.
-
-    Raises InputError with the size.
-    """
+    """Refuse a file that unpacks to more than fits into the temporary folder, where rosbags unpacks it."""
     with path.open("rb") as file:
-        size = _zstd_bound(file)
+        check_free(_zstd_bound(file), path, "zstd that unpacks to up to {} GB")
+
+
+def check_free(size: int, path: Path, what: str) -> None:
+    """Refuse a file that takes more bytes than are free in the temporary folder. Raises InputError with `what` and the size."""
     folder = tempfile.gettempdir()
     free = shutil.disk_usage(folder).free
     if size > free:
-        given = f"zstd that unpacks to up to {figures(size / 1e9)} GB"
-        raise InputError(
-            str(path), given, f"{figures(free / 1e9)} GB, which are free in {folder}", "name another folder: export TMPDIR=FOLDER"
-        )
+        allowed = f"{figures(free / 1e9)} GB, which are free in {folder}"
+        raise InputError(str(path), what.format(figures(size / 1e9)), allowed, "name another folder: export TMPDIR=FOLDER")
 
 
 def _zstd_bound(file: BinaryIO) -> int:

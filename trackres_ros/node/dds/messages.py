@@ -16,11 +16,11 @@ from trackres_ros.node.dds.participant import serialized
 from trackres_ros.node.dds.wire import known_type, typestore
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.transport import UNUSABLE, Reasons, Status, stamp_ns
-from trackres_ros.output.bag import FIELDS, template_message
+from trackres_ros.output import bag
 from trackres_ros.output.topics import ESTIMATE_TOPIC, REASONS_GROUP, VEHICLE_GROUP, OutputTopic
-from trackres_ros.recording.binding import FIX, NO_FIX, FieldStep, field_steps
-from trackres_ros.recording.cdr import MalformedError, layout_of
-from trackres_ros.recording.message_types import TIME, check_field, definitions, message_fields, stamp_path
+from trackres_ros.recording.binding import FIX, NO_FIX
+from trackres_ros.recording.cdr import FieldReader, MalformedError, Template, layout_of
+from trackres_ros.recording.message_types import definitions, message_fields
 from trackres_ros.units import SECOND_NS
 
 CLOCK_BYTES = 12
@@ -33,15 +33,10 @@ class PreparedMessage:
 
     def __init__(self, topic: OutputTopic, message: object, numbers: Sequence[str]) -> None:
         types = definitions(message_fields(typestore()), topic.type)
-        paths = [field_steps(path) for path in numbers]
-        stamp = stamp_path(types, topic.type)
-        if stamp:
-            paths += [(*stamp, FieldStep(field.name)) for field in types[TIME]]
-        self._bytes = bytearray(serialized(message, topic.type))
-        spots = layout_of(bytes(self._bytes), types, topic.type, paths).spots
-        places = [place for place in spots if place is not None]
-        self._stamp = [offset for offset, _ in places[-2:]] if stamp else []
-        self._numbers = [offset for offset, _ in (places[:-2] if stamp else places)]
+        template = Template(serialized(message, topic.type), types, topic.type, numbers)
+        self._bytes = bytearray(template.raw)
+        places = [spot[0] for spot in template.layout.spots if spot]
+        self._numbers, self._stamp = places[: len(numbers)], places[len(numbers) :]
 
     def filled(self, stamp: int, values: Sequence[float]) -> bytes:
         """The message with a stamp [ns] and its numbers."""
@@ -56,8 +51,7 @@ class PreparedMessage:
 
 def prepared(topic: OutputTopic, frame_id: str) -> PreparedMessage:
     """The message of a topic whose strings never change."""
-    numbers = FIELDS.get(topic.kind, [f"effort[{i}]" for i in range(len(topic.names))])
-    return PreparedMessage(topic, template_message(topic, typestore(), frame_id), numbers)
+    return PreparedMessage(topic, bag.template_message(topic, typestore(), frame_id), bag.number_fields(topic))
 
 
 class DdsEstimate:
@@ -77,7 +71,7 @@ class DdsEstimate:
         types, topic = typestore().types, ESTIMATE_TOPIC
         group = types["control_msgs/msg/InterfaceValue"]
         message = types[topic.type](
-            header=_header(0, self._frame_id),
+            header=bag.header(typestore(), self._frame_id),
             interface_groups=[VEHICLE_GROUP, REASONS_GROUP],
             interface_values=[
                 group(interface_names=list(topic.names), values=np.zeros(len(topic.names))),
@@ -89,65 +83,33 @@ class DdsEstimate:
 
 def diagnostic_array(stamp: int, statuses: Sequence[Status], frame_id: str) -> bytes:
     """A DiagnosticArray."""
-    types = typestore().types
-    key_value, status = types["diagnostic_msgs/msg/KeyValue"], types["diagnostic_msgs/msg/DiagnosticStatus"]
-    listed = [
-        status(
-            level=int(given.level),
-            name=given.name,
-            message=given.message,
-            hardware_id=given.hardware_id,
-            values=[key_value(key=key, value=value) for key, value in given.values],
-        )
-        for given in statuses
-    ]
-    kind = "diagnostic_msgs/msg/DiagnosticArray"
-    return serialized(types[kind](header=_header(stamp, frame_id), status=listed), kind)
-
-
-def _header(stamp: int, frame_id: str) -> Any:
-    types = typestore().types
-    seconds, nanoseconds = divmod(stamp, SECOND_NS)
-    time = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
-    return types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
+    listed = ((int(one.level), one.name, one.message, one.hardware_id, one.values) for one in statuses)
+    return serialized(bag.diagnostic_array(typestore(), listed, frame_id, stamp), bag.DIAGNOSTICS)
 
 
 class CdrInput:
     """Reads stamp and numbers of the messages of one input topic.
 
-    Messages of a topic mostly have the same layout, so field positions are reused from message to message.
-
-    Raises
-    ------
-    InputError
-        For an unknown type, or a field path that does not lead to a number.
+    Messages of a topic mostly have the same layout, so field positions are reused from message to message. Raises
+    InputError for an unknown type, or a field path that does not lead to a number.
     """
 
     def __init__(self, given: InputTopic, origin: str) -> None:
         where = f"{origin}: {', '.join(given.roles)}"
         self._type = known_type(given.type, where)
-        self._types = definitions(message_fields(typestore()), given.type)
         self._scales = [(binding.scale, binding.offset) for binding in given.bindings]
-        self._paths = [check_field(self._types, given.type, binding.field, f"{where}: field") for binding in given.bindings]
         self._has_fix = bool(given.bindings[0].fix)
-        if self._has_fix:
-            self._paths.append(field_steps(FIX))
-        stamp = stamp_path(self._types, given.type)
-        if stamp:
-            self._paths += [(*stamp, FieldStep(field.name)) for field in self._types[TIME]]
-        self._has_stamp = bool(stamp)
+        fields = [*(binding.field for binding in given.bindings), *([FIX] if self._has_fix else [])]
+        types = definitions(message_fields(typestore()), self._type)
+        self._fields = FieldReader(types, self._type, fields, where=f"{where}: field")
+        self._has_stamp = len(self._fields.paths) > len(fields)
         self._fixed: tuple[tuple[slice, bytes], ...] = ()
         self._length = -1
         self._places: list[tuple[int, struct.Struct] | None] = []
 
     def read(self, raw: bytes) -> tuple[int | None, list[float | None]]:
         """Stamp [ns], None where the type has none; and the scaled number of each binding, None where the message lacks it,
-        nan of a receiver without a fix.
-
-        Raises
-        ------
-        MalformedError
-            If the bytes are no message of the type.
+        nan of a receiver without a fix. Raises MalformedError if the bytes are no message of the type.
         """
         if len(raw) != self._length or any(raw[where] != content for where, content in self._fixed):
             self._learn(raw)
@@ -164,20 +126,14 @@ class CdrInput:
         ]
 
     def _learn(self, raw: bytes) -> None:
-        layout = layout_of(raw, self._types, self._type, self._paths)
+        layout = layout_of(raw, self._fields.types, self._type, self._fields.paths)
         self._length = layout.length
         self._fixed = tuple((slice(start, start + len(content)), content) for start, content in layout.fixed)
         self._places = [None if spot is None else (spot[0], STRUCTS[spot[1]]) for spot in layout.spots]
 
 
 def clock_ns(raw: bytes) -> int:
-    """Time [ns] in a rosgraph_msgs/msg/Clock.
-
-    Raises
-    ------
-    MalformedError
-        If the bytes are too few, or contain no valid time.
-    """
+    """Time [ns] in a rosgraph_msgs/msg/Clock. Raises MalformedError if the bytes are too few, or contain no valid time."""
     if len(raw) < CLOCK_BYTES:
         raise MalformedError("too short")
     seconds, nanoseconds = struct.unpack_from("<iI" if raw[1] else ">iI", raw, 4)

@@ -37,13 +37,7 @@ LOG_PATIENCE_S = 1.0  # with who reads the log, at the end
 
 
 class DdsNode:
-    """The node; `spin` runs it.
-
-    Raises
-    ------
-    InputError
-        If parameters, vehicle or topics cannot be used.
-    """
+    """The node; `spin` runs it. Raises InputError if parameters, vehicle or topics cannot be used."""
 
     def __init__(self, parameters: Parameters, node: str, namespace: str) -> None:
         self._name = full_name(node, "", namespace).replace("//", "/").strip("/").replace("/", ".")
@@ -170,7 +164,8 @@ class DdsNode:
     def _take_clock(self, clock: TopicReader) -> None:
         for raw, _ in clock.take():
             with suppress(MalformedError):
-                self._set_clock(clock_ns(raw))
+                before, self._sim_ns = self._sim_ns, clock_ns(raw)
+                self.application.time_went_back(before - self._sim_ns)
 
     def _take_kept(self) -> None:
         for index, kept in self._kept:
@@ -225,11 +220,6 @@ class DdsNode:
         self._participant.close()
         self._lines.close(LOG_PATIENCE_S)
 
-    def _set_clock(self, now_ns: int) -> None:
-        back_ns = self._sim_ns - now_ns
-        self._sim_ns = now_ns
-        self.application.time_went_back(back_ns)
-
 
 def run(
     parameters: Parameters,
@@ -239,13 +229,7 @@ def run(
     started: Callable[[Application], None] | None = None,
     watched: ParameterFile | None = None,
 ) -> int:
-    """Run the node until a signal requests a stop.
-
-    Returns
-    -------
-    int
-        Exit code: 0, or 1 if a fault of the loop itself ended it.
-    """
+    """Run the node until a signal requests a stop; the exit code is 0, or 1 if a fault of the loop itself ended it."""
     running = DdsNode(parameters, node, namespace)
     gc.freeze()  # loaded objects stay: scanning them would delay a message now and then
     fault: Exception | None = None

@@ -61,13 +61,7 @@ class Writer:
         self._reference = self.entity._ref
 
     def write(self, message: bytes) -> None:
-        """Publish one message; its length is a multiple of `ALIGNMENT`.
-
-        Raises
-        ------
-        OSError
-            If the middleware refuses it.
-        """
+        """Publish one message; its length is a multiple of `ALIGNMENT`. Raises OSError if the middleware refuses it."""
         code = ddspy_write(self._reference, message)
         if code < 0:
             raise OSError(-code, f"DDS write failed with code {code}")
@@ -96,10 +90,7 @@ class TopicReader:
 class Participant:
     """A node's presence on the wire.
 
-    Raises
-    ------
-    InputError
-        If ROS_DOMAIN_ID is not a domain, or the configuration prevents Cyclone DDS from starting.
+    Raises InputError if ROS_DOMAIN_ID is not a domain, or the configuration prevents Cyclone DDS from starting.
     """
 
     def __init__(self, node: str, namespace: str) -> None:

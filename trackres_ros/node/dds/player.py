@@ -29,10 +29,7 @@ WAIT_S = 0.05
 class Player:
     """Publishes the messages of a bag of ROS 2 on their topics, at a speed relative to the recording.
 
-    Raises
-    ------
-    InputError
-        If it cannot be read, or contains no message of a known type.
+    Raises InputError if it cannot be read, or contains no message of a known type.
     """
 
     def __init__(self, path: Path, rate: float) -> None:

@@ -29,22 +29,8 @@ if TYPE_CHECKING:
 
 TOPIC_PREFIX = "rt/"
 MOST_DOMAIN = 232
-NUMBERS = {
-    "bool": bool,
-    "byte": idl.uint8,
-    "char": idl.uint8,
-    "octet": idl.uint8,
-    "uint8": idl.uint8,
-    "int8": idl.int8,
-    "int16": idl.int16,
-    "uint16": idl.uint16,
-    "int32": idl.int32,
-    "uint32": idl.uint32,
-    "int64": idl.int64,
-    "uint64": idl.uint64,
-    "float32": idl.float32,
-    "float64": idl.float64,
-}
+OTHERWISE = {"bool": bool, "byte": idl.uint8, "char": idl.uint8, "octet": idl.uint8}
+"""Numbers with another name in the binding of Cyclone, or of another type on the wire."""
 CONTROL_MSGS = {
     "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values",
     "control_msgs/msg/DynamicInterfaceGroupValues": "std_msgs/Header header\nstring[] interface_groups\n"
@@ -82,13 +68,7 @@ def _without_char(kind: Any) -> Any:
 
 
 def known_type(name: str, where: str) -> str:
-    """The message type, if known.
-
-    Raises
-    ------
-    InputError
-        If unknown.
-    """
+    """The message type, if known. Raises InputError if unknown."""
     if name not in typestore().types:
         raise InputError(
             f"{where}: type",
@@ -132,7 +112,7 @@ def _idl_field(kind: Any) -> Any:
         name, bound = inner
         if name == "string":
             return of.bounded_str[bound] if bound else str
-        return NUMBERS[name]
+        return OTHERWISE.get(name) or getattr(idl, name)
     if node == 2:  # another message
         return idl_struct(inner)
     element, bound = inner
@@ -159,13 +139,7 @@ def qos(quality: Quality, user_data: bytes, transient: bool = False) -> Any:
 
 
 def domain_id() -> int:
-    """Domain from ROS_DOMAIN_ID, 0 by default.
-
-    Raises
-    ------
-    InputError
-        If it is no domain.
-    """
+    """Domain from ROS_DOMAIN_ID, 0 by default. Raises InputError if it is no domain."""
     given = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not given.isdecimal() or int(given) > MOST_DOMAIN:
         raise InputError("environment ROS_DOMAIN_ID", given, f"a whole number from 0 to {MOST_DOMAIN}")

@@ -17,21 +17,13 @@ class OneAtATime(MutuallyExclusiveCallbackGroup):  # type: ignore[misc]
 
     Sometimes the executor excludes some of them from its wait. rclpy builds its wait set again for each message, from every
     entity that may run. With dozens of services and event handlers in it that takes longer than the estimate itself.
-
-    Attributes
-    ----------
-    inputs
-        Subscriptions that feed the estimate.
-    waits_for_inputs
-        Whether the executor waits for their messages; else the next tick collects them.
-    serves
-        Whether services and events are served; not from a message until the next tick.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self.inputs: list[Any] = []
-        self.waits_for_inputs = self.serves = True
+        self.inputs: list[Any] = []  # subscriptions that feed the estimate
+        self.waits_for_inputs = True  # for their messages; else the next tick collects them
+        self.serves = True  # services and events; not from a message until the next tick
 
     def can_execute(self, entity: Any) -> bool:
         """Whether the executor waits for it, or runs it."""

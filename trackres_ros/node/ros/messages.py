@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 from array import array
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -21,11 +20,8 @@ from trackres_ros.errors import InputError
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.transport import Reasons, Status
 from trackres_ros.output.topics import ESTIMATE_TOPIC, REASONS_GROUP, VEHICLE_GROUP, OutputTopic
-from trackres_ros.recording.message_types import NUMBERS, Definitions, Field, check_field
+from trackres_ros.recording.message_types import check_field, installed_fields, with_nested
 from trackres_ros.units import SECOND_NS
-
-ALIASES = {"boolean": "bool", "double": "float64", "float": "float32", "octet": "byte"}
-FIELD_TYPE = re.compile(r"(?:sequence<(?P<element>[^,>]+)(?:,\s*\d+)?>|(?P<plain>[^\[\]<>]+(?:<\d+>)?)(?:\[(?P<count>\d+)\])?)")
 
 Fill = Callable[[int, Sequence[float]], Any]
 
@@ -111,27 +107,18 @@ def diagnostic_array(stamp_ns: int, statuses: Sequence[Status], frame_id: str) -
 def input_type(given: InputTopic, origin: str) -> Any:
     """Message class of an input, with its field paths checked.
 
-    Raises
-    ------
-    InputError
-        For a type that is not installed, or a field path that does not lead to a number.
+    Raises InputError for a type that is not installed, or a field path that does not lead to a number.
     """
     where = f"{origin}: {', '.join(given.roles)}"
     message = installed_type(given.type, where)
-    types = definitions(given.type)
+    types = with_nested(given.type, installed_fields)
     for binding in given.bindings:
         check_field(types, given.type, binding.field, f"{where}: field")
     return message
 
 
 def installed_type(name: str, where: str) -> Any:
-    """The class of a message type.
-
-    Raises
-    ------
-    InputError
-        If it is not installed.
-    """
+    """The class of a message type. Raises InputError if it is not installed."""
     try:
         return get_message(name)
     except (AttributeError, ImportError, ValueError):
@@ -153,37 +140,9 @@ def type_text(msgtype: str) -> str | None:
         try:
             path = Path(get_package_share_directory(package)) / kind / f"{short}.msg"
             found[name] = path.read_text(encoding="utf-8")
-            wanted += [field.type for field in definitions(name)[name] if "/" in field.type]
+            wanted += [field.type for field in installed_fields(name) if "/" in field.type]
         except (LookupError, OSError, AttributeError, ImportError, ValueError):
             return None
     first, *others = found
     parts = [f"MSG: {name.replace('/msg/', '/')}\n{found[name]}" for name in others]
     return f"\n{'=' * 80}\n".join([found[first], *parts])
-
-
-def definitions(msgtype: str) -> Definitions:
-    """Fields of a message type and of all nested types, from the installed types."""
-    found: dict[str, tuple[Field, ...]] = {}
-    wanted = [msgtype]
-    while wanted:
-        name = wanted.pop()
-        if name not in found:
-            found[name] = tuple(_field(field, kind) for field, kind in get_message(name).get_fields_and_field_types().items())
-            wanted += [field.type for field in found[name] if "/" in field.type]
-    return found
-
-
-def _field(name: str, described: str) -> Field:
-    """A field as `get_fields_and_field_types` describes it: ``double``, ``string<10>``, ``pkg/Name[3]``, ``sequence<double>``."""
-    match = FIELD_TYPE.fullmatch(described)
-    if match is None:
-        return Field(name, described, "one", 1)
-    element, plain, count = match["element"], match["plain"], match["count"]
-    kind = (element or plain).split("<")[0].strip()
-    kind = ALIASES.get(kind, kind)
-    if kind not in NUMBERS and "/" in kind:
-        package, short = kind.split("/")
-        kind = f"{package}/msg/{short}"
-    if element:
-        return Field(name, kind, "sequence", 0)
-    return Field(name, kind, "array", int(count)) if count else Field(name, kind, "one", 1)

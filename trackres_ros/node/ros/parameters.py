@@ -23,13 +23,7 @@ SIM_TIME = "use_sim_time"  # declared by rclpy itself
 
 
 def declare(node: Node, values: Parameters) -> None:
-    """Declare all parameters; the command line or a parameter file overrides `values`.
-
-    Raises
-    ------
-    InputError
-        For a bad value.
-    """
+    """Declare all parameters; the command line or a parameter file overrides `values`. Raises InputError for a bad value."""
     overrides = node._parameter_overrides
     for name, parameter in PARAMETERS.items():
         if name != SIM_TIME:
@@ -105,13 +99,7 @@ def _on_ros(value: Value) -> Any:
 
 
 def read(node: Node) -> Parameters:
-    """Checked values of all parameters.
-
-    Raises
-    ------
-    InputError
-        For a bad value.
-    """
+    """Checked values of all parameters. Raises InputError for a bad value."""
     return make_parameters({name: node.get_parameter(name).value for name in PARAMETERS})
 
 
@@ -130,12 +118,6 @@ def verdict(check: Any, given: Mapping[str, Any]) -> SetParametersResult:
 
 
 def check_values(given: Mapping[str, Any]) -> None:
-    """Check values before there is anything that they would change.
-
-    Raises
-    ------
-    InputError
-        For a bad value.
-    """
+    """Check values before there is anything that they would change. Raises InputError for a bad value."""
     for name, value in given.items():
         known(name).checked(value)

@@ -24,10 +24,7 @@ OVERRIDABLE = QoSOverridingOptions.with_default_policies()
 def overridden(node: Node, topic: str) -> Iterator[None]:
     """Report a failure to make an endpoint with an overridden profile as a bad override.
 
-    Raises
-    ------
-    InputError
-        Naming the overrides, and what is allowed.
+    Raises InputError naming the overrides, and what is allowed.
     """
     try:
         yield

@@ -19,11 +19,12 @@ import numpy as np
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
-from trackres_ros.recording.date_times import MOST_S, NO_ZONE, SECOND_NS, DateTimes, is_date_time
+from trackres_ros.recording.date_times import MOST_S, NO_ZONE, DateTimes, is_date_time
 from trackres_ros.recording.file_kind import FileKind
 from trackres_ros.recording.number_marks import COMMA, Mark, decide, is_number, marks_of, number_of
 from trackres_ros.recording.role_units import is_quantity
 from trackres_ros.recording.samples import Finding
+from trackres_ros.units import SECOND_NS
 
 if TYPE_CHECKING:
     from openpyxl.workbook import Workbook
