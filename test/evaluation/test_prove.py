@@ -32,7 +32,8 @@ out, drive = sys.argv[sys.argv.index("-o") + 1], pathlib.Path(sys.argv[2])
 
 
 def process(module, *arguments):
-    command = [sys.executable, "-m", f"trackres_ros.evaluation.sealed.{module}", *map(str, arguments)]
+    words = [f"sealed.{module}.main", *map(str, arguments)]
+    command = [sys.executable, "-m", "trackres_ros.evaluation.processes", *words]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
@@ -52,7 +53,7 @@ def test_the_labels_are_opened_only_by_the_score(tmp_path):
     (tmp_path / "checkout" / "trackres_ros").mkdir(parents=True)
     for name, text in (("__init__.py", ""), ("__main__.py", EARLIER)):
         (tmp_path / "checkout" / "trackres_ros" / name).write_text(text)
-    earlier.main([str(tmp_path / name) for name in ("cases", "results_earlier", "checkout")])
+    earlier.main(*(tmp_path / name for name in ("cases", "results_earlier", "checkout")))
     away.rename(tmp_path / "sealed")
     assert seal in process("score", tmp_path)
     (scores,) = json.loads((tmp_path / "scores.json").read_text())["cases"]
@@ -72,7 +73,7 @@ def test_labels_unlike_the_seal_are_refused(tmp_path):
     labels["cases"][0]["level"] = "single" if labels["cases"][0]["level"] == "none" else "none"
     (tmp_path / "sealed" / "labels.json").write_text(json.dumps(labels))
     with pytest.raises(InputError, match="not those that were sealed"):
-        score.main([str(tmp_path)])
+        score.main(tmp_path)
     assert not (tmp_path / "scores.json").exists()
 
 
@@ -94,7 +95,7 @@ def test_a_run_takes_cases_by_level_and_resumes_where_it_stopped(tmp_path, monke
     monkeypatch.setattr(prove, "_process", lambda _as_json, step: started.append(tuple(map(str, step))))
     begun = ["prove", "--level", "outside=18", "--level", "none", "--cases", "6", "--seed", "31", "-o", str(tmp_path)]
     assert CliRunner().invoke(cli, begun).exit_code == 0
-    assert started[0] == ("sealed.generate", str(tmp_path), "31", "15", "outside=18", "none=6")
+    assert started[0] == ("sealed.generate.main", str(tmp_path), "31", "15", "outside=18", "none=6")
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "one.json").touch()
     assert CliRunner().invoke(cli, begun).exit_code == 0
@@ -143,7 +144,7 @@ def test_ended_by_a_signal_it_leaves_no_process(tmp_path):
 
 def test_an_earlier_version_is_a_checkout(tmp_path):
     with pytest.raises(InputError, match="--earlier"):
-        earlier.main([str(tmp_path), str(tmp_path / "results"), str(tmp_path)])
+        earlier.main(tmp_path, tmp_path / "results", tmp_path)
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):

@@ -127,7 +127,7 @@ def score_them(tmp_path, labels, results):
     (tmp_path / "truth" / "labels.json").write_text(text)
     for one, result in zip(labels, results, strict=True):
         (tmp_path / "out" / "results" / f"{one['case']}.json").write_text(json.dumps(result))
-    second.main([str(tmp_path / "truth"), str(tmp_path / "out")])
+    second.main(tmp_path / "truth", tmp_path / "out")
 
 
 def test_cases_of_another_simulator_get_the_same_scores(tmp_path):

@@ -320,9 +320,7 @@ def test_what_is_recorded_says_nothing_of_what_is_hidden():
 
 @pytest.mark.parametrize("hidden", [{LOAD: {"share": 0.2, "bulk": 1.0, "seed": 7.0}}, {"street_slope": {"steepest": 0.02}}])
 def test_a_case_passes_the_gate(tmp_path, hidden):
-    for sub in ("cases", "sealed"):
-        (tmp_path / sub).mkdir()
-    make_case((tmp_path, Case("a", "street", hidden, {}, False, False, False, False, 21), 4.0))
+    make_case(tmp_path, 4.0, Case("a", "street", hidden, {}, False, False, False, False, 21))
     loaded_base = load_base(tmp_path / "cases" / "a" / "vehicle.yaml")
     paths = sorted((tmp_path / "cases" / "a").glob("drive_*.csv"))
     sessions = gate(read_recordings(paths, None), loaded_base.known).sessions
