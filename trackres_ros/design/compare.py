@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.design.drives import STAGES, DriveCycle, check_weight, driven, read_cycle, with_factors
-from trackres_ros.design.steady import J_PER_KWH, WARMEST_K, FileErrors, held, steady
+from trackres_ros.design.steady import J_PER_KWH, WARMEST_K, Array, FileErrors, held, steady
 from trackres_ros.design.uncertain import LogDerivatives, difference_std, half_width, moved, slopes_of
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
@@ -30,8 +29,6 @@ from trackres_ros.text.table import table
 from trackres_ros.units import GRAVITY, KMH_PER_MPS
 from trackres_ros.vehicle import RoadVehicle, Vehicle, load, load_any
 from trackres_ros.vehicle.road import SECTION
-
-Array = NDArray[np.float64]
 
 POINTS, MOST_VALUES, MOST_CONDITIONS = 5, 25, 200
 SLOWEST_SHARE = 0.1  # of the maximum speed, of vehicles without belts, and of slow ones on tracks

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros import checks
-from trackres_ros.design.steady import WARMEST_K, steady
+from trackres_ros.design.steady import WARMEST_K, Array, steady
 from trackres_ros.design.sweep import OUTCOMES
 from trackres_ros.design.uncertain import absorbed
 from trackres_ros.design.values import scalars, short
@@ -28,7 +27,6 @@ from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Vehicle, load
 from trackres_ros.vehicle.loading import variants
 
-Array = NDArray[np.float64]
 Model = Callable[[Array], Array]
 
 NOT_OF_THE_VEHICLE = ("chassis.ambient", "chassis.max_speed", "chassis.max_acceleration")

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.design.drives import driven, read_cycle
-from trackres_ros.design.steady import Steady, steady
+from trackres_ros.design.steady import Array, Steady, steady
 from trackres_ros.design.values import Varied, short
 from trackres_ros.engine.executor import LOCAL, results
 from trackres_ros.errors import InputError, one_line
@@ -24,8 +23,6 @@ from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.text.table import table
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import load
-
-Array = NDArray[np.float64]
 
 MOST_POINTS = 100_000
 ALONE = 200  # points without a drive that this process makes itself: an engine takes longer to begin

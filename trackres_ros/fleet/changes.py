@@ -12,12 +12,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackres_ros.fleet.pooling import Pooled, softened
+from trackres_ros.fleet.pooling import Array, Pooled, softened
 from trackres_ros.fleet.task import FIRST_DAY_S
-
-Array = NDArray[np.float64]
 
 STEP, RAMP = "step", "ramp"
 FALSE_ALARMS = 0.2  # per vehicle and year, one in 60 vehicle-months: rate of false alarms

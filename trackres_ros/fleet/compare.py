@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtri
 
 from trackres_ros.errors import InputError, nearest
@@ -17,7 +16,7 @@ from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import read
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.fleet.dataset import FleetDataset
-from trackres_ros.fleet.pooling import Vehicles, pool, softened
+from trackres_ros.fleet.pooling import Array, Vehicles, pool, softened
 from trackres_ros.fleet.recordings import ROWS
 from trackres_ros.fleet.trends import NUMBERS, TEXTS, of_one_file, of_present_files, some_of, without_copies, without_overlaps
 from trackres_ros.output.style import picture
@@ -26,8 +25,6 @@ from trackres_ros.text.table import table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 SURE = 0.05  # probability of any false difference by chance
 REPORT, MOST_BYTES = "report.json", 1 << 26

@@ -13,18 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_base, read_recordings
+from trackres_ros.evaluation.field.data import Array
 from trackres_ros.evaluation.field.run import NOTHING, UPHILL, WARM, FieldTrial
 from trackres_ros.output.style import BLUE, GREY, VERMILION, picture
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.route.track import Frame
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import GRAVITY
-
-Array = NDArray[np.float64]
 
 FOLDER, VEHICLE, TOPICS = "ztbus", "ztbus_hess19", "ztbus"
 SAME_PLACE_M = 15.0

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
@@ -22,6 +21,7 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import read_learning, save
 from trackres_ros.evaluation.learned.generate import REFIT
 from trackres_ros.evaluation.processes import each, unfinished
+from trackres_ros.evaluation.sealed.drives import Array
 from trackres_ros.evaluation.sealed.generate import APART_S, refit
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
@@ -30,7 +30,6 @@ from trackres_ros.offline.replay import replay
 from trackres_ros.recording.opening import open_source
 from trackres_ros.vehicle import load
 
-Array = NDArray[np.float64]
 KEY = re.compile(r"\(?[+-]?\d+ (%|Nm|s)|( of the|of)(?= *$)| (since|for) *$|, of the kind.*")  # varies from run to run
 BESIDE = "a torque beside the vehicle"
 SHOWN = [at.Results.speed_mps, at.Results.feedforward_torque_nm, at.Results.resistance_torque_nm, at.Results.resistance_std_nm]

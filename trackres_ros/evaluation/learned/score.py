@@ -10,20 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.evaluation.learned.cases import DRIVES, LearningCase, sealed
 from trackres_ros.evaluation.learned.page import write_page
 from trackres_ros.evaluation.processes import check_seal, read_json, read_labels
+from trackres_ros.evaluation.sealed.drives import Array
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
 from trackres_ros.learning.store import stored
 from trackres_ros.vehicle import load
-
-Array = NDArray[np.float64]
 
 ROLLS_MPS = 1.0
 WITHIN_STD = 1.96

@@ -13,13 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.visibility import Separability, base_columns
-
-Array = NDArray[np.float64]
+from trackres_ros.evaluation.sealed.drives import Array
 
 MOST = 3  # largest number of names, as for the diagnosis
 SURE_P = 0.05

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.base.base import BaseParameter, Predicted, Values
@@ -24,9 +23,8 @@ from trackres_ros.diagnosis.selection.visibility import LEAST_KEPT, separability
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Active
 from trackres_ros.evaluation.sealed.blind import opened
+from trackres_ros.evaluation.sealed.drives import Array
 from trackres_ros.vehicle import Vehicle
-
-Array = NDArray[np.float64]
 
 LEAST_GAIN = 10.0  # in log-likelihood: 4.5 standard deviations
 AS_WELL = 3.0  # a name with a gain smaller by at most this fits as well

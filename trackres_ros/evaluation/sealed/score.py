@@ -20,6 +20,7 @@ from trackres_ros.evaluation.processes import check_seal, each, read_json, read_
 from trackres_ros.evaluation.sealed.answers import BASELINES, DESCRIBED, EARLIER, Answer, of_names, of_report
 from trackres_ros.evaluation.sealed.baselines import by_trees
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, NOT_IN_CATALOGUE, RIGHT_FORMS, Case, first_by_name, sealed
+from trackres_ros.evaluation.sealed.drives import Array
 from trackres_ros.evaluation.sealed.follow import advised
 from trackres_ros.evaluation.sealed.generate import weight_and_radius
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer, fit_truth
@@ -30,7 +31,6 @@ from trackres_ros.evaluation.sealed.statements import is_true
 from trackres_ros.evaluation.sealed.street import LOAD
 from trackres_ros.evaluation.sealed.truth import G
 
-Array = NDArray[np.float64]
 Truth = Mapping[str, Any]
 """The kept part of the truth of a case, see `generate`."""
 

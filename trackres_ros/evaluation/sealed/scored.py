@@ -10,14 +10,13 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from trackres_ros.evaluation.sealed.answers import DESCRIBED, Answer, error_left
 from trackres_ros.evaluation.sealed.cases import NOT_IN_CATALOGUE, RIGHT_NAMES, STREET, Case, sensors_of
+from trackres_ros.evaluation.sealed.drives import Array
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer
 
-Array = NDArray[np.float64]
 Tried = TypeVar("Tried")
 
 OURS = "diagnosis"
