@@ -229,7 +229,6 @@ def _driven(
     asked: ComparisonRequest, slopes: _Slopes, estimators: Sequence[Estimator], cycle: DriveCycle, air: float,
     weight: float | None,
 ) -> tuple[list[Array], Array, Array]:  # fmt: skip
-    """The same of a drive."""
     values, changes = [], []
     ambient = None if "ambient" in cycle.conditions(asked.given) else air
     for number, estimator in enumerate(estimators):

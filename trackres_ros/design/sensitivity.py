@@ -253,7 +253,6 @@ def outcomes_of(piece: Drawn) -> Array:
 
 
 def _why_not(vehicle: Vehicle, values: Mapping[str, float], speed: float, ambient: float) -> str:
-    """Why a vehicle cannot be."""
     try:
         _outcomes(variants(vehicle), values, speed, ambient)
     except InputError as error:

@@ -207,7 +207,6 @@ def draw(found: Swept, path: Path) -> Path:
 
 
 def _value(one: Varied, value: float, paths: Sequence[str]) -> str:
-    """A value of a line, with its unit."""
     return f"{short(one.paths[0], paths)} {figures(value, 4)} {one.unit if one.unit != '1' else ''}".rstrip()
 
 

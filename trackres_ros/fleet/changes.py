@@ -293,7 +293,6 @@ def vehicle_changes(pooled: Pooled, vehicle: str, rate: float = FALSE_ALARMS) ->
 def _described(
     pooled: Pooled, of: VehicleHistory, found: Sequence[Found], varied: Sequence[Sequence[Variant]], j: int, least: float
 ) -> VehicleChange:
-    """One of the changes of a vehicle."""
     names, (parameter, at, kind) = pooled.of.names, found[j]
     whole = fit(of, found)
     nominal, std = float(pooled.of.nominal[parameter]), float(pooled.of.std[parameter])

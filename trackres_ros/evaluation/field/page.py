@@ -109,7 +109,6 @@ def _starts(begun: Sequence[Start], together: PooledStarts) -> list[str]:
 
 
 def _where(known: FieldTrial, begun: Sequence[Start]) -> str:
-    """Where the named effect acts, given the standing time."""
     early = np.array([acts_early(known, i) for i in range(len(begun))])
     cold = np.array([s.cold for s in begun])
     return (

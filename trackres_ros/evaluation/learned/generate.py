@@ -76,7 +76,6 @@ def make_case(folder: Path, minutes: float, case: LearningCase) -> None:
 
 
 def _mislead(path: Path, case: LearningCase, step: float, rng: np.random.Generator) -> None:
-    """Change the sensor's values in a recording."""
     names = path.read_text(encoding="utf-8").partition("\n")[0].split(",")
     rows = np.loadtxt(path, delimiter=",", skiprows=1)
     rows[:, names.index("torque_nm")] = misled(case, rows[:, names.index("torque_nm")], step, rng)

@@ -244,7 +244,6 @@ def own_shares(scored: Sequence[Scored]) -> dict[str, tuple[int, int]]:
 
 
 def _own_of_streets(of: Sequence[Scored]) -> dict[str, tuple[int, int]]:
-    """Hits and tries in towns."""
     seen = [s for s in of if s.true and s.known.identifiable]
     masses = [m for s in of for m in s.masses]
     close = f"street, load described: masses within {CLOSE:.0%} of the load"
