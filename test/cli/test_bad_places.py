@@ -45,6 +45,7 @@ def test_no_command_takes_an_empty_text_for_a_path(trackres, tmp_path, monkeypat
             refused = trackres(*words, *one)
             assert refused.returncode == 2, (words, one)
             assert "not empty" in refused.stderr, (words, one)
+            assert one[0].rstrip("=") in refused.stderr
             assert "imported" not in refused.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.py"]
 

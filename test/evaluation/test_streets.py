@@ -24,7 +24,6 @@ from trackres_ros.evaluation.sealed.cases import (
     sensors_of,
     streets_of,
 )
-from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.generate import make_case
 from trackres_ros.evaluation.sealed.phenomenon import Journey
 from trackres_ros.evaluation.sealed.sensors import EARTH_M, LATITUDE_DEG, LONGITUDE_DEG, Sensors, record, wandering
@@ -36,11 +35,6 @@ from trackres_ros.files.resources import find_vehicle
 
 SHEET = find_vehicle("xgd24d")
 WEIGHT_N, STEEPEST, MINUTES = 272e3, 0.03, 30.0
-
-
-@pytest.fixture(scope="module")
-def sheet():
-    return read_data_sheet(SHEET)
 
 
 def town_of(seed):

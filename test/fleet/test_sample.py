@@ -105,9 +105,3 @@ def test_a_short_recording_holds_enough_driving(tmp_path, monkeypatch):
     assert drawn[0] < MOVES_S <= drawn[-1]
     done = analyse(Task(str(path), "1", one_vehicle("xgd24d", None).vehicles["xgd24d"]))
     assert done["status"] == "good", done["reason"]
-
-
-def test_a_recording_longer_than_the_time_between_two_is_refused(trackres, tmp_path):
-    done = trackres("fleet", "sample", "-o", tmp_path, "--every", "0.1", "--minutes", "600")
-    assert done.returncode == 2
-    assert "--every" in done.stderr
