@@ -209,11 +209,8 @@ def test_the_same_design_twice_is_the_same(good, softer):
         (("xgd24d", "agri3t", "--cycle", "nothing.csv"), "nothing.csv"),
     ],
 )
-def test_what_cannot_be_is_one_line(trackres, given, part):
-    refused = trackres("compare", *given)
-    assert refused.returncode == 2
-    assert part in refused.stderr
-    assert len(refused.stderr.strip().splitlines()) == 1
+def test_what_cannot_be_is_one_line(refused, given, part):
+    assert part in refused("compare", *given)
 
 
 def test_vehicles_without_belts_compare_resistance_and_energy(good):
