@@ -99,10 +99,10 @@ def _kept(case: Case, driven: Sequence[SealedDrive], runs: Sequence[TruthRun]) -
     return {"lengths": lengths, **found, **{f"over/{name}": joined(series) for name, series in over.items()}}
 
 
-def means(series: Array) -> Array:
-    """Means over each `EVERY` samples, the last of as many as there are."""
-    begins = np.arange(0, len(series), EVERY)
-    return np.add.reduceat(series, begins) / np.diff(np.append(begins, len(series)))
+def means(series: Array, every: int = EVERY) -> Array:
+    """Means over each so many samples, the last of as many as there are."""
+    begins = np.arange(0, len(series), every)
+    return np.asarray(np.add.reduceat(series, begins) / np.diff(np.append(begins, len(series))))
 
 
 def drive_next(folder: Path, case: Case, minutes: float, name: str, planned: Callable[[SealedDrive], SealedDrive]) -> Path:
