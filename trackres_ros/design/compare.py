@@ -71,25 +71,22 @@ class ComparisonRequest:
         return 2 * (grid + len(self.ambients_degc) * len(self.weights_n) * (len(self.steady_kmh) + len(self.cycles)))
 
 
-@dataclass(frozen=True, slots=True)
-class ComparisonOptions:
-    """Options of `trackres compare`, as text; None by default."""
-
-    speed_kmh: str | None = None
-    belt_degc: str | None = None
-    ambient_degc: str | None = None
-    weight_kn: str | None = None
-    cycles: tuple[str, ...] = ()
-
-
-def asked_of(given: Sequence[str], options: ComparisonOptions) -> ComparisonRequest | None:
-    """Conditions to compare two vehicle files with tracks; None for anything else.
+def asked_of(
+    given: Sequence[str],
+    *,
+    speed_kmh: str | None = None,
+    belt_degc: str | None = None,
+    ambient_degc: str | None = None,
+    weight_kn: str | None = None,
+    cycle: tuple[str, ...] = (),
+) -> ComparisonRequest | None:
+    """Conditions to compare two vehicle files with tracks, by the options of `trackres compare`; None for anything else.
 
     Raises InputError if an option is not valid, or is given for something else.
     """
     files = vehicle_files(given, "tracks")
     if not files:
-        for name, value in zip(OPTIONS, astuple(options), strict=True):
+        for name, value in zip(OPTIONS, (speed_kmh, belt_degc, ambient_degc, weight_kn, cycle), strict=True):
             if value:
                 shown = ", ".join(value) if isinstance(value, tuple) else value
                 raise InputError(name, shown, "only with two vehicle files with tracks")
@@ -99,17 +96,17 @@ def asked_of(given: Sequence[str], options: ComparisonOptions) -> ComparisonRequ
     fastest = min(v.chassis.max_speed for v in vehicles)
     fastest_kmh = KMH_PER_MPS * fastest
     usual = (SLOWEST_KMH if fastest_kmh > SLOWEST_KMH else SLOWEST_SHARE * fastest_kmh, fastest_kmh)
-    speeds = numbers("--speed-kmh", options.speed_kmh or ":".join(map(str, usual)), (0.1, OVERSPEED * fastest_kmh))
-    belts = numbers("--belt-degc", options.belt_degc or f"{COLDEST_DEGC}:{WARMEST_DEGC}", BELTS_DEGC)
-    steady_kmh = speeds if options.speed_kmh else (min(USUAL_KMH, fastest_kmh),)
-    air = (one.chassis.ambient,) if options.ambient_degc is None else numbers("--ambient-degc", options.ambient_degc, AIR_DEGC)
+    speeds = numbers("--speed-kmh", speed_kmh or ":".join(map(str, usual)), (0.1, OVERSPEED * fastest_kmh))
+    belts = numbers("--belt-degc", belt_degc or f"{COLDEST_DEGC}:{WARMEST_DEGC}", BELTS_DEGC)
+    steady_kmh = speeds if speed_kmh else (min(USUAL_KMH, fastest_kmh),)
+    air = (one.chassis.ambient,) if ambient_degc is None else numbers("--ambient-degc", ambient_degc, AIR_DEGC)
     weights: tuple[float | None, ...] = (None,)
-    if options.weight_kn is not None:
-        weights = tuple(1e3 * kn for kn in numbers("--weight-kn", options.weight_kn, (0.1, 1e5)))
+    if weight_kn is not None:
+        weights = tuple(1e3 * kn for kn in numbers("--weight-kn", weight_kn, (0.1, 1e5)))
         for vehicle, weight in itertools.product(vehicles, weights):
             check_weight(vehicle, weight or 0.0)
-    cycles = tuple(read_cycle(name, fastest) for name in options.cycles or (STAGES,))
-    named = (("ambient", options.ambient_degc), ("load", options.weight_kn))
+    cycles = tuple(read_cycle(name, fastest) for name in cycle or (STAGES,))
+    named = (("ambient", ambient_degc), ("load", weight_kn))
     conditions = len(air) * len(weights) * (len(steady_kmh) + len(cycles))
     if conditions > MOST_CONDITIONS:
         raise InputError(", ".join(OPTIONS), f"{conditions} conditions", f"at most {MOST_CONDITIONS}")

@@ -9,7 +9,6 @@ import json
 import os
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -63,6 +62,6 @@ def _diagnose(folder: Path, results: Path) -> None:
     simple = simple_answers(found.refitted, found.alone.separability.of_names)
     learned = learned_errors(found.refitted, found.split)
     partial = results / f"{folder.name}.part"
-    result = {"report": report(found, paths), "simple": asdict(simple), "learned": learned}
+    result = {"report": report(found, paths), "simple": simple, "learned": learned}
     partial.write_text(json.dumps(result), encoding="utf-8")
     partial.rename(results / f"{folder.name}.json")
