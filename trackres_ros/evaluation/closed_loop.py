@@ -19,7 +19,7 @@ from trackres_ros.output.style import BLACK, BLUE, GREY, VERMILION, picture
 
 Array = NDArray[np.float64]
 
-MINUTES = 15.0
+MINUTES, SEED = 15.0, 5
 SMOOTHED_S = 10.0
 TURNS_M = 0.005  # curvature [1/m]
 HIDDEN = {"warmup": {"torque": 600.0, "seconds": 400.0}, "turning_scrub": {"friction": 0.6}}
@@ -41,9 +41,9 @@ class ClosedLoop:
         return float(np.abs(_smooth(self.torque - feedforward))[where & np.isfinite(self.torque)].mean())
 
 
-def close_loop(folder: Path, seed: int = 5) -> ClosedLoop:
+def close_loop(folder: Path) -> ClosedLoop:
     """Drive three times with effects hidden; replay the last, with the vehicle file before and after the others' diagnosis."""
-    make_case(folder, MINUTES, Case("loop", "single", HIDDEN, {}, False, False, False, True, seed))
+    make_case(folder, MINUTES, Case("loop", "single", HIDDEN, {}, False, False, False, True, SEED))
     before, after = folder / "cases" / "loop" / "vehicle.yaml", folder / "after.yaml"
     *paths, last = sorted(before.parent.glob("drive_*.csv"))
     loaded = load_base(before)

@@ -246,12 +246,12 @@ def variants(of: VehicleHistory, found: Sequence[Found]) -> list[list[Variant]]:
     return listed
 
 
-def threshold(of: VehicleHistory, rate: float = FALSE_ALARMS, seed: int = 1) -> float:
+def threshold(of: VehicleHistory, rate: float) -> float:
     """Threshold of the gain that chance alone exceeds, after any recording, at a rate per year [log-likelihood].
 
     Recordings are drawn with the scatter of the pool, without a change.
     """
-    rng, n = np.random.default_rng(seed), min(len(of.linear), MOST_DRAWN_FOR)
+    rng, n = np.random.default_rng(1), min(len(of.linear), MOST_DRAWN_FOR)
     if n < 2 * FEWEST:
         return np.inf
     precision = of.precision[:n]

@@ -17,7 +17,6 @@ from trackres_ros.evaluation.learned.cases import DRIVES, LearningCase, sealed
 from trackres_ros.evaluation.learned.page import write_page
 from trackres_ros.evaluation.processes import check_seal, read_json, read_labels
 from trackres_ros.evaluation.sealed.drives import Array
-from trackres_ros.files.resources import find_vehicle
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
 from trackres_ros.learning.store import stored
@@ -63,12 +62,12 @@ def _aged(folder: Path, seed: int, hours: float) -> list[dict[str, float]]:
     return found
 
 
-def age(seed: int, hours: float, vehicle: str = "xgd24d") -> list[dict[str, float]]:
+def age(seed: int, hours: float) -> list[dict[str, float]]:
     """Drive so many hours at 2 Hz with a sensor that has its noise and nothing else: no value drifts, and memory stays as it is.
 
     Returns of each hour the error of the acting values [share of the torque] and the state size [bytes].
     """
-    estimator = Estimator(load(find_vehicle(vehicle)))
+    estimator = Estimator(load("xgd24d"))
     true, session, learner = estimator.session(), estimator.session(), Learner(estimator, "on")
     true.learned[at.Learned.on], at.Learned(true.learned).departures[at.OF_LOSS] = 1.0, TRUE_LOSS
     rng = np.random.default_rng([seed, 200])
