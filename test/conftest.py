@@ -108,6 +108,19 @@ def good():
     return good
 
 
+@pytest.fixture(scope="session")
+def refused():
+    """The line with which a command refuses its words: `refused(*words, cwd=None)`."""
+
+    def refused(*words, cwd=None):
+        done = _trackres(*words, cwd=cwd)
+        assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), (words, done)
+        assert done.stderr.startswith("trackres: error: ")
+        return done.stderr
+
+    return refused
+
+
 def _trackres(*words, cwd=None):
     from trackres_ros.cli.main import main
 

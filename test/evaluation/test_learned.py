@@ -4,7 +4,6 @@
 """Draws for the proof of the learning: reproducible from a seed, sealed, and each disturbance has an effect."""
 
 import json
-from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -26,8 +25,8 @@ from trackres_ros.evaluation.learned.cases import (
 )
 from trackres_ros.evaluation.learned.delay import LONGEST_S, _sampled, draw, page, score, seal
 from trackres_ros.evaluation.learned.page import _of_hostile, _of_mass
-from trackres_ros.evaluation.learned.score import age, main
-from trackres_ros.evaluation.processes import write_sealed
+from trackres_ros.evaluation.learned.score import age
+from trackres_ros.evaluation.processes import call
 from trackres_ros.evaluation.sealed.drives import SealedDrive, drive
 from trackres_ros.evaluation.sealed.generate import START_S
 
@@ -47,15 +46,6 @@ def test_a_seed_gives_the_same_cases_and_another_seal():
     assert {case.hostile for case in cases} == {"", *KINDS}
     for case in cases:
         assert OFF[0] - 1e-9 <= abs(1.0 / case.build["loss"] - 1.0) <= OFF[1] + 1e-9
-
-
-def test_the_learning_is_not_scored_by_labels_unlike_the_seal(tmp_path):
-    cases = [asdict(case) for case in draw_cases(11, 1, 1)]
-    write_sealed(tmp_path, "2 vehicles", sealed(11, draw_cases(11, 1, 1)), {"seed": 11, "minutes": 1.0, "cases": cases})
-    labels = tmp_path / "sealed" / "labels.json"
-    labels.write_text(labels.read_text().replace(cases[0]["name"], "v00000"))
-    with pytest.raises(InputError, match="not those that were sealed"):
-        main([str(tmp_path), "0"])
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -115,7 +105,7 @@ def test_delays_are_drawn_of_a_seed_and_sealed():
 
 def test_a_concealed_delay_is_found_and_its_seal_holds(good, trackres, tmp_path, monkeypatch):
     # Its processes in this one.
-    monkeypatch.setattr(prove, "_process", lambda _as_json, step: delay.main([str(word) for word in step[1:]]))
+    monkeypatch.setattr(prove, "_process", lambda _as_json, step: call(*map(str, step)))
     monkeypatch.setattr(delay, "each", lambda work, tasks, _word: [work(task) for task in tasks])
     asked = ("prove", "delay", "--seed", 21, "--vehicles", 1, "--hostile", 1, "--minutes", 6, "-o", tmp_path)
     good(*asked)

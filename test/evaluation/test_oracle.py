@@ -17,7 +17,7 @@ MINUTES = 12.0  # of each drive
 def made(folder, level, hidden, minutes=MINUTES, seed=21):
     """The folder of a case, and the torque of its hidden physics in each drive [Nm]."""
     case = Case(f"{level}_{len(hidden)}", level, hidden, {}, False, False, False, True, seed)
-    make_case((folder, case, minutes))
+    make_case(folder, minutes, case)
     truth = np.load(folder / "sealed" / f"{case.name}.npz")
     added = [truth[f"added/{name}"] for name in hidden]
     return folder / "cases" / case.name, np.split(added[0], np.cumsum(truth["lengths"])[:-1]) if added else []
@@ -25,8 +25,6 @@ def made(folder, level, hidden, minutes=MINUTES, seed=21):
 
 @pytest.mark.long
 def test_an_addition_gains_where_it_is_and_nowhere_else(tmp_path):
-    for sub in ("cases", "sealed"):
-        (tmp_path / sub).mkdir()
     with_it, added = made(tmp_path, "outside", {PROGRAM: {"seed": 2.0, "size": 2.0}})
     without, _ = made(tmp_path, "none", {})
     there, absent = (fit_truth(folder, (), added) for folder in (with_it, without))
@@ -48,8 +46,6 @@ HIDDEN = {"street_slope": {"steepest": 0.02}}, {"stretch_load": {"share": 0.2, "
 @pytest.mark.long
 @pytest.mark.parametrize(("hidden", "seed"), [*zip(HIDDEN, once_a_second("street", range(20)), strict=True)])
 def test_the_fit_finds_the_towns_torque_and_not_a_shifted_one(tmp_path, hidden, seed):
-    for sub in ("cases", "sealed"):
-        (tmp_path / sub).mkdir()
     folder, added = made(tmp_path, "street", hidden, 6.0, seed)
     found = fit_truth(folder, (), added)
     assert found.gain > 2.0 * LEAST_GAIN

@@ -9,12 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from trackres_ros.cli.main import cli
-from trackres_ros.errors import InputError
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, D_PRIME, SOURCES, Case, draw_cases, sensors_of
-from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import HARDEST_MPS2, SealedDrive, drive, recorded, trapezoids
 from trackres_ros.evaluation.sealed.generate import AIRS_DEGC, EVERY, _drives, means
 from trackres_ros.evaluation.sealed.phenomenon import Journey
@@ -29,11 +25,6 @@ SHEET = find_vehicle("xgd24d")
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 STOPS_S = 60.0  # of a steady drive with stops, its standing time
 EVERY_SEED = range(300)
-
-
-@pytest.fixture(scope="module")
-def sheet():
-    return read_data_sheet(SHEET)
 
 
 @pytest.fixture(scope="module")
@@ -176,13 +167,6 @@ def test_recorded_speeds_of_real_vehicles_are_driven(sheet, tmp_path):
     assert len(made) == 9000
     assert made.speed.max() <= 16.7
     assert 0.01 < (made.speed < 0.1).mean() < 0.6
-
-
-def test_a_folder_without_recordings_is_refused(tmp_path):
-    done = CliRunner().invoke(cli, ["prove", "--profiles", str(tmp_path), "-o", str(tmp_path / "out")])
-    assert isinstance(done.exception, InputError)
-    assert "--profiles" in str(done.exception)
-    assert not (tmp_path / "out").exists()
 
 
 def test_instruments_are_good_and_none_is_perfect():

@@ -12,12 +12,12 @@ from dataclasses import asdict
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 from trackres_ros.cli import prove
-from trackres_ros.cli.main import cli
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.processes import show_count
+from trackres_ros.evaluation.learned import cases as learned
+from trackres_ros.evaluation.learned import score as learned_score
+from trackres_ros.evaluation.processes import show_count, write_sealed
 from trackres_ros.evaluation.sealed import earlier, score
 from trackres_ros.evaluation.sealed.cases import draw_cases, sealed
 from trackres_ros.evaluation.sealed.oracle import LEAST_GAIN
@@ -32,7 +32,8 @@ out, drive = sys.argv[sys.argv.index("-o") + 1], pathlib.Path(sys.argv[2])
 
 
 def process(module, *arguments):
-    command = [sys.executable, "-m", f"trackres_ros.evaluation.sealed.{module}", *map(str, arguments)]
+    words = [f"sealed.{module}.main", *map(str, arguments)]
+    command = [sys.executable, "-m", "trackres_ros.evaluation.processes", *words]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
@@ -52,7 +53,7 @@ def test_the_labels_are_opened_only_by_the_score(tmp_path):
     (tmp_path / "checkout" / "trackres_ros").mkdir(parents=True)
     for name, text in (("__init__.py", ""), ("__main__.py", EARLIER)):
         (tmp_path / "checkout" / "trackres_ros" / name).write_text(text)
-    earlier.main([str(tmp_path / name) for name in ("cases", "results_earlier", "checkout")])
+    earlier.main(*(tmp_path / name for name in ("cases", "results_earlier", "checkout")))
     away.rename(tmp_path / "sealed")
     assert seal in process("score", tmp_path)
     (scores,) = json.loads((tmp_path / "scores.json").read_text())["cases"]
@@ -64,15 +65,18 @@ def test_the_labels_are_opened_only_by_the_score(tmp_path):
     assert min(scores["learned"].values()) > 0.0
 
 
-def test_labels_unlike_the_seal_are_refused(tmp_path):
-    cases = draw_cases({"none": 2, "single": 2}, 5)
-    (tmp_path / "seal.txt").write_text(sealed(5, cases) + "\n")
-    (tmp_path / "sealed").mkdir()
-    labels = {"seed": 5, "cases": [asdict(case) for case in cases]}
-    labels["cases"][0]["level"] = "single" if labels["cases"][0]["level"] == "none" else "none"
-    (tmp_path / "sealed" / "labels.json").write_text(json.dumps(labels))
+@pytest.mark.parametrize(
+    ("cases", "sealed", "score"),
+    [
+        (draw_cases({"none": 2, "single": 2}, 5), sealed, score.main),
+        (learned.draw_cases(5, 1, 1), learned.sealed, lambda folder: learned_score.main(folder, 0.0)),
+    ],
+)
+def test_labels_unlike_the_seal_are_refused(tmp_path, cases, sealed, score):
+    changed = [*map(asdict, cases[:-1]), {**asdict(cases[-1]), "seed": 1}]
+    write_sealed(tmp_path, "cases", sealed(5, cases), {"seed": 5, "minutes": 1.0, "cases": changed})
     with pytest.raises(InputError, match="not those that were sealed"):
-        score.main([str(tmp_path)])
+        score(tmp_path)
     assert not (tmp_path / "scores.json").exists()
 
 
@@ -81,25 +85,27 @@ def test_wilson():
     assert wilson(9, 10) == pytest.approx((0.5958, 0.9821), abs=1e-3)
 
 
-@pytest.mark.parametrize("level", ["easy", "easy=3", "outside=", "outside=0", "outside=some", "outside=-1"])
-def test_a_level_that_is_none_is_refused(tmp_path, level):
-    done = CliRunner().invoke(cli, ["prove", "--level", level, "-o", str(tmp_path)])
-    assert isinstance(done.exception, InputError)
-    assert level in str(done.exception)
+LEVELS = "easy", "easy=3", "outside=", "outside=0", "outside=some", "outside=-1"
+
+
+@pytest.mark.parametrize("words", [("--profiles", "."), *(("--level", level) for level in LEVELS)])
+def test_a_level_or_folder_of_speeds_that_is_none_is_refused(refused, tmp_path, words):
+    shown = refused("prove", *words, "-o", "out", cwd=tmp_path)
+    assert all(word in shown for word in words)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_takes_cases_by_level_and_resumes_where_it_stopped(tmp_path, monkeypatch):
+def test_a_run_takes_cases_by_level_and_resumes_where_it_stopped(good, tmp_path, monkeypatch):
     started = []
     monkeypatch.setattr(prove, "_process", lambda _as_json, step: started.append(tuple(map(str, step))))
-    begun = ["prove", "--level", "outside=18", "--level", "none", "--cases", "6", "--seed", "31", "-o", str(tmp_path)]
-    assert CliRunner().invoke(cli, begun).exit_code == 0
-    assert started[0] == ("sealed.generate", str(tmp_path), "31", "15", "outside=18", "none=6")
+    begun = "prove", "--level", "outside=18", "--level", "none", "--cases", "6", "--seed", "31", "-o", tmp_path
+    good(*begun)
+    assert started[0] == ("sealed.generate.main", str(tmp_path), "31", "15", "outside=18", "none=6")
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "one.json").touch()
-    assert CliRunner().invoke(cli, begun).exit_code == 0
+    good(*begun)
     assert (tmp_path / "results" / "one.json").exists()
-    assert CliRunner().invoke(cli, [*begun, "--fresh"]).exit_code == 0
+    good(*begun, "--fresh")
     assert not (tmp_path / "results").exists()
 
 
@@ -143,11 +149,10 @@ def test_ended_by_a_signal_it_leaves_no_process(tmp_path):
 
 def test_an_earlier_version_is_a_checkout(tmp_path):
     with pytest.raises(InputError, match="--earlier"):
-        earlier.main([str(tmp_path), str(tmp_path / "results"), str(tmp_path)])
+        earlier.main(tmp_path, tmp_path / "results", tmp_path)
 
 
-def test_a_folder_of_something_else_is_refused(tmp_path):
+def test_a_folder_of_something_else_is_refused(trackres, tmp_path):
     (tmp_path / "results").mkdir()
-    done = CliRunner().invoke(cli, ["prove", "--quick", "-o", str(tmp_path)])
-    assert isinstance(done.exception, InputError)
+    assert trackres("prove", "--quick", "-o", tmp_path).returncode == 2
     assert (tmp_path / "results").is_dir()

@@ -7,6 +7,7 @@ import csv
 import json
 import re
 import struct
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -59,9 +60,9 @@ VERDICTS = {
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """Folder, summary and progress of a run with coarse steps."""
-    folder, told = tmp_path_factory.mktemp("figures"), []
-    summary = reproduce(folder, lambda text, share: told.append((text, share)), page=folder.parent / "page.md", dt=COARSE_S)
-    return folder, summary, told
+    folder, shares = tmp_path_factory.mktemp("figures"), []
+    summary = reproduce(folder, lambda _, share: shares.append(share), page=folder.parent / "page.md", dt=COARSE_S)
+    return SimpleNamespace(folder=folder, summary=summary, shares=shares)
 
 
 @pytest.fixture(scope="module")
@@ -84,34 +85,31 @@ def read_csv(path):
 
 
 def test_every_figure_is_there_as_picture_and_table(made):
-    folder, summary, _ = made
-    figures = [figure for section in summary["sections"] for figure in section["figures"]]
+    figures = [figure for section in made.summary["sections"] for figure in section["figures"]]
     for number in ("06", "10", "11", "16", "18", "20", "22", "24", "25", "26"):
         assert any(figure["png"].startswith(f"fig{number}") for figure in figures)
     for figure in figures:
-        header = (folder / figure["png"]).read_bytes()[:24]
+        header = (made.folder / figure["png"]).read_bytes()[:24]
         assert header[:8] == b"\x89PNG\r\n\x1a\n"
         assert min(struct.unpack(">II", header[16:24])) > 300
-        columns = read_csv(folder / figure["csv"])
+        columns = read_csv(made.folder / figure["csv"])
         assert len(columns) >= 3
         assert all(len(values) >= 20 and any(values) for values in columns.values())
-    index = (folder / "index.md").read_text(encoding="utf-8")
+    index = (made.folder / "index.md").read_text(encoding="utf-8")
     linked = set(re.findall(r"\]\(([^)#]+)\)", index))
-    assert linked == {path.name for path in folder.iterdir()} - {"index.md", "summary.json"}
-    assert json.loads((folder / "summary.json").read_text(encoding="utf-8")) == summary
+    assert linked == {path.name for path in made.folder.iterdir()} - {"index.md", "summary.json"}
+    assert json.loads((made.folder / "summary.json").read_text(encoding="utf-8")) == made.summary
 
 
 def test_the_page_elsewhere_leads_into_the_folder(made):
-    folder, _, _ = made
-    beside = (folder.parent / "page.md").read_text(encoding="utf-8")
+    beside = (made.folder.parent / "page.md").read_text(encoding="utf-8")
     links = re.findall(r"\]\(([^)#]+)\)", beside)
     assert links
-    assert all((folder.parent / link).is_file() for link in links)
+    assert all((made.folder.parent / link).is_file() for link in links)
 
 
 def test_links_of_the_overview_lead_to_headings(made):
-    _, summary, _ = made
-    text = page_of(summary)
+    text = page_of(made.summary)
     headings = {re.sub(r"[^\w-]", "", line[3:].lower().replace(" ", "-")) for line in text.splitlines() if line.startswith("## ")}
     targets = set(re.findall(r"\]\(#([^)]+)\)", text))
     assert targets
@@ -119,36 +117,31 @@ def test_links_of_the_overview_lead_to_headings(made):
 
 
 def test_progress_rises_to_one(made):
-    _, _, told = made
-    shares = [share for _, share in told]
-    assert (np.diff(shares) > 0).all()
-    assert shares[-1] == 1.0
+    assert (np.diff(made.shares) > 0).all()
+    assert made.shares[-1] == 1.0
 
 
 def test_verdicts(made):
-    _, summary, _ = made
-    assert {key: claim["verdict"] for key, claim in claims_of(summary).items()} == VERDICTS
+    assert {key: claim["verdict"] for key, claim in claims_of(made.summary).items()} == VERDICTS
 
 
 def test_every_verdict_has_its_reason(made):
-    _, summary, _ = made
-    for claim in claims_of(summary).values():
+    for claim in claims_of(made.summary).values():
         assert claim["why"] != UNEXPLAINED, claim["key"]
         assert claim["why"] or claim["verdict"] == OPEN
 
 
 def test_the_page_in_the_repository_is_what_the_command_writes(made, docs):
-    _, summary, _ = made
     stored = json.loads((docs / "reproduction" / "summary.json").read_text(encoding="utf-8"))
     assert (docs / "reproduction.md").read_text(encoding="utf-8") == page_of(stored, "reproduction/")
     assert (docs / "reproduction" / "index.md").read_text(encoding="utf-8") == page_of(stored)
     linked = set(re.findall(r"\]\(reproduction/([^)#]+)\)", page_of(stored, "reproduction/")))
     assert linked == {path.name for path in (docs / "reproduction").iterdir()} - {"index.md", "summary.json"}
-    old, new = claims_of(stored), claims_of(summary)
+    old, new = claims_of(stored), claims_of(made.summary)
     assert {key: claim["verdict"] for key, claim in old.items()} == {key: claim["verdict"] for key, claim in new.items()}
     for key in old:
         assert [old[key][part] for part in ("paper", "where", "why")] == [new[key][part] for part in ("paper", "where", "why")]
-    for before, now in zip(stored["sections"], summary["sections"], strict=True):
+    for before, now in zip(stored["sections"], made.summary["sections"], strict=True):
         assert_near(before["numbers"], now["numbers"], before["title"])
 
 
@@ -178,9 +171,8 @@ PROTOTYPE_AMBIENTS = {"-15": (7143, 3784, 3181), "0": (4662, 3558, 3063), "15": 
 
 
 def test_it_agrees_with_the_independent_prototype(made):
-    _, summary, _ = made
     speeds, weight, ambient = (
-        section_of(summary, title)["numbers"]["spectral/lumped"] for title in ("Figure 24", "Figure 25", "Figure 26")
+        section_of(made.summary, title)["numbers"]["spectral/lumped"] for title in ("Figure 24", "Figure 25", "Figure 26")
     )
     for kmh, values in PROTOTYPE_SPEEDS.items():
         assert speeds[kmh]["torque_nm"] == pytest.approx([torque for torque, _ in values], rel=0.03)
@@ -193,8 +185,7 @@ def test_it_agrees_with_the_independent_prototype(made):
 
 
 def test_no_ambient_crosses_another_in_the_table(made):
-    folder, _, _ = made
-    columns = read_csv(folder / "fig26_ambients.csv")
+    columns = read_csv(made.folder / "fig26_ambients.csv")
     for combination in COMBINATIONS:
         tag = combination.replace("/", "_")
         torque = np.array([columns[f"resistance_torque_nm_{t}degc_{tag}"] for t in (-15, 0, 15, 30)], dtype=float)
@@ -202,14 +193,13 @@ def test_no_ambient_crosses_another_in_the_table(made):
 
 
 def test_the_same_run_writes_the_same_bytes(made, tmp_path):
-    folder, _, _ = made
     bench = Bench(load("xgd24d"), COARSE_S, lambda text: None)
     for part in (indentation, spectrum, weights):
         part(bench, tmp_path)
     written = sorted(path.name for path in tmp_path.iterdir())
     assert len(written) == 8
     for name in written:
-        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
+        assert (tmp_path / name).read_bytes() == (made.folder / name).read_bytes(), name
 
 
 @pytest.mark.parametrize("dt", [0.0, -1.0, 60.0, float("nan")])

@@ -7,43 +7,78 @@ import json
 
 import pytest
 
-from trackres_ros.errors import InputError
-from trackres_ros.evaluation.sealed.second import _by_place, _comparable, _stated, read_labels
+from trackres_ros.evaluation.sealed.second import _by_place, _comparable, _stated, main, read_labels
 
 
-@pytest.fixture
-def labels(tmp_path):
-    """Writes labels of one case with one effect, and one recording of it."""
+def label(name, kind, level="outside", d_prime=40.0):
+    return {
+        "case": name, "level": level, "effects": [{"name": kind, "d_prime": d_prime, "acceptable": ["vibration"]}],
+        "identifiable": False, "tolerated": ["delay"], "given": ["belt_degc"], "driving": "mixed",
+        "noise_mae": [{"raw": 80.0, "one_s": 60.0}],
+    }  # fmt: skip
 
-    def write(level="single", effect="delay", recordings=1, **changed):
-        case = tmp_path / "cases" / "case000"
-        case.mkdir(parents=True, exist_ok=True)
+
+def written(folder, labels, recordings=1):
+    """A folder with labels, and with recordings of each case."""
+    for one in labels:
+        (folder / "cases" / one["case"]).mkdir(parents=True)
         for i in range(recordings):
-            (case / f"session{i + 1}.csv").write_text("time_s\n0\n")
-        of = {"seed": 1, "cases": [{"case": "case000", "level": level, "effects": [{"name": effect}]}], **changed}
-        (tmp_path / "labels.json").write_text(json.dumps(of))
-        return tmp_path
-
-    return write
+            (folder / "cases" / one["case"] / f"session{i + 1}.csv").touch()
+    (folder / "labels.json").write_text(json.dumps({"seed": 11, "cases": labels}))
+    return folder
 
 
-def test_labels_of_known_kinds_are_read(labels):
-    assert read_labels(labels())["cases"][0]["case"] == "case000"
-    assert read_labels(labels("outside", "pump"))["cases"][0]["level"] == "outside"
+@pytest.mark.parametrize(("kind", "level"), [("delay", "single"), ("pump", "outside"), ("speed_scale", "two")])
+def test_labels_of_known_kinds_are_read(tmp_path, kind, level):
+    labels = [label("case000", kind, level)]
+    assert read_labels(written(tmp_path, labels))["cases"] == labels
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("labels", "says"),
     [
-        ({"effect": "gremlins"}, "gremlins"),
-        ({"level": "outside"}, "delay"),
-        ({"cases": 3}, "labels.json"),
-        ({"recordings": 0}, "no rec"),
+        (None, "labels.json"), ("{", "labels.json"), ('{"seed": 11, "cases": 3}', "labels.json"), (["pump"], "no rec"),
+        (["gremlins", "outside", 1], "gremlins"), (["gremlins", "single", 1], "gremlins"), (["delay", "outside", 1], "delay"),
     ],
-)
-def test_labels_that_cannot_be_scored_are_refused(labels, given, says):
-    with pytest.raises(InputError, match=says):
-        read_labels(labels(**given))
+)  # fmt: skip
+def test_a_folder_that_cannot_be_scored_is_refused_at_once(refused, tmp_path, labels, says):
+    if isinstance(labels, list):
+        kind, level, recordings = [*labels, "outside", 0][:3]
+        written(tmp_path, [label("case000", kind, level)], recordings)
+    elif labels:
+        (tmp_path / "labels.json").write_text(labels)
+    assert says in refused("prove", "second", tmp_path, "-o", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def answered(status, described=(), effects=()):
+    mae = {"nominal": 200.0, "refitted": 160.0, "with_effects": 110.0}
+    report = {"verdict": {"status": status, "grade": "confirmed"}, "effects": list(effects), "heldout": {"mae": mae}}
+    return {"report": {**report, "described": list(described)}, "simple": {}, "learned": {"base": 160.0}}
+
+
+def score_them(tmp_path, labels, results):
+    written(tmp_path / "truth", labels)
+    (tmp_path / "out" / "results").mkdir(parents=True)
+    for one, result in zip(labels, results, strict=True):
+        (tmp_path / "out" / "results" / f"{one['case']}.json").write_text(json.dumps(result))
+    main(tmp_path / "truth", tmp_path / "out")
+
+
+def test_cases_of_another_simulator_get_the_same_scores(tmp_path):
+    labels = [label("case000", "pump"), label("case001", "resonance"), label("case002", "backlash", d_prime=5.0)]
+    named = {"name": "vibration", "class": ["vibration"], "parameters": {}, "grade": "confirmed"}
+    spells = {"form": "spells", "heldout": {"mae": [160.0, 110.0]}}
+    results = [answered("described", [spells]), answered("named", effects=[named]), answered("unexplained")]
+    score_them(tmp_path, labels, results)
+    kept = json.loads((tmp_path / "out" / "scores.json").read_text())
+    ours, own = kept["scores"]["diagnosis"], kept["own"]
+    assert (ours["outside: described or unexplained"]["hits"], ours["outside: described or unexplained"]["of"]) == (2, 3)
+    assert ours["outside: confirmed wrong name"]["hits"] == 0  # a resonance may be called a vibration
+    true = own["outside, seen by the oracle: described, and the statement is true"]
+    assert (true["hits"], true["of"]) == (1, 2)
+    assert kept["sizes"]["outside, predictable: held-out error removed, of what the oracle removes (median)"] == [0.5, 0.5]
+    assert "| pump | mixed | yes | yes | 50% | spells |" in (tmp_path / "out" / "proof.md").read_text()
 
 
 def test_a_confirmed_place_counts_as_the_soft_ground_there():

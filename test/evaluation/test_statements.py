@@ -1,17 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Whether a description is true of a hidden torque, and cases of another simulator by the same scores."""
-
-import json
+"""Whether a description is true of a hidden torque."""
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from trackres_ros.cli.main import cli
-from trackres_ros.errors import InputError
-from trackres_ros.evaluation.sealed import second
 from trackres_ros.evaluation.sealed.cases import Case
 from trackres_ros.evaluation.sealed.generate import _drives, _kept
 from trackres_ros.evaluation.sealed.statements import is_true
@@ -102,59 +96,3 @@ def test_a_torque_that_shakes_at_some_speeds_is_a_spread(kept):
     shakes = np.random.default_rng(2).normal(0.0, 1.0, int(lengths.sum())) * (1.0 + 300.0 * (over["speed"] < 4.0))
     assert is_true(term("spread", "speed"), over, shakes, lengths)
     assert not is_true(term("curve", "speed"), over, shakes, lengths)
-
-
-def label(name, kind, d_prime=40.0):
-    return {
-        "case": name, "level": "outside", "effects": [{"name": kind, "d_prime": d_prime, "acceptable": ["vibration"]}],
-        "identifiable": False, "tolerated": ["delay"], "given": ["belt_degc"], "driving": "mixed",
-        "noise_mae": [{"raw": 80.0, "one_s": 60.0}],
-    }  # fmt: skip
-
-
-def answered(status, described=(), effects=()):
-    mae = {"nominal": 200.0, "refitted": 160.0, "with_effects": 110.0}
-    report = {"verdict": {"status": status, "grade": "confirmed"}, "effects": list(effects), "heldout": {"mae": mae}}
-    return {"report": {**report, "described": list(described)}, "simple": {}, "learned": {"base": 160.0}}
-
-
-def score_them(tmp_path, labels, results):
-    text = json.dumps({"seed": 11, "n": len(labels), "cases": labels})
-    (tmp_path / "out" / "results").mkdir(parents=True)
-    for one in labels:
-        (tmp_path / "truth" / "cases" / one["case"]).mkdir(parents=True)
-        (tmp_path / "truth" / "cases" / one["case"] / "session1.csv").touch()
-    (tmp_path / "truth" / "labels.json").write_text(text)
-    for one, result in zip(labels, results, strict=True):
-        (tmp_path / "out" / "results" / f"{one['case']}.json").write_text(json.dumps(result))
-    second.main([str(tmp_path / "truth"), str(tmp_path / "out")])
-
-
-def test_cases_of_another_simulator_get_the_same_scores(tmp_path):
-    labels = [label("case000", "pump"), label("case001", "resonance"), label("case002", "backlash", d_prime=5.0)]
-    named = {"name": "vibration", "class": ["vibration"], "parameters": {}, "grade": "confirmed"}
-    spells = {**term("spells"), "heldout": {"mae": [160.0, 110.0]}}
-    results = [answered("described", [spells]), answered("named", effects=[named]), answered("unexplained")]
-    score_them(tmp_path, labels, results)
-    kept = json.loads((tmp_path / "out" / "scores.json").read_text())
-    ours, own = kept["scores"]["diagnosis"], kept["own"]
-    assert (ours["outside: described or unexplained"]["hits"], ours["outside: described or unexplained"]["of"]) == (2, 3)
-    assert ours["outside: confirmed wrong name"]["hits"] == 0  # a resonance may be called a vibration
-    true = own["outside, seen by the oracle: described, and the statement is true"]
-    assert (true["hits"], true["of"]) == (1, 2)
-    assert kept["sizes"]["outside, predictable: held-out error removed, of what the oracle removes (median)"] == [0.5, 0.5]
-    assert "| pump | mixed | yes | yes | 50% | spells |" in (tmp_path / "out" / "proof.md").read_text()
-
-
-@pytest.mark.parametrize("wrong", ["no labels", "not json", "no recording", "gremlin"])
-def test_a_folder_that_cannot_be_scored_is_refused_at_once(tmp_path, wrong):
-    if wrong != "no labels":
-        labels = {"seed": 11, "cases": [label("case000", "gremlin" if wrong == "gremlin" else "pump")]}
-        (tmp_path / "labels.json").write_text("{" if wrong == "not json" else json.dumps(labels))
-    if wrong == "gremlin":
-        (tmp_path / "cases" / "case000").mkdir(parents=True)
-        (tmp_path / "cases" / "case000" / "session1.csv").touch()
-    done = CliRunner().invoke(cli, ["prove", "second", str(tmp_path), "-o", str(tmp_path / "out")])
-    assert isinstance(done.exception, InputError)
-    assert ("labels.json" if wrong != "gremlin" else wrong) in str(done.exception)
-    assert not (tmp_path / "out").exists()

@@ -24,7 +24,6 @@ from trackres_ros.evaluation.sealed.cases import (
     sensors_of,
     streets_of,
 )
-from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.generate import make_case
 from trackres_ros.evaluation.sealed.phenomenon import Journey
 from trackres_ros.evaluation.sealed.sensors import EARTH_M, LATITUDE_DEG, LONGITUDE_DEG, Sensors, record, wandering
@@ -36,11 +35,6 @@ from trackres_ros.files.resources import find_vehicle
 
 SHEET = find_vehicle("xgd24d")
 WEIGHT_N, STEEPEST, MINUTES = 272e3, 0.03, 30.0
-
-
-@pytest.fixture(scope="module")
-def sheet():
-    return read_data_sheet(SHEET)
 
 
 def town_of(seed):
@@ -320,9 +314,7 @@ def test_what_is_recorded_says_nothing_of_what_is_hidden():
 
 @pytest.mark.parametrize("hidden", [{LOAD: {"share": 0.2, "bulk": 1.0, "seed": 7.0}}, {"street_slope": {"steepest": 0.02}}])
 def test_a_case_passes_the_gate(tmp_path, hidden):
-    for sub in ("cases", "sealed"):
-        (tmp_path / sub).mkdir()
-    make_case((tmp_path, Case("a", "street", hidden, {}, False, False, False, False, 21), 4.0))
+    make_case(tmp_path, 4.0, Case("a", "street", hidden, {}, False, False, False, False, 21))
     loaded_base = load_base(tmp_path / "cases" / "a" / "vehicle.yaml")
     paths = sorted((tmp_path / "cases" / "a").glob("drive_*.csv"))
     sessions = gate(read_recordings(paths, None), loaded_base.known).sessions

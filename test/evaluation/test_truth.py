@@ -17,7 +17,6 @@ from trackres_ros.diagnosis.selection.naming import MODEL_ERROR
 from trackres_ros.evaluation.sealed.belt_heat import LAYERS, roll
 from trackres_ros.evaluation.sealed.belt_loss import LOG_SPEEDS, belt_loss
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, LEVELS, draw_cases, sealed
-from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import drive
 from trackres_ros.evaluation.sealed.generate import write_vehicle
 from trackres_ros.evaluation.sealed.material import fit_material
@@ -27,11 +26,6 @@ from trackres_ros.files.resources import find_vehicle
 
 SHEET = find_vehicle("xgd24d")
 FORBIDDEN = ("model", "effects", "diagnosis", "vehicle", "estimator")
-
-
-@pytest.fixture(scope="module")
-def sheet():
-    return read_data_sheet(SHEET)
 
 
 @pytest.fixture(scope="module")

@@ -246,8 +246,7 @@ def test_a_change_is_known_when_a_search_until_then_finds_it():
         for j, change in enumerate(found):
             seen = first_seen(of, found, j, (), LEAST)
             for count, there in ((seen, False), (seen + 1, True)):
-                until = replace(of, precision=of.precision[:count], linear=of.linear[:count], time_s=of.time_s[:count])
-                assert (change.parameter in {f.parameter for f in search(until, LEAST)}) is there
+                assert (change.parameter in {f.parameter for f in search(of.until(count), LEAST)}) is there
 
 
 def test_a_ramp_begins_with_the_recording_before_its_first():

@@ -60,7 +60,7 @@ def test_the_smallest_sample_is_analysed(good, tmp_path):
     assert done["status"] == "good", done["reason"]
 
 
-def test_only_a_sample_with_the_same_options_is_completed(good, trackres, tmp_path):
+def test_only_a_sample_with_the_same_options_is_completed(good, refused, tmp_path):
     folder = tmp_path / "try"
     words = ("fleet", "sample", "-o", folder, "--vehicles", "1", "--days", "1", "--minutes", "3", "--every")
     good(*words, "0.25", "--seed", "2")
@@ -77,14 +77,10 @@ def test_only_a_sample_with_the_same_options_is_completed(good, trackres, tmp_pa
     for text in ("", "[]", "{}", '{"options": 1}', '{"options": {"seed": "x"}}'):
         (mine / "fleet.yaml").write_text("vehicles: {a: agri3t}")
         (mine / "answers.json").write_text(text)
-        done = trackres("fleet", "sample", "-o", mine)
-        assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-        assert "other content" in done.stderr
+        assert "other content" in refused("fleet", "sample", "-o", mine)
         assert (mine / "fleet.yaml").read_text() == "vehicles: {a: agri3t}"
     for more in (("0.25", "--seed", "1"), ("0.5", "--seed", "2")):
-        done = trackres(*words, *more)
-        assert done.returncode == 2
-        assert "--vehicles 1 --days 1 --every 0.25 --minutes 3.0 --seed 2" in done.stderr
+        assert "--vehicles 1 --days 1 --every 0.25 --minutes 3.0 --seed 2" in refused(*words, *more)
     assert {path: path.read_bytes() for path in folder.rglob("*.*")} == before
 
 
@@ -105,9 +101,3 @@ def test_a_short_recording_holds_enough_driving(tmp_path, monkeypatch):
     assert drawn[0] < MOVES_S <= drawn[-1]
     done = analyse(Task(str(path), "1", one_vehicle("xgd24d", None).vehicles["xgd24d"]))
     assert done["status"] == "good", done["reason"]
-
-
-def test_a_recording_longer_than_the_time_between_two_is_refused(trackres, tmp_path):
-    done = trackres("fleet", "sample", "-o", tmp_path, "--every", "0.1", "--minutes", "600")
-    assert done.returncode == 2
-    assert "--every" in done.stderr

@@ -140,5 +140,4 @@ def diagnose(
 
 
 def _name(recording: StrPath | Recording) -> str:
-    """Of a recording, or its path."""
     return str(recording) if isinstance(recording, str | PathLike) else recording.name

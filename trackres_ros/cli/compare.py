@@ -33,7 +33,7 @@ A_NUMBER = "A|A:B|A,B,C"
 )
 @click.option("-o", "--output", type=options.FOLDER, metavar="DIR", help="Folder for pictures of both.")
 @options.json
-def compare_command(one: str, other: str, cycle: tuple[str, ...], output: Path | None, as_json: bool, **asked_for: Any) -> None:
+def compare_command(one: str, other: str, output: Path | None, as_json: bool, **asked_for: Any) -> None:
     """Show the significant differences between two days, vehicles, reports or designs.
 
     ONE and OTHER are each a folder of trackres fleet, all of it or a part (results:truck-01, results:truck-01@2026-03,
@@ -49,7 +49,7 @@ def compare_command(one: str, other: str, cycle: tuple[str, ...], output: Path |
     trackres compare xgd24d my_design.yaml --speed-kmh 50 --ambient-degc -15,15
     trackres compare xgd24d my_design.yaml --weight-kn 200,270,340 --cycle stages --cycle lap.mcap
     """
-    from trackres_ros.design.compare import ComparisonOptions, asked_of, compare_designs, wheels_compared, wheels_text
+    from trackres_ros.design.compare import asked_of, compare_designs, wheels_compared, wheels_text
     from trackres_ros.design.compare_text import designs_text, draw_designs
     from trackres_ros.files.output_files import output_folder as usable_folder
     from trackres_ros.fleet.compare import compare, compare_text, draw_overlay
@@ -60,7 +60,7 @@ def compare_command(one: str, other: str, cycle: tuple[str, ...], output: Path |
         usable_folder(output)
     with print_warnings():
         found = compare(one, other)
-    asked, designs = asked_of((one, other), ComparisonOptions(**asked_for, cycles=cycle)), None
+    asked, designs = asked_of((one, other), **asked_for), None
     try:
         found["values"] = values = differences(one, other)
         text = "\n".join(["Values that differ", differences_text(one, other, values)])

@@ -8,6 +8,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from trackres_ros.text.numbers import some_of
+
 SHOWN = 8
 CLOCK_TICK_NS = 20_000_000  # a file's time may be that of the kernel's last tick
 
@@ -37,8 +39,7 @@ def so_far() -> str:
     found = sorted({str(path) for place in _places for path in _files(place) if _is_new(path)})
     if not found:
         return "nothing was written"
-    more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
-    return f"written so far: {', '.join(found[:SHOWN])}{more}"
+    return f"written so far: {some_of(found, SHOWN)}"
 
 
 def _files(place: Path) -> Iterator[Path]:

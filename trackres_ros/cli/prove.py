@@ -30,7 +30,7 @@ hostile_option = click.option(
 )
 into_folder = options.folder("Folder for recordings and page.")
 Step = tuple[object, ...]
-"""A module of `trackres_ros.evaluation`, and its arguments."""
+"""A function of `trackres_ros.evaluation`, and its arguments."""
 
 
 @click.group("prove", cls=Commands, invoke_without_command=True)
@@ -102,12 +102,12 @@ def prove_command(
             shutil.rmtree(output / name, ignore_errors=True)
     settings_file.write_text(settings, encoding="utf-8")
     cases, so_many = output / "cases", () if first is None else (first,)
-    steps: list[Step] = [("sealed.generate", output, *drawn_by), ("sealed.blind", cases, output / "results", *so_many)]
+    steps: list[Step] = [("sealed.generate.main", output, *drawn_by), ("sealed.blind.main", cases, output / "results", *so_many)]
     if earlier is not None:
-        steps.append(("sealed.earlier", cases, output / "results_earlier", earlier, *so_many))
-    steps.append(("sealed.follow", output, f"{minutes:g}", QUICK_FOLLOWED if quick else FOLLOWED, *so_many))
-    steps.append(("sealed.blind", output / "next", output / "results_next"))
-    _score(output, as_json, *steps, ("sealed.score", output, *so_many))
+        steps.append(("sealed.earlier.main", cases, output / "results_earlier", earlier, *so_many))
+    steps.append(("sealed.follow.main", output, f"{minutes:g}", QUICK_FOLLOWED if quick else FOLLOWED, *so_many))
+    steps.append(("sealed.blind.main", output / "next", output / "results_next"))
+    _score(output, as_json, *steps, ("sealed.score.main", output, *so_many))
 
 
 def _level_and_count(given: str, of: Mapping[str, int], count: int | None) -> tuple[str, int]:
@@ -146,9 +146,8 @@ def _process(as_json: bool, step: Step) -> None:
     """Run a step in a process of its own."""
     # Every core works on a case of its own: threads within a case would only compete for cores.
     alone = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    module, *arguments = map(str, step)
-    words = f"trackres_ros.evaluation.{module}", *arguments
-    _run(module.rpartition(".")[2], words, env={**os.environ, **alone}, stdout=sys.stderr if as_json else None)
+    words = "trackres_ros.evaluation.processes", *map(str, step)
+    _run(words[1].split(".")[-2], words, env={**os.environ, **alone}, stdout=sys.stderr if as_json else None)
 
 
 def _run(name: str, words: Sequence[str], **how: Any) -> None:
@@ -191,8 +190,8 @@ def prove_second_command(cases: Path, first: int | None, output: Path, as_json: 
     read_labels(cases)
     _settle(output, f"second {cases.resolve()}", "an empty folder, or one of a run with the same cases")
     so_many = () if first is None else (first,)
-    blind = ("sealed.blind", cases / "cases", output / "results", *so_many)
-    _score(output, as_json, blind, ("sealed.second", cases, output, *so_many))
+    blind = ("sealed.blind.main", cases / "cases", output / "results", *so_many)
+    _score(output, as_json, blind, ("sealed.second.main", cases, output, *so_many))
 
 
 @prove_command.command("real")
@@ -232,8 +231,8 @@ def prove_learning_command(
     allowed = "a folder of its own for each seed and number of cases"
     _settle(output, f"learning {seed} {vehicles} {hostile}", allowed, FOLDERS)
     so_many = () if first is None else (first,)
-    generate = ("learned.generate", output, seed, f"{MINUTES:g}", vehicles, hostile, *so_many)
-    _score(output, as_json, generate, ("learned.blind", output, *so_many), ("learned.score", output, f"{hours:g}"))
+    generate = ("learned.generate.main", output, seed, f"{MINUTES:g}", vehicles, hostile, *so_many)
+    _score(output, as_json, generate, ("learned.blind.main", output, *so_many), ("learned.score.main", output, f"{hours:g}"))
 
 
 @prove_command.command("delay")
@@ -252,8 +251,8 @@ def prove_delay_command(seed: int, vehicles: int, hostile: int, minutes: float, 
     """
     needs("trackres prove delay", *EXTRA)
     _settle(output, f"delay {seed} {vehicles} {hostile} {minutes:g}", SAME_OPTIONS)
-    generate = ("learned.delay", "generate", output, seed, f"{minutes:g}", vehicles, hostile)
-    _score(output, as_json, generate, *(("learned.delay", word, output) for word in ("find", "score")))
+    generate = ("learned.delay.generate", output, seed, f"{minutes:g}", vehicles, hostile)
+    _score(output, as_json, generate, ("learned.delay.find", output), ("learned.delay.score", output))
 
 
 @prove_command.command("paper")
@@ -298,9 +297,9 @@ def prove_fleet_command(vehicles: int, days: int, every: float, minutes: float, 
     needs("trackres prove fleet", "fleet", "distributed", "pyarrow", "fsspec", "jinja2")
     drawn_by = (seed, vehicles, days, f"{every:g}", f"{minutes:g}")
     _settle(output, f"fleet {' '.join(map(str, drawn_by))}", SAME_OPTIONS)
-    _process(as_json, ("fleet.prove", "generate", output, *drawn_by))
+    _process(as_json, ("fleet.prove.generate", output, *drawn_by))
     words = ["fleet", str(output / "fleet" / "recordings"), "--vehicles", str(output / "fleet" / "fleet.yaml")]
     words += ["--period", "none", "-o", str(output / "results"), "--json"]
     with (output / "found.json").open("w", encoding="utf-8") as into:
         _run("trackres fleet", ["trackres_ros", *words], stdout=into)
-    _score(output, as_json, ("fleet.prove", "score", output))
+    _score(output, as_json, ("fleet.prove.score", output))

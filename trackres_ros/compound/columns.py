@@ -149,7 +149,6 @@ def another_column(column: DmaColumn, first: DmaColumn, where: str) -> InputErro
 
 
 def _unit(name: str, below: str, role: str, where: str) -> tuple[float, float]:
-    """Factor and offset of a column."""
     if below.strip():
         found = unit_of(below, role)
         if found is None:

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from math import exp, log
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.compound.master import MasterCurve, master_curve
 from trackres_ros.compound.prony import Prony, fit_prony
-from trackres_ros.compound.reading import Sweep
+from trackres_ros.compound.reading import Array, Sweep
 from trackres_ros.compound.shift import ABSOLUTE_ZERO_DEGC, Shift
 from trackres_ros.compound.superposition import ISOTHERM_K, FittedShift, Law, Value, fitted, with_power
 from trackres_ros.errors import InputError
@@ -23,8 +22,6 @@ from trackres_ros.model.rubber import REFERENCE_ABOVE_TG
 from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.schema import RUBBER
-
-Array = NDArray[np.float64]
 
 WLF, ARRHENIUS, KEPT = "WLF", "Arrhenius", "kept"
 SWEEP_FREQUENCY = RUBBER["sweep_frequency"]

@@ -14,15 +14,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline
 from scipy.optimize import lsq_linear
 
-from trackres_ros.compound.reading import Sweep
+from trackres_ros.compound.reading import Array, Sweep
 from trackres_ros.compound.shift import Shift
 from trackres_ros.vehicle.schema import SWEEP_LOSS, SWEEP_STORAGE
-
-Array = NDArray[np.float64]
 
 KNOTS_K = 3.0  # the softening zone of a rubber is some 30 K wide
 MOST_KNOTS = 90

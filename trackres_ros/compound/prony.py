@@ -12,14 +12,12 @@ modulus and shift belong together.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import lsq_linear
 
 from trackres_ros.compound.master import MasterCurve
-from trackres_ros.compound.reading import Sweep
+from trackres_ros.compound.reading import Array, Sweep
 from trackres_ros.compound.shift import Shift
-
-Array = NDArray[np.float64]
 
 EACH_DECADE = 1.5  # terms: more cannot be distinguished (Baumgaertel and Winter, Rheol. Acta 28 (1989) 511)
 BEYOND = 1.0  # decades on both sides of the data, whose tails reach in

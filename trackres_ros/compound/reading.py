@@ -181,7 +181,6 @@ def _stand_over_numbers(lines: Sequence[str], at: int, width: int) -> bool:
 
 
 def _complete(columns: Sequence[DmaColumn], cells: Sequence[str], where: str, frequency_hz: float | None) -> None:
-    """Check that all columns of a sweep are present."""
     roles, names = {c.role for c in columns}, ", ".join(cells)
     if not all(roles & set(needed) for needed in NEEDED):
         raise _incomplete(where, cells, roles)

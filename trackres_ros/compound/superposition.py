@@ -13,16 +13,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.special import stdtrit
 
 from trackres_ros.compound.master import Smooth, chosen_penalty, smooth
-from trackres_ros.compound.reading import Sweep
+from trackres_ros.compound.reading import Array, Sweep
 from trackres_ros.compound.shift import Shift
 from trackres_ros.units import ZERO_DEGC_K
-
-Array = NDArray[np.float64]
 
 SURE = 0.95
 FIRST_PENALTY, FIRST_SCALE = np.array([0.3, 0.3]), np.array([0.02, 0.04])

@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.design.drives import STAGES, DriveCycle, check_weight, driven, read_cycle, with_factors
-from trackres_ros.design.steady import J_PER_KWH, WARMEST_K, FileErrors, held, steady
+from trackres_ros.design.steady import J_PER_KWH, WARMEST_K, Array, FileErrors, held, steady
 from trackres_ros.design.uncertain import LogDerivatives, difference_std, half_width, moved, slopes_of
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
@@ -30,8 +29,6 @@ from trackres_ros.text.table import table
 from trackres_ros.units import GRAVITY, KMH_PER_MPS
 from trackres_ros.vehicle import RoadVehicle, Vehicle, load, load_any
 from trackres_ros.vehicle.road import SECTION
-
-Array = NDArray[np.float64]
 
 POINTS, MOST_VALUES, MOST_CONDITIONS = 5, 25, 200
 SLOWEST_SHARE = 0.1  # of the maximum speed, of vehicles without belts, and of slow ones on tracks
@@ -74,25 +71,22 @@ class ComparisonRequest:
         return 2 * (grid + len(self.ambients_degc) * len(self.weights_n) * (len(self.steady_kmh) + len(self.cycles)))
 
 
-@dataclass(frozen=True, slots=True)
-class ComparisonOptions:
-    """Options of `trackres compare`, as text; None by default."""
-
-    speed_kmh: str | None = None
-    belt_degc: str | None = None
-    ambient_degc: str | None = None
-    weight_kn: str | None = None
-    cycles: tuple[str, ...] = ()
-
-
-def asked_of(given: Sequence[str], options: ComparisonOptions) -> ComparisonRequest | None:
-    """Conditions to compare two vehicle files with tracks; None for anything else.
+def asked_of(
+    given: Sequence[str],
+    *,
+    speed_kmh: str | None = None,
+    belt_degc: str | None = None,
+    ambient_degc: str | None = None,
+    weight_kn: str | None = None,
+    cycle: tuple[str, ...] = (),
+) -> ComparisonRequest | None:
+    """Conditions to compare two vehicle files with tracks, by the options of `trackres compare`; None for anything else.
 
     Raises InputError if an option is not valid, or is given for something else.
     """
     files = vehicle_files(given, "tracks")
     if not files:
-        for name, value in zip(OPTIONS, astuple(options), strict=True):
+        for name, value in zip(OPTIONS, (speed_kmh, belt_degc, ambient_degc, weight_kn, cycle), strict=True):
             if value:
                 shown = ", ".join(value) if isinstance(value, tuple) else value
                 raise InputError(name, shown, "only with two vehicle files with tracks")
@@ -102,17 +96,17 @@ def asked_of(given: Sequence[str], options: ComparisonOptions) -> ComparisonRequ
     fastest = min(v.chassis.max_speed for v in vehicles)
     fastest_kmh = KMH_PER_MPS * fastest
     usual = (SLOWEST_KMH if fastest_kmh > SLOWEST_KMH else SLOWEST_SHARE * fastest_kmh, fastest_kmh)
-    speeds = numbers("--speed-kmh", options.speed_kmh or ":".join(map(str, usual)), (0.1, OVERSPEED * fastest_kmh))
-    belts = numbers("--belt-degc", options.belt_degc or f"{COLDEST_DEGC}:{WARMEST_DEGC}", BELTS_DEGC)
-    steady_kmh = speeds if options.speed_kmh else (min(USUAL_KMH, fastest_kmh),)
-    air = (one.chassis.ambient,) if options.ambient_degc is None else numbers("--ambient-degc", options.ambient_degc, AIR_DEGC)
+    speeds = numbers("--speed-kmh", speed_kmh or ":".join(map(str, usual)), (0.1, OVERSPEED * fastest_kmh))
+    belts = numbers("--belt-degc", belt_degc or f"{COLDEST_DEGC}:{WARMEST_DEGC}", BELTS_DEGC)
+    steady_kmh = speeds if speed_kmh else (min(USUAL_KMH, fastest_kmh),)
+    air = (one.chassis.ambient,) if ambient_degc is None else numbers("--ambient-degc", ambient_degc, AIR_DEGC)
     weights: tuple[float | None, ...] = (None,)
-    if options.weight_kn is not None:
-        weights = tuple(1e3 * kn for kn in numbers("--weight-kn", options.weight_kn, (0.1, 1e5)))
+    if weight_kn is not None:
+        weights = tuple(1e3 * kn for kn in numbers("--weight-kn", weight_kn, (0.1, 1e5)))
         for vehicle, weight in itertools.product(vehicles, weights):
             check_weight(vehicle, weight or 0.0)
-    cycles = tuple(read_cycle(name, fastest) for name in options.cycles or (STAGES,))
-    named = (("ambient", options.ambient_degc), ("load", options.weight_kn))
+    cycles = tuple(read_cycle(name, fastest) for name in cycle or (STAGES,))
+    named = (("ambient", ambient_degc), ("load", weight_kn))
     conditions = len(air) * len(weights) * (len(steady_kmh) + len(cycles))
     if conditions > MOST_CONDITIONS:
         raise InputError(", ".join(OPTIONS), f"{conditions} conditions", f"at most {MOST_CONDITIONS}")
@@ -232,7 +226,6 @@ def _driven(
     asked: ComparisonRequest, slopes: _Slopes, estimators: Sequence[Estimator], cycle: DriveCycle, air: float,
     weight: float | None,
 ) -> tuple[list[Array], Array, Array]:  # fmt: skip
-    """The same of a drive."""
     values, changes = [], []
     ambient = None if "ambient" in cycle.conditions(asked.given) else air
     for number, estimator in enumerate(estimators):

@@ -79,7 +79,6 @@ def headline(row: Mapping[str, Any], names: Sequence[str]) -> str:
 def _conditions(
     title: str, rows: Sequence[Mapping[str, Any]], key: str, unit: str, named: Mapping[str, tuple[str, str]], names: Sequence[str]
 ) -> list[str]:
-    """A table for each air temperature and load."""
     places: dict[tuple[float, ...], list[Mapping[str, Any]]] = {}
     for row in rows:
         places.setdefault((row["ambient_degc"], *row["weight_kn"]), []).append(row)

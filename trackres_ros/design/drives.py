@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackres_ros.design.steady import FileErrors
+from trackres_ros.design.steady import Array, FileErrors
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE, kernel_arguments
@@ -26,8 +25,6 @@ from trackres_ros.recording.roles import ROLES
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Vehicle
-
-Array = NDArray[np.float64]
 
 SHARES, HOLD_S, RAMP_S, STEP_S = (1 / 3, 2 / 3, 1.0), 600.0, 30.0, 0.5
 STAGES, LAPS = "stages", "laps"

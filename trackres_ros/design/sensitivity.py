@@ -7,14 +7,14 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, astuple, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros import checks
-from trackres_ros.design.steady import WARMEST_K, steady
+from trackres_ros.design.steady import WARMEST_K, Array, steady
 from trackres_ros.design.sweep import OUTCOMES
 from trackres_ros.design.uncertain import absorbed
 from trackres_ros.design.values import scalars, short
@@ -28,7 +28,6 @@ from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Vehicle, load
 from trackres_ros.vehicle.loading import variants
 
-Array = NDArray[np.float64]
 Model = Callable[[Array], Array]
 
 NOT_OF_THE_VEHICLE = ("chassis.ambient", "chassis.max_speed", "chassis.max_acceleration")
@@ -169,9 +168,11 @@ def sensitivity(
 
     def model(rows: Array) -> Array:
         nonlocal lost, why
-        pieces = [Drawn(source, tuple(paths), rows[i : i + PIECE], speed, air) for i in range(0, len(rows), PIECE)]
-        advance = progress("vehicles", len(rows))
-        found = np.concatenate(_computed(pieces, advance))
+        pieces = [(i, rows[i : i + PIECE]) for i in range(0, len(rows), PIECE)]
+        advance, found = progress("vehicles", len(rows)), np.empty((len(rows), len(OUTCOMES)))
+        for (i, piece), result in results(partial(outcomes_of, source, paths, speed, air), pieces, LOCAL):
+            found[i : i + PIECE] = result
+            advance(len(piece))
         bad = ~np.isfinite(found).all(axis=1)
         lost = int(bad.reshape(-1, len(paths) + 2).any(axis=1).sum())
         if lost:
@@ -234,28 +235,19 @@ def sobol(
     return Indices(found, std), len(rows)
 
 
-@dataclass(frozen=True, eq=False)
-class Drawn:
-    """Vehicles as a worker takes them: file, paths, values of each vehicle of shape (n, paths), speed [m/s], air [degC]."""
+def outcomes_of(file: str, paths: Sequence[str], speed: float, ambient: float, piece: tuple[int, Array]) -> Array:
+    """Outcomes of vehicles with values by path, shape (n, outcomes); nan for an impossible one.
 
-    file: str
-    paths: tuple[str, ...]
-    rows: Array
-    speed: float
-    ambient: float
-
-
-def outcomes_of(piece: Drawn) -> Array:
-    """Outcomes of vehicles, shape (n, outcomes); nan for an impossible one."""
-    make, found = variants(load(piece.file)), np.full((len(piece.rows), len(OUTCOMES)), np.nan)
-    for row, into in zip(piece.rows, found, strict=True):
+    `piece`: number of the first one, and the values of each, shape (n, paths).
+    """
+    make, found = variants(load(file)), np.full((len(piece[1]), len(OUTCOMES)), np.nan)
+    for row, into in zip(piece[1], found, strict=True):
         with suppress(InputError):
-            into[:] = _outcomes(make, dict(zip(piece.paths, map(float, row), strict=True)), piece.speed, piece.ambient)
+            into[:] = _outcomes(make, dict(zip(paths, map(float, row), strict=True)), speed, ambient)
     return found
 
 
 def _why_not(vehicle: Vehicle, values: Mapping[str, float], speed: float, ambient: float) -> str:
-    """Why a vehicle cannot be."""
     try:
         _outcomes(variants(vehicle), values, speed, ambient)
     except InputError as error:
@@ -267,15 +259,6 @@ def _outcomes(
     make: Callable[[Mapping[str, float]], Vehicle], values: Mapping[str, float], speed: float, ambient: float
 ) -> tuple[float, ...]:
     return astuple(steady(make(values), speed, ambient))
-
-
-def _computed(pieces: Sequence[Drawn], advance: Callable[[float], None]) -> list[Array]:
-    """By the fleet's engine if it is installed."""
-    found: dict[int, Array] = {}
-    for piece, result in results(outcomes_of, pieces, LOCAL):
-        found[id(piece)] = result
-        advance(len(piece.rows))
-    return [found[id(piece)] for piece in pieces]
 
 
 def _ends(

@@ -154,7 +154,6 @@ def held(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = 
 
 
 def _with_effects(vehicle: Vehicle, speed: float, ambient: float, weight: float | None) -> Steady:
-    """The same with effects."""
     kinds = [(one.track, float(load)) for one, load in zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)]
     whole = vehicle.weight if weight is None else weight
 

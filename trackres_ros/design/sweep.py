@@ -5,15 +5,15 @@
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.design.drives import driven, read_cycle
-from trackres_ros.design.steady import Steady, steady
+from trackres_ros.design.steady import Array, Steady, steady
 from trackres_ros.design.values import Varied, short
 from trackres_ros.engine.executor import LOCAL, results
 from trackres_ros.errors import InputError, one_line
@@ -24,8 +24,6 @@ from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.text.table import table
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import load
-
-Array = NDArray[np.float64]
 
 MOST_POINTS = 100_000
 ALONE = 200  # points without a drive that this process makes itself: an engine takes longer to begin
@@ -63,18 +61,6 @@ class SweepRequest:
     def paths(self) -> list[str]:
         """Paths of all varied values."""
         return [path for one in self.varied for path in one.paths]
-
-
-@dataclass(frozen=True, slots=True)
-class Piece:
-    """One point as a worker takes it."""
-
-    number: int
-    file: str
-    values: tuple[tuple[str, float], ...]
-    speed: float
-    ambient: float
-    cycle: str | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,15 +125,12 @@ def sweep(
         raise InputError("--vary", f"{twice[0]} twice", "each value once")
     if len(points) > MOST_POINTS:
         raise InputError("--vary", f"{len(points)} points", f"at most {MOST_POINTS} in all")
-    pieces = [
-        Piece(number, str(find_vehicle(asked.file)), tuple(values.items()), asked.speed, asked.ambient, asked.cycle)
-        for number, values in enumerate(points)
-    ]
+    of_each = partial(point, replace(asked, file=str(find_vehicle(asked.file)), varied=()))
     left_out = left_out_at(load(asked.file), asked.speed, asked.ambient)
-    found: list[tuple[float, ...] | str] = [""] * len(pieces)
-    few = asked.cycle is None and len(pieces) <= ALONE
-    for piece, result in results(point, pieces, address, workers, few):
-        found[piece.number] = result
+    found: list[tuple[float, ...] | str] = [""] * len(points)
+    few = asked.cycle is None and len(points) <= ALONE
+    for (number, _), result in results(of_each, list(enumerate(points)), address, workers, few):
+        found[number] = result
         advance(1)
     names = [*OUTCOMES, *([DRIVE] if asked.cycle is not None else [])]
     refused = {number: result for number, result in enumerate(found) if isinstance(result, str)}
@@ -158,15 +141,15 @@ def sweep(
     return Swept(asked, {**columns, **dict(zip(names, rows.T, strict=True))}, refused, tuple(left_out))
 
 
-def point(piece: Piece) -> tuple[float, ...] | str:
-    """Outcomes of one point, or why a vehicle cannot be so."""
+def point(asked: SweepRequest, numbered: tuple[int, dict[str, float]]) -> tuple[float, ...] | str:
+    """Outcomes of one point, a number and values, or why a vehicle cannot be so."""
     try:
-        vehicle = load(piece.file, dict(piece.values))
-        found = astuple(steady(vehicle, piece.speed, piece.ambient))
-        if piece.cycle is None:
+        vehicle = load(asked.file, numbered[1])
+        found = astuple(steady(vehicle, asked.speed, asked.ambient))
+        if asked.cycle is None:
             return found
-        cycle = read_cycle(piece.cycle, vehicle.chassis.max_speed)
-        return (*found, driven(Estimator(vehicle), cycle, None, piece.ambient)["kwh_per_km"])
+        cycle = read_cycle(asked.cycle, vehicle.chassis.max_speed)
+        return (*found, driven(Estimator(vehicle), cycle, None, asked.ambient)["kwh_per_km"])
     except InputError as error:
         return one_line(str(error))
 
@@ -210,7 +193,6 @@ def draw(found: Swept, path: Path) -> Path:
 
 
 def _value(one: Varied, value: float, paths: Sequence[str]) -> str:
-    """A value of a line, with its unit."""
     return f"{short(one.paths[0], paths)} {figures(value, 4)} {one.unit if one.unit != '1' else ''}".rstrip()
 
 

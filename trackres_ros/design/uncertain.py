@@ -13,15 +13,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackres_ros.design.steady import FileErrors
+from trackres_ros.design.steady import Array, FileErrors
 from trackres_ros.estimator.constants import drag_area_stds
 from trackres_ros.estimator.uncertainty import fits, logarithms_at, slopes
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.reading import FITTED
-
-Array = NDArray[np.float64]
 
 STEP = 0.01  # of a factor, for the derivatives
 BEARING, DRAG = "chassis.bearing_friction", "chassis.drag_coefficient"

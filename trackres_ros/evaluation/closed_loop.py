@@ -11,16 +11,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
+from trackres_ros.diagnosis import diagnose, load_base, read_recordings
 from trackres_ros.evaluation.processes import run_command
 from trackres_ros.evaluation.sealed.cases import Case
 from trackres_ros.evaluation.sealed.generate import make_case
-from trackres_ros.evaluation.sealed.truth import Hidden
 from trackres_ros.output.style import BLACK, BLUE, GREY, VERMILION, picture
 
 Array = NDArray[np.float64]
 
-MINUTES = 15.0
+MINUTES, SEED = 15.0, 5
 SMOOTHED_S = 10.0
 TURNS_M = 0.005  # curvature [1/m]
 HIDDEN = {"warmup": {"torque": 600.0, "seconds": 400.0}, "turning_scrub": {"friction": 0.6}}
@@ -42,35 +41,14 @@ class ClosedLoop:
         return float(np.abs(_smooth(self.torque - feedforward))[where & np.isfinite(self.torque)].mean())
 
 
-@dataclass(frozen=True, eq=False)
-class DiagnosisFiles:
-    """Vehicle files before and after a diagnosis, a hold-out drive, and the findings."""
-
-    before: Path
-    after: Path
-    kept_back: Path
-    found: Diagnosis
-
-
-def left_by_diagnosis(folder: Path, hidden: Hidden, minutes: float, kept_back: int, seed: int) -> DiagnosisFiles:
-    """Drive three times with effects hidden, diagnose two, and keep one back by its index."""
-    for sub in ("cases", "sealed"):
-        (folder / sub).mkdir(parents=True, exist_ok=True)
-    case = Case("loop", "single", {name: dict(values) for name, values in hidden.items()}, {}, False, False, False, True, seed)
-    make_case((folder, case, minutes))
+def close_loop(folder: Path) -> ClosedLoop:
+    """Drive three times with effects hidden; replay the last, with the vehicle file before and after the others' diagnosis."""
+    make_case(folder, MINUTES, Case("loop", "single", HIDDEN, {}, False, False, False, True, SEED))
     before, after = folder / "cases" / "loop" / "vehicle.yaml", folder / "after.yaml"
-    paths = sorted(before.parent.glob("drive_*.csv"))
-    last = paths.pop(kept_back)
+    *paths, last = sorted(before.parent.glob("drive_*.csv"))
     loaded = load_base(before)
     found = diagnose(read_recordings(paths, None), loaded)
     loaded.base.write(after, found.kept, found.verdict.sentence)
-    return DiagnosisFiles(before, after, last, found)
-
-
-def close_loop(folder: Path, seed: int = 5) -> ClosedLoop:
-    """Replay a drive that was kept back, with the vehicle file before and after the others were diagnosed."""
-    left = left_by_diagnosis(folder, HIDDEN, MINUTES, -1, seed)
-    before, after, last, found = left.before, left.after, left.kept_back, left.found
     drive = np.genfromtxt(last, delimiter=",", names=True)
     rows = [_replayed(last, vehicle, folder / f"{name}.csv") for name, vehicle in (("before", before), ("after", after))]
     time = drive["time_s"] - drive["time_s"][0]

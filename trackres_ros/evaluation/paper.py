@@ -9,7 +9,7 @@ has to find them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -28,27 +28,19 @@ HIDDEN = {
     "drivetrain_efficiency": {"efficiency": 0.92},
 }
 LAP_SPEEDS_MPS = (10.0 / 3.6, 20.0 / 3.6, 30.0 / 3.6)
-MINUTES = 15.0
+MINUTES, SEED = 15.0, 3
 
 
-@dataclass(frozen=True, eq=False)
-class PaperCase:
-    """A way to drive, and its diagnosis."""
-
-    what: str
-    found: Diagnosis
-
-
-def diagnose_all(folder: Path, seed: int = 3) -> list[PaperCase]:
-    """Diagnose the paper's circle, and drives that distinguish its causes."""
+def diagnose_all(folder: Path) -> dict[str, Diagnosis]:
+    """Diagnose the paper's circle, and drives that distinguish its causes; by the way to drive."""
     weight, _ = weight_and_radius()
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(SEED)
     circles = [circle(MINUTES, speed, weight) for speed in LAP_SPEEDS_MPS]
     courses = [drive(MINUTES, share * weight, 15.0, FASTEST_MPS, rng) for share in LOADS]
-    return [
-        PaperCase("laps of one circle at three speeds", _diagnosed(folder / "circle", circles, rng)),
-        PaperCase("a course with bends and straights, three loads", _diagnosed(folder / "course", courses, rng)),
-    ]
+    return {
+        "laps of one circle at three speeds": _diagnosed(folder / "circle", circles, rng),
+        "a course with bends and straights, three loads": _diagnosed(folder / "course", courses, rng),
+    }
 
 
 def circle(minutes: float, speed: float, weight: float) -> SealedDrive:
@@ -69,7 +61,7 @@ def _diagnosed(folder: Path, drives: list[SealedDrive], rng: np.random.Generator
     return diagnose(read_recordings(paths, None), load_base(vehicle))
 
 
-def page(cases: list[PaperCase]) -> str:
+def page(cases: Mapping[str, Diagnosis]) -> str:
     """Findings, and the truth."""
     lines = [
         f"True: turning scrub (friction {HIDDEN['turning_scrub']['friction']:g}), "
@@ -79,19 +71,19 @@ def page(cases: list[PaperCase]) -> str:
         "| Driven | Found | True ones in a class | Mean error on held-out laps: file, re-fitted, with effects [Nm] |",
         "|---|---|---|---|",
     ]
-    for a in cases:
-        classes = [f.step.members for f in a.found.found]
-        named = "; ".join(" or ".join(m) for m in classes) or a.found.verdict.status
+    for what, found in cases.items():
+        classes = [f.step.members for f in found.found]
+        named = "; ".join(" or ".join(m) for m in classes) or found.verdict.status
         hit = [name for name in HIDDEN if any(name in m for m in classes)]
-        mae = a.found.held_out.mae
+        mae = found.held_out.mae
         errors = ", ".join(f"{mae[stage]:.0f}" for stage in ("nominal", "refitted", "with_effects"))
-        lines.append(f"| {a.what} | {named} | {', '.join(hit) or '-'} | {errors} |")
-    for a in cases:
-        lines += ["", f"## {a.what[0].upper()}{a.what[1:]}", "", a.found.verdict.sentence, ""]
-        fitted = ", ".join(f"{name} {value:.3g}" for name, value in a.found.final.base_values.items())
+        lines.append(f"| {what} | {named} | {', '.join(hit) or '-'} | {errors} |")
+    for what, found in cases.items():
+        lines += ["", f"## {what[0].upper()}{what[1:]}", "", found.verdict.sentence, ""]
+        fitted = ", ".join(f"{name} {value:.3g}" for name, value in found.final.base_values.items())
         lines += [f"Base, re-fitted along: {fitted}.", ""]
-        hidden = [n for n in a.found.steps[-1].separability.not_visible if n.name in HIDDEN]
+        hidden = [n for n in found.steps[-1].separability.not_visible if n.name in HIDDEN]
         lines += [f"- {n.name} cannot be seen: {n.why}" for n in hidden]
-        for x in a.found.advice[:1]:
+        for x in found.advice[:1]:
             lines.append(f"- to drive next: {x.manoeuvre} ({x.minutes:.0f} min): tells {', '.join(x.separates)} apart")
     return "\n".join(lines) + "\n"

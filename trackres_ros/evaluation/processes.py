@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the processes of all proofs share: labels sealed before the first recording is written, and all cores on the cases."""
+"""What the processes of all proofs share: labels sealed before the first recording is written, and all cores on the cases.
+
+`python -m trackres_ros.evaluation.processes sealed.blind.main CASES RESULTS` calls a function of this room.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,10 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from importlib import import_module
+from inspect import signature
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from trackres_ros.errors import InputError
 
@@ -76,9 +81,22 @@ def run_command(*words: str | Path) -> None:
     subprocess.run([sys.executable, "-m", "trackres_ros", *map(str, words)], check=True, capture_output=True)
 
 
-def run_main(main: Callable[[Sequence[str]], None]) -> None:
-    """Run a process of a proof with its arguments; a refusal is one line."""
+def unfinished(cases: Path, results: Path, first: int | None = None, suffix: str = ".json") -> list[Path]:
+    """Folders of cases without a result yet; with `first` of so many, in the order of their random names."""
+    results.mkdir(parents=True, exist_ok=True)
+    return [case for case in sorted(cases.glob("*"))[:first] if not (results / f"{case.name}{suffix}").exists()]
+
+
+def call(name: str, *words: str) -> None:
+    """Call a function of this room, by module and name, with words as the types of its parameters."""
+    module, _, function = name.rpartition(".")
+    called = getattr(import_module(f"{__spec__.parent}.{module}"), function)
+    kinds = [next(iter(get_args(p.annotation)), p.annotation) for p in signature(called, eval_str=True).parameters.values()]
+    called(*(kinds[min(i, len(kinds) - 1)](word) for i, word in enumerate(words)))
+
+
+if __name__ == "__main__":
     try:
-        main(sys.argv[1:])
+        call(*sys.argv[1:])
     except InputError as refused:
         sys.exit(f"trackres: error: {refused}")

@@ -158,7 +158,6 @@ class CSource:
         }
 
     def _initial(self, array: StateArray) -> Iterator[str]:
-        """Fill an array of the state."""
         name, length = f"state->{in_state(array)}", self._length(array)
         numbers = [*array.start.ravel().tolist(), *[0.0] * (length - array.start.size)]
         literals = [self.translator.literal(value) for value in numbers]
@@ -222,7 +221,6 @@ def filled(template: str, values: dict[str, str]) -> str:
 
 
 def _used_helpers(helpers: str, functions: str) -> str:
-    """The helpers that something calls."""
     found = []
     for block in helpers.split("\n\n"):
         name = re.search(r"(tr_\w+)\(", block)

@@ -64,7 +64,6 @@ class Calls(Operators):
         return self._of_library(node, function, values)
 
     def _record(self, node: ast.Call, cls: Any) -> Value:
-        """A named tuple with its defaults."""
         values = dict(zip(cls._fields, self.spread(node.args), strict=False))
         values |= {str(keyword.arg): self.value(keyword.value) for keyword in node.keywords}
         values = {name: self.const(default) for name, default in cls._field_defaults.items()} | values

@@ -165,7 +165,6 @@ def _places(source: CSource, variables: list[Variable], token: str) -> dict[str,
 
 
 def _description(source: CSource, variables: list[Variable], token: str) -> bytes:
-    """modelDescription.xml."""
     vehicle = source.estimator.vehicle
     root = Xml.Element(
         "fmiModelDescription", fmiVersion="3.0", modelName=vehicle.name, instantiationToken=token, description=vehicle.title,

@@ -88,11 +88,11 @@ def _key(value: Any) -> Any:
     return id(value)
 
 
-def record_of(value: tuple[Any, ...], kinds: tuple[Kind, ...] | None = None) -> Record:
+def record_of(value: tuple[Any, ...]) -> Record:
     """The record of a tuple: with the fields of a named one, else numbered."""
     fields = getattr(type(value), "_fields", tuple(f"f{i}" for i in range(len(value))))
     name = words(type(value).__name__) if hasattr(type(value), "_fields") else ""
-    return Record(name, tuple(zip(fields, kinds or tuple(Const(one) for one in value), strict=True)))
+    return Record(name, tuple(zip(fields, map(Const, value), strict=True)))
 
 
 def words(name: str) -> str:

@@ -110,7 +110,6 @@ class Parts:
         return self.translator.instance(function, [ArrayOf(REAL, (looked_at,)), values, ArrayOf(REAL, (answered,))])
 
     def _call_effect(self, body: Expressions, values: Sequence[Value]) -> str:
-        """The call of an effect by its number."""
         number, looked_at, parameters, answer = values
         body.note_written(answer)
         body.calls += list(self.effects.values())

@@ -126,7 +126,6 @@ class Statements(Calls):
     # Variables
 
     def _is_stored(self, name: str) -> bool:
-        """Whether a variable has storage in C."""
         kind = self.kinds.get(name)
         return not isinstance(kind, Const) and not (isinstance(kind, Record) and not list(kind.stored()))
 

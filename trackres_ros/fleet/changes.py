@@ -8,16 +8,13 @@ raises the likelihood more than chance does. The rate of false alarms is given, 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackres_ros.fleet.pooling import Pooled, softened
+from trackres_ros.fleet.pooling import Array, Pooled
 from trackres_ros.fleet.task import FIRST_DAY_S
-
-Array = NDArray[np.float64]
 
 STEP, RAMP = "step", "ramp"
 FALSE_ALARMS = 0.2  # per vehicle and year, one in 60 vehicle-months: rate of false alarms
@@ -83,6 +80,10 @@ class VehicleHistory:
     time_s: Array  # begin of each
     looked_for: tuple[int, ...]  # indices of the parameters to check for a change
 
+    def until(self, count: int) -> "VehicleHistory":
+        """The first so many recordings."""
+        return replace(self, precision=self.precision[:count], linear=self.linear[:count], time_s=self.time_s[:count])
+
 
 class Found(NamedTuple):
     """A found change: its parameter, first recording and kind."""
@@ -95,9 +96,7 @@ class Found(NamedTuple):
 def course(pooled: Pooled, vehicle: str) -> VehicleHistory:
     """Of one vehicle of the pool, without the recordings whose day is unknown: they have no place in it."""
     own = (pooled.of.vehicle == vehicle) & (pooled.of.time_s > FIRST_DAY_S)
-    of = pooled.of.some(own)
-    linear = of.linear - np.einsum("nij,j,n->ni", of.precision, pooled.follows, of.air)
-    precision, linear = softened(of.precision, np.asarray(linear), pooled.scatter(own))
+    of, precision, linear = pooled.likelihoods(own)
     prior = np.asarray(np.linalg.inv(pooled.between + pooled.covariance))
     looked_for = tuple(of.names.index(name) for name in SUFFER_CHANGE if name in of.names)
     return VehicleHistory(precision, linear, prior, prior @ pooled.mean, of.time_s, looked_for)
@@ -247,12 +246,12 @@ def variants(of: VehicleHistory, found: Sequence[Found]) -> list[list[Variant]]:
     return listed
 
 
-def threshold(of: VehicleHistory, rate: float = FALSE_ALARMS, seed: int = 1) -> float:
+def threshold(of: VehicleHistory, rate: float) -> float:
     """Threshold of the gain that chance alone exceeds, after any recording, at a rate per year [log-likelihood].
 
     Recordings are drawn with the scatter of the pool, without a change.
     """
-    rng, n = np.random.default_rng(seed), min(len(of.linear), MOST_DRAWN_FOR)
+    rng, n = np.random.default_rng(1), min(len(of.linear), MOST_DRAWN_FOR)
     if n < 2 * FEWEST:
         return np.inf
     precision = of.precision[:n]
@@ -267,8 +266,7 @@ def threshold(of: VehicleHistory, rate: float = FALSE_ALARMS, seed: int = 1) -> 
     )
     highest = np.zeros(DRAWS)
     for count in range(2 * FEWEST, n + 1):
-        part = VehicleHistory(precision[:count], of.linear[:count], of.prior, of.right, of.time_s[:count], of.looked_for)
-        highest = np.maximum(highest, gains(part, (), drawn[:, :count]).gain.max(axis=(1, 2)))
+        highest = np.maximum(highest, gains(of.until(count), (), drawn[:, :count]).gain.max(axis=(1, 2)))
     years = max((of.time_s[n - 1] - of.time_s[0]) / YEAR_S, 1e-3)
     share = min(0.5, rate * years)  # of draws that may pass
     return exceeded(highest, share)
@@ -296,7 +294,6 @@ def vehicle_changes(pooled: Pooled, vehicle: str, rate: float = FALSE_ALARMS) ->
 def _described(
     pooled: Pooled, of: VehicleHistory, found: Sequence[Found], varied: Sequence[Sequence[Variant]], j: int, least: float
 ) -> VehicleChange:
-    """One of the changes of a vehicle."""
     names, (parameter, at, kind) = pooled.of.names, found[j]
     whole = fit(of, found)
     nominal, std = float(pooled.of.nominal[parameter]), float(pooled.of.std[parameter])
@@ -349,8 +346,7 @@ def first_seen(of: VehicleHistory, found: Sequence[Found], j: int, alike: Sequen
     """Recording with which a search after each one first finds a change, of its parameter or of one alike."""
     same = [f for f in found if f.parameter in (found[j].parameter, *alike)]
     for count in range(max(found[j].at + FEWEST, 2 * FEWEST), len(of.linear)):
-        part = VehicleHistory(of.precision[:count], of.linear[:count], of.prior, of.right, of.time_s[:count], of.looked_for)
-        for early in search(part, least):
+        for early in search(of.until(count), least):
             nearest = min(same, key=lambda f: abs(f.at - early.at))
             if early.parameter in (found[j].parameter, *alike) and nearest == found[j]:
                 return count - 1

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtri
 
 from trackres_ros.errors import InputError, nearest
@@ -17,17 +16,15 @@ from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import read
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.fleet.dataset import FleetDataset
-from trackres_ros.fleet.pooling import Vehicles, pool, softened
+from trackres_ros.fleet.pooling import Array, Vehicles, pool
 from trackres_ros.fleet.recordings import ROWS
-from trackres_ros.fleet.trends import NUMBERS, TEXTS, of_one_file, of_present_files, some_of, without_copies, without_overlaps
+from trackres_ros.fleet.trends import NUMBERS, TEXTS, of_one_file, of_present_files, without_copies, without_overlaps
 from trackres_ros.output.style import picture
-from trackres_ros.text.numbers import alike, figures
+from trackres_ros.text.numbers import alike, figures, some_of
 from trackres_ros.text.table import table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 SURE = 0.05  # probability of any false difference by chance
 REPORT, MOST_BYTES = "report.json", 1 << 26
@@ -193,10 +190,8 @@ def _of_fleet(folder: Path, vehicle: str, day: str, given: str) -> Side:
         raise InputError(given, "vehicles of several types", "those of one", "name a vehicle: DIR:VEHICLE")
     whole = pool(types[0])
     own = np.array([url in wanted for url in whole.of.urls])
-    of = whole.of.some(own)
+    of, precision, linear = whole.likelihoods(own)
     # The scatter of recordings is estimated from all, the parameters from those chosen alone, with the vehicle file's ranges.
-    linear = of.linear - np.einsum("nij,j,n->ni", of.precision, whole.follows, of.air)
-    precision, linear = softened(of.precision, linear, whole.scatter(own))
     covariance = np.linalg.inv(np.eye(len(of.names)) + precision.sum(axis=0))
     mean = covariance @ linear.sum(axis=0)
     scale = np.outer(of.std, of.std)

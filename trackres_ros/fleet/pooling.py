@@ -115,9 +115,11 @@ class Pooled:
     weight: Array  # of each recording, shape (n,): an outlier of its vehicle scatters as `within` over its weight
     by_vehicle: dict[str, tuple[Array, Array]]  # mean and covariance of each vehicle
 
-    def scatter(self, rows: NDArray[np.bool_]) -> Array:
-        """Covariance by which some recordings scatter, shape (n, p, p)."""
-        return _scatter(self.within, self.weight[rows])
+    def likelihoods(self, rows: NDArray[np.bool_]) -> tuple[Vehicles, Array, Array]:
+        """Some recordings; their precision and linear term without the dependence on the air and reduced by their scatter."""
+        of = self.of.some(rows)
+        linear = of.linear - np.einsum("nij,j,n->ni", of.precision, self.follows, of.air)
+        return of, *softened(of.precision, np.asarray(linear), _scatter(self.within, self.weight[rows]))
 
     def value(self, vehicle: str | None, name: str) -> tuple[float, float]:
         """A parameter's value and standard deviation in its unit, of a vehicle or of the type."""

@@ -173,7 +173,6 @@ def rows(results: Iterable[tuple[Task, Any]]) -> Iterator[dict[str, Any]]:
 
 
 def _task(found: FoundRecording, fleet: Fleet, hide: tuple[str, ...]) -> Task | str:
-    """Task of a recording, or why there is none."""
     if found.problem:
         return f"{found.url}: {found.problem}"
     try:

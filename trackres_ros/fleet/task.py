@@ -179,6 +179,5 @@ def _content(path: Path) -> str:
     for file in sorted(path.iterdir()) if path.is_dir() else [path]:
         if file.is_file():
             with file.open("rb") as stream:
-                while block := stream.read(1 << 20):
-                    found.update(block)
+                hashlib.file_digest(stream, lambda: found)
     return found.hexdigest()

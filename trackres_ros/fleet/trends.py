@@ -26,11 +26,10 @@ from trackres_ros.fleet.changes import (
 from trackres_ros.fleet.dataset import LOAD_RECORDED, FleetDataset
 from trackres_ros.fleet.pooling import Pooled, Vehicles, pool, type_of
 from trackres_ros.fleet.task import FIRST_DAY_S, NO_DAY
-from trackres_ros.text.numbers import figures, number_of
+from trackres_ros.text.numbers import figures, number_of, some_of
 
 SHOWN = "bearing_friction", "loss_modulus_scale"  # over time, changed or not
 OVERLAP_S = 1.0  # allowed overlap of two recordings: their clocks differ
-MOST_NAMES = 8  # in a message
 LEFT_OUT = {
     "copies": "not used because another recording has the same content",
     "overlapping": "not used because their clocks overlap",
@@ -49,12 +48,6 @@ NUMBERS = (
 def day_of(time_s: float) -> str:
     """A day as people write it [UTC]."""
     return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d")
-
-
-def some_of(names: Sequence[str]) -> str:
-    """Names in a row, of many the first few."""
-    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return f"{', '.join(names[:MOST_NAMES])}{more}"
 
 
 def _dated(row: Mapping[str, Any]) -> bool:

@@ -16,6 +16,7 @@ from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.file_kind import GROUP, BagKind, FileKind
 from trackres_ros.recording.reading import check_there, reading
 from trackres_ros.recording.samples import BoundSource
+from trackres_ros.text.numbers import some_of
 
 MOST_NAMED = 3
 AMBIGUOUS = (".log", ".part")
@@ -85,8 +86,7 @@ def _kind_of(path: Path) -> FileKind | BagKind:
             return next(kind for kind in shipped_kinds() if isinstance(kind, BagKind))
         inside = sorted(file.name for file in path.iterdir() if file.name.lower().endswith(suffixes()))
         remedy = "give the path of the recording in it" if inside else "a rosbag2 directory has one; ros2 bag reindex writes it"
-        more = f" and {len(inside) - MOST_NAMED} more" if len(inside) > MOST_NAMED else ""
-        given = f"no metadata.yaml, but {', '.join(inside[:MOST_NAMED])}{more}" if inside else "a directory without metadata.yaml"
+        given = f"no metadata.yaml, but {some_of(inside, MOST_NAMED)}" if inside else "a directory without metadata.yaml"
         raise InputError(str(path), given, _allowed(), remedy)
     found = _by_name(path.name, shipped_kinds()) or _by_name(path.name, further_kinds())
     if found is None:

@@ -62,6 +62,11 @@ def number_of(count: int, one: str, more: str = "") -> str:
     return f"{count} {one if count == 1 else more or one + 's'}"
 
 
+def some_of(names: Sequence[str], most: int = 8) -> str:
+    """Names in a row, of many the first few and how many more."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
 def rising(values: Sequence[float], most: int = 4) -> list[str]:
     """Rising numbers, such as the edges of bins: each with the figures that tell it from its neighbours, and at most so many."""
     apart = [0.0, *(b - a for a, b in pairwise(values)), 0.0]

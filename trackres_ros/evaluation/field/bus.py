@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_base, read_recordings
+from trackres_ros.evaluation.field.data import Array
 from trackres_ros.evaluation.field.run import NOTHING, UPHILL, WARM, FieldTrial
 from trackres_ros.output.style import BLUE, GREY, VERMILION, picture
 from trackres_ros.recording.bindings import Topics
@@ -24,22 +24,12 @@ from trackres_ros.route.track import Frame
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import GRAVITY
 
-Array = NDArray[np.float64]
-
 FOLDER, VEHICLE, TOPICS = "ztbus", "ztbus_hess19", "ztbus"
 SAME_PLACE_M = 15.0
 SLOPE_OVER_M = 300.0
 LONG_STRETCH_S = 300.0  # of driving
 CLOSE = 0.08  # of the passengers' weight
 SECONDS_PER_MIN = 60.0
-
-
-@dataclass(frozen=True)
-class SlopeFound:
-    """Comparison of the found slope with that of the altitude, averaged over all passes of a place and over 300 m."""
-
-    correlation: float
-    coefficient: float  # of a regression of the found one on that of the altitude
 
 
 @dataclass(frozen=True)
@@ -87,8 +77,10 @@ def try_bus(data: Path) -> list[FieldTrial]:
     ]
 
 
-def slope_found(tried: FieldTrial, given: FieldTrial) -> SlopeFound | None:
-    """Compare the found slope with that of the altitude, which `given` has; None without one."""
+def slope_found(tried: FieldTrial, given: FieldTrial) -> tuple[float, float] | None:
+    """Correlation of the found slope with that of the altitude, which `given` has, averaged over all passes of a place and over
+    300 m, and coefficient of its regression on that one; None without one.
+    """
     final = tried.found.final
     if not UPHILL & set(final.effect_names):
         return None
@@ -101,7 +93,7 @@ def slope_found(tried: FieldTrial, given: FieldTrial) -> SlopeFound | None:
         found.append((adds / (session.weight * radius))[there])
         true.append(surveyed[there])
     x, y = np.concatenate(true), np.concatenate(found)
-    return SlopeFound(float(np.corrcoef(x, y)[0, 1]), float(np.polyfit(x, y, 1)[0]))
+    return float(np.corrcoef(x, y)[0, 1]), float(np.polyfit(x, y, 1)[0])
 
 
 def slope_by_all_passes(latitude: Array, longitude: Array, altitude: Array, distance: Array) -> Array:
@@ -164,7 +156,7 @@ def bus_page(tried: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -
     if slopes:
         lines += ["The slope found, against that of the altitude averaged over all passes of a place and taken over 300 m:", ""]
         lines += ["| Concealed | Correlation | Coefficient |", "|---|---|---|"]
-        lines += [f"| {hidden} | {slope.correlation:.2f} | {slope.coefficient:.2f} |" for hidden, slope in slopes]
+        lines += [f"| {hidden} | {correlation:.2f} | {coefficient:.2f} |" for hidden, (correlation, coefficient) in slopes]
         lines.append("")
     else:
         lines += ["No slope was found.", ""]

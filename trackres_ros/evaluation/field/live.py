@@ -23,7 +23,7 @@ from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.evaluation.field import bus
-from trackres_ros.evaluation.field.data import car, robot, trips
+from trackres_ros.evaluation.field.data import Array, car, robot, trips
 from trackres_ros.evaluation.processes import run_command
 from trackres_ros.learning.learner import Learner
 from trackres_ros.node.parameters import make_parameters
@@ -35,8 +35,6 @@ from trackres_ros.text.numbers import figures
 from trackres_ros.units import NANOSECOND
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, load_any
 from trackres_ros.vehicle.surroundings import with_surroundings
-
-Array = NDArray[np.float64]
 
 DIAGNOSED = 0.7  # of the only recording
 MEAN_S = 4.0  # as the diagnosis compares a torque that comes once a second

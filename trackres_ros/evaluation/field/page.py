@@ -10,14 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from trackres_ros.diagnosis.findings.locate import evenly_filled
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95
 from trackres_ros.evaluation.field.bus import bus_page
-from trackres_ros.evaluation.field.data import SECONDS_PER_H
+from trackres_ros.evaluation.field.data import SECONDS_PER_H, Array
 from trackres_ros.evaluation.field.live import learned_page, live_page
 from trackres_ros.evaluation.field.run import (
     COLD_AFTER_H,
@@ -33,8 +32,6 @@ from trackres_ros.evaluation.field.run import (
 from trackres_ros.evaluation.field.warmth import WANTED_RANK, PooledStarts, pool, start_states, warming
 from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, picture
 from trackres_ros.text.numbers import decimals
-
-Array = NDArray[np.float64]
 
 EARLY_S, BIN_S = 900.0, 60.0
 YAW_BINS = 16
@@ -112,7 +109,6 @@ def _starts(begun: Sequence[Start], together: PooledStarts) -> list[str]:
 
 
 def _where(known: FieldTrial, begun: Sequence[Start]) -> str:
-    """Where the named effect acts, given the standing time."""
     early = np.array([acts_early(known, i) for i in range(len(begun))])
     cold = np.array([s.cold for s in begun])
     return (

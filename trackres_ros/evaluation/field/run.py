@@ -10,14 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.field.data import car, robot, trips
-
-Array = NDArray[np.float64]
+from trackres_ros.evaluation.field.data import Array, car, robot, trips
 
 WARM = frozenset({"warmup", "roadwheel_tyres", "viscous_bearing"})
 UPHILL = frozenset({"grade", "grade_profile"})

@@ -9,16 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.effects.vehicle.warmup import WarmUp
+from trackres_ros.evaluation.field.data import Array
 from trackres_ros.units import MAD_TO_STD
-
-Array = NDArray[np.float64]
 
 SHORTEST_S, LONGEST_S, CONSTANTS = 60.0, 4e5, 40  # time constants of cooling at rest that are tried
 SPREADS = np.concatenate(([0.0], np.geomspace(0.05, 2.0, 20)))  # standard deviations of start states about the model

@@ -3,14 +3,14 @@
 
 """Counts how many changes of a concealed fleet are found, how soon and by which name, and the false alarms.
 
-`python -m trackres_ros.evaluation.fleet.prove generate FOLDER SEED VEHICLES DAYS EVERY MINUTES` draws, seals and records;
-`... score FOLDER` opens the seal. Between them runs `trackres fleet`, which sees recordings and fleet.yaml and nothing else.
+`generate` draws, seals and records; `score` opens the seal. Between them runs `trackres fleet`, which sees recordings and
+fleet.yaml and nothing else.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -32,8 +32,8 @@ from trackres_ros.evaluation.fleet.draw import (
     draw_fleet,
     seal,
 )
-from trackres_ros.evaluation.fleet.sample import write_recordings
-from trackres_ros.evaluation.processes import check_seal, read_json, run_main, show_count
+from trackres_ros.evaluation.fleet.sample import begin_recordings, record_one
+from trackres_ros.evaluation.processes import check_seal, each, read_json
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.pooling import Vehicles, pool
 from trackres_ros.fleet.trends import NUMBERS, TEXTS
@@ -84,11 +84,11 @@ def generate(folder: Path, seed: int, vehicles: int, days: int, every: float, mi
     print(f"sealed: {len(fleet)} vehicles, SHA-256 {digest}", flush=True)
     (folder / "seal.txt").write_text(digest + "\n", encoding="utf-8")
     (folder / SEALED / "fleet.json").write_text(json.dumps({"seed": seed, "fleet": [asdict(v) for v in fleet]}), encoding="utf-8")
-    write_recordings(folder / OPEN, fleet, minutes, _counting)
+    each(record_one, begin_recordings(folder / OPEN, fleet, minutes), "recorded")
 
 
-def score(folder: Path) -> dict[str, Any]:
-    """Open the seal and count."""
+def score(folder: Path) -> None:
+    """Open the seal, count, and write the counts and the page."""
     labels = read_json(folder / SEALED / "fleet.json")
     fleet = [
         DrawnVehicle(**{**v, "days": tuple(v["days"]), "hidden": Hidden(**v["hidden"]) if v["hidden"] else None})
@@ -98,7 +98,11 @@ def score(folder: Path) -> dict[str, Any]:
     check_seal(folder, sealed)
     found = read_json(folder / "found.json")
     scored = [score_vehicle(v, found["vehicles"].get(v.name, {"changes": []})) for v in fleet]
-    return summary(scored, labels["seed"], sealed) | {"known_of_the_type": known_of_the_type(FleetDataset(folder / RESULTS))}
+    known = known_of_the_type(FleetDataset(folder / RESULTS))
+    counts = summary(scored, labels["seed"], sealed) | {"known_of_the_type": known}
+    (folder / "scores.json").write_text(json.dumps(counts, indent=1), encoding="utf-8")
+    (folder / "fleet.md").write_text(page(counts), encoding="utf-8")
+    print(page(counts))
 
 
 def known_of_the_type(dataset: FleetDataset) -> list[dict[str, Any]]:
@@ -209,31 +213,3 @@ def _interval(hits: int, of: int) -> tuple[float, float]:
     low = float(beta.ppf(0.025, hits, of - hits + 1)) if hits else 0.0
     high = float(beta.ppf(0.975, hits + 1, of - hits)) if hits < of else 1.0
     return low, high
-
-
-def _counting(total: int) -> Callable[[float], None]:
-    done = 0.0
-
-    def advance(more: float) -> None:
-        nonlocal done
-        done += more
-        show_count("recorded", round(done), total)
-
-    return advance
-
-
-def main(arguments: Sequence[str]) -> None:
-    """See above."""
-    folder = Path(arguments[1])
-    if arguments[0] == "generate":
-        seed, vehicles, days = (int(a) for a in arguments[2:5])
-        generate(folder, seed, vehicles, days, float(arguments[5]), float(arguments[6]))
-        return
-    found = score(folder)
-    (folder / "scores.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
-    (folder / "fleet.md").write_text(page(found), encoding="utf-8")
-    print(page(found))
-
-
-if __name__ == "__main__":
-    run_main(main)

@@ -57,7 +57,11 @@ def write_sample(
     ]
     folder.mkdir(parents=True, exist_ok=True)
     write(folder / ANSWERS, (json.dumps({"options": options, "changes": changes}, indent=1) + "\n").encode())
-    write_recordings(folder, fleet, minutes, on_begin)
+    tasks = begin_recordings(folder, fleet, minutes)
+    advance = on_begin(len(tasks))
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        for _ in pool.map(record_one, tasks, chunksize=4):
+            advance(1)
     return fleet
 
 
@@ -75,19 +79,14 @@ def _check_same(folder: Path, options: Mapping[str, float]) -> None:
         raise InputError("-o", f"{folder}, a sample with {given}", allowed, "give these options or another folder")
 
 
-def write_recordings(
-    folder: Path, fleet: Sequence[DrawnVehicle], minutes: float, on_begin: Callable[[int], Callable[[float], None]]
-) -> None:
-    """Write fleet.yaml and all recordings that are not there yet."""
+def begin_recordings(folder: Path, fleet: Sequence[DrawnVehicle], minutes: float) -> list[tuple[Path, DrawnVehicle, int, float]]:
+    """Write fleet.yaml; the tasks of `record_one`."""
     folder.mkdir(parents=True, exist_ok=True)
     described = {v.name: {"file": VEHICLE, "limits": {BEARING: BEARING_LIMIT}} for v in fleet}
     (folder / FLEET).write_text(yaml.safe_dump({"vehicles": described}, sort_keys=False), encoding="utf-8")
-    work = [(folder / RECORDINGS, v, number, minutes) for v in fleet for number in range(len(v.days))]
-    advance = on_begin(len(work))
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        for _ in pool.map(_write, work, chunksize=4):
-            advance(1)
+    return [(folder / RECORDINGS, v, number, minutes) for v in fleet for number in range(len(v.days))]
 
 
-def _write(task: tuple[Path, DrawnVehicle, int, float]) -> None:
+def record_one(task: tuple[Path, DrawnVehicle, int, float]) -> None:
+    """Drive and record once, unless the file is there."""
     write_recording(*task)

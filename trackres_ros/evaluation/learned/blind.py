@@ -1,21 +1,18 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Second process: learns and re-fits, given recordings and vehicle files and nothing else.
-
-`python -m trackres_ros.evaluation.learned.blind FOLDER [FIRST]`
-"""
+"""Second process: learns and re-fits, given recordings and vehicle files and nothing else."""
 
 from __future__ import annotations
 
 import json
 import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
@@ -23,7 +20,8 @@ from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import read_learning, save
 from trackres_ros.evaluation.learned.generate import REFIT
-from trackres_ros.evaluation.processes import each, run_main
+from trackres_ros.evaluation.processes import each, unfinished
+from trackres_ros.evaluation.sealed.drives import Array
 from trackres_ros.evaluation.sealed.generate import APART_S, refit
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
@@ -32,7 +30,6 @@ from trackres_ros.offline.replay import replay
 from trackres_ros.recording.opening import open_source
 from trackres_ros.vehicle import load
 
-Array = NDArray[np.float64]
 KEY = re.compile(r"\(?[+-]?\d+ (%|Nm|s)|( of the|of)(?= *$)| (since|for) *$|, of the kind.*")  # varies from run to run
 BESIDE = "a torque beside the vehicle"
 SHOWN = [at.Results.speed_mps, at.Results.feedforward_torque_nm, at.Results.resistance_torque_nm, at.Results.resistance_std_nm]
@@ -56,18 +53,14 @@ class Listening(Learner):
         self.outside |= bool((applied[own] < self.prior.low[own]).any() or (applied[own] > self.prior.high[own]).any())
 
 
-def main(arguments: Sequence[str]) -> None:
-    """See above."""
-    folder = Path(arguments[0])
-    (folder / "results").mkdir(exist_ok=True)
-    chosen = sorted((folder / "cases").iterdir())[: int(arguments[1]) if len(arguments) > 1 else None]
-    missing = [p for p in chosen if not (folder / "results" / f"{p.name}.json").exists()]
-    each(learn_and_fit, [(p, folder / "results") for p in missing], "learned")
+def main(folder: Path, first: int | None = None) -> None:
+    """Learn all vehicles, or the first."""
+    results = folder / "results"
+    each(partial(learn_and_fit, results), unfinished(folder / "cases", results, first), "learned")
 
 
-def learn_and_fit(task: tuple[Path, Path]) -> None:
+def learn_and_fit(results: Path, case: Path) -> None:
     """One vehicle: with its file, with learning on, and with files of a re-fit."""
-    case, results = task
     drives = sorted(case.glob("drive_*.csv"))
     vehicle = case / "vehicle.yaml"
     rows: dict[str, Any] = {}
@@ -123,7 +116,3 @@ def _learned(case: Path, drives: Sequence[Path], vehicle: Path, rows: dict[str, 
             "counts": [state for state in VEHICLES_OWN if learner.counted[state]],
         }
     return said
-
-
-if __name__ == "__main__":
-    run_main(main)

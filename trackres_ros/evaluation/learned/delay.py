@@ -3,8 +3,7 @@
 
 """Scores the estimated delay of the torque behind the speed on vehicles with a concealed delay.
 
-`python -m trackres_ros.evaluation.learned.delay generate FOLDER SEED MINUTES VEHICLES HOSTILE` draws, seals and records;
-`... find FOLDER` sees recordings and vehicle files and nothing else; `... score FOLDER` opens the seal.
+`generate` draws, seals and records; `find` sees recordings and vehicle files and nothing else; `score` opens the seal.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from trackres_ros.evaluation.learned.cases import (
     misled,
     weight_shares,
 )
-from trackres_ros.evaluation.processes import check_seal, digest, each, read_labels, run_main, write_sealed
+from trackres_ros.evaluation.processes import check_seal, digest, each, read_labels, unfinished, write_sealed
 from trackres_ros.evaluation.sealed.drives import Array, SealedDrive, drive, trapezoids
 from trackres_ros.evaluation.sealed.generate import FASTEST_MPS, START_S, VEHICLE, weight_and_radius, write_vehicle
 from trackres_ros.evaluation.sealed.sensors import HEAVY_TAILS, Sensors, drawn_sensors, lagging, road_slopes
@@ -91,12 +91,11 @@ def generate(folder: Path, seed: int, minutes: float, vehicles: int, hostile: in
     labels = {"seed": seed, "minutes": minutes, "drawn": [asdict(one) for one in drawn]}
     write_sealed(folder, f"{len(drawn)} vehicles", seal(seed, drawn), labels)
     missing = [one for one in drawn if not (folder / "cases" / one.case.name / "drive.csv").exists()]
-    each(record_one, [(folder, one, minutes) for one in missing], "recorded")
+    each(partial(record_one, folder, minutes), missing, "recorded")
 
 
-def record_one(task: tuple[Path, Delayed, float]) -> None:
+def record_one(folder: Path, minutes: float, one: Delayed) -> None:
     """Write the vehicle file and the recording of one vehicle: a line for each sample of a sensor, by its stamp."""
-    folder, one, minutes = task
     case = one.case
     into = folder / "cases" / case.name
     into.mkdir(exist_ok=True)
@@ -154,15 +153,12 @@ def _sampled(one: Delayed, driven: SealedDrive, rate_hz: float, rng: np.random.G
 
 def find(folder: Path) -> None:
     """Learn from every recording."""
-    (folder / "results").mkdir(exist_ok=True)
-    paths = sorted((folder / "cases").iterdir())
-    missing = [path for path in paths if not (folder / "results" / f"{path.name}.npy").exists()]
-    each(find_one, [(path, folder / "results") for path in missing], "learned")
+    results = folder / "results"
+    each(partial(find_one, results), unfinished(folder / "cases", results, suffix=".npy"), "learned")
 
 
-def find_one(task: tuple[Path, Path]) -> None:
+def find_one(results: Path, case: Path) -> None:
     """Learn from one recording, as the live node does: time [s], delay [s], standard deviation [s] and state, once a second."""
-    case, results = task
     estimator = Estimator(load(case / "vehicle.yaml"))
     kept: list[Steps] = []
     replay(open_source([case / "drive.csv"], None), estimator, kept.append, learner=Learner(estimator, "watch"))
@@ -172,14 +168,17 @@ def find_one(task: tuple[Path, Path]) -> None:
     np.save(results / f"{case.name}.npy", np.column_stack([(stamps[seconds] - stamps[0]) * 1e-9, rows[seconds]]))
 
 
-def score(folder: Path) -> dict[str, Any]:
-    """Open the seal and compare."""
+def score(folder: Path) -> None:
+    """Open the seal, compare, and write the scores and the page."""
     labels = read_labels(folder)
     drawn = [Delayed(**{**one, "case": LearningCase(**one["case"])}) for one in labels["drawn"]]
     sealed = seal(labels["seed"], drawn)
     check_seal(folder, sealed)
     scored = [_scored(one, np.load(folder / "results" / f"{one.case.name}.npy")) for one in drawn]
-    return {"seed": labels["seed"], "minutes": labels["minutes"], "seal": sealed, "each": scored}
+    scores = {"seed": labels["seed"], "minutes": labels["minutes"], "seal": sealed, "each": scored}
+    (folder / "scores.json").write_text(json.dumps(scores, indent=1), encoding="utf-8")
+    (folder / PAGE).write_text(page(scores), encoding="utf-8")
+    print(page(scores))
 
 
 def _scored(one: Delayed, rows: Array) -> dict[str, Any]:
@@ -238,22 +237,3 @@ def _line(name: str, some: Sequence[dict[str, Any]]) -> str:
         f"| {name} | {len(some)} | {int((errors < 1e3 * TARGET_S).sum())} | {sum(one['known'] for one in some)} | "
         f"{errors.mean():.1f} | {np.quantile(errors, 0.95):.1f} | {median} | {sum(one['wrong_s'] > 0 for one in some)} |"
     )
-
-
-def main(arguments: Sequence[str]) -> None:
-    """See above."""
-    folder = Path(arguments[1])
-    if arguments[0] == "generate":
-        seed, minutes, vehicles, hostile = arguments[2:]
-        generate(folder, int(seed), float(minutes), int(vehicles), int(hostile))
-    elif arguments[0] == "find":
-        find(folder)
-    else:
-        scores = score(folder)
-        (folder / "scores.json").write_text(json.dumps(scores, indent=1), encoding="utf-8")
-        (folder / PAGE).write_text(page(scores), encoding="utf-8")
-        print(page(scores))
-
-
-if __name__ == "__main__":
-    run_main(main)

@@ -1,15 +1,12 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""First process: draws the cases, seals them, and writes recordings and vehicle files that say nothing of them.
-
-`python -m trackres_ros.evaluation.learned.generate FOLDER SEED MINUTES VEHICLES HOSTILE [FIRST]`
-"""
+"""First process: draws the cases, seals them, and writes recordings and vehicle files that say nothing of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +25,7 @@ from trackres_ros.evaluation.learned.cases import (
     sealed,
     weight_shares,
 )
-from trackres_ros.evaluation.processes import each, run_main, write_sealed
+from trackres_ros.evaluation.processes import each, write_sealed
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import drive
 from trackres_ros.evaluation.sealed.generate import APART_S, FASTEST_MPS, START_S, VEHICLE, write_vehicle
@@ -39,20 +36,17 @@ from trackres_ros.files.resources import find_vehicle
 REFIT = "refit"  # marks a vehicle that is re-fitted too, the slowest part
 
 
-def main(arguments: Sequence[str]) -> None:
-    """See above."""
-    folder, seed, minutes = Path(arguments[0]), int(arguments[1]), float(arguments[2])
-    cases = draw_cases(seed, int(arguments[3]), int(arguments[4]))
+def main(folder: Path, seed: int, minutes: float, vehicles: int, hostile: int, first: int | None = None) -> None:
+    """Seal all vehicles and record them, or the first."""
+    cases = draw_cases(seed, vehicles, hostile)
     labels = {"seed": seed, "minutes": minutes, "cases": [asdict(case) for case in cases]}
     write_sealed(folder, f"{len(cases)} vehicles", sealed(seed, cases), labels)
-    chosen = cases[: int(arguments[5]) if len(arguments) > 5 else None]  # by their names, which are drawn
-    missing = [case for case in chosen if not (folder / "sealed" / f"{case.name}.npz").exists()]
-    each(make_case, [(folder, case, minutes) for case in missing], "recorded")
+    missing = [case for case in cases[:first] if not (folder / "sealed" / f"{case.name}.npz").exists()]
+    each(partial(make_case, folder, minutes), missing, "recorded")
 
 
-def make_case(task: tuple[Path, LearningCase, float]) -> None:
-    """Write one vehicle: folder, case, and length of each drive [min]."""
-    folder, case, minutes = task
+def make_case(folder: Path, minutes: float, case: LearningCase) -> None:
+    """Write one vehicle with drives of so many minutes."""
     into, sheet = folder / "cases" / case.name, find_vehicle(VEHICLE)
     into.mkdir(exist_ok=True)
     write_vehicle(into / "vehicle.yaml", case.lumped)
@@ -82,14 +76,9 @@ def make_case(task: tuple[Path, LearningCase, float]) -> None:
 
 
 def _mislead(path: Path, case: LearningCase, step: float, rng: np.random.Generator) -> None:
-    """Change the sensor's values in a recording."""
     names = path.read_text(encoding="utf-8").partition("\n")[0].split(",")
     rows = np.loadtxt(path, delimiter=",", skiprows=1)
     rows[:, names.index("torque_nm")] = misled(case, rows[:, names.index("torque_nm")], step, rng)
     with path.open("w", encoding="utf-8") as file:
         file.write(",".join(names) + "\n")
         np.savetxt(file, rows, delimiter=",", fmt="%.5f")
-
-
-if __name__ == "__main__":
-    run_main(main)

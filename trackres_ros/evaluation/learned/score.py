@@ -1,33 +1,26 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Last process: opens the seal, counts, and writes the page.
-
-`python -m trackres_ros.evaluation.learned.score FOLDER HOURS`
-"""
+"""Last process: opens the seal, counts, and writes the page."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.evaluation.learned.cases import DRIVES, LearningCase, sealed
 from trackres_ros.evaluation.learned.page import write_page
-from trackres_ros.evaluation.processes import check_seal, read_json, read_labels, run_main
-from trackres_ros.files.resources import find_vehicle
+from trackres_ros.evaluation.processes import check_seal, read_json, read_labels
+from trackres_ros.evaluation.sealed.drives import Array
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
 from trackres_ros.learning.store import stored
 from trackres_ros.vehicle import load
-
-Array = NDArray[np.float64]
 
 ROLLS_MPS = 1.0
 WITHIN_STD = 1.96
@@ -39,9 +32,8 @@ NOISE_NM, WANDERS_NM, WANDERS_S = 60.0, 60.0, 300.0
 START_NS = 1_700_000_000_000_000_000
 
 
-def main(arguments: Sequence[str]) -> None:
-    """See above."""
-    folder, hours = Path(arguments[0]), float(arguments[1])
+def main(folder: Path, hours: float) -> None:
+    """Score what was learned, and an age of so many hours."""
     labels = read_labels(folder)
     check_seal(folder, sealed(labels["seed"], [LearningCase(**case) for case in labels["cases"]]))
     found = [score_case(folder, case) for case in labels["cases"] if (folder / "results" / f"{case['name']}.json").exists()]
@@ -70,12 +62,12 @@ def _aged(folder: Path, seed: int, hours: float) -> list[dict[str, float]]:
     return found
 
 
-def age(seed: int, hours: float, vehicle: str = "xgd24d") -> list[dict[str, float]]:
+def age(seed: int, hours: float) -> list[dict[str, float]]:
     """Drive so many hours at 2 Hz with a sensor that has its noise and nothing else: no value drifts, and memory stays as it is.
 
     Returns of each hour the error of the acting values [share of the torque] and the state size [bytes].
     """
-    estimator = Estimator(load(find_vehicle(vehicle)))
+    estimator = Estimator(load("xgd24d"))
     true, session, learner = estimator.session(), estimator.session(), Learner(estimator, "on")
     true.learned[at.Learned.on], at.Learned(true.learned).departures[at.OF_LOSS] = 1.0, TRUE_LOSS
     rng = np.random.default_rng([seed, 200])
@@ -137,7 +129,3 @@ def _error(rows: Array, truth: Any, drive: int) -> tuple[float, float, bool]:
     inside = float((np.abs(resistance - true[rolls]) < WITHIN_STD * std).mean())
     mean_inside = bool(abs((resistance - true[rolls]).mean()) < WITHIN_STD * std.mean())
     return float(np.abs(feedforward - true[rolls]).mean()) / size, inside, mean_inside
-
-
-if __name__ == "__main__":
-    run_main(main)

@@ -9,9 +9,8 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, METHODS, THERMAL, Bench
+from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, METHODS, THERMAL, Array, Bench
 from trackres_ros.evaluation.reproduce.families import (
     Family,
     colours,
@@ -27,8 +26,6 @@ from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, IN_PART, Cla
 from trackres_ros.offline.simulate import ramp_and_hold
 from trackres_ros.output.style import legend_beside, picture, thinned
 from trackres_ros.units import KMH_PER_MPS
-
-Array = NDArray[np.float64]
 
 AMBIENTS_DEGC = (-15.0, 0.0, 15.0, 30.0)
 SPEED_KMH = 50.0

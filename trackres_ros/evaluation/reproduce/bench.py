@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -44,7 +43,6 @@ class Bench:
     vehicle: Vehicle
     dt: float  # time step of the drives [s]
     advance: Callable[[str], None]  # called after each run with what was run
-    cache: Path | None = None  # folder of the loss tables; by default the cache folder of the user
     _estimators: dict[str, Estimator] = field(default_factory=dict)
 
     @property
@@ -56,7 +54,7 @@ class Bench:
         """The estimator of a combination, made once."""
         if combination not in self._estimators:
             method, thermal = combination.split("/")
-            self._estimators[combination] = Estimator(with_methods(self.vehicle, method, thermal), cache=self.cache)
+            self._estimators[combination] = Estimator(with_methods(self.vehicle, method, thermal))
         return self._estimators[combination]
 
     def run(self, name: str, drive: SimulatedDrive, weight_n: float | None = None, ambient_degc: float | None = None) -> Runs:

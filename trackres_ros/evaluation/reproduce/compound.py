@@ -9,16 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackres_ros.evaluation.reproduce.bench import Bench
+from trackres_ros.evaluation.reproduce.bench import Array, Bench
 from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, INK, Claim, Figure, Section, Table, write_csv
 from trackres_ros.model.operating_point import explain
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.output.style import BLUE, GREEN, VERMILION, picture
 from trackres_ros.units import KMH_PER_MPS
-
-Array = NDArray[np.float64]
 
 MASTER_DEGC = 20.0
 MASTER_LOG_HZ = (-4.0, 12.0)

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, METHODS, THERMAL, Bench, Runs, Series, Stable, at_times
+from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, METHODS, THERMAL, Array, Bench, Runs, Series, Stable, at_times
 from trackres_ros.evaluation.reproduce.section import (
     FAILS,
     HOLDS,
@@ -34,8 +33,6 @@ from trackres_ros.text.numbers import figures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-Array = NDArray[np.float64]
 
 CSV_STEP_S = 20.0
 SAME = 0.01  # values are the same that differ by less than 1 %: three times the error of the program's own loss table

@@ -9,14 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackres_ros.evaluation.reproduce.bench import Bench
+from trackres_ros.evaluation.reproduce.bench import Array, Bench
 from trackres_ros.evaluation.reproduce.section import HOLDS, Claim, Figure, Section, listed, percent, write_csv
 from trackres_ros.model.contact import contact_force, half_length_for_force, largest_strain
 from trackres_ros.output.style import BLUE, VERMILION, picture
-
-Array = NDArray[np.float64]
 
 MODULUS_PA = 40e6  # the paper's, section 2.4.1
 WHEEL_RADIUS = 0.13  # m, half the paper's diameter

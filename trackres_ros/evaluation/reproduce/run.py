@@ -37,15 +37,13 @@ def reproduce(
     *,
     page: Path | None = None,
     dt: float = STEP_S,
-    cache: Path | None = None,
 ) -> dict[str, Any]:
     """Reproduce the paper's Figures 6, 10, 11, 16 to 22 and 24 to 26, and check the claims of its text.
 
     The folder then has the pictures (PNG), their data (CSV), `summary.json` with every number the page cites, which is returned,
     and `index.md`, the page. `page` is another place to write it to, with links from there into the folder. `progress` is called
     with what was done last and the share done, 0 to 1. `dt` is the time step of the drives [s]; InputError if it is not positive
-    or too long for the ramps. `cache` is the folder of the loss tables, by default the user's. MissingExtraError without
-    matplotlib.
+    or too long for the ramps. MissingExtraError without matplotlib.
     """
     if not 0.0 < dt <= LONGEST_STEP_S:
         raise InputError("dt", dt, f"a time step of more than 0 and at most {LONGEST_STEP_S:g} s")
@@ -58,7 +56,7 @@ def reproduce(
             progress(text, min(done / RUNS, 1.0))
 
     out_dir.mkdir(parents=True, exist_ok=True)
-    bench = Bench(load(VEHICLE), dt, advance, cache)
+    bench = Bench(load(VEHICLE), dt, advance)
     sections: list[Section] = [
         indentation(bench, out_dir),
         spectrum(bench, out_dir),

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackres_ros.evaluation.reproduce.bench import Bench
+from trackres_ros.evaluation.reproduce.bench import Array, Bench
 from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, INK, Claim, Figure, Section, Table, percent, write_csv
 from trackres_ros.model.belt import axial_stiffness
 from trackres_ros.model.hysteresis import LossForce, RainflowCount
@@ -23,8 +22,6 @@ from trackres_ros.units import KMH_PER_MPS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-Array = NDArray[np.float64]
 
 SPEED_KMH = 30.0  # the middle one of the paper's tests
 BELT_DEGC = 40.0  # about where the belt is after ten minutes of it

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Bench
+from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Array, Bench
 from trackres_ros.evaluation.reproduce.families import (
     Family,
     draw_combinations,
@@ -23,8 +23,6 @@ from trackres_ros.evaluation.reproduce.families import (
 from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, IN_PART, Claim, Section, percent, percents, span
 from trackres_ros.offline.simulate import SimulatedDrive, ramp_and_hold
 from trackres_ros.units import KMH_PER_MPS
-
-Array = NDArray[np.float64]
 
 SPEEDS_KMH = (10.0, 20.0, 30.0, 40.0, 50.0)
 RAMP_S = 50.0

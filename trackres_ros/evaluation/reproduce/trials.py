@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Bench, Runs, Series, at_times
+from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Array, Bench, Runs, Series, at_times
 from trackres_ros.evaluation.reproduce.section import (
     HOLDS,
     IN_PART,
@@ -32,8 +31,6 @@ from trackres_ros.offline.simulate import SimulatedDrive, laps, simulate, throug
 from trackres_ros.output.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_beside, picture, thinned
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.units import KMH_PER_MPS
-
-Array = NDArray[np.float64]
 
 LAP_M = 2.0 * math.pi * 100.0  # section 3.2.2: turning radius about 100 m
 STRAIGHT_M, STRAIGHT_S = 2000.0, 155.0  # the straight, and how long the record of Figure 22 is

@@ -11,15 +11,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.visibility import Separability, base_columns
-
-Array = NDArray[np.float64]
+from trackres_ros.evaluation.sealed.drives import Array
 
 MOST = 3  # largest number of names, as for the diagnosis
 SURE_P = 0.05
@@ -28,30 +27,23 @@ FOLDS = 5
 FEWEST_TO_LEARN = 30
 
 
-@dataclass(frozen=True)
-class Simple:
-    """Answers of the simpler methods for a recording, and the features by which a classifier is trained."""
+def simple_answers(refitted: Fit, seen: Separability) -> dict[str, Any]:
+    """Names by each method for a recording, and the features by which a classifier is trained.
 
-    naive: list[str]  # the effect that explains most of the residual by itself, if that is more than chance for white noise
-    aic: list[str]  # base and effects in one linear regression, effects added while Akaike's criterion falls
-    sparse: list[str]  # the effects of a cross-validated lasso on the residual, largest first
-    features: dict[str, tuple[float, float]]  # signed correlation of each effect with the residual, and its F value
-
-
-def simple_answers(refitted: Fit, seen: Separability) -> Simple:
-    """Run all of them; `seen` holds the effects linearised about the re-fitted base."""
+    `seen` holds the effects linearised about the re-fitted base.
+    """
     torque = np.concatenate([np.full(len(g.measured), g.kind == "torque") & g.mask for g in refitted.problem.segments])
     residual = np.concatenate(refitted.residuals)[torque]
     own = base_columns(refitted)[torque]
     shapes = {s.effect.name: s.columns[torque] for s in seen.visible if s.start == s.effect.values()}
     tested = {name: _regression(residual, columns) for name, columns in shapes.items()}
     best = max(tested, key=lambda name: tested[name].explained, default=None)
-    return Simple(
-        [best] if best and tested[best].p < SURE_P else [],
-        _by_aic(residual, own, shapes),
-        _by_lasso(residual, own, shapes),
-        {name: (t.correlation, t.f) for name, t in tested.items()},
-    )
+    return {
+        "naive": [best] if best and tested[best].p < SURE_P else [],  # it explains most, and more than chance for white noise
+        "aic": _by_aic(residual, own, shapes),
+        "sparse": _by_lasso(residual, own, shapes),
+        "features": {name: (t.correlation, t.f) for name, t in tested.items()},
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +73,7 @@ def _left(residual: Array, columns: Array) -> float:
 
 
 def _by_aic(residual: Array, own: Array, shapes: dict[str, Array]) -> list[str]:
+    """Base and effects in one linear regression; effects are added while Akaike's criterion falls."""
     n, chosen, columns = len(residual), list[str](), own
     criterion = n * np.log(_left(residual, own))
     while len(chosen) < MOST:
@@ -98,6 +91,7 @@ def _by_aic(residual: Array, own: Array, shapes: dict[str, Array]) -> list[str]:
 
 
 def _by_lasso(residual: Array, own: Array, shapes: dict[str, Array]) -> list[str]:
+    """The effects of a cross-validated lasso on the residual, largest first."""
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.linear_model import LassoCV
     from sklearn.model_selection import KFold

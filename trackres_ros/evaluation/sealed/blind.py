@@ -1,24 +1,18 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Second process of a run: diagnoses each case, given its recordings and vehicle file and nothing else.
-
-`python -m trackres_ros.evaluation.sealed.blind CASES RESULTS [FIRST]`; existing results are kept. With FIRST
-only so many are done, in the order of their random names.
-"""
+"""Second process of a run: diagnoses each case, given its recordings and vehicle file and nothing else."""
 
 from __future__ import annotations
 
 import json
 import os
 import time
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trackres_ros.evaluation.processes import run_main, show_count
+from trackres_ros.evaluation.processes import show_count, unfinished
 
 if TYPE_CHECKING:
     from trackres_ros.diagnosis import Diagnosis
@@ -28,13 +22,9 @@ HELD_OUT = "held_out.json"
 VEHICLE = "xgd24d"  # of a case without a vehicle file of its own
 
 
-def main(arguments: Sequence[str]) -> None:
-    """See above."""
-    cases, results = (Path(a) for a in arguments[:2])
-    first = int(arguments[2]) if len(arguments) > 2 else None
-    results.mkdir(parents=True, exist_ok=True)
-    folders = [f for f in sorted(cases.glob("*"))[:first] if not (results / f"{f.name}.json").exists()]
-    began = time.monotonic()
+def main(cases: Path, results: Path, first: int | None = None) -> None:
+    """Diagnose the unfinished cases."""
+    folders, began = unfinished(cases, results, first), time.monotonic()
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         tasks = [pool.submit(_diagnose, folder, results) for folder in folders]
         for done, task in enumerate(as_completed(tasks), start=1):
@@ -72,10 +62,6 @@ def _diagnose(folder: Path, results: Path) -> None:
     simple = simple_answers(found.refitted, found.alone.separability.of_names)
     learned = learned_errors(found.refitted, found.split)
     partial = results / f"{folder.name}.part"
-    result = {"report": report(found, paths), "simple": asdict(simple), "learned": learned}
+    result = {"report": report(found, paths), "simple": simple, "learned": learned}
     partial.write_text(json.dumps(result), encoding="utf-8")
     partial.rename(results / f"{folder.name}.json")
-
-
-if __name__ == "__main__":
-    run_main(main)

@@ -12,14 +12,13 @@ import warnings
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.variables import varying
 from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Split
+from trackres_ros.evaluation.sealed.drives import Array
 
-Array = NDArray[np.float64]
 Learn = Callable[[Array, Array, Array], Array]
 """Features and targets for training, features for prediction; returns the predictions."""
 

@@ -3,8 +3,7 @@
 
 """Process of a run in which an earlier version of this tool diagnoses the same cases, for comparison.
 
-`python -m trackres_ros.evaluation.sealed.earlier CASES RESULTS CHECKOUT [FIRST]`; existing results are kept. The
-earlier version is a checkout, and is run by its own command line, with the libraries installed here.
+The earlier version is a checkout, and is run by its own command line, with the libraries installed here.
 """
 
 from __future__ import annotations
@@ -14,23 +13,20 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.processes import each, run_main
+from trackres_ros.evaluation.processes import each, unfinished
 
 
-def main(arguments: Sequence[str]) -> None:
-    """See above."""
-    cases, results, checkout = (Path(a).resolve() for a in arguments[:3])
-    first = int(arguments[3]) if len(arguments) > 3 else None
+def main(cases: Path, results: Path, checkout: Path, first: int | None = None) -> None:
+    """Have the version in a checkout diagnose the unfinished cases."""
+    checkout = checkout.resolve()
     if not (checkout / "trackres_ros" / "__init__.py").is_file():
         raise InputError("--earlier", str(checkout), "a checkout of an earlier version, with its folder trackres_ros")
-    results.mkdir(parents=True, exist_ok=True)
-    folders = [f for f in sorted(cases.glob("*"))[:first] if not (results / f"{f.name}.json").exists()]
-    each(partial(_diagnose, results, checkout), folders, "diagnosed by the earlier version")
+    work = partial(_diagnose, results.resolve(), checkout)
+    each(work, unfinished(cases.resolve(), results, first), "diagnosed by the earlier version")
 
 
 def _diagnose(results: Path, checkout: Path, folder: Path) -> None:
@@ -44,7 +40,3 @@ def _diagnose(results: Path, checkout: Path, folder: Path) -> None:
         if done.returncode:
             raise RuntimeError(f"{folder.name}: the earlier version ended with exit code {done.returncode}: {done.stderr[-500:]}")
         shutil.move(Path(report) / "report.json", results / f"{folder.name}.json")
-
-
-if __name__ == "__main__":
-    run_main(main)

@@ -3,21 +3,20 @@
 
 """Fourth process of a run: drives the advised manoeuvres if effects could not be distinguished.
 
-`python -m trackres_ros.evaluation.sealed.follow FOLDER MINUTES MOST [FIRST]`. It knows the vehicles, so it opens the
-seal; `blind` then diagnoses the recordings including the new one.
+It knows the vehicles, so it opens the seal; `blind` then diagnoses the recordings including the new one.
 """
 
 from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from trackres_ros.evaluation.processes import each, read_json, read_labels, run_main
+from trackres_ros.evaluation.processes import each, read_json, read_labels
 from trackres_ros.evaluation.sealed.answers import of_report
 from trackres_ros.evaluation.sealed.blind import HELD_OUT
 from trackres_ros.evaluation.sealed.cases import Case, first_by_name
@@ -27,18 +26,16 @@ from trackres_ros.evaluation.sealed.generate import drive_next
 FOLLOWED = "drive_next"
 
 
-def main(arguments: Sequence[str]) -> None:
-    """See above."""
-    folder, minutes, most = Path(arguments[0]), float(arguments[1]), int(arguments[2])
-    first = int(arguments[3]) if len(arguments) > 3 else None
+def main(folder: Path, minutes: float, most: int, first: int | None = None) -> None:
+    """Drive as advised in at most so many cases."""
     tasks = []
     for case in first_by_name([Case(**c) for c in read_labels(folder)["cases"]], first):
         report = read_json(folder / "results" / f"{case.name}.json")["report"]
         advice = advised(report, set(case.hidden))
         if advice is not None:
             held_out = [Path(lap).name for lap in report["heldout"]["laps"]]
-            tasks.append((folder, case, minutes, str(advice["manoeuvre"]), held_out))
-    each(_follow, tasks[:most], "driven as advised")
+            tasks.append((case, str(advice["manoeuvre"]), held_out))
+    each(partial(_follow, folder, minutes), tasks[:most], "driven as advised")
 
 
 def advised(report: dict[str, Any], true: set[str]) -> dict[str, Any] | None:
@@ -52,8 +49,8 @@ def advised(report: dict[str, Any], true: set[str]) -> dict[str, Any] | None:
     return None
 
 
-def _follow(task: tuple[Path, Case, float, str, list[str]]) -> None:
-    folder, case, minutes, manoeuvre, held_out = task
+def _follow(folder: Path, minutes: float, task: tuple[Case, str, list[str]]) -> None:
+    case, manoeuvre, held_out = task
     into = folder / "next" / case.name
     if (into / f"{FOLLOWED}.csv").exists():
         return
@@ -88,7 +85,3 @@ def planned(manoeuvre: str, before: Path, last: SealedDrive) -> SealedDrive:
         np.full(len(time), last.ambient[0]),
         np.interp(time, session.time, session.grade) if session.grade.any() else None,
     )
-
-
-if __name__ == "__main__":
-    run_main(main)

@@ -1,23 +1,20 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""First process of a run: draws the cases, seals them, and writes recordings and vehicle files that say nothing of them.
-
-`python -m trackres_ros.evaluation.sealed.generate FOLDER SEED MINUTES LEVEL=COUNT... [profiles=DIR]`. With DIR some vehicles
-drive at the recorded speeds of real ones.
-"""
+"""First process of a run: draws the cases, seals them, and writes recordings and vehicle files that say nothing of them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from trackres_ros.evaluation.processes import each, run_main, write_sealed
+from trackres_ros.evaluation.processes import each, write_sealed
 from trackres_ros.evaluation.sealed.cases import LOADS, SOURCES, Case, draw_cases, draws, sealed, sensors_of, streets_of
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import Array, SealedDrive, drive, recorded, trapezoids
@@ -42,27 +39,26 @@ START_S, APART_S = 1_750_000_000.0, 1_300_000.0  # two weeks: each begins soaked
 EVERY = 10  # samples: kept part of the truth for the score
 
 
-def main(arguments: Sequence[str]) -> None:
-    """See above."""
-    folder, seed, minutes = Path(arguments[0]), int(arguments[1]), float(arguments[2])
-    given = dict(a.split("=", 1) for a in arguments[3:])
+def main(folder: Path, seed: int, minutes: float, *words: str) -> None:
+    """Draw and record cases: words are LEVEL=COUNT, and profiles=DIR for some drives at the recorded speeds of real vehicles."""
+    given = dict(word.split("=", 1) for word in words)
     data = given.pop(PROFILES, None)
     if data:
         (folder / "sealed").mkdir(parents=True, exist_ok=True)
         np.savez_compressed(folder / "sealed" / f"{PROFILES}.npz", *read_profiles(Path(data)))
     drawn = draw_cases({level: int(count) for level, count in given.items()}, seed, SOURCES if data else SOURCES[:-1])
-    cases = each(_sized, [(folder, case, minutes) for case in drawn])
+    cases = each(partial(_sized, folder, minutes), drawn)
     labels = {"seed": seed, "cases": [asdict(case) for case in cases]}
     write_sealed(folder, f"{len(cases)} cases", sealed(seed, cases), labels)
     missing = [case for case in cases if not (folder / "sealed" / f"{case.name}.npz").exists()]
-    each(make_case, [(folder, case, minutes) for case in missing], "recorded")
+    each(partial(make_case, folder, minutes), missing, "recorded")
 
 
-def make_case(task: tuple[Path, Case, float]) -> None:
-    """Write one case: folder, case, and length of each drive [min]."""
-    folder, case, minutes = task
+def make_case(folder: Path, minutes: float, case: Case) -> None:
+    """Write one case with drives of so many minutes."""
     into = folder / "cases" / case.name
-    into.mkdir(exist_ok=True)
+    into.mkdir(parents=True, exist_ok=True)
+    (folder / "sealed").mkdir(exist_ok=True)
     vehicle = write_vehicle(into / "vehicle.yaml", case.lumped)
     profiles, build = _profiles(folder), Build(**case.build)
     if case.compensated:
@@ -103,10 +99,10 @@ def _kept(case: Case, driven: Sequence[SealedDrive], runs: Sequence[TruthRun]) -
     return {"lengths": lengths, **found, **{f"over/{name}": joined(series) for name, series in over.items()}}
 
 
-def means(series: Array) -> Array:
-    """Means over each `EVERY` samples, the last of as many as there are."""
-    begins = np.arange(0, len(series), EVERY)
-    return np.add.reduceat(series, begins) / np.diff(np.append(begins, len(series)))
+def means(series: Array, every: int = EVERY) -> Array:
+    """Means over each so many samples, the last of as many as there are."""
+    begins = np.arange(0, len(series), every)
+    return np.asarray(np.add.reduceat(series, begins) / np.diff(np.append(begins, len(series))))
 
 
 def drive_next(folder: Path, case: Case, minutes: float, name: str, planned: Callable[[SealedDrive], SealedDrive]) -> Path:
@@ -130,8 +126,7 @@ def write_vehicle(path: Path, lumped: bool) -> Path:
     return path
 
 
-def _sized(task: tuple[Path, Case, float]) -> Case:
-    folder, case, minutes = task
+def _sized(folder: Path, minutes: float, case: Case) -> Case:
     if case.level != "outside":
         return case
     return sized(case, find_vehicle(VEHICLE), _drives(case, minutes, "drive", _profiles(folder)))
@@ -219,7 +214,3 @@ def refit(paths: Sequence[Path], vehicle: Path, into: Path, remark: str) -> Path
     found = with_levels(fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions))))
     loaded.base.write(into, FileChanges(found.base_values, (), {}), remark)
     return into
-
-
-if __name__ == "__main__":
-    run_main(main)

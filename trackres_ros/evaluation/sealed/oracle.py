@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.base.base import BaseParameter, Predicted, Values
@@ -24,9 +23,9 @@ from trackres_ros.diagnosis.selection.visibility import LEAST_KEPT, separability
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Active
 from trackres_ros.evaluation.sealed.blind import opened
+from trackres_ros.evaluation.sealed.drives import Array
+from trackres_ros.evaluation.sealed.generate import means
 from trackres_ros.vehicle import Vehicle
-
-Array = NDArray[np.float64]
 
 LEAST_GAIN = 10.0  # in log-likelihood: 4.5 standard deviations
 AS_WELL = 3.0  # a name with a gain smaller by at most this fits as well
@@ -84,7 +83,7 @@ def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = (), ri
     mae_base = error([p.torque for p in with_levels(before).predicted])
     if added:
         assert isinstance(base, TrackBase)
-        by_step = [_over_steps(one, s.step) for one, s in zip(added, sessions, strict=True)]
+        by_step = [means(one, round(s.step)) for one, s in zip(added, sessions, strict=True)]
         found = fit(replace(before.problem, base=WithAddition(base.vehicle, by_step)), start=before.at, noises=before.noises)
         gain = found.log_likelihood - before.log_likelihood
         mae = error([p.torque for p in with_levels(found).predicted])
@@ -110,9 +109,3 @@ def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = (), ri
         for one in wanted
     )
     return OracleAnswer(gain, alike, plain, both, mae_base, error([p.torque for p in with_levels(found).predicted]))
-
-
-def _over_steps(by_second: Array, step: float) -> Array:
-    """Means over steps of some whole seconds, the last of as many as there are."""
-    begins = np.arange(0, len(by_second), round(step))
-    return np.asarray(np.add.reduceat(by_second, begins) / np.diff(np.append(begins, len(by_second))))

@@ -1,16 +1,14 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Last process of a run: opens the seal and counts.
-
-`python -m trackres_ros.evaluation.sealed.score FOLDER [FIRST]`
-"""
+"""Last process of a run: opens the seal and counts."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.findings.locate import evenly_filled
-from trackres_ros.evaluation.processes import check_seal, each, read_json, read_labels, run_main
+from trackres_ros.evaluation.processes import check_seal, each, read_json, read_labels
 from trackres_ros.evaluation.sealed.answers import BASELINES, DESCRIBED, EARLIER, Answer, of_names, of_report
 from trackres_ros.evaluation.sealed.baselines import by_trees
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, NOT_IN_CATALOGUE, RIGHT_FORMS, Case, first_by_name, sealed
+from trackres_ros.evaluation.sealed.drives import Array
 from trackres_ros.evaluation.sealed.follow import advised
 from trackres_ros.evaluation.sealed.generate import weight_and_radius
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer, fit_truth
@@ -32,7 +31,6 @@ from trackres_ros.evaluation.sealed.statements import is_true
 from trackres_ros.evaluation.sealed.street import LOAD
 from trackres_ros.evaluation.sealed.truth import G
 
-Array = NDArray[np.float64]
 Truth = Mapping[str, Any]
 """The kept part of the truth of a case, see `generate`."""
 
@@ -40,18 +38,17 @@ ACTING_SHARE = 0.5  # of the 95th percentile: where the truth counts an effect a
 BINS = 12
 
 
-def main(arguments: Sequence[str]) -> None:
-    """See above."""
-    folder = Path(arguments[0])
+def main(folder: Path, first: int | None = None) -> None:
+    """Score all cases, or the first."""
     labels = read_labels(folder)
     drawn = [Case(**c) for c in labels["cases"]]
-    cases = first_by_name(drawn, int(arguments[1])) if len(arguments) > 1 else drawn
+    cases = drawn if first is None else first_by_name(drawn, first)
     seal = sealed(labels["seed"], drawn)
     check_seal(folder, seal, "begin anew with --fresh")
     simple = [read_json(folder / "results" / f"{case.name}.json")["simple"] for case in cases]
     expected = [_expected(case) for case in cases]
     trees: Sequence[str | None] = by_trees([s["features"] for s in simple], expected, list(CATALOGUE)) or [None] * len(cases)
-    scored = each(_score, [(folder, c, t) for c, t in zip(cases, trees, strict=True)], "oracle fitted")
+    scored = each(partial(_score, folder), list(zip(cases, trees, strict=True)), "oracle fitted")
     print(write_all(folder, scored, seal, labels["seed"], len(drawn)))
 
 
@@ -61,8 +58,8 @@ def _expected(case: Case) -> str:
     return first if first in (*CATALOGUE, "none") else "unexplained"
 
 
-def _score(task: tuple[Path, Case, str | None]) -> Scored:
-    folder, case, tree = task
+def _score(folder: Path, task: tuple[Case, str | None]) -> Scored:
+    case, tree = task
     result = read_json(folder / "results" / f"{case.name}.json")
     report, simple = result["report"], result["simple"]
     ours = of_report(report)
@@ -156,7 +153,3 @@ def _resolved(folder: Path, case: Case, report: dict[str, Any]) -> bool | None:
     stays = {name for group in advice["groups"] if set(group) & true for name in group}
     gone = set(advice["separates"]) - stays
     return any(set(members) & true & stays and not set(members) & gone for members in after.classes)
-
-
-if __name__ == "__main__":
-    run_main(main)

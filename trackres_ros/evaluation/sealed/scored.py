@@ -10,14 +10,13 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from trackres_ros.evaluation.sealed.answers import DESCRIBED, Answer, error_left
 from trackres_ros.evaluation.sealed.cases import NOT_IN_CATALOGUE, RIGHT_NAMES, STREET, Case, sensors_of
+from trackres_ros.evaluation.sealed.drives import Array
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer
 
-Array = NDArray[np.float64]
 Tried = TypeVar("Tried")
 
 OURS = "diagnosis"
@@ -245,7 +244,6 @@ def own_shares(scored: Sequence[Scored]) -> dict[str, tuple[int, int]]:
 
 
 def _own_of_streets(of: Sequence[Scored]) -> dict[str, tuple[int, int]]:
-    """Hits and tries in towns."""
     seen = [s for s in of if s.true and s.known.identifiable]
     masses = [m for s in of for m in s.masses]
     close = f"street, load described: masses within {CLOSE:.0%} of the load"

@@ -3,9 +3,8 @@
 
 """Scores cases that another simulator made: a folder with labels.json and cases/NAME/session*.csv.
 
-`python -m trackres_ros.evaluation.sealed.second CASES FOLDER [FIRST]`, where FOLDER/results holds the results of `blind`. The
-scores have the names and targets of the project's own cases. Scores that need more than the labels (where an effect acts) are
-omitted.
+The scores have the names and targets of the project's own cases. Scores that need more than the labels (where an effect acts)
+are omitted.
 """
 
 from __future__ import annotations
@@ -14,13 +13,14 @@ import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.processes import each, read_json, run_main
+from trackres_ros.evaluation.processes import each, read_json
 from trackres_ros.evaluation.sealed.answers import ABOUT, BASELINES, DESCRIBED, of_names, of_report, words
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, Case
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer, fit_truth
@@ -40,12 +40,11 @@ GROUND, SPEED = "soft_ground", "speed_scale"
 BY_CHANCE = ("pump", "brake", "zero_drift")
 
 
-def main(arguments: Sequence[str]) -> None:
-    """See above."""
-    source, folder = Path(arguments[0]), Path(arguments[1])
+def main(source: Path, folder: Path, first: int | None = None) -> None:
+    """Score the cases of a source, whose results of `blind` are in folder/results."""
     labels = read_labels(source)
-    chosen = sorted(labels["cases"], key=lambda label: label["case"])[: int(arguments[2]) if len(arguments) > 2 else None]
-    scored = each(_scored, [(source / "cases", folder / "results", label) for label in chosen])
+    chosen = sorted(labels["cases"], key=lambda label: label["case"])[:first]
+    scored = each(partial(_scored, source / "cases", folder / "results"), chosen)
     seal = hashlib.sha256((source / "labels.json").read_bytes()).hexdigest()
     print(write_all(folder, scored, seal, labels["seed"], len(labels["cases"]), source / "cases"))
 
@@ -69,8 +68,7 @@ def read_labels(source: Path) -> dict[str, Any]:
     return labels
 
 
-def _scored(task: tuple[Path, Path, Mapping[str, Any]]) -> Scored:
-    cases, results, label = task
+def _scored(cases: Path, results: Path, label: Mapping[str, Any]) -> Scored:
     result = read_json(results / f"{label['case']}.json")
     report, effects = result["report"], label["effects"]
     level = {"parameters_off": "none"}.get(label["level"], label["level"])
@@ -126,7 +124,3 @@ def _comparable(effects: Sequence[Mapping[str, Any]], report: Mapping[str, Any])
                     true = 1.0 / (1.0 + true) - 1.0
                 found[e["name"]] = (named[0], float(abs(true) * sign if e["comparable"]["magnitude"] else true))
     return found
-
-
-if __name__ == "__main__":
-    run_main(main)
