@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.learner import Learner
 
 START_NS = 1_700_000_000_000_000_000
@@ -17,7 +16,7 @@ STEP_NS = 100_000_000
 class Road:
     """One driven vehicle, and its learner. `true` are departures that the file does not have."""
 
-    def __init__(self, estimator: Estimator, mode="watch", true=None, seed=1):
+    def __init__(self, estimator, mode="watch", true=None, seed=1):
         self.true = estimator.session()
         self.true.learned[at.Learned.on] = 1.0
         for which, departure in (true or {}).items():

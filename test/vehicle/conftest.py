@@ -3,12 +3,9 @@
 
 """The shipped configuration, to be changed at will."""
 
-from __future__ import annotations
-
 import copy
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,16 +14,16 @@ from trackres_ros.files.yamls import read_yaml
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """The shipped configuration in a folder of its own."""
     return Path(shutil.copytree(config_dir(), tmp_path / "config"))
 
 
 @pytest.fixture(scope="session")
-def shipped() -> dict[str, Any]:
+def shipped():
     return read_yaml(config_dir() / "xgd24d.yaml")
 
 
 @pytest.fixture
-def content(shipped: dict[str, Any]) -> dict[str, Any]:
+def content(shipped):
     return copy.deepcopy(shipped)

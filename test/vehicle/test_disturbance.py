@@ -3,11 +3,6 @@
 
 """The section `disturbance` of a vehicle file: accepted or refused, and part of no estimate."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import pytest
 import yaml
 
@@ -15,7 +10,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import key
 from trackres_ros.files.resources import config_dir
-from trackres_ros.vehicle import Disturbance, Drift, Spells, Vehicle, load
+from trackres_ros.vehicle import Drift, Spells, load
 from trackres_ros.vehicle.loading import build
 
 VALUES = {
@@ -25,23 +20,23 @@ VALUES = {
 UNITS = {"mean_there": "s", "mean_away": "s", "time_constant": "s"}
 
 
-def section(form: str, **changed: float) -> dict[str, Any]:
+def section(form, **changed):
     """The section of a form, with values changed."""
-    found: dict[str, Any] = {"form": form}
+    found = {"form": form}
     for name, value in {**VALUES[form], **changed}.items():
         span = sorted((0.9 * value, 1.1 * value))
         found[name] = {"value": value, "unit": UNITS.get(name, "Nm"), "flag": "F", "range": span, "reason": "found"}
     return found
 
 
-def built(content: dict[str, Any], given: object) -> Vehicle:
+def built(content, given):
     return build(config_dir() / "given.yaml", {**content, "disturbance": given})
 
 
 @pytest.mark.parametrize(
     ("form", "expected"), [("spells", Spells(300.0, -50.0, 80.0, 160.0, 60.0)), ("drift", Drift(150.0, 300.0, 40.0))]
 )
-def test_it_is_read_as_it_is_said(content: dict[str, Any], form: str, expected: Disturbance) -> None:
+def test_it_is_read_as_it_is_said(content, form, expected):
     assert built(content, section(form)).disturbance == expected
     assert build(config_dir() / "given.yaml", content).disturbance is None
 
@@ -64,13 +59,13 @@ def test_it_is_read_as_it_is_said(content: dict[str, Any], form: str, expected: 
         (section("spells", level=-50.0), "disturbance.level"),
     ],
 )
-def test_what_is_not_right_is_refused_with_its_key(content: dict[str, Any], given: object, where: str) -> None:
+def test_what_is_not_right_is_refused_with_its_key(content, given, where):
     with pytest.raises(InputError) as caught:
         built(content, given)
     assert caught.value.where.startswith(f"{config_dir() / 'given.yaml'}: {where}")
 
 
-def test_no_estimate_and_no_kept_state_depends_on_it(folder: Path, content: dict[str, Any]) -> None:
+def test_no_estimate_and_no_kept_state_depends_on_it(folder, content):
     path = folder / "with.yaml"
     path.write_text(yaml.safe_dump({**content, "disturbance": section("spells")}), encoding="utf-8")
     bare, disturbed = load("xgd24d"), load(path)
