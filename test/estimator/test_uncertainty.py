@@ -37,17 +37,6 @@ STEP = 0.2  # of a standard deviation
 
 
 @pytest.fixture(scope="module")
-def xgd24d():
-    return load("xgd24d")
-
-
-@pytest.fixture(scope="module", params=["xgd24d", "agri3t"])
-def vehicle(request):
-    """Each shipped vehicle in turn."""
-    return load(request.param)
-
-
-@pytest.fixture(scope="module")
 def cache(tmp_path_factory):
     """A cache of its own: the varied vehicles are of no use to anybody else."""
     return tmp_path_factory.mktemp("cache")

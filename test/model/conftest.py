@@ -10,27 +10,10 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from trackres_ros.model.rubber import RubberModel
-from trackres_ros.vehicle import load
 
 # The same examples on every run, and no deadline: a shared machine is slow for reasons that are not the code's.
 settings.register_profile("laws", deadline=None, derandomize=True, max_examples=30, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("laws")
-
-
-@pytest.fixture(scope="session")
-def xgd24d():
-    return load("xgd24d")
-
-
-@pytest.fixture(scope="session")
-def agri3t():
-    return load("agri3t")
-
-
-@pytest.fixture(scope="session", params=["xgd24d", "agri3t"])
-def vehicle(request):
-    """Each shipped vehicle in turn."""
-    return load(request.param)
 
 
 @pytest.fixture(scope="session")
@@ -54,3 +37,15 @@ def flat_rubber(compound):
     return RubberModel(
         replace(compound, storage_pa=np.full_like(compound.storage_pa, 20e6), loss_pa=np.full_like(compound.loss_pa, 2e6))
     )
+
+
+@pytest.fixture(scope="session")
+def mirrored():
+    """The track seen from the other side: the former front end of the ground run is its rear end."""
+
+    def seen(track):
+        run = track.road_wheels.ground_run
+        wheels = replace(track.road_wheels, positions=tuple(run - x for x in reversed(track.road_wheels.positions)))
+        return replace(track, road_wheels=wheels, wrapped_wheels=track.wrapped_wheels[::-1])
+
+    return seen

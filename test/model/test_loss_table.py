@@ -4,9 +4,7 @@
 """The loss on a grid: how near it is to the exact method, and when its cached form may be used."""
 
 import csv
-import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.files.resources import config_dir
 from trackres_ros.model import loss_table as lt
 from trackres_ros.model.hysteresis import METHODS
 from trackres_ros.model.loss_table import fingerprint, interpolation_error, loss_table
@@ -171,14 +168,8 @@ def test_the_fingerprint_follows_the_loss_method_not_other_parts(xgd24d):
     assert fingerprint(replace(xgd24d, name="another"), "triangular") == base
 
 
-@pytest.fixture
-def copied(tmp_path):
-    """The shipped configuration in a folder of its own."""
-    return Path(shutil.copytree(config_dir(), tmp_path / "config"))
-
-
-def test_comments_and_reasons_do_not_change_the_fingerprint(xgd24d, copied):
-    path = copied / "xgd24d.yaml"
+def test_comments_and_reasons_do_not_change_the_fingerprint(xgd24d, configuration):
+    path = configuration / "xgd24d.yaml"
     text = path.read_text(encoding="utf-8")
     path.write_text("# one more remark\n" + text.replace('geometry"', 'geometry, measured again"'), encoding="utf-8")
     assert fingerprint(load(path), "triangular") == fingerprint(xgd24d, "triangular")
@@ -187,8 +178,8 @@ def test_comments_and_reasons_do_not_change_the_fingerprint(xgd24d, copied):
 
 
 @pytest.mark.parametrize("column", ["T_degC", "E_storage_MPa_10Hz", "E_loss_MPa_10Hz"])
-def test_any_number_of_the_rubber_file_changes_the_fingerprint(xgd24d, copied, column):
-    path = copied / "rubber" / xgd24d.source.parent.joinpath("rubber", "nr_sbr_10hz.csv").name
+def test_any_number_of_the_rubber_file_changes_the_fingerprint(xgd24d, configuration, column):
+    path = configuration / "rubber" / xgd24d.source.parent.joinpath("rubber", "nr_sbr_10hz.csv").name
     with path.open(newline="", encoding="utf-8") as lines:
         rows = list(csv.DictReader(lines))
     rows[20][column] = str(float(rows[20][column]) + 1e-3)
@@ -196,11 +187,11 @@ def test_any_number_of_the_rubber_file_changes_the_fingerprint(xgd24d, copied, c
         writer = csv.DictWriter(lines, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
-    assert fingerprint(load(copied / "xgd24d.yaml"), "triangular") != fingerprint(xgd24d, "triangular")
+    assert fingerprint(load(configuration / "xgd24d.yaml"), "triangular") != fingerprint(xgd24d, "triangular")
 
 
-def test_a_further_column_of_the_rubber_file_does_not(xgd24d, copied):
-    path = copied / "rubber" / "nr_sbr_10hz.csv"
+def test_a_further_column_of_the_rubber_file_does_not(xgd24d, configuration):
+    path = configuration / "rubber" / "nr_sbr_10hz.csv"
     lines = path.read_text(encoding="utf-8").splitlines()
     path.write_text("\n".join([lines[0] + ",remark", *(line + ",x" for line in lines[1:])]) + "\n", encoding="utf-8")
-    assert fingerprint(load(copied / "xgd24d.yaml"), "triangular") == fingerprint(xgd24d, "triangular")
+    assert fingerprint(load(configuration / "xgd24d.yaml"), "triangular") == fingerprint(xgd24d, "triangular")

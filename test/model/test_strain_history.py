@@ -33,13 +33,6 @@ def tracks(draw, base, fewest=1):
     return replace(base, wrapped_wheels=wheels, belt=belt)
 
 
-def mirrored(track):
-    """The track seen from the other side: the former front end of the ground run is its rear end."""
-    run = track.road_wheels.ground_run
-    wheels = replace(track.road_wheels, positions=tuple(run - x for x in reversed(track.road_wheels.positions)))
-    return replace(track, road_wheels=wheels, wrapped_wheels=track.wrapped_wheels[::-1])
-
-
 def sampled(values):
     """Amplitudes A_n of one loop sampled evenly, for HARMONICS."""
     return 2.0 / len(values) * np.fft.fft(values)[1 : len(HARMONICS) + 1]
@@ -137,7 +130,7 @@ def test_pulse_transforms_meet_where_the_series_ends():
 
 
 @given(data=st.data())
-def test_reverse_is_the_mirror_image(triangular, data):
+def test_reverse_is_the_mirror_image(triangular, mirrored, data):
     """Laying out the mirrored track gives the mirrored profiles; tension hands over to slack and back."""
     track = data.draw(tracks(triangular, fewest=2))
     there, back = sh.build_loop(track), sh.build_loop(mirrored(track))

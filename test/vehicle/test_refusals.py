@@ -37,17 +37,6 @@ def put(content, path, value):
     at(content, parent)[int(key) if key.isdigit() else key] = value
 
 
-def refusal(folder, content):
-    """The error that a content gives when loaded from a file."""
-    path = folder / "given.yaml"
-    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-    with pytest.raises(InputError) as caught:
-        load(path)
-    assert "\n" not in str(caught.value)
-    assert str(path) in caught.value.where
-    return caught.value
-
-
 # Files that are no vehicle files
 
 
@@ -99,51 +88,51 @@ MAPPINGS = (
 )  # fmt: skip
 
 
-def test_a_missing_key(folder, shipped):
+def test_a_missing_key(refusal, shipped):
     for key in REQUIRED:
         content = copy.deepcopy(shipped)
         parent, _, name = key.rpartition(".")
         del at(content, parent)[name]
-        error = refusal(folder, content)
+        error = refusal(content)
         assert name in error.where
         assert (error.given, error.allowed) == ("nothing", "this key is required")
 
 
-def test_an_unknown_key(folder, shipped):
+def test_an_unknown_key(refusal, shipped):
     for parent in {"", "tracks.triangular.beams", *MAPPINGS} - {"tracks"}:
         content = copy.deepcopy(shipped)
         at(content, parent)["colour"] = "green"
-        error = refusal(folder, content)
+        error = refusal(content)
         assert "colour" in error.where
         assert error.given == "colour"
         assert error.allowed.startswith("one of ")
 
 
-def test_a_misspelt_key_gets_a_suggestion(folder, content):
+def test_a_misspelt_key_gets_a_suggestion(refusal, content):
     belt = content["tracks"]["triangular"]["belt"]
     belt["thicknes"] = belt["thickness"]
-    assert refusal(folder, content).remedy == "did you mean thickness?"
+    assert refusal(content).remedy == "did you mean thickness?"
 
 
-def test_what_should_be_a_mapping_or_a_list(folder, shipped):
+def test_what_should_be_a_mapping_or_a_list(refusal, shipped):
     for key in MAPPINGS:
         for value in (None, 3.5, "text", [1], []):
             content = copy.deepcopy(shipped)
             put(content, key, value)
-            assert key.rpartition(".")[2].rstrip("0123456789") in refusal(folder, content).where
+            assert key.rpartition(".")[2].rstrip("0123456789") in refusal(content).where
     for key in ("assemblies", "chassis.axles", WHEELS):
         for value in (None, [], {}, "text", 1):
             content = copy.deepcopy(shipped)
             put(content, key, value)
-            error = refusal(folder, content)
+            error = refusal(content)
             assert key.rpartition(".")[2] in error.where
             assert error.allowed == "a list with at least one entry"
 
 
-def test_a_value_that_is_not_plausible(folder, content):
+def test_a_value_that_is_not_plausible(refusal, content):
     for value in (math.nan, math.inf, 0.05, 0.02, "thick", True, None, {}, 10**400, [0.03, 0.035], []):
         put(content, f"{THICKNESS}.value", value)
-        error = refusal(folder, content)
+        error = refusal(content)
         assert f"{THICKNESS}.value" in error.where
         assert ("one number" if isinstance(value, list) else "0.025 to 0.045 m") in error.allowed
         if isinstance(value, float) and math.isfinite(value):
@@ -151,7 +140,7 @@ def test_a_value_that_is_not_plausible(folder, content):
             assert "widen its range" in error.remedy
 
 
-def test_a_range_that_is_none(folder, content):
+def test_a_range_that_is_none(refusal, content):
     refused = {
         "two numbers": (None, [0.02], [0.02, 0.03, 0.04], "0.02"),
         "low <= high": ([0.045, 0.025],),
@@ -160,14 +149,14 @@ def test_a_range_that_is_none(folder, content):
     for allowed, ranges in refused.items():
         for bounds in ranges:
             put(content, f"{THICKNESS}.range", bounds)
-            error = refusal(folder, content)
+            error = refusal(content)
             assert f"{THICKNESS}.range" in error.where
             assert allowed in error.allowed
 
 
-def test_another_unit_is_not_converted(folder, content):
+def test_another_unit_is_not_converted(refusal, content):
     put(content, f"{THICKNESS}.unit", "mm")
-    error = refusal(folder, content)
+    error = refusal(content)
     assert f"{THICKNESS}.unit" in error.where
     assert (error.given, error.allowed, error.remedy) == ("mm", "m", "convert the value to this unit")
 
@@ -190,40 +179,36 @@ CHOICES = (
 )
 
 
-def test_a_choice_that_is_none(folder, shipped):
+def test_a_choice_that_is_none(refusal, shipped):
     for key, value, allowed in CHOICES:
         content = copy.deepcopy(shipped)
         put(content, key, value)
-        error = refusal(folder, content)
+        error = refusal(content)
         assert key.replace(".0", "") in error.where.replace("[0]", "")
         assert error.given == value
         assert allowed == error.allowed
 
 
 @pytest.mark.parametrize("name", ["front-left", "1", "a b", "vorne_ä", "a.b", "a/b", "a\n", "_a"])
-def test_a_name_that_topics_cannot_have_is_refused(folder, content, name):
+def test_a_name_that_topics_cannot_have_is_refused(refusal, content, name):
     content["assemblies"][0]["name"] = name
-    assert refusal(folder, content).where.endswith("assemblies[0].name")
+    assert refusal(content).where.endswith("assemblies[0].name")
 
 
 @pytest.mark.parametrize("name", ["front-left", "1", "a b", "vorne_ä", "a.b", "a/b", "a\n", "_a"])
-def test_an_axle_is_named_as_a_topics_file_can_name_it(folder, content, name):
+def test_an_axle_is_named_as_a_topics_file_can_name_it(refusal, loaded, content, name):
     content["chassis"]["axles"][0]["name"] = content["assemblies"][0]["axle"] = content["assemblies"][1]["axle"] = name
     try:
         Topics.parse({f"load/{name}": {"column": "load_n"}})
     except InputError:
-        assert refusal(folder, content).where.endswith("chassis.axles[0].name")
+        assert refusal(content).where.endswith("chassis.axles[0].name")
     else:
-        path = folder / "given.yaml"
-        path.write_text(yaml.safe_dump(content), encoding="utf-8")
-        assert load(path).axles[0].name == name
+        assert loaded(content).axles[0].name == name
 
 
-def test_a_number_that_yaml_reads_as_text_is_a_number(folder, content):
+def test_a_number_that_yaml_reads_as_text_is_a_number(loaded, content):
     put(content, "tracks.triangular.belt.cord_modulus.value", "1.2e11")
-    path = folder / "given.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    assert load(path).tracks["triangular"].belt.cord_modulus == 1.2e11
+    assert loaded(content).tracks["triangular"].belt.cord_modulus == 1.2e11
 
 
 # What only the whole can show
@@ -309,9 +294,9 @@ def second_axle_idle(content):
         (spare_track, "assemblies", "at least one assembly a kind of track"),
     ],
 )
-def test_parts_that_do_not_fit_each_other(folder, content, change, key, allowed):
+def test_parts_that_do_not_fit_each_other(refusal, content, change, key, allowed):
     change(content)
-    error = refusal(folder, content)
+    error = refusal(content)
     assert key in error.where
     assert allowed in error.allowed
 
@@ -320,8 +305,8 @@ KINDS = {"agri3t": (True, True), "bmw_i3": (False, True), "emps": (False, False)
 
 
 @pytest.mark.parametrize("vehicle", KINDS)
-def test_only_effects_with_a_meaning_for_a_vehicle_are_listed(folder, vehicle):
-    path, (belts, rolls) = folder / f"{vehicle}.yaml", KINDS[vehicle]
+def test_only_effects_with_a_meaning_for_a_vehicle_are_listed(configuration, vehicle):
+    path, (belts, rolls) = configuration / f"{vehicle}.yaml", KINDS[vehicle]
     content, here = read_yaml(path), load_any(vehicle)
     quantities = {active.effect.name for active in here.active}
     for effect in catalogue(size=here.size, on_tyres=not belts).values():
@@ -345,21 +330,21 @@ def test_only_effects_with_a_meaning_for_a_vehicle_are_listed(folder, vehicle):
         ("road_load.rolling_rise", {"value": -0.0003, "range": [-0.001, 0.0]}, "at least -rolling_coefficient / max_speed"),
     ],
 )
-def test_a_road_file_without_a_meaning_is_refused(folder, key, value, allowed):
-    content = read_yaml(folder / "bmw_i3.yaml")
+def test_a_road_file_without_a_meaning_is_refused(configuration, key, value, allowed):
+    content = read_yaml(configuration / "bmw_i3.yaml")
     put(content, key, {**at(content, key), **value} if "." in key else value)
     with pytest.raises(InputError) as caught:
-        build_road(folder / "bmw_i3.yaml", content)
+        build_road(configuration / "bmw_i3.yaml", content)
     assert key in caught.value.where
     assert allowed in caught.value.allowed
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.999])
-def test_rolling_resistance_may_fall_but_not_below_zero(folder, share):
-    content = read_yaml(folder / "bmw_i3.yaml")
+def test_rolling_resistance_may_fall_but_not_below_zero(configuration, share):
+    content = read_yaml(configuration / "bmw_i3.yaml")
     least = -content["road_load"]["rolling_coefficient"]["value"] / content["road_load"]["max_speed"]["value"]
     content["road_load"]["rolling_rise"].update(value=share * least, range=[least, 0.0])
-    v = build_road(folder / "bmw_i3.yaml", content).values
+    v = build_road(configuration / "bmw_i3.yaml", content).values
     assert v["rolling_coefficient"] + v["rolling_rise"] * v["max_speed"] > 0.0
 
 
