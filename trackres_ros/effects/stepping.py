@@ -14,17 +14,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array, IntArray
 from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active, Conditions, Terms, VehicleConstants
 from trackres_ros.effects.native import ANSWERED, FACTS, LOOKED_AT, call_at, native, reads_drag_area
 from trackres_ros.errors import InputError
 from trackres_ros.jit.arithmetic import length, squared
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.units import STANDSTILL_MPS
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # One row of the table of effects: which effect's own state, its kind (see below), its required inputs, and its two addresses.
 STATE, KIND, NEEDS, TERMS_AT, LAG_AT = range(5)

@@ -7,17 +7,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array
 from trackres_ros.estimator.belt_heat import Heat
 from trackres_ros.estimator.columns import Assembly, Belt
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.thermal import phi_1, phi_2
-
-Array = NDArray[np.float64]
 
 
 @inlined

@@ -12,9 +12,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array
 from trackres_ros.effects.stepping import WORK
 from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED, heat_of, log_speed
 from trackres_ros.estimator.belt_lumped import advance_lumped
@@ -24,8 +22,6 @@ from trackres_ros.estimator.columns import BELT_COLUMNS, TEMPERATURE, Assembly
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import compiled, inlined
-
-Array = NDArray[np.float64]
 
 LONGEST_SUBSTEP = 0.5  # s while rolling
 MOST_SUBSTEPS = 20000

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array, IntArray
 from trackres_ros.effects.stepping import neutral, rest_effects
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED
@@ -26,9 +27,6 @@ from trackres_ros.estimator.kernel import advance, predict, start
 from trackres_ros.estimator.records import LARGEST, Carried, DriveSeries, Inputs
 from trackres_ros.jit.compiled import HAVE_NUMBA, entry, inlined, interpreted
 from trackres_ros.units import NANOSECOND
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class Messages(NamedTuple):

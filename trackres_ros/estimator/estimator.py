@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros import checks
+from trackres_ros.arrays import Array, IntArray
 from trackres_ros.effects.stepping import cooled as cooled_effects
 from trackres_ros.effects.stepping import new_memory as new_effects_memory
 from trackres_ros.errors import InputError
@@ -50,9 +51,6 @@ ALONG = (
     "speed", "weight", "ambient", "acceleration", "grade", "yaw_rate", "heading", "distance", *DriveSeries._fields[-4:],
 )  # fmt: skip
 """Arguments of `Estimator.run` that are series, as in `DriveSeries`."""
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class Estimator:

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array
 from trackres_ros.effects.stepping import (
     ALL_WELL,
     DRAG_AREA,
@@ -59,8 +57,6 @@ from trackres_ros.estimator.road import Road, driving_torque, road_now, torque_o
 from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.resistance import direction, wind_force
-
-Array = NDArray[np.float64]
 
 LEAST_STD_SHARE = 0.001  # of the resistance: torque transducers are no better (class 0.1), so no estimate is
 

@@ -12,12 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trackres_ros.arrays import Array, IntArray
 from trackres_ros.effects.stepping import new_memory
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.text.numbers import decimals
-
-Array = NDArray[np.float64]
 
 NOT_NUMBERS = "MmcbSUV"  # kinds of dtypes that numpy would convert: dates, durations, complex, true and false, texts, records
 DATES = "Mm"
@@ -127,7 +126,7 @@ def floats(given: ArrayLike, where: str, shape: tuple[int, ...] | None = None) -
     return found
 
 
-def whole_numbers(given: ArrayLike, where: str, low: int, high: int) -> NDArray[np.int64]:
+def whole_numbers(given: ArrayLike, where: str, low: int, high: int) -> IntArray:
     """Copy to an array of whole numbers from `low` to `high`, of floats the nearest ones. Raises InputError for others."""
     array = _of_numbers(given, where)
     if array.dtype.kind not in "iu" or isinstance(array, np.ma.MaskedArray):

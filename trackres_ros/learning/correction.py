@@ -9,15 +9,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array, Mask
 from trackres_ros.estimator import columns as at
 from trackres_ros.learning.filter import given_others
 from trackres_ros.learning.learned import LearnerState
 from trackres_ros.learning.parameters import REACH_STD, STEP, Prior
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 RATE_PER_HOUR = 1.0  # of the file's value: limit on the rate of acting values
 FASTEST = np.full(at.LEARNABLE, RATE_PER_HOUR / 3600.0)  # in a second

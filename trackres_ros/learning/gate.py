@@ -9,13 +9,12 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Session
 from trackres_ros.units import MAD_TO_STD, SECOND_NS, STANDSTILL_MPS
 
-Array = NDArray[np.float64]
 Row = list[float]
 
 SLOWEST_MPS = 1.0  # slower, friction may be static

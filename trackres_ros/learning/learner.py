@@ -13,8 +13,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array, Mask
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.learning import correction
@@ -38,9 +38,6 @@ from trackres_ros.learning.parameters import (
     rise_torques,
 )
 from trackres_ros.units import GRAVITY, SECOND_NS
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 MODES = OFF, WATCH, ON = "off", "watch", "on"
 STEP_S = 4 * 3600.0  # memory of sudden steps, in driving

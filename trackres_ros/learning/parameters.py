@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import relative_std
 from trackres_ros.estimator.estimator import Estimator
@@ -18,8 +18,6 @@ from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 from trackres_ros.vehicle.road import SECTION
 from trackres_ros.vehicle.schema import BELT, CHASSIS, ROAD_LOAD, RUBBER, QuantityLimits
 from trackres_ros.vehicle.writing.vehicle_file import rubber_share
-
-Array = NDArray[np.float64]
 
 # The filter's states: the departures of `estimator.columns`, then what is learned only so that it is not taken for them: offset
 # [Nm] and gain of the torque sensor, a drifting torque against travel within minutes, and one that came at once [Nm]; the

@@ -8,13 +8,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trackres_ros.arrays import Array
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import Belt, Rubber
 from trackres_ros.vehicle.belt_bulk import mass_per_length
-
-Array = NDArray[np.float64]
 
 
 def cooled_area(belt: Belt) -> float:
