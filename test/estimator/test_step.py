@@ -191,7 +191,7 @@ def test_step_rest_run_and_session_refuse_another_vehicle(reference, carrier):
                 refused()
     effects = np.append(state.effects, 0.0)
     with pytest.raises(InputError, match=r"^state"):
-        road.step(replace(state, effects=effects), inputs, 0.1)
+        road.step(state._replace(effects=effects), inputs, 0.1)
 
 
 @pytest.mark.parametrize("name", SERIES)
