@@ -20,7 +20,7 @@ from trackres_ros.model.thermal import phi_1, phi_2
 def advance_lumped(
     k: Constants, assembly: Assembly, belt: Array, heat: Heat, ambient_std: float, dt: float
 ) -> tuple[float, float]:
-    """Advance a belt with one node, as `belt_step.advance_belt`: f = (P - U A_h (T - T_a)) / C and J = df/dT.
+    """Advance a belt with one node, as `belt_step.roll`: f = (P - U A_h (T - T_a)) / C and J = df/dT.
 
     Notes
     -----

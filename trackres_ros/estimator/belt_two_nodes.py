@@ -46,7 +46,7 @@ def walked(j11: float, j12: float, j21: float, j22: float, dt: float) -> tuple[f
 def advance_two_nodes(
     k: Constants, assembly: Assembly, belt: Array, heat: Heat, ambient_std: float, dt: float
 ) -> tuple[float, float]:
-    """Advance a belt with two nodes, as `belt_step.advance_belt` (ours); f are their rates and J the derivatives of these.
+    """Advance a belt with two nodes, as `belt_step.roll` (ours); f are their rates and J the derivatives of these.
 
     Notes
     -----
