@@ -18,7 +18,7 @@ from trackres_ros.learning.correction import accepted
 from trackres_ros.learning.disturbances import LASTING_SHARE
 from trackres_ros.learning.filter import corrected
 from trackres_ros.learning.learner import Learner
-from trackres_ros.learning.parameters import SLOW, STATES, VEHICLES_OWN, limits_of, make_prior, places, rise_torques
+from trackres_ros.learning.parameters import SLOW, STATES, VEHICLES_OWN, learnables, limits_of, make_prior, rise_torques
 from trackres_ros.learning.vehicle_file import write_learned
 from trackres_ros.vehicle import RoadVehicle
 from trackres_ros.vehicle.writing.vehicle_file import opened
@@ -273,7 +273,7 @@ def sure(request, tmp_path_factory):
             document = opened(described.source)
             if not isinstance(described, RoadVehicle):
                 document.set(("rubber", "file"), str(described.rubber_source))
-            paths = {path for paths, _ in places(described).values() for path in paths}
+            paths = {path for one in learnables(described) for path in one.paths}
             for path in (path for path in paths if path.startswith(("chassis", "road_load"))):  # no belt burns
                 limits = limits_of(path)
                 low = 0.0 if path.endswith("rolling_rise") else limits.low  # from a coefficient of 0 it may not fall
@@ -301,15 +301,15 @@ def test_a_written_file_has_each_learned_value_within_its_range(sure, tmp_path_f
     found = accepted(s, learner.prior, learner.counted)
     write_learned(learner, vehicle, file)
     written = tr.load_vehicle(file).parameters
-    for state in learner.own:
-        paths, factor = places(vehicle)[state]
-        for path in paths:
+    for one in learner.learnables:
+        for path in one.paths:
             old, new = vehicle.parameters[path], written[path]
-            if path != paths[0] and old.value:  # only scaled with the first: known no better than before
+            if path != one.paths[0] and old.value:  # only scaled with the first: known no better than before
                 limits, scale = limits_of(path), new.value / old.value
                 assert new.low <= max(old.low * scale, limits.low) + 1e-5 * abs(new.low)
                 assert new.high >= min(old.high * scale, limits.high) - 1e-5 * abs(new.high)
-            assert new.value == pytest.approx(old.value * (1.0 + factor * found[state]), rel=1e-5)  # as it acts live at last
+            acts_live = old.value * (1.0 + one.factor * found[one.state])  # at last
+            assert new.value == pytest.approx(acts_live, rel=1e-5)
             assert new.low <= new.value <= new.high
             assert new.high > new.low
             assert new == old or old.value
