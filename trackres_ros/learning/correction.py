@@ -53,13 +53,8 @@ def sure(s: LearnerState, prior: Prior) -> Mask:
     return np.asarray(variances < 0.25 * np.diag(prior.covariance)[: at.LEARNABLE])
 
 
-def aim(s: LearnerState, prior: Prior, counted: Mask) -> None:
-    """Target of the acting departures: all accepted ones, with the file's values for the rest."""
-    s.aim[:] = accepted(s, prior, counted)
-
-
 def accepted(s: LearnerState, prior: Prior, counted: Mask) -> Array:
-    """The accepted departures, with the file's values for the rest, shape (LEARNABLE,)."""
+    """Target of the acting departures, (LEARNABLE,): all accepted ones, with the file's values for the rest."""
     if not counted.any():
         return np.zeros(at.LEARNABLE)
     of_vehicle = counted.copy()
