@@ -14,9 +14,7 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.effects import Active, Effect, catalogue, native
-from trackres_ros.effects.learned import BELOW, BELT, BRAKES, OPEN, SPEED, STEP, Corner, Curve, Latch, SidedGain
 from trackres_ros.estimator import warm_up
-from trackres_ros.estimator.columns import Results
 from trackres_ros.estimator.entry_points import COMPILED, interpreted_entries
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.jit.compiled import HAVE_NUMBA, compiled
@@ -84,21 +82,6 @@ def test_every_effect_gives_the_same_bits(names):
         plain, machine = interpreted_and_compiled(replace(base, **own))
         np.testing.assert_array_equal(plain, machine, err_msg=name)
         assert np.isfinite(machine[:, 0]).all()
-
-
-def test_learned_effects_of_belt_and_torque_give_the_same_bits():
-    learned = [
-        Curve(BELT, OPEN, [12.0, 20.0, 30.0]),
-        Corner(BELT, STEP, 12.0, 16.0, 30.0),
-        Corner(BELT, BELOW, 12.0, 18.0, 30.0),
-        Latch(BELT, 12.0, 15.5, 17.0, 30.0),
-        Latch(SPEED, 1.0, 4.0, 7.0, 9.0),
-        SidedGain(BRAKES, 9000.0),
-    ]
-    vehicle = replace(load("xgd24d"), effects=tuple(Active(effect, effect.values()) for effect in learned))
-    plain, machine = interpreted_and_compiled(vehicle)
-    np.testing.assert_array_equal(plain, machine)
-    assert len(np.unique(machine[:, Results.effects_nm])) > 100
 
 
 @pytest.mark.long
