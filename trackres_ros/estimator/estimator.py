@@ -183,7 +183,8 @@ class Estimator:
         """
         inputs = self._checked(inputs)
         belts = np.empty((len(self.assemblies), 2, at.BELT_COLUMNS))
-        state = State(belts, np.empty(at.Motion.columns), new_effects_memory(len(self.vehicle.active)))
+        effects = new_effects_memory(len(self.vehicle.active))
+        state = State(belts, np.empty(at.Motion.columns), effects, np.zeros(at.Learned.columns))
         self.entries.start_belts(*self.kernel_arguments, *state, inputs.ambient, inputs.ambient_std)
         if belt_degc is not None:
             state.belts[:, :, at.Belt.temperature] = number(belt_degc, "belt_degc")

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.arrays import Array, IntArray
-from trackres_ros.effects.stepping import new_memory
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.text.numbers import decimals
@@ -56,8 +55,8 @@ class State(NamedTuple):
 
     belts: Array  # (assemblies, 2, BELT_COLUMNS): temperature [degC] and its departures [K], of the mean and of the surface
     motion: Array  # (MOTION_COLUMNS,): filtered speed and values of the last step
-    effects: Array = new_memory(0)  # memory of the effects, see `effects.stepping`
-    learned: Array = np.zeros(at.Learned.columns)  # learned departures of the vehicle
+    effects: Array  # memory of the effects, see `effects.stepping`
+    learned: Array  # learned departures of the vehicle
 
     def __repr__(self) -> str:
         degrees = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, at.Belt.temperature])
