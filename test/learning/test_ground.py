@@ -106,14 +106,6 @@ def test_an_altitude_that_drifts_at_standstill_is_trusted_less(car):
     assert driven.learner.learned.ground.drift > 10.0 * before
 
 
-def test_nothing_pushes_a_car_that_stands_whatever_was_learned(car):
-    driven = car(15.0, hills, altitude=0.5)
-    begins = 0.1 * driven.steps
-    driven.drive(0.5, speed=lambda t: max(0.0, cruising(begins) - 2.0 * (t - begins)), noise=5.0)
-    assert driven.rows[-1][1] == 0.0
-    assert driven.session.motion[at.Motion.feedforward] == 0.0
-
-
 def test_what_was_learned_of_a_car_becomes_its_file(level, tmp_path):
     file = write_learned(level.learner, level.session.estimator.vehicle, tmp_path / "learned.yaml")
     assert file.written == (tmp_path / "learned.yaml",)

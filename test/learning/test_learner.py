@@ -53,16 +53,6 @@ def test_fifteen_minutes_suffice_to_learn_a_20_percent_error(learned):
     assert learned.learner.counted[at.OF_LOSS]
 
 
-def test_watching_changes_no_bit_and_learns_the_same_twice(reference, road):
-    watched, again = (road("watch", {at.OF_LOSS: 0.2}).drive(6.0) for _ in range(2))
-    assert np.array_equal(again.learner.learned.covariance, watched.learner.learned.covariance)
-    assert again.rows == watched.rows
-    plain = reference.session()
-    for i, (_, resistance, _) in enumerate(watched.rows):
-        stamp = 1_700_000_000_000_000_000 + i * 100_000_000
-        assert plain.handle(at.SPEED, stamp, stamp, 8.0 + 6.0 * np.sin(i * 0.1 / 60.0))["resistance_torque_nm"] == resistance
-
-
 def test_on_and_watching_learn_the_same(learned, road):
     on = road("on", {at.OF_LOSS: 0.2}).drive(20.0)
     own = list(VEHICLES_OWN)
@@ -85,15 +75,6 @@ def test_one_corner_is_not_the_whole(road):
     driven = road("on", {at.OF_LOSS: 0.2}).drive(3.0, speed=lambda _t: 6.0)
     assert not any(driven.learner.counted[state] for state in VEHICLES_OWN)
     assert driven.session.learned[at.Learned.on] == 0.0
-
-
-def test_a_vehicle_that_stands_is_not_pushed(learned, road):
-    driven = road("on", {at.OF_LOSS: 0.2}).drive(15.0)
-    begins = 0.1 * driven.steps
-    fastest = 8.0 + 6.0 * np.sin(begins / 60.0)
-    driven.drive(0.5, speed=lambda t: max(0.0, fastest - 2.0 * (t - begins)))
-    assert driven.rows[-1][1] == 0.0
-    assert driven.session.motion[at.Motion.feedforward] == 0.0
 
 
 @pytest.mark.parametrize("share", [0.07, -0.07])

@@ -188,9 +188,9 @@ def test_a_mirrored_drive_reverses_the_sign_of_every_torque(request, which, spee
             inputs = estimator.inputs(sign * speed * vehicle.chassis.max_speed, ambient=ambient, grade=sign * grade)
             session, estimate = estimator.step(session, inputs, 0.5)
         rows.append(estimate)
-    odd = ("resistance_torque_nm", "hysteresis_nm", "bearing_nm", "wind_nm", "grade_nm", "inertia_nm", "drive_torque_nm")
+    odd = ("resistance_torque", "hysteresis", "bearing", "wind", "grade", "inertia", "drive_torque", "feedforward_torque")
     scale = 1e-9 + 10.0 * share  # 10: the table's share is of a torque of 0.15 of the load, a hard brake has more
-    for column in odd:
+    for column in (f"{name}_nm" for name in odd):
         assert rows[1][column] == pytest.approx(-rows[0][column], rel=scale, abs=1e-6 + scale * abs(rows[0]["hysteresis_nm"]))
     assert rows[1].belt_degc() == pytest.approx(rows[0].belt_degc(), rel=scale, abs=1e-9)
     assert rows[1].reasons == rows[0].reasons

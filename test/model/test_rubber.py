@@ -96,10 +96,6 @@ def test_shift_falls_with_temperature(compound, shift, first, second):
     assert np.isfinite(rubber.log_shift([cold, warm])).all()
 
 
-def test_shift_is_one_fifty_kelvin_above_the_glass_transition(compound):
-    assert float(RubberModel(compound).log_shift(compound.glass_transition + REFERENCE_ABOVE_TG)) == 0.0
-
-
 def test_shift_has_no_pole(compound):
     pole = compound.glass_transition + REFERENCE_ABOVE_TG - compound.wlf_c2
     near = RubberModel(compound).log_shift(np.linspace(pole - 5.0, pole + 5.0, 1001))

@@ -145,15 +145,6 @@ def test_at_rest_the_belt_cools_exponentially_over_any_step(thermal, start, ambi
 
 
 @both_networks
-def test_at_rest_there_is_no_heat_and_no_torque(thermal):
-    one = estimator(thermal)
-    _, estimate = one.step(one.cold_start(one.inputs(0.0), belt_degc=60.0), one.inputs(0.0), 10.0)
-    assert estimate["heat_w"] == 0.0
-    assert estimate["cooling_w"] > 0.0
-    assert estimate.resistance_torque_nm == 0.0
-
-
-@both_networks
 @pytest.mark.parametrize("hysteresis", ["spectral", "rainflow"])
 @few
 @given(first=ambients, second=ambients, speed=st.floats(2.0, 16.0), weight=st.floats(2e5, 3.5e5))

@@ -114,11 +114,7 @@ def test_an_override_of_what_is_not_there_is_refused(path):
     with pytest.raises(InputError, match="the path of a scalar quantity") as caught:
         load("xgd24d", {path: 0.03})
     assert caught.value.given == path
-
-
-def test_a_misspelt_override_gets_a_suggestion():
-    with pytest.raises(InputError, match=f"did you mean {THICKNESS}"):
-        load("xgd24d", {"tracks.triangular.belt.thicknes": 0.03})
+    assert (f"did you mean {THICKNESS}" in caught.value.remedy) == ("belt" in path)
 
 
 def test_variants_are_the_vehicle_with_its_methods():
