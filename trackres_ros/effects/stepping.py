@@ -287,21 +287,9 @@ def own_state(address: int, values: Array, looked_at: Array, answer: Array, own:
 
 @compiled
 def step_effects(rows: IntArray, values: Array, memory: Array, work: Array, dt: float) -> int:
-    """All effects of a step that ends now, `dt` [s] after the one before.
+    """All effects of a step that ends now, `dt` [s] after the one before; return `ALL_WELL`, or why one is missing in the terms.
 
-    Parameters
-    ----------
-    rows, values
-        See `EffectTable`.
-    memory
-        See `new_memory`; changed.
-    work
-        See `new_work`, with the known values; its terms are filled. A missing distance is filled with the one driven.
-
-    Returns
-    -------
-    int
-        `ALL_WELL`, or why an effect is missing in the terms.
+    The work space has the known values; its terms are filled, and a missing distance by the one driven. The memory is changed.
     """
     looked_at, answer = work[TERMS : TERMS + LOOKED_AT], work[TERMS + LOOKED_AT :]
     memory[DISTANCE] += abs(memory[LAST_SPEED]) * dt

@@ -309,7 +309,7 @@ class Estimator:
         """Raise InputError for a state with other arrays than those of this vehicle."""
         if not isinstance(state, State):
             raise InputError("state", state, "a state", "begin with cold_start")
-        shapes = tuple(part.shape for part in state)
+        shapes = state.belts.shape, state.motion.shape, state.effects.shape, state.learned.shape
         if shapes != self._state_shapes:
             allowed = f"{self._state_shapes}, those of {self.vehicle.name}"
             raise InputError("state", f"arrays of shape {shapes}", allowed, "begin with cold_start")
