@@ -16,7 +16,7 @@ from trackres_ros.model import belt as b
 from trackres_ros.model.hysteresis import RainflowCount
 from trackres_ros.model.strain_history import along_belt, build_loop
 from trackres_ros.model.track import steady_tension, track_model
-from trackres_ros.vehicle.belt_bulk import heat_capacity, mass_per_length
+from trackres_ros.vehicle.belt_bulk import arc_length, heat_capacity, mass_per_length
 
 masses = st.floats(0.5, 200.0)  # kg/m
 half_spans = st.floats(0.05, 5.0)  # m
@@ -164,7 +164,7 @@ def test_equations_19_and_20(triangular, radius, wrap, height):
     h0 = triangular.belt.cord_height
     stretch = wrap * (radius + height) - wrap * (radius + h0)
     strain = stretch / (wrap * (radius + h0))
-    assert b.arc_length(radius, wrap, triangular.belt) == pytest.approx(wrap * (radius + h0))
+    assert arc_length(radius, wrap, triangular.belt) == pytest.approx(wrap * (radius + h0))
     assert (height - h0) * b.signed_curvature(radius, wrap, triangular.belt) == pytest.approx(strain, abs=1e-12)
 
 

@@ -14,12 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.model import contact, hysteresis
-from trackres_ros.model.belt import bending_moment_of_height, wrapped_radius
+from trackres_ros.model.belt import bending_moment_of_height
 from trackres_ros.model.hysteresis import HARMONICS, METHODS, RainflowCount, Spectral
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.strain_history import Profile, along_belt, build_loop, indentation_amplitudes
 from trackres_ros.model.track import load_range
 from trackres_ros.vehicle import load
+from trackres_ros.vehicle.belt_bulk import wrapped_radius
 
 FLAT_STORAGE, FLAT_LOSS = 20e6, 2e6  # of the rubber without dispersion
 FLAT_DYNAMIC = math.hypot(FLAT_STORAGE, FLAT_LOSS)

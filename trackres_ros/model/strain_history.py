@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.arrays import Array
 from trackres_ros.model import contact
-from trackres_ros.model.belt import arc_length, signed_curvature
+from trackres_ros.model.belt import signed_curvature
 from trackres_ros.vehicle import Track
+from trackres_ros.vehicle.belt_bulk import arc_length
 
 Complex = NDArray[np.complex128]
 
