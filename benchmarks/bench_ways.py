@@ -52,8 +52,7 @@ class Way:
 WAYS = (
     Way(
         "a belt's step as a part of the vehicle's", True, STEP,
-        (("estimator/belt_step.py", "@inlined\ndef advance_belt(", "@compiled\ndef advance_belt("),
-         ("estimator/belt_step.py", "@inlined\ndef roll(", "@compiled\ndef roll(")),
+        (("estimator/belt_step.py", "@inlined\ndef roll(", "@compiled\ndef roll("),),
     ),
     Way(
         "a message and its step as one function", True, STEP,

@@ -16,6 +16,7 @@ from hypothesis import settings
 
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.warm_up import exercise
+from trackres_ros.files.resources import config_dir
 from trackres_ros.vehicle import load
 
 settings.register_profile("steady", deadline=None, derandomize=True)
@@ -38,15 +39,37 @@ class Squeak(Effect):
 
 
 @pytest.fixture(scope="session")
-def reference():
-    """Estimator of the reference vehicle."""
-    return Estimator(load("xgd24d"))
+def xgd24d():
+    return load("xgd24d")
 
 
 @pytest.fixture(scope="session")
-def carrier():
+def agri3t():
+    return load("agri3t")
+
+
+@pytest.fixture(scope="session", params=["xgd24d", "agri3t"])
+def vehicle(request):
+    """Each shipped vehicle in turn."""
+    return load(request.param)
+
+
+@pytest.fixture(scope="session")
+def reference(xgd24d):
+    """Estimator of the reference vehicle."""
+    return Estimator(xgd24d)
+
+
+@pytest.fixture(scope="session")
+def carrier(agri3t):
     """Estimator of the small carrier: another number of assemblies, wheels and axles."""
-    return Estimator(load("agri3t"))
+    return Estimator(agri3t)
+
+
+@pytest.fixture
+def configuration(tmp_path):
+    """The shipped configuration in a folder of its own, to be changed at will."""
+    return Path(shutil.copytree(config_dir(), tmp_path / "config"))
 
 
 @pytest.fixture(scope="session")

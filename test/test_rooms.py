@@ -51,7 +51,7 @@ def test_replay_and_live_import_no_diagnosis(rooms, module):
 
 def test_only_the_front_door_and_shared_modules_lie_at_the_root(repository):
     files = {path.name for path in (repository / "trackres_ros").glob("*.py")}
-    assert files == {"__init__.py", "__main__.py", "errors.py", "units.py", "checks.py", "progress.py", "version.py"}
+    assert files == {"__init__.py", "__main__.py", "arrays.py", "errors.py", "units.py", "checks.py", "progress.py", "version.py"}
 
 
 def test_each_room_says_what_it_is_for(rooms):

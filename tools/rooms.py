@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "trackres_ros"
 DIVIDED = ("diagnosis", "node", "vehicle")  # rooms with rooms of their own
 HEAD = (Path(__file__).parent / "architecture.in.md").read_text(encoding="utf-8")
-COMMON = ("errors", "units", "checks", "files", "text", "jit")  # used from everywhere: left out of the picture
+COMMON = ("arrays", "errors", "units", "checks", "files", "text", "jit")  # used from everywhere: left out of the picture
 
 
 @cache

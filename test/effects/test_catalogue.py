@@ -16,7 +16,7 @@ from trackres_ros.effects import Active, Effect, Terms, catalogue, check_effects
 from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, REFERENCE_NM
 from trackres_ros.effects.effect import conditions as known_conditions
 from trackres_ros.effects.native import is_compiled, reads_drag_area
-from trackres_ros.effects.stepping import FIRST_OWN, effect_table, look, new_memory, new_work, step_effects
+from trackres_ros.effects.stepping import FIRST_OWN, effect_table, new_memory
 from trackres_ros.effects.vehicle.payne import EXPONENT
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator
@@ -89,15 +89,12 @@ def test_a_typical_effect_does_what_it_says_it_acts_on(name):
 
 
 @pytest.mark.parametrize("name", sorted(set(NAMES) - OF_SENSORS))
-def test_the_step_runs_what_the_file_says_as_machine_code(name):
-    active = Active(CATALOGUE[name], CATALOGUE[name].values())
+def test_the_step_runs_what_the_file_says_as_machine_code(stepped, name):
+    active, memory = Active(CATALOGUE[name], CATALOGUE[name].values()), new_memory(1)
     assert is_compiled(active.effect)
-    facts, table, memory = vehicle_constants(load("xgd24d")), effect_table([active]), new_memory(1)
-    work = new_work(facts)
     for speed in (-3.0, 0.0, 0.2, 6.0, 13.0):
         at = conditions(speed=speed)
-        look(work, *at[1:9], at.belt)
-        assert step_effects(table.rows, table.values, memory, work, 0.0) == 0
+        work = stepped([active], at, memory)
         lag = active.lag(at)
         said = active.terms(at, 0.0 if lag is None else memory[FIRST_OWN])
         assert same(Terms(*work[:10]), said)
@@ -132,12 +129,13 @@ def table_of(folder, constant=2.0, more="", function="cos", parameters="TORQUE, 
     return effect_table([Active(effect, effect.values())])
 
 
-def torque_by(table):
-    gc.collect()
-    memory, work = new_memory(1), new_work(vehicle_constants(load("xgd24d")))
-    look(work, *conditions()[1:9], np.nan)
-    assert step_effects(table.rows, table.values, memory, work, 0.0) == 0
-    return work[0]
+@pytest.fixture
+def torque_by(stepped):
+    def by(table):
+        gc.collect()
+        return stepped(table, conditions())[0]
+
+    return by
 
 
 def _air(at):
@@ -154,14 +152,14 @@ def test_what_looks_at_the_drag_area_is_known_by_its_code():
     assert reads_drag_area(Gust())
 
 
-def test_editing_an_effect_file_changes_its_code(tmp_path):
+def test_editing_an_effect_file_changes_its_code(tmp_path, torque_by):
     assert torque_by(table_of(tmp_path, 2.0)) == 20.0
     assert torque_by(table_of(tmp_path, 3.0)) == 30.0
     assert torque_by(table_of(tmp_path, 3.0, parameters="SHARE, TORQUE")) == 30.0
     assert torque_by(table_of(tmp_path, 3.0, function="sin")) == 0.0
 
 
-def test_an_effect_file_is_compiled_once(tmp_path, monkeypatch):
+def test_an_effect_file_is_compiled_once(tmp_path, torque_by, monkeypatch):
     table_of(tmp_path)
     kept = []
     monkeypatch.setattr(code_cache, "keep", lambda *given: kept.append(given))
@@ -171,19 +169,16 @@ def test_an_effect_file_is_compiled_once(tmp_path, monkeypatch):
     assert kept
 
 
-def test_an_uncompilable_effect_runs_as_long_as_its_table_lives(tmp_path):
+def test_an_uncompilable_effect_runs_as_long_as_its_table_lives(tmp_path, torque_by):
     tables = [table_of(tmp_path, float(i), " + len(type(self).text) - 8") for i in range(3)]
     assert [torque_by(table) for table in tables] == [1.0, 11.0, 21.0]
 
 
-def test_an_effects_own_state_follows_its_target_exactly():
+def test_an_effects_own_state_follows_its_target_exactly(stepped):
     tyres = CATALOGUE["roadwheel_tyres"]
-    active = Active(tyres, {**tyres.values(), "rise": 2.0, "time_constant": 300.0})
-    facts, table, memory = vehicle_constants(load("xgd24d")), effect_table([active]), new_memory(1)
-    work = new_work(facts)
+    active, memory = Active(tyres, {**tyres.values(), "rise": 2.0, "time_constant": 300.0}), new_memory(1)
     for i in range(100):
-        look(work, *conditions(speed=5.0, ambient=10.0)[1:9], np.nan)
-        step_effects(table.rows, table.values, memory, work, 7.0 if i else 0.0)
+        stepped([active], conditions(speed=5.0, ambient=10.0), memory, dt=7.0 if i else 0.0)
         assert memory[FIRST_OWN] == pytest.approx(10.0 + 10.0 * (1.0 - np.exp(-7.0 * i / 300.0)), rel=1e-12)
 
 

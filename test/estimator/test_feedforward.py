@@ -18,7 +18,6 @@ from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, feedforward, 
 from trackres_ros.estimator.motion_step import ROLLS_FROM
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.jit.compiled import interpreted
-from trackres_ros.output.topics import RESISTANCE_PARTS
 from trackres_ros.vehicle import load
 
 START_NS = 1_700_000_000_000_000_000
@@ -165,23 +164,6 @@ def test_feedforward_is_exactly_zero_at_rest_under_sensor_noise(quantum, std):
         assert quiet == [0.0] * len(quiet)
     else:  # three standard deviations are passed now and then until it has come to rest once
         assert all(fed == 0.0 for fed in quiet[quiet.index(0.0) :])
-
-
-@settings(max_examples=40)
-@given(st.lists(st.tuples(st.just(0.02), SPEEDS), min_size=2, max_size=60))
-def test_forward_and_reverse_are_alike(steps):
-    forward = rows_of(RATES[20000.0], steps)
-    reverse = rows_of(RATES[20000.0], [(pause, -speed) for pause, speed in steps])
-    for (_, one), (_, other) in zip(forward, reverse, strict=True):
-        assert one.feedforward_torque_nm == pytest.approx(-other.feedforward_torque_nm, rel=2e-3, abs=1.0)
-
-
-@settings(max_examples=40)
-@given(st.lists(st.tuples(PAUSES_S, SPEEDS), min_size=1, max_size=20))
-def test_std_is_positive_and_finite_and_resistance_parts_add_up(steps):
-    for _, estimate in rows_of(RATES[20000.0], steps):
-        assert 0.0 < estimate.resistance_std_nm < math.inf
-        assert estimate.resistance_torque_nm == pytest.approx(sum(estimate[c] for c in RESISTANCE_PARTS.values()), abs=1e-9)
 
 
 def test_at_rest_the_standard_deviation_is_that_of_a_crawl():

@@ -14,15 +14,15 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.effects import Active, Effect, catalogue, native
-from trackres_ros.effects.learned import BELOW, BELT, BRAKES, OPEN, SPEED, STEP, Corner, Curve, Latch, SidedGain
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator import warm_up
-from trackres_ros.estimator.columns import Results
 from trackres_ros.estimator.entry_points import COMPILED, interpreted_entries
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.settings import Settings
 from trackres_ros.jit.compiled import HAVE_NUMBA, compiled
 from trackres_ros.jit.rows import Real, Reals, Row, Whole
 from trackres_ros.offline import replay as offline_replay
-from trackres_ros.vehicle import load
+from trackres_ros.vehicle import load, load_any
 
 PROGRAM = """
 import numpy as np
@@ -57,6 +57,24 @@ def test_interpreted_equals_compiled_and_loads_no_scipy():
     np.testing.assert_array_equal(np.array(found["out"]), np.array(interpreted))
 
 
+@pytest.mark.parametrize("name", ["xgd24d", "ztbus_hess19"])
+def test_messages_of_all_channels_give_the_same_bits(name):
+    vehicle, n, rows = load_any(name), 3000, []
+    for entries in (interpreted_entries(), COMPILED):
+        session = Estimator(vehicle, Settings(enable_hold_s=0.5), entries=entries).session()
+        random, channels = np.random.default_rng(3), range(len(session.estimator.channels))
+        channel = np.where(random.random(n) < 0.4, at.SPEED, random.choice(channels, n)).astype(np.int16)
+        stamp = 10**18 + np.cumsum(random.integers(1, 40_000_000, n))
+        speed = 8.0 + 3.0 * np.sin(np.arange(n) / 300.0) + random.choice([0.0, 7.0, -15.0], n, p=[0.96, 0.02, 0.02])
+        of_others = {at.LOAD: 1.02 * vehicle.weight, at.ENABLE: 1.0 * (random.random(n) > 0.2), at.DISTANCE: 0.16 * np.arange(n)}
+        small = [at.ACCEL, at.GRADE, at.YAW_RATE, at.LATITUDE, at.LONGITUDE]
+        value = np.select([channel == which for which in of_others], list(of_others.values()), speed)
+        value[np.isin(channel, small)] *= 0.01
+        rows.append(session.handle_block(channel, stamp, stamp, value).rows)
+        assert session.memory.counters[at.SPEED, at.Count.IMPLAUSIBLE] > 50
+    np.testing.assert_array_equal(*rows)
+
+
 def a_drive(steps):
     """Through standstill, forward and backward, up and down, in curves, with gaps."""
     random = np.random.default_rng(8)
@@ -84,21 +102,6 @@ def test_every_effect_gives_the_same_bits(names):
         plain, machine = interpreted_and_compiled(replace(base, **own))
         np.testing.assert_array_equal(plain, machine, err_msg=name)
         assert np.isfinite(machine[:, 0]).all()
-
-
-def test_learned_effects_of_belt_and_torque_give_the_same_bits():
-    learned = [
-        Curve(BELT, OPEN, [12.0, 20.0, 30.0]),
-        Corner(BELT, STEP, 12.0, 16.0, 30.0),
-        Corner(BELT, BELOW, 12.0, 18.0, 30.0),
-        Latch(BELT, 12.0, 15.5, 17.0, 30.0),
-        Latch(SPEED, 1.0, 4.0, 7.0, 9.0),
-        SidedGain(BRAKES, 9000.0),
-    ]
-    vehicle = replace(load("xgd24d"), effects=tuple(Active(effect, effect.values()) for effect in learned))
-    plain, machine = interpreted_and_compiled(vehicle)
-    np.testing.assert_array_equal(plain, machine)
-    assert len(np.unique(machine[:, Results.effects_nm])) > 100
 
 
 @pytest.mark.long

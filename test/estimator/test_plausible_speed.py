@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.columns import Count, Reason
-from trackres_ros.estimator.entry_points import interpreted_entries
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.plausible_speed import LONGEST_RUN_NS
 from trackres_ros.estimator.settings import Settings
@@ -265,22 +264,3 @@ def test_an_enable_that_is_neither_is_refused(value):
     drive.send(value, "enable")
     drive.along([8.0] * 5)
     assert drive.fed == 0.0
-
-
-def test_plain_python_gives_the_same_bits():
-    random = np.random.default_rng(3)
-    n, names = 3000, ["speed", "speed", "speed", "distance", "enable", "wheel_speed/front_left", "load"]
-    rows = []
-    for entries in (ENABLED.entries, interpreted_entries()):
-        session = Estimator(VEHICLE, Settings(enable_hold_s=0.5), entries=entries).session()
-        random = np.random.default_rng(3)
-        which = random.integers(0, len(names), n)
-        channel = np.array([session.channel(names[i]) for i in which], dtype=np.int16)
-        stamp = START + np.cumsum(random.integers(1, 40 * MS, n))
-        near = 8.0 + 3.0 * np.sin(np.arange(n) / 300.0) + random.choice([0.0, 7.0, -15.0], n, p=[0.96, 0.02, 0.02])
-        values = {1: 8.0 * np.arange(n) * 0.02, 0: (random.random(n) > 0.2).astype(float)}
-        value = np.where(channel == at.DISTANCE, values[1], np.where(channel == at.ENABLE, values[0], near))
-        value = np.where(channel == at.LOAD, 272e3, value)
-        rows.append(session.handle_block(channel, stamp, stamp, value).rows)
-        assert session.memory.counters[at.SPEED, Count.IMPLAUSIBLE] > 50
-    np.testing.assert_array_equal(*rows)

@@ -14,8 +14,6 @@ from hypothesis import strategies as st
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator import snapshot
-from trackres_ros.estimator.entry_points import interpreted_entries
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 from trackres_ros.vehicle import RoadVehicle, load, load_any, with_surroundings
@@ -141,23 +139,6 @@ def test_the_standard_deviation_is_the_change_by_all_ranges(name):
     known = Estimator(vehicle)
     found = [at_once(known, speed=v, acceleration=0.0).resistance_std_nm for v in speeds]
     assert found == pytest.approx(np.sqrt(squares), rel=0.01)
-
-
-def test_plain_python_and_machine_code_give_the_same_bits():
-    speeds = np.abs(np.sin(np.arange(200) / 30.0)) * 12.0
-    rows = [
-        np.array([estimate.row for estimate in driven(Estimator(BUS, entries=entries), speeds, passengers=30, grade=0.02)[1]])
-        for entries in (ESTIMATOR.entries, interpreted_entries())
-    ]
-    np.testing.assert_array_equal(*rows)
-
-
-def test_what_was_saved_goes_on_as_if_it_had_not_stopped(tmp_path):
-    session, _ = driven(ESTIMATOR, np.full(50, 6.0), accel=0.1)
-    snapshot.save(session, tmp_path / "state", saved_at=0.0)
-    resumed = snapshot.resume(Estimator(BUS), tmp_path / "state")
-    now = START_NS + 50 * 10**8
-    np.testing.assert_array_equal(session.handle(at.SPEED, now, now, 6.0).row, resumed.handle(at.SPEED, now, now, 6.0).row)
 
 
 def test_a_wheel_speed_is_a_witness_and_no_load():

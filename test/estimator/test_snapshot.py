@@ -18,8 +18,10 @@ from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import snapshot
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
 from trackres_ros.route.follower import NOTHING_YET
+from trackres_ros.vehicle import load_any
 
 HEAD = snapshot.HEAD.decode()
 START = 1_700_000_000_000_000_000
@@ -32,20 +34,32 @@ def messages(n):
     return np.zeros(n, dtype=np.int16), stamp, stamp, 8 + random.normal(0, 0.1, n)
 
 
-def test_resumed_is_bit_equal_to_never_stopped(reference, tmp_path):
-    channel, stamp, arrival, value = messages(3000)
-    whole = reference.session().handle_block(channel, stamp, arrival, value)
-    first = reference.session()
-    before = first.handle_block(channel[:1234], stamp[:1234], arrival[:1234], value[:1234])
+def driven(estimator, count):
+    session = estimator.session()
+    session.handle_block(*messages(count))
+    return session
+
+
+@pytest.fixture
+def state(reference, tmp_path):
+    """A state file of the reference vehicle."""
+    path = tmp_path / "state.json"
+    snapshot.save(driven(reference, 100), path, saved_at=1.0)
+    return path
+
+
+@pytest.mark.parametrize("name", ["xgd24d", "ztbus_hess19"])
+def test_resumed_is_bit_equal_to_never_stopped(name, tmp_path):
+    given_, estimator = messages(3000), Estimator(load_any(name))
+    whole, first = estimator.session().handle_block(*given_), estimator.session()
+    before = first.handle_block(*(part[:1234] for part in given_))
     snapshot.save(first, tmp_path / "state.json", saved_at=1.0)
-    second = snapshot.resume(reference, tmp_path / "state.json")
-    after = second.handle_block(channel[1234:], stamp[1234:], arrival[1234:], value[1234:])
+    after = snapshot.resume(estimator, tmp_path / "state.json").handle_block(*(part[1234:] for part in given_))
     assert np.array_equal(whole.rows, np.concatenate([before.rows, after.rows]), equal_nan=True)
 
 
 def test_time_off_cools_the_belt(reference, tmp_path):
-    session = reference.session()
-    session.handle_block(*messages(60_000))
+    session = driven(reference, 60_000)
     warm = session.belts[0, 0, 0]
     snapshot.save(session, tmp_path / "state.json", saved_at=1000.0)
     soon, off = snapshot.after_time_off(reference, tmp_path / "state.json", now=1600.0, ambient=0.0)
@@ -58,8 +72,7 @@ def test_time_off_cools_the_belt(reference, tmp_path):
 
 
 def test_a_clock_that_went_back_counts_as_no_time_off(reference, tmp_path):
-    session = reference.session()
-    session.handle_block(*messages(2000))
+    session = driven(reference, 2000)
     snapshot.save(session, tmp_path / "state.json", saved_at=1000.0)
     again, off = snapshot.after_time_off(reference, tmp_path / "state.json", now=10.0)
     assert off == 0.0
@@ -83,16 +96,12 @@ def test_a_clock_that_went_back_counts_as_no_time_off(reference, tmp_path):
         (lambda text: HEAD + ', "a": ' + "9" * 5000 + "}", "damaged"),
     ],
 )
-def test_a_file_that_is_not_right_says_why(reference, tmp_path, damage, said):
-    session = reference.session()
-    session.handle_block(*messages(100))
-    path = tmp_path / "state.json"
-    snapshot.save(session, path, saved_at=1.0)
-    path.write_text(damage(path.read_text()))
+def test_a_file_that_is_not_right_says_why(reference, state, damage, said):
+    state.write_text(damage(state.read_text()))
     with pytest.raises(InputError, match=said):
-        snapshot.resume(reference, path)
+        snapshot.resume(reference, state)
     with pytest.raises(InputError, match=said):
-        snapshot.after_time_off(reference, path, now=2.0)
+        snapshot.after_time_off(reference, state, now=2.0)
 
 
 @pytest.mark.parametrize(
@@ -115,20 +124,15 @@ def test_only_what_may_be_a_state_is_to_be_deleted(reference, tmp_path, data, is
     assert ("damaged" in str(refusal.value)) is is_state
 
 
-def test_a_state_of_another_vehicle_is_refused(reference, carrier, tmp_path):
-    session = reference.session()
-    session.handle_block(*messages(100))
-    snapshot.save(session, tmp_path / "state.json", saved_at=1.0)
+def test_a_state_of_another_vehicle_is_refused(carrier, state):
     with pytest.raises(InputError, match="xgd24d"):
-        snapshot.resume(carrier, tmp_path / "state.json")
+        snapshot.resume(carrier, state)
 
 
 @pytest.fixture(scope="module")
 def saved(reference):
     """A state file of a drive, as bytes."""
-    session = reference.session()
-    session.handle_block(*messages(500))
-    return snapshot.content(session, 1.0)
+    return snapshot.content(driven(reference, 500), 1.0)
 
 
 def taken(estimator, path, data):
@@ -274,19 +278,15 @@ def test_a_missing_file_is_named(reference, tmp_path):
         snapshot.resume(reference, tmp_path / "nothing.json")
 
 
-def test_a_save_that_fails_leaves_the_old_file_whole(reference, tmp_path, monkeypatch):
-    session = reference.session()
-    session.handle_block(*messages(100))
-    path = tmp_path / "state.json"
-    snapshot.save(session, path, saved_at=1.0)
-    before = path.read_bytes()
+def test_a_save_that_fails_leaves_the_old_file_whole(reference, state, monkeypatch):
+    before = state.read_bytes()
 
     def full(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
     with pytest.raises(OSError, match="No space"):
-        snapshot.save(session, path, saved_at=2.0)
-    assert path.read_bytes() == before
-    assert [p.name for p in tmp_path.iterdir()] == ["state.json"]
+        snapshot.save(driven(reference, 200), state, saved_at=2.0)
+    assert state.read_bytes() == before
+    assert [p.name for p in state.parent.iterdir()] == ["state.json"]
     assert json.loads(before)["saved_at"] == 1.0

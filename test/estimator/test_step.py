@@ -90,11 +90,6 @@ def test_each_assembly_keeps_its_own_temperature(reference):
     assert (front > rear.max() + 1.0).all()
 
 
-def test_other_vehicles_have_other_assemblies(carrier):
-    _, estimate = drive(carrier, 2.0, 1.0, 100)
-    assert len(estimate.belt_degc()) == 2
-
-
 @given(speed=st.sampled_from([-3.0, 3.0]), acceleration=st.floats(-3.0, 3.0))
 def test_gears_lose_power_whether_the_motor_drives_or_brakes(carrier, speed, acceleration):
     chassis = carrier.vehicle.chassis
@@ -191,7 +186,7 @@ def test_step_rest_run_and_session_refuse_another_vehicle(reference, carrier):
                 refused()
     effects = np.append(state.effects, 0.0)
     with pytest.raises(InputError, match=r"^state"):
-        road.step(replace(state, effects=effects), inputs, 0.1)
+        road.step(state._replace(effects=effects), inputs, 0.1)
 
 
 @pytest.mark.parametrize("name", SERIES)

@@ -6,11 +6,7 @@
 Each value is changed slightly, the vehicle driven again, and the change compared with the estimator's departures.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +17,7 @@ from trackres_ros.estimator.kernel import LEAST_STD_SHARE
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.uncertainty import REFERENCE_SPEED_SHARE, logarithms_at, spread
 from trackres_ros.model.track import load_range, track_model, with_methods
-from trackres_ros.vehicle import Vehicle, load, variants
+from trackres_ros.vehicle import load, variants
 from trackres_ros.vehicle.belt_bulk import heat_capacity
 
 CERTAIN = Settings(initial_belt_std_k=0.0, process_noise_k=0.0, ambient_std_k=0.0, ambient_unknown_std_k=0.0)
@@ -41,23 +37,12 @@ STEP = 0.2  # of a standard deviation
 
 
 @pytest.fixture(scope="module")
-def xgd24d() -> Vehicle:
-    return load("xgd24d")
-
-
-@pytest.fixture(scope="module", params=["xgd24d", "agri3t"])
-def vehicle(request: pytest.FixtureRequest) -> Vehicle:
-    """Each shipped vehicle in turn."""
-    return load(request.param)
-
-
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def cache(tmp_path_factory):
     """A cache of its own: the varied vehicles are of no use to anybody else."""
     return tmp_path_factory.mktemp("cache")
 
 
-def with_open_ranges(vehicle: Vehicle, paths: Collection[str]) -> Vehicle:
+def with_open_ranges(vehicle, paths):
     """The vehicle with every quantity certain but those named."""
     certain = {
         path: q if path in paths or isinstance(q.value, tuple) else replace(q, low=q.value, high=q.value)
@@ -66,9 +51,7 @@ def with_open_ranges(vehicle: Vehicle, paths: Collection[str]) -> Vehicle:
     return replace(vehicle, parameters=certain)
 
 
-def drive(
-    vehicle: Vehicle, cache: Path, speed: float, config: Settings = CERTAIN, ambient: float = 15.0
-) -> Mapping[str, np.ndarray]:
+def drive(vehicle, cache, speed, config=CERTAIN, ambient=15.0):
     """Columns of a drive at constant speed from belts at the ambient temperature."""
     one = Estimator(vehicle, config, cache)
     begun = one.cold_start(one.inputs(speed, ambient=ambient))
@@ -76,15 +59,12 @@ def drive(
     return {name: rows[:, i] for name, i in one.column_index.items()}
 
 
-Ends = Callable[[Vehicle, str], list[Mapping[str, np.ndarray]]]
-
-
 @pytest.fixture(scope="module")
-def ends(cache: Path) -> Ends:
+def ends(cache):
     """The drives with a quantity moved up and down, each made once."""
-    made: dict[tuple[str, str], list[Mapping[str, np.ndarray]]] = {}
+    made = {}
 
-    def of(vehicle: Vehicle, path: str) -> list[Mapping[str, np.ndarray]]:
+    def of(vehicle, path):
         if (vehicle.thermal, path) not in made:
             quantity, make = vehicle.parameters[path], variants(vehicle)
             moved = [make({path: quantity.value + sign * STEP * quantity.standard_deviation}) for sign in (1, -1)]
@@ -94,7 +74,7 @@ def ends(cache: Path) -> Ends:
     return of
 
 
-def by_differences(vehicle: Vehicle, ends: Ends, paths: Collection[str], column: str) -> np.ndarray:
+def by_differences(vehicle, ends, paths, column):
     """Standard deviation of a column: root of the sum of squares over the quantities, each by a central difference."""
     squares = np.zeros_like(TIME_S)
     for path in paths:
@@ -103,12 +83,12 @@ def by_differences(vehicle: Vehicle, ends: Ends, paths: Collection[str], column:
     return np.sqrt(squares)
 
 
-def at_least(expected: np.ndarray, carried: dict[str, np.ndarray], column: str) -> np.ndarray:
+def at_least(expected, carried, column):
     """A standard deviation of the torque is never less than the error of a torque transducer."""
     return np.maximum(expected, LEAST_STD_SHARE * carried["resistance_torque_nm"]) if column == "resistance_std_nm" else expected
 
 
-def reference_speed(vehicle: Vehicle) -> float:
+def reference_speed(vehicle):
     return REFERENCE_SPEED_SHARE * vehicle.chassis.max_speed
 
 
@@ -122,9 +102,7 @@ def reference_speed(vehicle: Vehicle) -> float:
         ("rubber.loss_modulus_scale", 0.03),
     ],
 )
-def test_uncertainty_of_one_quantity_is_the_change_it_makes(
-    xgd24d: Vehicle, cache: Path, ends: Ends, path: str, tolerance: float
-) -> None:
+def test_uncertainty_of_one_quantity_is_the_change_it_makes(xgd24d, cache, ends, path, tolerance):
     carried = drive(with_open_ranges(xgd24d, [path]), cache, reference_speed(xgd24d))
     for ours, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
         expected = at_least(by_differences(xgd24d, ends, [path], column), carried, ours)
@@ -134,7 +112,7 @@ def test_uncertainty_of_one_quantity_is_the_change_it_makes(
 
 @pytest.mark.long
 @pytest.mark.parametrize("thermal", ["lumped", "core_surface"])
-def test_the_uncertainty_of_many_quantities_adds_in_squares(xgd24d: Vehicle, cache: Path, ends: Ends, thermal: str) -> None:
+def test_the_uncertainty_of_many_quantities_adds_in_squares(xgd24d, cache, ends, thermal):
     vehicle = with_methods(xgd24d, thermal=thermal)
     carried = drive(with_open_ranges(vehicle, ALL), cache, reference_speed(vehicle))
     for ours, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
@@ -142,13 +120,13 @@ def test_the_uncertainty_of_many_quantities_adds_in_squares(xgd24d: Vehicle, cac
         assert carried[ours] == pytest.approx(expected, rel=0.04, abs=0.02 * expected.max())
 
 
-def test_a_certain_vehicle_is_certain(xgd24d: Vehicle, cache: Path) -> None:
+def test_a_certain_vehicle_is_certain(xgd24d, cache):
     certain = drive(with_open_ranges(xgd24d, []), cache, 10.0)
     assert certain["belt_std_k/front_left"].max() < 1e-3
     assert certain["resistance_std_nm"] == pytest.approx(LEAST_STD_SHARE * certain["resistance_torque_nm"], rel=1e-6)
 
 
-def test_the_uncertainty_of_the_ambient_temperature(xgd24d: Vehicle, cache: Path) -> None:
+def test_the_uncertainty_of_the_ambient_temperature(xgd24d, cache):
     """An offset of the ambient temperature that was there from the start."""
     offset = 0.5
     uncertain = drive(with_open_ranges(xgd24d, []), cache, 10.0, replace(CERTAIN, ambient_std_k=offset))
@@ -159,7 +137,7 @@ def test_the_uncertainty_of_the_ambient_temperature(xgd24d: Vehicle, cache: Path
         )
 
 
-def test_uncertainty_of_the_start_fades(xgd24d: Vehicle, cache: Path) -> None:
+def test_uncertainty_of_the_start_fades(xgd24d, cache):
     """A belt 5 K warmer or colder is forgotten during the drive; random departures stay bounded."""
     started = drive(with_open_ranges(xgd24d, []), cache, 10.0, replace(CERTAIN, initial_belt_std_k=5.0))["belt_std_k/front_left"]
     assert started[0] == pytest.approx(5.0, rel=1e-3)
@@ -177,12 +155,12 @@ def test_uncertainty_of_the_start_fades(xgd24d: Vehicle, cache: Path) -> None:
         ("core_surface", 0.1),  # which takes longer to heat the inside than less film does
     ],
 )  # fmt: skip
-def test_uncertainty_of_an_effect_is_the_change_it_makes(xgd24d: Vehicle, cache: Path, name: str, tolerance: float) -> None:
+def test_uncertainty_of_an_effect_is_the_change_it_makes(xgd24d, cache, name, tolerance):
     """Of a warm belt, whose heat it changes; all its ranges add in squares."""
     effect, certain, speed = catalogue()[name], with_open_ranges(xgd24d, []), 0.8 * xgd24d.chassis.max_speed
     values, width = effect.values(), {q.name: 0.1 * (q.high - q.low) for q in effect.parameters if q.off is not None}
 
-    def driven(changes: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> Mapping[str, np.ndarray]:
+    def driven(changes, ranges):
         return drive(replace(certain, effects=(Active(effect, {**values, **changes}, ranges),)), cache, speed)
 
     carried = driven({}, {one: (values[one] - width[one], values[one] + width[one]) for one in width})
@@ -195,7 +173,7 @@ def test_uncertainty_of_an_effect_is_the_change_it_makes(xgd24d: Vehicle, cache:
         assert squares**0.5 > 0.1
 
 
-def test_one_quantity_moves_loss_cooling_and_capacity_together(xgd24d: Vehicle, cache: Path) -> None:
+def test_one_quantity_moves_loss_cooling_and_capacity_together(xgd24d, cache):
     """A wider belt cools better and holds more heat at once: the covariance keeps that, it has rank one."""
     belt, rubber, path = xgd24d.tracks["triangular"].belt, xgd24d.rubber, f"{BELT}.width"
     std = xgd24d.parameters[path].standard_deviation
@@ -209,15 +187,15 @@ def test_one_quantity_moves_loss_cooling_and_capacity_together(xgd24d: Vehicle, 
 
 
 @pytest.mark.parametrize("hysteresis", ["spectral", "rainflow"])
-def test_an_uncertain_loss_is_that_of_the_vehicles_method(xgd24d: Vehicle, hysteresis: str) -> None:
+def test_an_uncertain_loss_is_that_of_the_vehicles_method(xgd24d, hysteresis):
     vehicle, belts = with_methods(xgd24d, hysteresis=hysteresis), np.array([10.0, 60.0])
     exact = track_model(vehicle, "triangular").loss.loss_force(8.0, belts, load_range(vehicle, "triangular").nominal).total
     assert np.exp(logarithms_at(vehicle, "triangular", 8.0, belts, vehicle)[:2]) == pytest.approx(exact, rel=0.01)
 
 
 @pytest.mark.parametrize("path", ["chassis.bearing_friction", "chassis.drag_coefficient"])
-def test_a_value_of_0_is_as_uncertain_as_one_next_to_it(path: str) -> None:
-    def std(vehicle: Vehicle) -> float:
+def test_a_value_of_0_is_as_uncertain_as_one_next_to_it(path):
+    def std(vehicle):
         estimator = Estimator(vehicle)
         inputs = estimator.inputs(8.0, acceleration=0.0)
         return float(estimator.step(estimator.cold_start(inputs), inputs, 0.0)[1].resistance_std_nm)
@@ -229,7 +207,7 @@ def test_a_value_of_0_is_as_uncertain_as_one_next_to_it(path: str) -> None:
     assert std(known) > std(replace(known, parameters={**known.parameters, path: certain}))
 
 
-def test_every_range_of_the_shipped_file_counts(vehicle: Vehicle, cache: Path) -> None:
+def test_every_range_of_the_shipped_file_counts(vehicle, cache):
     """The variance from all ranges is the sum of the variances from each half of them."""
     name = next(iter(vehicle.tracks))
     paths = [path for path in vehicle.parameters if path.startswith(("rubber.", "tracks."))]

@@ -7,17 +7,20 @@ import numpy as np
 import pytest
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.learner import Learner
+from trackres_ros.units import GRAVITY
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 100_000_000
 
 
 class Road:
-    """One driven vehicle, and its learner. `true` are departures that the file does not have."""
+    """One driven vehicle, and its learner. `true` are departures that the file does not have, `slope` is the ground's by the way.
 
-    def __init__(self, estimator: Estimator, mode="watch", true=None, seed=1):
+    `altitude` is the noise of an altimeter [m], `tilt` that of an IMU against the vehicle's axis.
+    """
+
+    def __init__(self, estimator, mode="watch", true=None, seed=1, slope=None, altitude=None, tilt=None):
         self.true = estimator.session()
         self.true.learned[at.Learned.on] = 1.0
         for which, departure in (true or {}).items():
@@ -26,18 +29,28 @@ class Road:
         self.random, self.steps, self.rows = np.random.default_rng(seed), 0, []
         self.said = set()
         self.ahead_ns = 0  # of the stamps
+        self.slope, self.altitude, self.tilt, self.way, self.height = slope, altitude, tilt, 0.0, 500.0
 
     def drive(self, minutes, shown=lambda torque, i: torque, speed=lambda t: 8.0 + 6.0 * np.sin(t / 60.0), noise=30.0):
         """Drive on; `shown` is the sensor's function of a torque, by the number of the step since here."""
         for i in range(round(minutes * 600.0)):
             stamp, time = START_NS + self.steps * STEP_NS, self.steps * 0.1
             self.steps += 1
-            now = speed(time)
+            now, slope = speed(time), self.slope(self.way) if self.slope else 0.0
+            self.way += 0.1 * now
+            self.height += 0.1 * now * slope
+            if self.slope:
+                self.true.handle(at.GRADE, stamp, stamp, slope)
             truth = self.true.handle(at.SPEED, stamp, stamp, now)
             arrival, stamp = stamp, stamp + self.ahead_ns
             torque = shown(truth["drive_torque_nm"], i)
             if torque is not None:
                 self.session.handle(at.TORQUE, stamp, arrival, torque + self.random.normal(0.0, noise))
+            if self.altitude is not None and self.steps % 10 == 0:
+                self.session.handle(at.ALTITUDE, stamp, arrival, self.height + self.random.normal(0.0, self.altitude))
+            if self.tilt is not None:
+                felt = GRAVITY * (slope + self.tilt) + truth["accel_mps2"] + self.random.normal(0.0, 0.3)
+                self.session.handle(at.SPECIFIC_FORCE, stamp, arrival, felt)
             estimate = self.session.handle(at.SPEED, stamp, arrival, now)
             if estimate is None:  # until a jump of the clock is confirmed
                 continue
@@ -63,5 +76,5 @@ class Road:
 
 @pytest.fixture(scope="session")
 def road(reference):
-    """`road(mode, true, seed)`: a vehicle to be driven."""
-    return lambda *given, **named: Road(reference, *given, **named)
+    """`road(mode, true, seed)`: a vehicle to be driven, by default the reference vehicle."""
+    return lambda *given, estimator=reference, **named: Road(estimator, *given, **named)

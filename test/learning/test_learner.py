@@ -18,7 +18,7 @@ from trackres_ros.learning.correction import accepted
 from trackres_ros.learning.disturbances import LASTING_SHARE
 from trackres_ros.learning.filter import corrected
 from trackres_ros.learning.learner import Learner
-from trackres_ros.learning.parameters import SLOW, STATES, VEHICLES_OWN, limits_of, make_prior, places, rise_torques
+from trackres_ros.learning.parameters import SLOW, STATES, VEHICLES_OWN, learnables, limits_of, make_prior, rise_torques
 from trackres_ros.learning.vehicle_file import write_learned
 from trackres_ros.vehicle import RoadVehicle
 from trackres_ros.vehicle.writing.vehicle_file import opened
@@ -53,16 +53,6 @@ def test_fifteen_minutes_suffice_to_learn_a_20_percent_error(learned):
     assert learned.learner.counted[at.OF_LOSS]
 
 
-def test_watching_changes_no_bit_and_learns_the_same_twice(reference, road):
-    watched, again = (road("watch", {at.OF_LOSS: 0.2}).drive(6.0) for _ in range(2))
-    assert np.array_equal(again.learner.learned.covariance, watched.learner.learned.covariance)
-    assert again.rows == watched.rows
-    plain = reference.session()
-    for i, (_, resistance, _) in enumerate(watched.rows):
-        stamp = 1_700_000_000_000_000_000 + i * 100_000_000
-        assert plain.handle(at.SPEED, stamp, stamp, 8.0 + 6.0 * np.sin(i * 0.1 / 60.0))["resistance_torque_nm"] == resistance
-
-
 def test_on_and_watching_learn_the_same(learned, road):
     on = road("on", {at.OF_LOSS: 0.2}).drive(20.0)
     own = list(VEHICLES_OWN)
@@ -85,15 +75,6 @@ def test_one_corner_is_not_the_whole(road):
     driven = road("on", {at.OF_LOSS: 0.2}).drive(3.0, speed=lambda _t: 6.0)
     assert not any(driven.learner.counted[state] for state in VEHICLES_OWN)
     assert driven.session.learned[at.Learned.on] == 0.0
-
-
-def test_a_vehicle_that_stands_is_not_pushed(learned, road):
-    driven = road("on", {at.OF_LOSS: 0.2}).drive(15.0)
-    begins = 0.1 * driven.steps
-    fastest = 8.0 + 6.0 * np.sin(begins / 60.0)
-    driven.drive(0.5, speed=lambda t: max(0.0, fastest - 2.0 * (t - begins)))
-    assert driven.rows[-1][1] == 0.0
-    assert driven.session.motion[at.Motion.feedforward] == 0.0
 
 
 @pytest.mark.parametrize("share", [0.07, -0.07])
@@ -273,7 +254,7 @@ def sure(request, tmp_path_factory):
             document = opened(described.source)
             if not isinstance(described, RoadVehicle):
                 document.set(("rubber", "file"), str(described.rubber_source))
-            paths = {path for paths, _ in places(described).values() for path in paths}
+            paths = {path for one in learnables(described) for path in one.paths}
             for path in (path for path in paths if path.startswith(("chassis", "road_load"))):  # no belt burns
                 limits = limits_of(path)
                 low = 0.0 if path.endswith("rolling_rise") else limits.low  # from a coefficient of 0 it may not fall
@@ -301,15 +282,15 @@ def test_a_written_file_has_each_learned_value_within_its_range(sure, tmp_path_f
     found = accepted(s, learner.prior, learner.counted)
     write_learned(learner, vehicle, file)
     written = tr.load_vehicle(file).parameters
-    for state in learner.own:
-        paths, factor = places(vehicle)[state]
-        for path in paths:
+    for one in learner.learnables:
+        for path in one.paths:
             old, new = vehicle.parameters[path], written[path]
-            if path != paths[0] and old.value:  # only scaled with the first: known no better than before
+            if path != one.paths[0] and old.value:  # only scaled with the first: known no better than before
                 limits, scale = limits_of(path), new.value / old.value
                 assert new.low <= max(old.low * scale, limits.low) + 1e-5 * abs(new.low)
                 assert new.high >= min(old.high * scale, limits.high) - 1e-5 * abs(new.high)
-            assert new.value == pytest.approx(old.value * (1.0 + factor * found[state]), rel=1e-5)  # as it acts live at last
+            acts_live = old.value * (1.0 + one.factor * found[one.state])  # at last
+            assert new.value == pytest.approx(acts_live, rel=1e-5)
             assert new.low <= new.value <= new.high
             assert new.high > new.low
             assert new == old or old.value

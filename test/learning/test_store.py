@@ -33,12 +33,6 @@ def _read_back(estimator, learner):
     return read
 
 
-def test_it_comes_back_bit_by_bit(reference, learner):
-    given_back = _read_back(reference, learner)
-    assert stored(given_back) == stored(learner)
-    assert np.array_equal(given_back.learned.covariance, learner.learned.covariance)
-
-
 @pytest.mark.parametrize("seed", [0, 2])
 def test_every_state_of_a_learner_is_read_back_bit_by_bit(seed):
     """Of blocks with any torque, on hills seen by an altitude and an IMU."""

@@ -3,8 +3,6 @@
 
 """Equations (5), (6), (12) to (21): the belt as a rope, and how a wheel bends it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -18,8 +16,7 @@ from trackres_ros.model import belt as b
 from trackres_ros.model.hysteresis import RainflowCount
 from trackres_ros.model.strain_history import along_belt, build_loop
 from trackres_ros.model.track import steady_tension, track_model
-from trackres_ros.vehicle import Track, Vehicle
-from trackres_ros.vehicle.belt_bulk import heat_capacity, mass_per_length
+from trackres_ros.vehicle.belt_bulk import arc_length, heat_capacity, mass_per_length
 
 masses = st.floats(0.5, 200.0)  # kg/m
 half_spans = st.floats(0.05, 5.0)  # m
@@ -27,19 +24,19 @@ stiffnesses = st.floats(1e6, 1e9)  # N
 sag_shares = st.floats(0.01, 0.9)  # of the half span
 
 
-def stretch_share(mass: float, half_span: float, stiffness: float) -> float:
+def stretch_share(mass, half_span, stiffness):
     return mass * b.GRAVITY * half_span / (2.0 * stiffness)
 
 
 @given(mass=masses, half_span=half_spans, stiffness=stiffnesses, share=sag_shares)
-def test_equation_15_solves_equation_14(mass: float, half_span: float, stiffness: float, share: float) -> None:
+def test_equation_15_solves_equation_14(mass, half_span, stiffness, share):
     assume(stretch_share(mass, half_span, stiffness) < 0.5 * share)
     sag = share * half_span
     tension = b.least_tension_for_sag(sag, mass, half_span, stiffness)
     assert float(b.catenary_sag(tension, mass, half_span, stiffness)) == pytest.approx(sag, rel=1e-9)
 
 
-def printed_15(section: float, modulus: float, tooth_height: float, l: float, q: float, g: float) -> float:  # noqa: E741
+def printed_15(section, modulus, tooth_height, l, q, g):  # noqa: E741
     a_e = section * modulus
     return (
         g
@@ -50,7 +47,7 @@ def printed_15(section: float, modulus: float, tooth_height: float, l: float, q:
 
 
 @given(mass=masses, half_span=half_spans, stiffness=stiffnesses, share=sag_shares)
-def test_equation_15_as_printed_pushes_the_belt(mass: float, half_span: float, stiffness: float, share: float) -> None:
+def test_equation_15_as_printed_pushes_the_belt(mass, half_span, stiffness, share):
     assume(stretch_share(mass, half_span, stiffness) < 0.5 * share)
     sag = share * half_span
     printed = printed_15(0.02, stiffness / 0.02, 2.0 * sag, half_span, mass, b.GRAVITY)
@@ -58,12 +55,12 @@ def test_equation_15_as_printed_pushes_the_belt(mass: float, half_span: float, s
     assert -printed == pytest.approx(b.least_tension_for_sag(sag, mass, half_span, stiffness), rel=1e-6)
 
 
-def printed_14(tension: float, mass: float, half_span: float, stiffness: float, gravity: float, tooth_height: float) -> float:
+def printed_14(tension, mass, half_span, stiffness, gravity, tooth_height):
     root = math.sqrt(1.0 + (mass * gravity * half_span / tension) ** 2) - 1.0
     return mass * gravity * half_span**2 / (2 * stiffness) * tension / (mass * gravity) * root * tooth_height / 2
 
 
-def test_equation_14_as_printed_is_not_a_length() -> None:
+def test_equation_14_as_printed_is_not_a_length():
     """In mm every length must be a thousand times the number it is in m."""
     per_metre = (15000.0, 25.0, 0.45, 7e7)
     metres = printed_14(*per_metre, b.GRAVITY, 0.08)
@@ -75,10 +72,10 @@ def test_equation_14_as_printed_is_not_a_length() -> None:
 
 
 @given(mass=masses, half_span=half_spans, stiffness=stiffnesses, tension=st.floats(100.0, 1e5))
-def test_sag_follows_from_the_balance_of_forces(mass: float, half_span: float, stiffness: float, tension: float) -> None:
+def test_sag_follows_from_the_balance_of_forces(mass, half_span, stiffness, tension):
     """Equations (12) and (13): walk along the rope, its slope is carried weight over F, each piece stretched by its tension."""
 
-    def rise(s: float) -> float:
+    def rise(s):
         slope = mass * b.GRAVITY * s / tension
         secant = math.sqrt(1.0 + slope * slope)
         return slope / secant * (1.0 + tension * secant / stiffness)
@@ -88,20 +85,20 @@ def test_sag_follows_from_the_balance_of_forces(mass: float, half_span: float, s
 
 
 @given(first=st.floats(10.0, 1e6), second=st.floats(10.0, 1e6))
-def test_more_tension_less_sag(first: float, second: float) -> None:
+def test_more_tension_less_sag(first, second):
     low, high = sorted((first, second))
     assume(high > low * (1 + 1e-6))
     sags = b.catenary_sag(np.array([low, high]), 25.0, 0.45, 7e7)
     assert sags[0] > sags[1]
 
 
-def test_a_belt_that_stretches_past_its_sag_is_refused() -> None:
+def test_a_belt_that_stretches_past_its_sag_is_refused():
     with pytest.raises(ValueError, match="no tension holds it"):
         b.least_tension_for_sag(0.001, 100.0, 5.0, 1e4)
 
 
 @given(pretension=st.floats(0.0, 1e5))
-def test_the_tension_is_the_greater_of_spring_and_sag(triangular: Track, xgd24d: Vehicle, pretension: float) -> None:
+def test_the_tension_is_the_greater_of_spring_and_sag(triangular, xgd24d, pretension):
     belt, modulus = replace(triangular.belt, pretension=pretension), 12e6
     needed = b.least_tension_for_sag(
         belt.tooth_height / 2, mass_per_length(belt, xgd24d.rubber), belt.sag_half_span, float(b.axial_stiffness(belt, modulus))
@@ -109,14 +106,14 @@ def test_the_tension_is_the_greater_of_spring_and_sag(triangular: Track, xgd24d:
     assert b.belt_tension(belt, xgd24d.rubber, modulus) == pytest.approx(max(pretension, needed), rel=1e-6)
 
 
-def test_a_real_pretension_is_well_above_what_the_sag_needs(vehicle: Vehicle, track: Track) -> None:
+def test_a_real_pretension_is_well_above_what_the_sag_needs(vehicle, track):
     assert steady_tension(track_model(vehicle, track.name), 20.0) == track.belt.pretension
     slack = replace(track.belt, pretension=0.0)
     assert b.belt_tension(slack, vehicle.rubber, 12e6) < 0.2 * track.belt.pretension
 
 
 @given(modulus=st.floats(1e5, 1e10))
-def test_equations_5_and_6_add_cords_and_rubber(triangular: Track, modulus: float) -> None:
+def test_equations_5_and_6_add_cords_and_rubber(triangular, modulus):
     belt = triangular.belt
     section = belt.width * belt.thickness
     by_hand = 1.2e11 * 0.0006 + modulus * (0.635 * 0.035 - 0.0006)
@@ -125,7 +122,7 @@ def test_equations_5_and_6_add_cords_and_rubber(triangular: Track, modulus: floa
     assert min(modulus, belt.cord_modulus) <= mean_modulus <= max(modulus, belt.cord_modulus)
 
 
-def test_the_printed_cord_modulus_changes_the_loss_by_little(xgd24d: Vehicle, triangular: Track) -> None:
+def test_the_printed_cord_modulus_changes_the_loss_by_little(xgd24d, triangular):
     """12 GPa instead of 120 GPa: the belt is a tenth as stiff, yet drive and steady tension hardly lose anything."""
     losses = []
     for modulus in (1.2e10, 1.2e11):
@@ -137,7 +134,7 @@ def test_the_printed_cord_modulus_changes_the_loss_by_little(xgd24d: Vehicle, tr
 
 
 @given(steady=st.floats(0.0, 0.01), height=st.floats(0.0, 0.035))
-def test_a_steady_tension_dissipates_nothing(triangular: Track, xgd24d: Vehicle, steady: float, height: float) -> None:
+def test_a_steady_tension_dissipates_nothing(triangular, xgd24d, steady, height):
     """Equations (16) to (18): it moves the means of the cycles, not their ranges, and no harmonic but the constant."""
     count = RainflowCount(triangular, track_model(xgd24d, "triangular").rubber)
     plain, pulled = count.along_cycles(height, 1e-4), count.along_cycles(height, 1e-4, steady)
@@ -150,7 +147,7 @@ def test_a_steady_tension_dissipates_nothing(triangular: Track, xgd24d: Vehicle,
 
 
 @pytest.mark.parametrize("method", ["spectral", "rainflow"])
-def test_the_loss_by_tension_is_zero_whatever_the_pretension(xgd24d: Vehicle, triangular: Track, method: str) -> None:
+def test_the_loss_by_tension_is_zero_whatever_the_pretension(xgd24d, triangular, method):
     losses = []
     for pretension in (0.0, 15e3, 25e3):
         track = replace(triangular, belt=replace(triangular.belt, pretension=pretension))
@@ -162,22 +159,22 @@ def test_the_loss_by_tension_is_zero_whatever_the_pretension(xgd24d: Vehicle, tr
 
 
 @given(radius=st.floats(0.02, 1.0), wrap=st.floats(0.1, 6.0), height=st.floats(0.0, 0.035))
-def test_equations_19_and_20(triangular: Track, radius: float, wrap: float, height: float) -> None:
+def test_equations_19_and_20(triangular, radius, wrap, height):
     """A layer's arc over that of the cord: the strain is its distance from the cord times the curvature."""
     h0 = triangular.belt.cord_height
     stretch = wrap * (radius + height) - wrap * (radius + h0)
     strain = stretch / (wrap * (radius + h0))
-    assert b.arc_length(radius, wrap, triangular.belt) == pytest.approx(wrap * (radius + h0))
+    assert arc_length(radius, wrap, triangular.belt) == pytest.approx(wrap * (radius + h0))
     assert (height - h0) * b.signed_curvature(radius, wrap, triangular.belt) == pytest.approx(strain, abs=1e-12)
 
 
-def test_a_wheel_on_the_outer_face_bends_backwards(agri3t: Vehicle) -> None:
+def test_a_wheel_on_the_outer_face_bends_backwards(agri3t):
     belt = agri3t.tracks["low"].belt
     assert b.signed_curvature(0.06, -0.2, belt) == pytest.approx(-1.0 / (0.06 + belt.thickness - belt.cord_height))
     assert b.signed_curvature(0.06, 0.2, belt) == pytest.approx(1.0 / (0.06 + belt.cord_height))
 
 
-def test_equation_21_bending_stress_is_zero_at_the_cord(triangular: Track) -> None:
+def test_equation_21_bending_stress_is_zero_at_the_cord(triangular):
     """Rubber above the cord is pulled and below it pushed; E (h - h0) kappa, its square integrated in closed form."""
     belt = triangular.belt
     for order in range(4):
@@ -187,7 +184,7 @@ def test_equation_21_bending_stress_is_zero_at_the_cord(triangular: Track) -> No
     assert b.bending_moment_of_height(belt, 2) == pytest.approx(second)
 
 
-def test_mass_and_heat_capacity_of_the_reference_belt(xgd24d: Vehicle, triangular: Track) -> None:
+def test_mass_and_heat_capacity_of_the_reference_belt(xgd24d, triangular):
     """q is a mass per length, and C = L_R (rho A_r c_p + rho_s A_w c_s)."""
     rubber_section = 0.635 * 0.035 - 0.0006 + 0.004
     assert mass_per_length(triangular.belt, xgd24d.rubber) == pytest.approx(1000 * rubber_section + 7850 * 0.0006)

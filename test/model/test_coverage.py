@@ -3,13 +3,9 @@
 
 """Where the rubber data end, where a belt settles, and that forward and reverse are one."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -35,10 +31,10 @@ from trackres_ros.model.coverage import (
 from trackres_ros.model.loss_table import loss_table, reverse_share
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.track import load_range, track_model, with_methods
-from trackres_ros.vehicle import Vehicle, load, load_any
+from trackres_ros.vehicle import load, load_any
 
 
-def cut(vehicle: Vehicle, low: float, high: float) -> Vehicle:
+def cut(vehicle, low, high):
     """The same vehicle with a sweep that begins and ends elsewhere."""
     rubber = vehicle.rubber
     kept = (rubber.sweep_degc >= low) & (rubber.sweep_degc <= high)
@@ -48,13 +44,13 @@ def cut(vehicle: Vehicle, low: float, high: float) -> Vehicle:
 
 @settings(max_examples=12)
 @given(low=st.sampled_from([-60, -40, -20, 0, 20]), share=st.floats(0.02, 1.0), factor=st.floats(1.02, 3.0))
-def test_colder_or_faster_than_the_data_leaves_the_sweep(xgd24d: Vehicle, low: int, share: float, factor: float) -> None:
+def test_colder_or_faster_than_the_data_leaves_the_sweep(xgd24d, low, share, factor):
     vehicle = cut(xgd24d, low, 120)
     name, speed = next(iter(vehicle.tracks)), share * xgd24d.chassis.max_speed
     rubber, model, load_n = RubberModel(vehicle.rubber), track_model(vehicle, name), load_range(vehicle, name).nominal
     coldest = coverage(vehicle, name).coldest(rubber, speed)
 
-    def equivalent(v: float) -> float:
+    def equivalent(v):
         frequency = model.loss.contacts(v, coldest, load_n).frequency.mean()
         return float(rubber.equivalent_temperature(rubber.reduced(frequency, coldest)))
 
@@ -62,7 +58,7 @@ def test_colder_or_faster_than_the_data_leaves_the_sweep(xgd24d: Vehicle, low: i
     assert equivalent(speed * factor) == pytest.approx(low)  # faster it is held at the end
 
 
-def test_a_longer_sweep_covers_more(xgd24d: Vehicle) -> None:
+def test_a_longer_sweep_covers_more(xgd24d):
     rubber, name = RubberModel(xgd24d.rubber), next(iter(xgd24d.tracks))
     ends = [coverage(cut(xgd24d, low, 100), name).coldest(rubber, 10.0) for low in (-40, -20, 0, 20)]
     assert ends == sorted(ends)
@@ -70,7 +66,7 @@ def test_a_longer_sweep_covers_more(xgd24d: Vehicle) -> None:
 
 
 @pytest.fixture(scope="module")
-def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def short(tmp_path_factory):
     """The reference vehicle with a sweep from 0 to 60 degC."""
     folder = tmp_path_factory.mktemp("short")
     (folder / "rubber").mkdir()
@@ -82,13 +78,13 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def short_estimator(short: Path) -> Estimator:
+def short_estimator(short):
     return Estimator(load(short))
 
 
 @settings(max_examples=60)
 @given(speed=st.floats(-16.0, 16.0), belt=st.floats(-50.0, 110.0))
-def test_the_status_says_where_the_data_end(short_estimator: Estimator, speed: float, belt: float) -> None:
+def test_the_status_says_where_the_data_end(short_estimator, speed, belt):
     vehicle = short_estimator.vehicle
     covered, rubber = coverage(vehicle, "triangular"), RubberModel(vehicle.rubber)
     inputs = short_estimator.inputs(speed, ambient=15.0)
@@ -99,7 +95,7 @@ def test_the_status_says_where_the_data_end(short_estimator: Estimator, speed: f
     assert bool(estimate.reasons & Reason.OUTSIDE_TABLE) == (belt < coldest or belt > covered.hottest)
 
 
-def test_shipped_vehicles_stay_in_their_data_from_minus_50_degc(reference: Estimator, carrier: Estimator) -> None:
+def test_shipped_vehicles_stay_in_their_data_from_minus_50_degc(reference, carrier):
     for estimator in (reference, carrier):
         most = estimator.vehicle.chassis.max_speed
         name = next(iter(estimator.vehicle.tracks))
@@ -111,14 +107,14 @@ def test_shipped_vehicles_stay_in_their_data_from_minus_50_degc(reference: Estim
                 assert not estimate.reasons & Reason.OUTSIDE_TABLE
 
 
-def parted(vehicle: Vehicle, thermal: str, resistance: float) -> Vehicle:
+def parted(vehicle, thermal, resistance):
     """The same vehicle with a thermal model and the effect `core_surface` [K/W]."""
     effect = Active(catalogue()["core_surface"], {"resistance": resistance})
     return replace(with_methods(vehicle, thermal=thermal), effects=(effect,))
 
 
 @pytest.mark.parametrize(("thermal", "resistance"), [("lumped", 0.0), ("lumped", 0.004), ("core_surface", 0.0)])
-def test_the_balance_is_where_a_long_drive_ends(xgd24d: Vehicle, thermal: str, resistance: float) -> None:
+def test_the_balance_is_where_a_long_drive_ends(xgd24d, thermal, resistance):
     vehicle = parted(xgd24d, thermal, resistance)
     estimator = Estimator(vehicle)
     speed = vehicle.chassis.max_speed
@@ -129,7 +125,7 @@ def test_the_balance_is_where_a_long_drive_ends(xgd24d: Vehicle, thermal: str, r
     assert belt == pytest.approx(balance_degc(vehicle, "triangular", loss_table(vehicle, "triangular"), speed, 15.0), abs=0.2)
 
 
-def changed(tmp_path: Path, change: dict[str, float]) -> Path:
+def changed(tmp_path, change):
     content = yaml.safe_load((config_dir() / "xgd24d.yaml").read_text(encoding="utf-8"))
     for path, value in change.items():
         at = content
@@ -140,7 +136,7 @@ def changed(tmp_path: Path, change: dict[str, float]) -> Path:
     return tmp_path / "mine.yaml"
 
 
-def test_a_fitted_resistance_in_a_belt_refuses_no_vehicle() -> None:
+def test_a_fitted_resistance_in_a_belt_refuses_no_vehicle():
     hot = parted(load("xgd24d", {"chassis.ambient": 45.0}), "core_surface", 0.01)
     assert check_heat(hot, "triangular", loss_table(hot, "triangular")) > DESTROYED_DEGC
 
@@ -152,7 +148,7 @@ BURNS = {
 }
 
 
-def test_a_vehicle_that_overheats_is_refused_with_temperature(tmp_path: Path, trackres: Any) -> None:
+def test_a_vehicle_that_overheats_is_refused_with_temperature(tmp_path, trackres):
     path = changed(tmp_path, BURNS)
     vehicle = load(path)
     with pytest.raises(InputError, match=r"settles at \d+ degC"):
@@ -165,7 +161,7 @@ def test_a_vehicle_that_overheats_is_refused_with_temperature(tmp_path: Path, tr
         assert done.stderr.strip().splitlines()[-1].startswith("trackres: error: ")
 
 
-def test_vehicle_check_says_what_the_data_cover(short: Path, good: Any) -> None:
+def test_vehicle_check_says_what_the_data_cover(short, good):
     text = good("vehicle", "check", short)
     assert "  ! track triangular: the rubber data end at" in text
     assert "settles at" in text
@@ -179,11 +175,9 @@ def test_vehicle_check_says_what_the_data_cover(short: Path, good: Any) -> None:
 @settings(max_examples=15)
 @given(speeds=st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=30), ambient=st.floats(-30.0, 40.0), grade=st.floats(-0.2, 0.2))
 @pytest.mark.parametrize("which", ["reference", "carrier"])
-def test_a_mirrored_drive_reverses_the_sign_of_every_torque(
-    request: pytest.FixtureRequest, which: str, speeds: list[float], ambient: float, grade: float
-) -> None:
+def test_a_mirrored_drive_reverses_the_sign_of_every_torque(request, which, speeds, ambient, grade):
     """To rounding where the drive's strain does not meet bending, else to what `vehicle check` says of the vehicle."""
-    estimator: Estimator = request.getfixturevalue(which)
+    estimator = request.getfixturevalue(which)
     vehicle = estimator.vehicle
     name = next(iter(vehicle.tracks))
     share = reverse_share(loss_table(vehicle, name), load_range(vehicle, name), vehicle.tracks[name].sprocket_radius)
@@ -194,9 +188,9 @@ def test_a_mirrored_drive_reverses_the_sign_of_every_torque(
             inputs = estimator.inputs(sign * speed * vehicle.chassis.max_speed, ambient=ambient, grade=sign * grade)
             session, estimate = estimator.step(session, inputs, 0.5)
         rows.append(estimate)
-    odd = ("resistance_torque_nm", "hysteresis_nm", "bearing_nm", "wind_nm", "grade_nm", "inertia_nm", "drive_torque_nm")
+    odd = ("resistance_torque", "hysteresis", "bearing", "wind", "grade", "inertia", "drive_torque", "feedforward_torque")
     scale = 1e-9 + 10.0 * share  # 10: the table's share is of a torque of 0.15 of the load, a hard brake has more
-    for column in odd:
+    for column in (f"{name}_nm" for name in odd):
         assert rows[1][column] == pytest.approx(-rows[0][column], rel=scale, abs=1e-6 + scale * abs(rows[0]["hysteresis_nm"]))
     assert rows[1].belt_degc() == pytest.approx(rows[0].belt_degc(), rel=scale, abs=1e-9)
     assert rows[1].reasons == rows[0].reasons
@@ -204,7 +198,7 @@ def test_a_mirrored_drive_reverses_the_sign_of_every_torque(
 
 
 @given(speed=st.floats(0.1, 16.0), belt=st.floats(-90.0, 150.0), share=st.floats(0.1, 2.5))
-def test_remarks_and_status_name_the_same_belts(short_estimator: Estimator, speed: float, belt: float, share: float) -> None:
+def test_remarks_and_status_name_the_same_belts(short_estimator, speed, belt, share):
     vehicle = short_estimator.vehicle
     inputs = short_estimator.inputs(speed, ambient=15.0, weight=share * vehicle.weight)
     _, estimate = short_estimator.step(short_estimator.cold_start(inputs, belt), inputs, 0.0)
@@ -214,7 +208,7 @@ def test_remarks_and_status_name_the_same_belts(short_estimator: Estimator, spee
 
 
 @pytest.mark.long
-def test_commands_say_that_they_extrapolate(short: Path, good: Any, tmp_path: Path) -> None:
+def test_commands_say_that_they_extrapolate(short, good, tmp_path):
     (tmp_path / "drive.csv").write_text("time_s,speed_kmh,belt_degc\n0,0,40\n10,36,40\n60,36,40\n")
     (tmp_path / "hot.csv").write_text("time_s,speed_kmh,belt_degc\n0,10,90\n10,20,90\n60,20,90\n")
     said = "The torque is extrapolated, and the status shows OUTSIDE_TABLE"
@@ -235,7 +229,7 @@ def test_commands_say_that_they_extrapolate(short: Path, good: Any, tmp_path: Pa
 
 
 @pytest.mark.parametrize("name", [*shipped_vehicles(), *shipped_road_vehicles()])
-def test_a_refused_speed_is_above_the_limit_that_is_shown(name: str) -> None:
+def test_a_refused_speed_is_above_the_limit_that_is_shown(name):
     vehicle = load_any(name)
     with pytest.raises(InputError) as refused:
         check_speed(vehicle, 1.001 * OVERSPEED * vehicle.chassis.max_speed)

@@ -3,20 +3,16 @@
 
 """One operating point by parts: complete, and the parts add up."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackres_ros.effects import Active, Conditions, Effect, Parameter, Terms
-from trackres_ros.effects.effect import Values
+from trackres_ros.effects import Active, Effect, Parameter, Terms
 from trackres_ros.effects.stepping import MOST_TORQUE
 from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.entry_points import interpreted_entries
@@ -25,7 +21,7 @@ from trackres_ros.model.operating_point import explain, explain_road, left_out_a
 from trackres_ros.model.resistance import direction
 from trackres_ros.model.track import with_methods
 from trackres_ros.route.learned import SLOPE, RouteMap
-from trackres_ros.vehicle import AnyVehicle, Vehicle, load, load_any
+from trackres_ros.vehicle import Vehicle, load, load_any
 
 FULL_SPEED = 50 / 3.6
 PARTS = ("indentation", "bending", "tension", "drive")
@@ -35,7 +31,7 @@ temperatures = st.floats(-40.0, 110.0)
 weights = st.floats(1.5e5, 4e5)
 
 
-def test_what_a_point_consists_of(vehicle: Vehicle) -> None:
+def test_what_a_point_consists_of(vehicle):
     point = explain(vehicle, 3.0, 20.0)
     assert set(point) >= {"wheel_loads_n", "contact", "tension_n", "loss_force_n", "torque_nm", "heat_w", "cooling_w", "rainflow"}
     assert set(point["loss_force_n"]) == {*PARTS, "total"}
@@ -52,7 +48,7 @@ def test_what_a_point_consists_of(vehicle: Vehicle) -> None:
         assert math.isfinite(mean)
 
 
-def test_a_point_survives_json(vehicle: Vehicle) -> None:
+def test_a_point_survives_json(vehicle):
     point = explain(vehicle, 3.0, 20.0)
     assert json.loads(json.dumps(point, allow_nan=False)) == point
 
@@ -60,7 +56,7 @@ def test_a_point_survives_json(vehicle: Vehicle) -> None:
 @pytest.mark.parametrize("method", ["spectral", "rainflow"])
 @few
 @given(speed=speeds, belt_degc=temperatures, weight=weights)
-def test_parts_add_up(xgd24d: Vehicle, method: str, speed: float, belt_degc: float, weight: float) -> None:
+def test_parts_add_up(xgd24d, method, speed, belt_degc, weight):
     """Wheel loads to the weight, causes to the loss, parts to the torque of equation (32), losses times speed to the heat."""
     vehicle = with_methods(xgd24d, hysteresis=method)
     point = explain(vehicle, speed, belt_degc, 15.0, weight)
@@ -78,14 +74,14 @@ def test_parts_add_up(xgd24d: Vehicle, method: str, speed: float, belt_degc: flo
 
 @few
 @given(speed=st.floats(0.0, 16.0), belt_degc=temperatures)
-def test_reverse_turns_the_torque_and_keeps_the_heat(xgd24d: Vehicle, speed: float, belt_degc: float) -> None:
+def test_reverse_turns_the_torque_and_keeps_the_heat(xgd24d, speed, belt_degc):
     forward, reverse = (explain(xgd24d, v, belt_degc) for v in (speed, -speed))
     assert reverse["heat_w"] == pytest.approx(forward["heat_w"], rel=1e-6)
     for part, torque in forward["torque_nm"].items():
         assert -reverse["torque_nm"][part] == pytest.approx(torque, rel=1e-6, abs=1e-9)
 
 
-def test_standing_there_is_neither_heat_nor_torque(vehicle: Vehicle) -> None:
+def test_standing_there_is_neither_heat_nor_torque(vehicle):
     point = explain(vehicle, 0.0, 40.0)
     assert point["heat_w"] == 0.0
     assert set(point["torque_nm"].values()) == {0.0}
@@ -95,7 +91,7 @@ def test_standing_there_is_neither_heat_nor_torque(vehicle: Vehicle) -> None:
 
 @pytest.mark.parametrize("method", ["spectral", "rainflow"])
 @pytest.mark.parametrize("name", ["xgd24d", "agri3t"])
-def test_the_exact_point_is_what_the_estimator_shows(name: str, method: str) -> None:
+def test_the_exact_point_is_what_the_estimator_shows(name, method):
     """Within the error of its table: torque by part, heat and cooling of a belt at 40 degC."""
     vehicle = with_methods(load(name), hysteresis=method)
     speed, one = 0.8 * vehicle.chassis.max_speed, Estimator(vehicle)
@@ -110,7 +106,7 @@ def test_the_exact_point_is_what_the_estimator_shows(name: str, method: str) -> 
     assert estimate["cooling_w"] == pytest.approx(point["cooling_w"], rel=1e-6)
 
 
-def test_contacts_carry_their_wheel_loads(xgd24d: Vehicle) -> None:
+def test_contacts_carry_their_wheel_loads(xgd24d):
     """By hand from the numbers shown: F = 2 E L a^3/(3 R H) within the terms of higher order."""
     point, track = explain(xgd24d, FULL_SPEED, 15.0), xgd24d.tracks["triangular"]
     for load_n, contact in zip(point["wheel_loads_n"][0], point["contact"], strict=True):
@@ -121,7 +117,7 @@ def test_contacts_carry_their_wheel_loads(xgd24d: Vehicle) -> None:
         assert contact["max_strain"] == pytest.approx(a**2 / (2 * track.road_wheels.radius * track.belt.thickness), rel=0.02)
 
 
-def test_the_rainflow_matrix_of_the_reference_point(xgd24d: Vehicle) -> None:
+def test_the_rainflow_matrix_of_the_reference_point(xgd24d):
     """Equation (25): four contacts, and three wraps that bend the outer face by (H - h0)/(R + h0), about the steady strain."""
     point, track = explain(xgd24d, FULL_SPEED, 15.0), xgd24d.tracks["triangular"]
     through = [row for row in point["rainflow"] if row[3] == "through"]
@@ -143,18 +139,18 @@ class Odd(Effect):
     name, acts_on, belongs_to, text = "odd", "torque", "vehicle", "an effect of a user's own"
     parameters = (Parameter("size", "1", -1e9, 1e9, 1.0, "torque over that of the limit", off=0.0),)
 
-    def terms(self, at: Conditions, p: Values) -> Terms:
+    def terms(self, at, p):
         most = MOST_TORQUE * at.facts.weight * at.facts.radius
         return Terms(torque=most / p.size) if p.size < 1e3 else Terms(heat=p.size)
 
 
 @pytest.mark.parametrize("name", ["agri3t", "bmw_i3"])
 @pytest.mark.parametrize(("size", "acts"), [(1.01, True), (0.99, False), (0.0, False), (math.nan, False), (1e6, False)])
-def test_a_point_leaves_out_what_the_step_refuses(name: str, size: float, acts: bool) -> None:
+def test_a_point_leaves_out_what_the_step_refuses(name, size, acts):
     plain = load_any(name)
     vehicle = replace(plain, effects=(Active(Odd(), {"size": size}),))
 
-    def point(of: AnyVehicle) -> dict[str, Any]:
+    def point(of):
         return explain(of, 2.0, 20.0) if isinstance(of, Vehicle) else explain_road(of, 2.0)
 
     found = point(vehicle)
@@ -168,7 +164,7 @@ def test_a_point_leaves_out_what_the_step_refuses(name: str, size: float, acts: 
 
 
 @pytest.mark.parametrize("name", ["agri3t", "bmw_i3"])
-def test_a_point_has_no_place_and_leaves_out_the_route(name: str) -> None:
+def test_a_point_has_no_place_and_leaves_out_the_route(name):
     one = np.zeros(1)
     vehicle = replace(load_any(name), route=(RouteMap(SLOPE, one, one, one, np.zeros((1, 2)), np.ones((1, 2)), np.ones(1, int)),))
     found = explain(vehicle, 2.0, 20.0) if isinstance(vehicle, Vehicle) else explain_road(vehicle, 2.0)

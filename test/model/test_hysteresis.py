@@ -3,8 +3,6 @@
 
 """Equations (27) to (29): heat per metre of travel, by closed forms, by the work of the stress, and against each other."""
 
-from __future__ import annotations
-
 import math
 from copy import copy
 from dataclasses import replace
@@ -16,12 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.model import contact, hysteresis
-from trackres_ros.model.belt import bending_moment_of_height, wrapped_radius
-from trackres_ros.model.hysteresis import HARMONICS, METHODS, LossMethod, RainflowCount, Spectral
+from trackres_ros.model.belt import bending_moment_of_height
+from trackres_ros.model.hysteresis import HARMONICS, METHODS, RainflowCount, Spectral
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.strain_history import Profile, along_belt, build_loop, indentation_amplitudes
 from trackres_ros.model.track import load_range
-from trackres_ros.vehicle import Rubber, Track, Vehicle, load
+from trackres_ros.vehicle import load
+from trackres_ros.vehicle.belt_bulk import wrapped_radius
 
 FLAT_STORAGE, FLAT_LOSS = 20e6, 2e6  # of the rubber without dispersion
 FLAT_DYNAMIC = math.hypot(FLAT_STORAGE, FLAT_LOSS)
@@ -33,12 +32,12 @@ temperatures = st.floats(-50.0, 120.0)
 both_methods = pytest.mark.parametrize("method", list(METHODS))
 
 
-def single_wheel(track: Track) -> Track:
+def single_wheel(track):
     """The same track on one road wheel: an isolated pulse through the thickness."""
     return replace(track, beams=0, road_wheels=replace(track.road_wheels, positions=(0.675,)))
 
 
-def bending_by_hand(track: Track, loss_modulus: float) -> float:
+def bending_by_hand(track, loss_modulus):
     """F_bend with kappa = 1: (pi/4) E'' W [(H-h0)^3 + h0^3]/3 times the sum of squared curvatures."""
     belt = track.belt
     section = ((belt.thickness - belt.cord_height) ** 3 + belt.cord_height**3) / 3.0
@@ -46,7 +45,7 @@ def bending_by_hand(track: Track, loss_modulus: float) -> float:
     return math.pi / 4.0 * loss_modulus * belt.width * section * curvatures
 
 
-def indentation_by_hand(track: Track, load: float) -> float:
+def indentation_by_hand(track, load):
     """F_ind of one wheel for small contacts, without its factor k."""
     wheels = track.road_wheels
     return (
@@ -58,15 +57,13 @@ def indentation_by_hand(track: Track, load: float) -> float:
     )
 
 
-def test_the_factors_quoted_for_one_wheel() -> None:
+def test_the_factors_quoted_for_one_wheel():
     assert round(K_RAINFLOW, 3) == 0.337
     assert round(K_EXACT, 3) == 0.547
 
 
 @given(load=st.floats(2000.0, 20000.0), speed=st.floats(0.1, 20.0), belt_degc=temperatures)
-def test_rainflow_is_16_over_pi_squared_low_on_an_isolated_pulse(
-    triangular: Track, flat_rubber: RubberModel, load: float, speed: float, belt_degc: float
-) -> None:
+def test_rainflow_is_16_over_pi_squared_low_on_an_isolated_pulse(triangular, flat_rubber, load, speed, belt_degc):
     track = single_wheel(triangular)
     counted, exact = (
         method(track, flat_rubber).loss_force(speed, belt_degc, load).indentation for method in (RainflowCount, Spectral)
@@ -75,7 +72,7 @@ def test_rainflow_is_16_over_pi_squared_low_on_an_isolated_pulse(
 
 
 @given(load=st.floats(2000.0, 8000.0))
-def test_indentation_in_closed_form(triangular: Track, flat_rubber: RubberModel, load: float) -> None:
+def test_indentation_in_closed_form(triangular, flat_rubber, load):
     track = single_wheel(triangular)
     for method, k in ((RainflowCount, K_RAINFLOW), (Spectral, K_EXACT)):
         loss = float(method(track, flat_rubber).loss_force(5.0, 20.0, load).indentation)
@@ -83,9 +80,7 @@ def test_indentation_in_closed_form(triangular: Track, flat_rubber: RubberModel,
 
 
 @given(radius=st.floats(0.1, 0.5), cord=st.floats(0.005, 0.03), loss=st.floats(0.1, 5.0), speed=st.floats(0.1, 20.0))
-def test_counted_bending_in_closed_form(
-    triangular: Track, flat_rubber: RubberModel, radius: float, cord: float, loss: float, speed: float
-) -> None:
+def test_counted_bending_in_closed_form(triangular, flat_rubber, radius, cord, loss, speed):
     wheels = tuple(replace(w, radius=radius if w.kind != "sprocket" else w.radius) for w in triangular.wrapped_wheels)
     track = replace(triangular, wrapped_wheels=wheels, belt=replace(triangular.belt, cord_height=cord, loop_length=7.0))
     rubber = RubberModel(replace(flat_rubber.rubber, loss_modulus_scale=loss))
@@ -93,12 +88,12 @@ def test_counted_bending_in_closed_form(
     assert counted == pytest.approx(bending_by_hand(track, loss * FLAT_LOSS), rel=1e-8)
 
 
-def test_counting_is_low_by_about_three_on_a_bending_plateau(triangular: Track, flat_rubber: RubberModel) -> None:
+def test_counting_is_low_by_about_three_on_a_bending_plateau(triangular, flat_rubber):
     exact = float(Spectral(triangular, flat_rubber).loss_force(5.0, 20.0, 68e3).bending)
     assert 2.5 < exact / bending_by_hand(triangular, FLAT_LOSS) < 4.0
 
 
-def test_spectral_loss_of_a_sine(triangular: Track, compound: Rubber, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_spectral_loss_of_a_sine(triangular, compound, monkeypatch):
     """Equation (28): a strain amplitude e at m cycles a loop loses pi m e^2 E''(m v/L) in a loop and unit volume."""
     rubber, length, cycles, amplitude, speed, belt_degc = RubberModel(compound), triangular.belt.loop_length, 7, 3.0, 4.0, 25.0
     at = np.arange(2000) / 2000 * length
@@ -109,9 +104,7 @@ def test_spectral_loss_of_a_sine(triangular: Track, compound: Rubber, monkeypatc
     assert loss == pytest.approx(triangular.belt.width * bending_moment_of_height(triangular.belt, 2) * per_volume, rel=1e-4)
 
 
-def test_a_counted_sine_loses_a_quarter_of_printed_equation_29(
-    triangular: Track, flat_rubber: RubberModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_counted_sine_loses_a_quarter_of_printed_equation_29(triangular, flat_rubber, monkeypatch):
     """Equation (29) has the range where (28) has the amplitude; with the amplitude, counting a sine is exact."""
     length, cycles, amplitude = triangular.belt.loop_length, 5, 2.0
     at = np.arange(2000) / 2000 * length
@@ -131,18 +124,18 @@ class Maxwell(RubberModel):
 
     MODULUS, RELAXATION_S = 5e6, 0.02
 
-    def loss_modulus(self, frequency: np.ndarray, belt_degc: np.ndarray) -> np.ndarray:
+    def loss_modulus(self, frequency, belt_degc):
         x = 2.0 * np.pi * np.asarray(frequency) * self.RELAXATION_S
         return self.MODULUS * x / (1.0 + x * x) + 0.0 * np.asarray(belt_degc)
 
 
-def maxwell_work(profile: Profile, speed: float) -> float:
+def maxwell_work(profile, speed):
     """Work [J/m^3] absorbed by a Maxwell element in one steady loop, segment by segment in closed form."""
     tau, modulus = Maxwell.RELAXATION_S, Maxwell.MODULUS
     times = np.diff(np.append(profile.position, profile.position[0] + profile.length)) / speed
     rates = np.diff(np.append(profile.value, profile.value[0])) / times
 
-    def once_round(stress: float) -> tuple[float, float]:
+    def once_round(stress):
         work = 0.0
         for t, rate in zip(times, rates, strict=True):
             settled = modulus * rate * tau
@@ -155,14 +148,14 @@ def maxwell_work(profile: Profile, speed: float) -> float:
 
 
 @pytest.mark.parametrize("speed", [0.5, 3.0, 15.0])
-def test_spectral_loss_is_the_work_of_the_stress(track: Track, compound: Rubber, speed: float) -> None:
+def test_spectral_loss_is_the_work_of_the_stress(track, compound, speed):
     """No frequency domain: integrate stress over strain round the loop, for a material whose stress is known in closed form."""
     rubber = Maxwell(compound)
     exact = maxwell_work(build_loop(track).curvature, speed) * track.belt.width * bending_moment_of_height(track.belt, 2)
     assert float(Spectral(track, rubber).loss_force(speed, 20.0, 30e3).bending) == pytest.approx(exact, rel=1e-4)
 
 
-def work_along(model: Spectral, speed: float, torque: float) -> float:
+def work_along(model, speed, torque):
     """Loss per metre of travel [N] by bending and drive of a `Maxwell` belt: the work of its stress, over the thickness."""
     belt, strain = model.track.belt, float(model.drive_strain(speed, 20.0, torque))
     corners = np.unique(np.concatenate([model.loop.curvature.position, model.loop.drive.position]))
@@ -175,7 +168,7 @@ def work_along(model: Spectral, speed: float, torque: float) -> float:
 
 
 @pytest.mark.parametrize("torque", [1e5, 2e6])
-def test_spectral_loss_of_bending_and_drive_is_the_stress_work(track: Track, compound: Rubber, torque: float) -> None:
+def test_spectral_loss_of_bending_and_drive_is_the_stress_work(track, compound, torque):
     """Equations (21) and (24): the stress of both strains at once; the torques are such that the drive counts."""
     model, speed = Spectral(track, Maxwell(compound)), 3.0
     pulled, pushed = (model.loss_force(speed, 20.0, 30e3, sign * torque) for sign in (1, -1))
@@ -188,7 +181,7 @@ def test_spectral_loss_of_bending_and_drive_is_the_stress_work(track: Track, com
         assert abs(coupling) > 1e-4 * exact[0]
 
 
-def test_the_pulse_to_fourth_order_is_as_good_as_the_circle(vehicle: Vehicle, track: Track) -> None:
+def test_the_pulse_to_fourth_order_is_as_good_as_the_circle(vehicle, track):
     """Against harmonics of the circular arc itself, at the deepest contact the tables cover."""
     model = Spectral(track, RubberModel(vehicle.rubber))
     half = float(model.contacts(1.0, 120.0, load_range(vehicle, track.name).high).half_length[0])
@@ -200,7 +193,7 @@ def test_the_pulse_to_fourth_order_is_as_good_as_the_circle(vehicle: Vehicle, tr
     assert float((n * ours**2).sum() / (n * exact**2).sum()) == pytest.approx(1.0, abs=1e-3)
 
 
-def test_twice_the_harmonics_change_loss_by_under_a_thousandth(vehicle: Vehicle, track: Track) -> None:
+def test_twice_the_harmonics_change_loss_by_under_a_thousandth(vehicle, track):
     random, points, rubber = np.random.default_rng(1), 80, RubberModel(vehicle.rubber)
     loads = load_range(vehicle, track.name)
     at = (
@@ -213,25 +206,18 @@ def test_twice_the_harmonics_change_loss_by_under_a_thousandth(vehicle: Vehicle,
     assert np.abs(doubled.bending / shipped.bending - 1.0).max() < 1e-3
 
 
-def mirrored(track: Track) -> Track:
-    """The track seen from the other side: the former front end of the ground run is its rear end."""
-    run = track.road_wheels.ground_run
-    wheels = replace(track.road_wheels, positions=tuple(run - x for x in reversed(track.road_wheels.positions)))
-    return replace(track, road_wheels=wheels, wrapped_wheels=track.wrapped_wheels[::-1])
-
-
 @cache
-def shipped(name: str, method: str, from_behind: bool = False) -> LossMethod:
+def shipped(name, method, seen=None):
     """Loss of a shipped vehicle, or of its mirror image, by a method; of few harmonics, as laws hold with any number."""
     vehicle = load(name)
     track = next(iter(vehicle.tracks.values()))
-    given_track, rubber = mirrored(track) if from_behind else track, RubberModel(vehicle.rubber)
+    given_track, rubber = seen(track) if seen else track, RubberModel(vehicle.rubber)
     return Spectral(given_track, rubber, 512) if method == "spectral" else METHODS[method](given_track, rubber)
 
 
 @both_methods
 @given(data=st.data(), belt_degc=temperatures, speed=st.floats(0.0, 1.0))
-def test_the_loss_rises_with_load(vehicle: Vehicle, method: str, data: st.DataObject, belt_degc: float, speed: float) -> None:
+def test_the_loss_rises_with_load(vehicle, method, data, belt_degc, speed):
     loads = load_range(vehicle, next(iter(vehicle.tracks)))
     low = data.draw(st.floats(loads.low, 0.98 * loads.high))
     high = data.draw(st.floats(1.01 * low, loads.high))
@@ -242,7 +228,7 @@ def test_the_loss_rises_with_load(vehicle: Vehicle, method: str, data: st.DataOb
 
 @both_methods
 @given(scale=st.floats(0.5, 1.9), belt_degc=temperatures, speed=st.floats(0.0, 16.0))
-def test_the_loss_rises_with_the_loss_modulus(xgd24d: Vehicle, method: str, scale: float, belt_degc: float, speed: float) -> None:
+def test_the_loss_rises_with_the_loss_modulus(xgd24d, method, scale, belt_degc, speed):
     """As long as the loss factor is under the square root of 3: beyond it the contact shrinks faster than the loss grows."""
     model, losses = shipped("xgd24d", method), []
     for s in (scale, 1.05 * scale):
@@ -254,11 +240,9 @@ def test_the_loss_rises_with_the_loss_modulus(xgd24d: Vehicle, method: str, scal
 
 @both_methods
 @given(speed=st.floats(0.01, 16.0), belt_degc=temperatures, share=st.floats(-0.2, 0.2))
-def test_reverse_is_the_mirror_image_of_forward(
-    vehicle: Vehicle, method: str, speed: float, belt_degc: float, share: float
-) -> None:
+def test_reverse_is_the_mirror_image_of_forward(vehicle, mirrored, method, speed, belt_degc, share):
     """Which way the vehicle travels does not matter; a torque does by its sense, as tight and slack run change over."""
-    model, from_behind = shipped(vehicle.name, method), shipped(vehicle.name, method, from_behind=True)
+    model, from_behind = shipped(vehicle.name, method), shipped(vehicle.name, method, mirrored)
     weight = load_range(vehicle, model.track.name).nominal
     torque = share * weight * model.track.sprocket_radius
     forward, reverse = (model.loss_force(v, belt_degc, weight, torque) for v in (speed, -speed))
@@ -269,7 +253,7 @@ def test_reverse_is_the_mirror_image_of_forward(
 
 
 @both_methods
-def test_the_loss_per_metre_has_a_limit_at_rest(vehicle: Vehicle, method: str) -> None:
+def test_the_loss_per_metre_has_a_limit_at_rest(vehicle, method):
     """F_h stays finite, so the heat F_h v is zero at rest, and M = F_h R1 is never 0/0 as equation (33) is."""
     loads = load_range(vehicle, next(iter(vehicle.tracks)))
     losses = shipped(vehicle.name, method).loss_force(np.array([0.0, 1e-9, 1e-8]), 20.0, loads.nominal).total
@@ -279,7 +263,7 @@ def test_the_loss_per_metre_has_a_limit_at_rest(vehicle: Vehicle, method: str) -
 
 
 @both_methods
-def test_a_vectorised_call_is_its_points(vehicle: Vehicle, method: str) -> None:
+def test_a_vectorised_call_is_its_points(vehicle, method):
     model, random = shipped(vehicle.name, method), np.random.default_rng(2)
     loads = load_range(vehicle, model.track.name)
     speed, belt_degc = random.uniform(0.0, vehicle.chassis.max_speed, (5, 1)), random.uniform(-40.0, 100.0, (1, 7))
@@ -292,7 +276,7 @@ def test_a_vectorised_call_is_its_points(vehicle: Vehicle, method: str) -> None:
 
 
 @both_methods
-def test_a_sprocket_at_any_place_of_the_loop(triangular: Track, compound: Rubber, method: str) -> None:
+def test_a_sprocket_at_any_place_of_the_loop(triangular, compound, method):
     """First or last of the wrapped wheels too, where its arc begins or ends with the ground run."""
     for turn in range(3):
         wheels = triangular.wrapped_wheels[turn:] + triangular.wrapped_wheels[:turn]
@@ -302,7 +286,7 @@ def test_a_sprocket_at_any_place_of_the_loop(triangular: Track, compound: Rubber
         assert abs(float(loss.drive)) < 0.005 * float(loss.total)
 
 
-def test_a_counted_cycle_lasts_as_long_as_its_passage(triangular: Track, compound: Rubber) -> None:
+def test_a_counted_cycle_lasts_as_long_as_its_passage(triangular, compound):
     """The contact 2a, so f = v/(2a); or the wrap of a wheel with half the length it takes up its curvature on either side."""
     count = RainflowCount(triangular, RubberModel(compound))
     half = np.array([0.02, 0.021, 0.022, 0.023])
@@ -317,7 +301,7 @@ def test_a_counted_cycle_lasts_as_long_as_its_passage(triangular: Track, compoun
     assert sorted({round(c.passage, 9) for c in bends}) == pytest.approx(sorted(arcs))
 
 
-def test_drive_torque_strains_the_belt_by_force_over_stiffness(triangular: Track, compound: Rubber) -> None:
+def test_drive_torque_strains_the_belt_by_force_over_stiffness(triangular, compound):
     model = Spectral(triangular, RubberModel(compound))
     strain = float(model.drive_strain(5.0, 20.0, 720.0))
     modulus = float(model.rubber.dynamic_modulus(5.0 / 4.8, 20.0))
@@ -325,7 +309,7 @@ def test_drive_torque_strains_the_belt_by_force_over_stiffness(triangular: Track
     assert strain < 5e-5
 
 
-def test_the_layer_stiffening_acts_on_both_moduli_of_the_layer(triangular: Track, flat_rubber: RubberModel) -> None:
+def test_the_layer_stiffening_acts_on_both_moduli_of_the_layer(triangular, flat_rubber):
     """Twice as stiff a layer loses what a material with twice both moduli loses, and bends as before."""
     stiff = RubberModel(replace(flat_rubber.rubber, layer_stiffening=2.0))
     doubled = RubberModel(

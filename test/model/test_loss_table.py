@@ -3,12 +3,8 @@
 
 """The loss on a grid: how near it is to the exact method, and when its cached form may be used."""
 
-from __future__ import annotations
-
 import csv
-import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,19 +12,18 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.files.resources import config_dir
 from trackres_ros.model import loss_table as lt
 from trackres_ros.model.hysteresis import METHODS
-from trackres_ros.model.loss_table import LossTable, fingerprint, interpolation_error, loss_table
+from trackres_ros.model.loss_table import fingerprint, interpolation_error, loss_table
 from trackres_ros.model.track import load_range, track_model, with_methods
-from trackres_ros.vehicle import Quantity, Vehicle, load, variants
+from trackres_ros.vehicle import load, variants
 
 LARGEST_ERROR = {"spectral": 0.003, "rainflow": 0.003}  # of the loss
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("method", list(METHODS))
-def test_the_table_is_as_good_as_it_says(vehicle: Vehicle, method: str) -> None:
+def test_the_table_is_as_good_as_it_says(vehicle, method):
     """At random speeds, temperatures, loads and torques of the whole range."""
     vehicle = with_methods(vehicle, hysteresis=method)
     name = next(iter(vehicle.tracks))
@@ -44,12 +39,12 @@ def test_the_table_is_as_good_as_it_says(vehicle: Vehicle, method: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def table(xgd24d: Vehicle) -> LossTable:
+def table(xgd24d):
     return loss_table(xgd24d, "triangular")
 
 
 @given(x=st.floats(-20.0, 20.0), share=st.floats(0.0, 1.0), reach=st.floats(1.0, 100.0))
-def test_beyond_its_edges_the_table_holds_its_values(table: LossTable, x: float, share: float, reach: float) -> None:
+def test_beyond_its_edges_the_table_holds_its_values(table, x, share, reach):
     last_x = table.first_x + table.step_x * (len(table.loss) - 1)
     low, high = table.first_log_load, table.first_log_load + table.step_log_load * (table.loss.shape[1] - 1)
     load_n = float(np.exp(low + share * (high - low)))
@@ -59,7 +54,7 @@ def test_beyond_its_edges_the_table_holds_its_values(table: LossTable, x: float,
 
 
 @given(x=st.floats(-7.9, 9.4), log_load=st.floats(9.6, 11.9))
-def test_the_slope_is_that_of_the_interpolation(table: LossTable, x: float, log_load: float) -> None:
+def test_the_slope_is_that_of_the_interpolation(table, x, log_load):
     at = (table.loss[np.newaxis], 0, table.first_x, table.step_x, table.first_log_load, table.step_log_load)
     value, slope = lt.look_up(*at, x, log_load)
     cell = int((x - table.first_x) / table.step_x)
@@ -69,7 +64,7 @@ def test_the_slope_is_that_of_the_interpolation(table: LossTable, x: float, log_
     assert value > 0.0
 
 
-def test_the_table_covers_a_bare_frame_and_an_overloaded_vehicle(vehicle: Vehicle) -> None:
+def test_the_table_covers_a_bare_frame_and_an_overloaded_vehicle(vehicle):
     """From hardly more than the assembly itself to two and a half times the nominal load."""
     for name, track in vehicle.tracks.items():
         loads, one = load_range(vehicle, name), loss_table(vehicle, name)
@@ -79,7 +74,7 @@ def test_the_table_covers_a_bare_frame_and_an_overloaded_vehicle(vehicle: Vehicl
         assert np.exp([one.first_log_load, last]) == pytest.approx([loads.low, loads.high])
 
 
-def test_speed_and_temperature_enter_as_one_number(xgd24d: Vehicle) -> None:
+def test_speed_and_temperature_enter_as_one_number(xgd24d):
     """The table has one axis for both: equal a_T v must mean equal loss by the exact methods."""
     rng = np.random.default_rng(4)
     for method in METHODS:
@@ -95,16 +90,16 @@ def test_speed_and_temperature_enter_as_one_number(xgd24d: Vehicle) -> None:
 
 
 @pytest.fixture
-def built(monkeypatch: pytest.MonkeyPatch, xgd24d: Vehicle, table: LossTable) -> list[str]:
+def built(monkeypatch, xgd24d, table):
     """Grows by one each time a table is built; the building itself is replaced by a table there is."""
-    calls: list[str] = []
+    calls = []
     arrays = {
         "axes": np.array([table.first_x, table.step_x, table.first_log_load, table.step_log_load]),
         "loss": table.loss,
         "drive": table.drive,
     }
 
-    def build(*_: object) -> dict[str, np.ndarray]:
+    def build(*_):
         calls.append("built")
         return arrays
 
@@ -112,7 +107,7 @@ def built(monkeypatch: pytest.MonkeyPatch, xgd24d: Vehicle, table: LossTable) ->
     return calls
 
 
-def same(one: LossTable, other: LossTable) -> bool:
+def same(one, other):
     return (
         np.array_equal(one.loss, other.loss)
         and np.array_equal(one.drive, other.drive)
@@ -121,20 +116,20 @@ def same(one: LossTable, other: LossTable) -> bool:
     )
 
 
-def stored(folder: Path) -> Path:
+def stored(folder):
     files = list(folder.iterdir())
     assert len(files) == 1  # no temporary file stays behind
     return files[0]
 
 
-def test_the_second_call_takes_the_cache(xgd24d: Vehicle, built: list[str], tmp_path: Path) -> None:
+def test_the_second_call_takes_the_cache(xgd24d, built, tmp_path):
     first, second = loss_table(xgd24d, "triangular", tmp_path), loss_table(xgd24d, "triangular", tmp_path)
     assert len(built) == 1
     assert same(first, second)
     assert xgd24d.name not in stored(tmp_path).name  # the key is a fingerprint, so a renamed vehicle finds its table
 
 
-def test_the_table_of_the_cache_is_the_one_built(agri3t: Vehicle, tmp_path: Path) -> None:
+def test_the_table_of_the_cache_is_the_one_built(agri3t, tmp_path):
     """Built in earnest: to the last bit what comes out of the file."""
     name = next(iter(agri3t.tracks))
     assert same(loss_table(agri3t, name, tmp_path), loss_table(agri3t, name, tmp_path))
@@ -143,7 +138,7 @@ def test_the_table_of_the_cache_is_the_one_built(agri3t: Vehicle, tmp_path: Path
 # Inputs of the fingerprint
 
 
-def relevant(vehicle: Vehicle) -> list[str]:
+def relevant(vehicle):
     """Scalar quantities of rubber, track and axle loads."""
     return [
         path
@@ -152,12 +147,12 @@ def relevant(vehicle: Vehicle) -> list[str]:
     ]
 
 
-def nudge(quantity: Quantity) -> float:
+def nudge(quantity):
     assert isinstance(quantity.value, float)
     return quantity.value * (1.0 + 1e-7) if abs(quantity.value) < 1e9 else quantity.value + 1.0
 
 
-def test_any_value_changes_the_fingerprint(vehicle: Vehicle) -> None:
+def test_any_value_changes_the_fingerprint(vehicle):
     name, make = next(iter(vehicle.tracks)), variants(vehicle)
     base, paths = fingerprint(vehicle, name), relevant(vehicle)
     assert len(paths) > 40
@@ -165,7 +160,7 @@ def test_any_value_changes_the_fingerprint(vehicle: Vehicle) -> None:
         assert fingerprint(make({path: nudge(vehicle.parameters[path])}), name) != base, path
 
 
-def test_the_fingerprint_follows_the_loss_method_not_other_parts(xgd24d: Vehicle) -> None:
+def test_the_fingerprint_follows_the_loss_method_not_other_parts(xgd24d):
     base = fingerprint(xgd24d, "triangular")
     assert fingerprint(with_methods(xgd24d, hysteresis="rainflow"), "triangular") != base
     assert fingerprint(with_methods(xgd24d, thermal="core_surface"), "triangular") == base
@@ -173,14 +168,8 @@ def test_the_fingerprint_follows_the_loss_method_not_other_parts(xgd24d: Vehicle
     assert fingerprint(replace(xgd24d, name="another"), "triangular") == base
 
 
-@pytest.fixture
-def copied(tmp_path: Path) -> Path:
-    """The shipped configuration in a folder of its own."""
-    return Path(shutil.copytree(config_dir(), tmp_path / "config"))
-
-
-def test_comments_and_reasons_do_not_change_the_fingerprint(xgd24d: Vehicle, copied: Path) -> None:
-    path = copied / "xgd24d.yaml"
+def test_comments_and_reasons_do_not_change_the_fingerprint(xgd24d, configuration):
+    path = configuration / "xgd24d.yaml"
     text = path.read_text(encoding="utf-8")
     path.write_text("# one more remark\n" + text.replace('geometry"', 'geometry, measured again"'), encoding="utf-8")
     assert fingerprint(load(path), "triangular") == fingerprint(xgd24d, "triangular")
@@ -189,8 +178,8 @@ def test_comments_and_reasons_do_not_change_the_fingerprint(xgd24d: Vehicle, cop
 
 
 @pytest.mark.parametrize("column", ["T_degC", "E_storage_MPa_10Hz", "E_loss_MPa_10Hz"])
-def test_any_number_of_the_rubber_file_changes_the_fingerprint(xgd24d: Vehicle, copied: Path, column: str) -> None:
-    path = copied / "rubber" / xgd24d.source.parent.joinpath("rubber", "nr_sbr_10hz.csv").name
+def test_any_number_of_the_rubber_file_changes_the_fingerprint(xgd24d, configuration, column):
+    path = configuration / "rubber" / xgd24d.source.parent.joinpath("rubber", "nr_sbr_10hz.csv").name
     with path.open(newline="", encoding="utf-8") as lines:
         rows = list(csv.DictReader(lines))
     rows[20][column] = str(float(rows[20][column]) + 1e-3)
@@ -198,11 +187,11 @@ def test_any_number_of_the_rubber_file_changes_the_fingerprint(xgd24d: Vehicle, 
         writer = csv.DictWriter(lines, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
-    assert fingerprint(load(copied / "xgd24d.yaml"), "triangular") != fingerprint(xgd24d, "triangular")
+    assert fingerprint(load(configuration / "xgd24d.yaml"), "triangular") != fingerprint(xgd24d, "triangular")
 
 
-def test_a_further_column_of_the_rubber_file_does_not(xgd24d: Vehicle, copied: Path) -> None:
-    path = copied / "rubber" / "nr_sbr_10hz.csv"
+def test_a_further_column_of_the_rubber_file_does_not(xgd24d, configuration):
+    path = configuration / "rubber" / "nr_sbr_10hz.csv"
     lines = path.read_text(encoding="utf-8").splitlines()
     path.write_text("\n".join([lines[0] + ",remark", *(line + ",x" for line in lines[1:])]) + "\n", encoding="utf-8")
-    assert fingerprint(load(copied / "xgd24d.yaml"), "triangular") == fingerprint(xgd24d, "triangular")
+    assert fingerprint(load(configuration / "xgd24d.yaml"), "triangular") == fingerprint(xgd24d, "triangular")

@@ -6,11 +6,8 @@
 Whole-vehicle torque without inertia [Nm] and mean belt temperature [degC]; the reference vehicle, film coefficient in m/s.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
-import numpy as np
 import pytest
 
 from trackres_ros.estimator.estimator import Estimator
@@ -31,21 +28,19 @@ BY_COUNT = {10: (2025, 1940), 50: (2395, 2121)}  # km/h: Nm at 60 and 2500 s, by
 
 
 @cache
-def series(
-    speed_kmh: float, ramp_s: float, weight_kn: float = 272, ambient_degc: float = 15, method: str = "spectral"
-) -> dict[str, np.ndarray]:
+def series(speed_kmh, ramp_s, weight_kn=272, ambient_degc=15, method="spectral"):
     one = Estimator(with_methods(load("xgd24d"), hysteresis=method, thermal="lumped"))
     return simulate(one, ramp_and_hold(speed_kmh / 3.6, ramp_s, 2500.0, 0.1), weight_kn * 1e3, ambient_degc)
 
 
-def at(columns: dict[str, np.ndarray], time_s: float) -> tuple[float, float]:
+def at(columns, time_s):
     row = int(round(time_s / 0.1))
     assert columns["time_s"][row] == pytest.approx(time_s)
     return float(columns["resistance_torque_nm"][row]), float(columns["belt_degc"][row])
 
 
 @pytest.mark.parametrize(("speed_kmh", "index"), [(v, i) for v in BY_SPEED for i in range(len(TIMES_S))])
-def test_torque_and_temperature_by_speed(speed_kmh: int, index: int) -> None:
+def test_torque_and_temperature_by_speed(speed_kmh, index):
     torque, belt_degc = at(series(speed_kmh, 50.0), TIMES_S[index])
     expected_nm, expected_degc = BY_SPEED[speed_kmh][index]
     assert torque == pytest.approx(expected_nm, rel=TORQUE)
@@ -53,19 +48,19 @@ def test_torque_and_temperature_by_speed(speed_kmh: int, index: int) -> None:
 
 
 @pytest.mark.parametrize("weight_kn", BY_WEIGHT)
-def test_torque_and_temperature_by_weight(weight_kn: int) -> None:
+def test_torque_and_temperature_by_weight(weight_kn):
     torque, belt_degc = at(series(50, 50.0, weight_kn), 2500.0)
     assert torque == pytest.approx(BY_WEIGHT[weight_kn][0], rel=TORQUE)
     assert belt_degc == pytest.approx(BY_WEIGHT[weight_kn][1], abs=TEMPERATURE_K)
 
 
 @pytest.mark.parametrize("ambient_degc", BY_AMBIENT)
-def test_torque_by_ambient(ambient_degc: int) -> None:
+def test_torque_by_ambient(ambient_degc):
     torques = [at(series(50, 0.0, 300, ambient_degc), time)[0] for time in (0.0, 250.0, 2500.0)]
     assert torques == pytest.approx(BY_AMBIENT[ambient_degc], rel=TORQUE)
 
 
 @pytest.mark.parametrize("speed_kmh", BY_COUNT)
-def test_torque_by_rainflow(speed_kmh: int) -> None:
+def test_torque_by_rainflow(speed_kmh):
     torques = [at(series(speed_kmh, 50.0, method="rainflow"), time)[0] for time in (60.0, 2500.0)]
     assert torques == pytest.approx(BY_COUNT[speed_kmh], rel=TORQUE)

@@ -3,8 +3,6 @@
 
 """Rainflow count, equation (25): the standard's example, an independent package, and laws for any loop."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np
@@ -21,19 +19,19 @@ real_series = st.lists(st.integers(-(10**6), 10**6).map(lambda i: i / 7e5), min_
 ASTM_SERIES = [-2.0, 1.0, -3.0, 5.0, -1.0, 3.0, -4.0, 4.0, -2.0]
 
 
-def varies(values: list[float]) -> bool:
+def varies(values):
     return len(set(values)) > 1
 
 
-def test_the_example_of_astm_e1049() -> None:
+def test_the_example_of_astm_e1049():
     """E1049-85 (2017), figure 6: ranges and counts of the rainflow count."""
-    counts: Counter[float] = Counter()
+    counts = Counter()
     for cycle in count_cycles(ASTM_SERIES):
         counts[cycle.range] += cycle.number
     assert counts == {3.0: 0.5, 4.0: 1.5, 6.0: 0.5, 8.0: 1.0, 9.0: 0.5}
 
 
-def test_the_cycles_of_the_standard_in_the_order_they_close() -> None:
+def test_the_cycles_of_the_standard_in_the_order_they_close():
     cycles = [(ASTM_SERIES[c.start], ASTM_SERIES[c.end], c.number) for c in count_cycles(ASTM_SERIES)]
     assert cycles == [
         (-2.0, 1.0, 0.5),
@@ -46,18 +44,18 @@ def test_the_cycles_of_the_standard_in_the_order_they_close() -> None:
     ]
 
 
-def rows(cycles: object) -> list[tuple[float, float, float]]:
-    return sorted((c[0], c[1], c[2]) for c in cycles)  # type: ignore[attr-defined]
+def rows(cycles):
+    return sorted((c[0], c[1], c[2]) for c in cycles)
 
 
 @given(values=series | real_series)
-def test_equal_to_the_package_rainflow(values: list[float]) -> None:
+def test_equal_to_the_package_rainflow(values):
     if varies(values):
         assert np.array(rows(count_cycles(values))) == pytest.approx(np.array(rows(package.extract_cycles(values))))
 
 
 @given(values=series)
-def test_a_loop_leaves_no_cycle_open(values: list[float]) -> None:
+def test_a_loop_leaves_no_cycle_open(values):
     """Halves come in pairs of the same range, so that all is whole; and the whole way up and down is counted, once."""
     cycles = count_loop(values)
     halves = Counter(c.range for c in cycles if c.number == 0.5)
@@ -67,11 +65,11 @@ def test_a_loop_leaves_no_cycle_open(values: list[float]) -> None:
 
 
 @given(values=series, turn=st.integers(0, 60))
-def test_a_loop_counts_the_same_wherever_it_begins(values: list[float], turn: int) -> None:
+def test_a_loop_counts_the_same_wherever_it_begins(values, turn):
     turned = values[turn % len(values) :] + values[: turn % len(values)]
 
-    def whole(loop: list[float]) -> dict[tuple[float, float], float]:
-        counts: Counter[tuple[float, float]] = Counter()
+    def whole(loop):
+        counts = Counter()
         for c in count_loop(loop):
             counts[c.range, c.mean] += c.number
         return dict(counts)
@@ -80,7 +78,7 @@ def test_a_loop_counts_the_same_wherever_it_begins(values: list[float], turn: in
 
 
 @given(values=series)
-def test_the_largest_cycle_spans_the_series_and_indices_match(values: list[float]) -> None:
+def test_the_largest_cycle_spans_the_series_and_indices_match(values):
     cycles = count_loop(values)
     if varies(values):
         assert max(c.range for c in cycles) == max(values) - min(values)
@@ -90,7 +88,7 @@ def test_the_largest_cycle_spans_the_series_and_indices_match(values: list[float
 
 
 @given(values=series)
-def test_only_turning_points_count(values: list[float]) -> None:
+def test_only_turning_points_count(values):
     points = turning_points(values)
     assert rows(count_cycles([values[i] for i in points])) == rows(count_cycles(values))
     steps = np.diff([values[i] for i in points])
@@ -98,6 +96,6 @@ def test_only_turning_points_count(values: list[float]) -> None:
 
 
 @pytest.mark.parametrize("values", [[], [1.0], [2.0, 2.0, 2.0]])
-def test_what_never_turns_has_no_cycles(values: list[float]) -> None:
+def test_what_never_turns_has_no_cycles(values):
     assert count_cycles(values) == []
     assert count_loop(values) == []

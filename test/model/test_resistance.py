@@ -3,8 +3,6 @@
 
 """Equations (32) to (36): each part of the torque with its unit and sign."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,7 +18,7 @@ weights = st.floats(1e3, 1e6)
 
 
 @given(speed=speeds)
-def test_direction_is_the_sign_of_the_speed_but_smooth(speed: float) -> None:
+def test_direction_is_the_sign_of_the_speed_but_smooth(speed):
     assert r.direction(-speed) == -r.direction(speed)
     assert abs(r.direction(speed)) <= 1.0
     if abs(speed) > 8 * r.STANDSTILL_MPS:
@@ -29,7 +27,7 @@ def test_direction_is_the_sign_of_the_speed_but_smooth(speed: float) -> None:
 
 
 @given(speed=speeds, weight=weights, friction=st.floats(0.0, 0.1))
-def test_bearing_friction_opposes_travel_and_scales_with_weight(speed: float, weight: float, friction: float) -> None:
+def test_bearing_friction_opposes_travel_and_scales_with_weight(speed, weight, friction):
     force = r.bearing_force(speed, weight, friction)
     assert force * speed >= 0.0
     assert abs(force) <= friction * weight
@@ -38,7 +36,7 @@ def test_bearing_friction_opposes_travel_and_scales_with_weight(speed: float, we
 
 
 @given(speed=speeds, area=st.floats(0.0, 20.0), density=st.floats(0.5, 1.5))
-def test_drag_resists_travel_and_goes_with_the_square(speed: float, area: float, density: float) -> None:
+def test_drag_resists_travel_and_goes_with_the_square(speed, area, density):
     force = r.wind_force(speed, area, density)
     assert force * speed >= 0.0
     assert r.wind_force(-speed, area, density) == -force
@@ -46,19 +44,19 @@ def test_drag_resists_travel_and_goes_with_the_square(speed: float, area: float,
 
 
 @given(acceleration=st.floats(-5.0, 5.0), weight=weights, factor=st.floats(1.0, 2.0))
-def test_inertia_is_mass_times_acceleration(acceleration: float, weight: float, factor: float) -> None:
+def test_inertia_is_mass_times_acceleration(acceleration, weight, factor):
     assert r.inertia_force(acceleration, weight, factor) == pytest.approx(factor * weight / 9.80665 * acceleration)
 
 
 @given(grade=st.floats(-1.0, 1.0), weight=weights)
-def test_a_grade_lifts_by_its_sine(grade: float, weight: float) -> None:
+def test_a_grade_lifts_by_its_sine(grade, weight):
     force = r.grade_force(grade, weight)
     along, down = force / weight, (1.0 - (force / weight) ** 2) ** 0.5
     assert along / down == pytest.approx(grade, abs=1e-12)
 
 
 @given(limit=st.floats(1e-12, 1e-3))
-def test_nothing_jumps_at_standstill(limit: float) -> None:
+def test_nothing_jumps_at_standstill(limit):
     for part in (
         lambda v: r.bearing_force(v, G, F_BEARING),
         lambda v: r.wind_force(v, C_D * AREA, RHO),
@@ -68,14 +66,14 @@ def test_nothing_jumps_at_standstill(limit: float) -> None:
         assert abs(part(limit) - part(-limit)) <= 2.0 * limit * G / r.STANDSTILL_MPS
 
 
-def scaled(formula, **units):  # type: ignore[no-untyped-def]
+def scaled(formula, **units):
     """Result of a formula in mm over that in m; `units` are (value, power of length)."""
     return formula(**{name: value * 1000.0**power for name, (value, power) in units.items()}) / formula(
         **{name: value for name, (value, _) in units.items()}
     )
 
 
-def test_equation_34_as_printed_is_not_a_torque() -> None:
+def test_equation_34_as_printed_is_not_a_torque():
     """In mm a torque is a thousand times what it is in m; f G / R1 is a thousandth. M = f G R1."""
     units = {"f": (F_BEARING, 0), "g": (G, 0), "r1": (R1, 1)}
     assert scaled(lambda f, g, r1: f * g / r1, **units) == pytest.approx(1e-3)
@@ -86,7 +84,7 @@ def test_equation_34_as_printed_is_not_a_torque() -> None:
 
 
 @given(speed_kmh=st.floats(1.0, 60.0))
-def test_equation_35_as_printed_is_a_power_over_a_radius(speed_kmh: float) -> None:
+def test_equation_35_as_printed_is_a_power_over_a_radius(speed_kmh):
     """C A v^2/21.15 with v in km/h is the drag in N; times v/3600 it is a power in kW, so 76140 = 21.15 x 3600."""
     drag = C_D * AREA * speed_kmh**2 / 21.15
     ours = r.wind_force(speed_kmh / KMH, C_D * AREA, RHO)
@@ -99,14 +97,14 @@ def test_equation_35_as_printed_is_a_power_over_a_radius(speed_kmh: float) -> No
 
 
 @given(acceleration=st.floats(0.01, 3.0))
-def test_printed_equation_36_lacks_gravity_and_divides_by_radius(acceleration: float) -> None:
+def test_printed_equation_36_lacks_gravity_and_divides_by_radius(acceleration):
     """G dv/dt / R1 with G a weight is off by g and by the square of the radius, whatever the rotating masses."""
     printed = G * acceleration / R1
     ours = r.inertia_force(acceleration, G, 1.0) * R1
     assert printed / ours == pytest.approx(GRAVITY / R1**2)
 
 
-def test_parts_of_the_reference_vehicle_at_50_kmh() -> None:
+def test_parts_of_the_reference_vehicle_at_50_kmh():
     """Each against a sum by hand: 0.0075 x 272 kN, 1/2 x 1.225 x 0.8 x 7.5 x v^2, 1.1 x 272 kN/g x 0.2."""
     speed = 50 / KMH
     assert r.bearing_force(speed, G, F_BEARING) == pytest.approx(2040.0)

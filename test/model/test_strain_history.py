@@ -3,8 +3,6 @@
 
 """The strain a piece of belt sees round the loop: periodic, continuous, closed, and its harmonics exact."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -16,7 +14,7 @@ from scipy.integrate import quad
 
 from trackres_ros.model import contact
 from trackres_ros.model import strain_history as sh
-from trackres_ros.vehicle import Track, WrappedWheel
+from trackres_ros.vehicle import WrappedWheel
 from trackres_ros.vehicle.loading import CLOSED_LOOP_TOLERANCE_RAD
 
 HARMONICS = np.arange(1.0, 65.0)
@@ -24,7 +22,7 @@ SAMPLES = 1 << 16
 
 
 @st.composite
-def tracks(draw: st.DrawFn, base: Track, fewest: int = 1) -> Track:
+def tracks(draw, base, fewest=1):
     """The base track with up to four wheels wrapped by random angles, over random lengths of curvature."""
     count = draw(st.integers(fewest, 4))
     wheels = tuple(
@@ -35,20 +33,13 @@ def tracks(draw: st.DrawFn, base: Track, fewest: int = 1) -> Track:
     return replace(base, wrapped_wheels=wheels, belt=belt)
 
 
-def mirrored(track: Track) -> Track:
-    """The track seen from the other side: the former front end of the ground run is its rear end."""
-    run = track.road_wheels.ground_run
-    wheels = replace(track.road_wheels, positions=tuple(run - x for x in reversed(track.road_wheels.positions)))
-    return replace(track, road_wheels=wheels, wrapped_wheels=track.wrapped_wheels[::-1])
-
-
-def sampled(values: np.ndarray) -> np.ndarray:
+def sampled(values):
     """Amplitudes A_n of one loop sampled evenly, for HARMONICS."""
     return 2.0 / len(values) * np.fft.fft(values)[1 : len(HARMONICS) + 1]
 
 
 @given(data=st.data(), s=st.floats(-20.0, 20.0))
-def test_profiles_are_periodic_and_continuous(triangular: Track, data: st.DataObject, s: float) -> None:
+def test_profiles_are_periodic_and_continuous(triangular, data, s):
     loop = sh.build_loop(data.draw(tracks(triangular)))
     for profile in (loop.curvature, loop.drive):
         assert profile.at(s) == pytest.approx(profile.at(s + loop.length), abs=1e-9)
@@ -59,7 +50,7 @@ def test_profiles_are_periodic_and_continuous(triangular: Track, data: st.DataOb
 
 
 @given(data=st.data())
-def test_curvature_adds_up_to_the_wrap_angles(triangular: Track, data: st.DataObject) -> None:
+def test_curvature_adds_up_to_the_wrap_angles(triangular, data):
     track = data.draw(tracks(triangular))
     curvature = sh.build_loop(track).curvature
     position = np.append(curvature.position, curvature.position[0] + curvature.length)
@@ -68,7 +59,7 @@ def test_curvature_adds_up_to_the_wrap_angles(triangular: Track, data: st.DataOb
     assert turned == pytest.approx(sum(w.wrap_angle for w in track.wrapped_wheels), rel=1e-7)
 
 
-def test_the_shipped_loops_close(track: Track) -> None:
+def test_the_shipped_loops_close(track):
     loop = sh.build_loop(track)
     corners = [*loop.curvature.position, loop.curvature.position[0] + loop.length]
     turned, _ = quad(lambda s: float(loop.curvature.at(s)), corners[0], corners[-1], points=corners[1:-1], limit=200)
@@ -76,7 +67,7 @@ def test_the_shipped_loops_close(track: Track) -> None:
     assert loop.arcs[-1][1] == pytest.approx(loop.length)  # the last wheel hands the belt to the ground run
 
 
-def test_the_belt_is_curved_on_wheels_and_straight_between_them(triangular: Track) -> None:
+def test_the_belt_is_curved_on_wheels_and_straight_between_them(triangular):
     loop = sh.build_loop(triangular)
     for (start, end, curvature), wheel in zip(loop.arcs, triangular.wrapped_wheels, strict=True):
         assert curvature == pytest.approx(1.0 / (wheel.radius + triangular.belt.cord_height))
@@ -88,7 +79,7 @@ def test_the_belt_is_curved_on_wheels_and_straight_between_them(triangular: Trac
 
 
 @given(data=st.data())
-def test_amplitudes_are_those_of_the_sampled_profile(triangular: Track, data: st.DataObject) -> None:
+def test_amplitudes_are_those_of_the_sampled_profile(triangular, data):
     loop = sh.build_loop(data.draw(tracks(triangular)))
     at = np.arange(SAMPLES) / SAMPLES * loop.length
     for profile in (loop.curvature, loop.drive):
@@ -97,7 +88,7 @@ def test_amplitudes_are_those_of_the_sampled_profile(triangular: Track, data: st
 
 
 @given(share=st.floats(0.01, 0.5))
-def test_indentation_amplitudes_are_the_integral_over_contact(triangular: Track, share: float) -> None:
+def test_indentation_amplitudes_are_the_integral_over_contact(triangular, share):
     """A_n = (2/L) times the integral of strain(x) cos(2 pi n x/L)."""
     radius, thickness, length = triangular.road_wheels.radius, triangular.belt.thickness, triangular.belt.loop_length
     a = share * radius
@@ -109,7 +100,7 @@ def test_indentation_amplitudes_are_the_integral_over_contact(triangular: Track,
         assert amplitudes[n - 1] == pytest.approx(4.0 / length * integral, abs=(1e-6 + 0.04 * share**4) * amplitudes[0])
 
 
-def test_amplitudes_of_the_whole_strain_through_the_thickness(track: Track) -> None:
+def test_amplitudes_of_the_whole_strain_through_the_thickness(track):
     """The wheels' pulses with their phases, against a transform of the strain at 65536 places."""
     loop = sh.build_loop(track)
     half = 0.2 * track.road_wheels.radius
@@ -125,21 +116,21 @@ def test_amplitudes_of_the_whole_strain_through_the_thickness(track: Track) -> N
 
 
 @given(z=st.floats(1e-6, 60.0))
-def test_pulse_transforms_are_their_integrals(z: float) -> None:
+def test_pulse_transforms_are_their_integrals(z):
     parabola, quartic = sh.pulse_transforms(np.array([z]), np.sin([z]), np.cos([z]))
     for transform, order in ((parabola, 2), (quartic, 4)):
         integral, _ = quad(lambda u, k=order: 1.0 - u**k, 0.0, 1.0, weight="cos", wvar=z)
         assert float(transform[0]) == pytest.approx(2.0 * integral, abs=2e-10)
 
 
-def test_pulse_transforms_meet_where_the_series_ends() -> None:
+def test_pulse_transforms_meet_where_the_series_ends():
     either_side = np.array([sh.SERIES_BELOW * (1 - 1e-12), sh.SERIES_BELOW])
     for transform in sh.pulse_transforms(either_side, np.sin(either_side), np.cos(either_side)):
         assert transform[0] == pytest.approx(transform[1], rel=1e-10)
 
 
 @given(data=st.data())
-def test_reverse_is_the_mirror_image(triangular: Track, data: st.DataObject) -> None:
+def test_reverse_is_the_mirror_image(triangular, mirrored, data):
     """Laying out the mirrored track gives the mirrored profiles; tension hands over to slack and back."""
     track = data.draw(tracks(triangular, fewest=2))
     there, back = sh.build_loop(track), sh.build_loop(mirrored(track))
@@ -153,7 +144,7 @@ def test_reverse_is_the_mirror_image(triangular: Track, data: st.DataObject) -> 
         assert np.abs(one.amplitudes(HARMONICS)) == pytest.approx(np.abs(other.amplitudes(HARMONICS)), abs=1e-9)
 
 
-def test_drive_tension_grows_on_the_ground_and_ends_on_sprocket(triangular: Track) -> None:
+def test_drive_tension_grows_on_the_ground_and_ends_on_sprocket(triangular):
     """Equations (22) and (23): each of n teeth takes M_D/(n R_D); over the wrap the steps add up to the whole drive force."""
     loop = sh.build_loop(triangular)
     start, end, _ = loop.arcs[1]
@@ -165,7 +156,7 @@ def test_drive_tension_grows_on_the_ground_and_ends_on_sprocket(triangular: Trac
 
 
 @given(height=st.floats(0.0, 0.035), steady=st.floats(0.0, 0.01), drive=st.floats(-1e-3, 1e-3), s=st.floats(0.0, 4.8))
-def test_strains_along_the_belt_add_up(triangular: Track, height: float, steady: float, drive: float, s: float) -> None:
+def test_strains_along_the_belt_add_up(triangular, height, steady, drive, s):
     loop = sh.build_loop(triangular)
     parts = [sh.along_belt(loop, height, s, *given) for given in ((0.0, 0.0), (steady, 0.0), (0.0, drive))]
     whole = sh.along_belt(loop, height, s, steady, drive)

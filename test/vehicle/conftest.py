@@ -3,30 +3,48 @@
 
 """The shipped configuration, to be changed at will."""
 
-from __future__ import annotations
-
 import copy
-import shutil
-from pathlib import Path
-from typing import Any
 
 import pytest
+import yaml
 
+from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir
 from trackres_ros.files.yamls import read_yaml
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """The shipped configuration in a folder of its own."""
-    return Path(shutil.copytree(config_dir(), tmp_path / "config"))
+from trackres_ros.vehicle import load
 
 
 @pytest.fixture(scope="session")
-def shipped() -> dict[str, Any]:
+def shipped():
     return read_yaml(config_dir() / "xgd24d.yaml")
 
 
 @pytest.fixture
-def content(shipped: dict[str, Any]) -> dict[str, Any]:
+def content(shipped):
     return copy.deepcopy(shipped)
+
+
+@pytest.fixture
+def loaded(configuration):
+    """The vehicle of a content, read from a file."""
+
+    def load_it(content):
+        path = configuration / "given.yaml"
+        path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        return load(path)
+
+    return load_it
+
+
+@pytest.fixture
+def refusal(loaded, configuration):
+    """The error that a content gives when it is loaded from a file."""
+
+    def refused(content):
+        with pytest.raises(InputError) as caught:
+            loaded(content)
+        assert "\n" not in str(caught.value)
+        assert str(configuration / "given.yaml") in caught.value.where
+        return caught.value
+
+    return refused

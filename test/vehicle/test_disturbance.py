@@ -3,20 +3,11 @@
 
 """The section `disturbance` of a vehicle file: accepted or refused, and part of no estimate."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import pytest
-import yaml
 
-from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import key
-from trackres_ros.files.resources import config_dir
-from trackres_ros.vehicle import Disturbance, Drift, Spells, Vehicle, load
-from trackres_ros.vehicle.loading import build
+from trackres_ros.vehicle import Drift, Spells, load
 
 VALUES = {
     "spells": {"level": 300.0, "rest": -50.0, "mean_there": 80.0, "mean_away": 160.0, "noise": 60.0},
@@ -25,25 +16,21 @@ VALUES = {
 UNITS = {"mean_there": "s", "mean_away": "s", "time_constant": "s"}
 
 
-def section(form: str, **changed: float) -> dict[str, Any]:
+def section(form, **changed):
     """The section of a form, with values changed."""
-    found: dict[str, Any] = {"form": form}
+    found = {"form": form}
     for name, value in {**VALUES[form], **changed}.items():
         span = sorted((0.9 * value, 1.1 * value))
         found[name] = {"value": value, "unit": UNITS.get(name, "Nm"), "flag": "F", "range": span, "reason": "found"}
     return found
 
 
-def built(content: dict[str, Any], given: object) -> Vehicle:
-    return build(config_dir() / "given.yaml", {**content, "disturbance": given})
-
-
 @pytest.mark.parametrize(
     ("form", "expected"), [("spells", Spells(300.0, -50.0, 80.0, 160.0, 60.0)), ("drift", Drift(150.0, 300.0, 40.0))]
 )
-def test_it_is_read_as_it_is_said(content: dict[str, Any], form: str, expected: Disturbance) -> None:
-    assert built(content, section(form)).disturbance == expected
-    assert build(config_dir() / "given.yaml", content).disturbance is None
+def test_it_is_read_as_it_is_said(loaded, content, form, expected):
+    assert loaded({**content, "disturbance": section(form)}).disturbance == expected
+    assert loaded(content).disturbance is None
 
 
 @pytest.mark.parametrize(
@@ -64,16 +51,12 @@ def test_it_is_read_as_it_is_said(content: dict[str, Any], form: str, expected: 
         (section("spells", level=-50.0), "disturbance.level"),
     ],
 )
-def test_what_is_not_right_is_refused_with_its_key(content: dict[str, Any], given: object, where: str) -> None:
-    with pytest.raises(InputError) as caught:
-        built(content, given)
-    assert caught.value.where.startswith(f"{config_dir() / 'given.yaml'}: {where}")
+def test_what_is_not_right_is_refused_with_its_key(refusal, content, given, where):
+    assert f"given.yaml: {where}" in refusal({**content, "disturbance": given}).where
 
 
-def test_no_estimate_and_no_kept_state_depends_on_it(folder: Path, content: dict[str, Any]) -> None:
-    path = folder / "with.yaml"
-    path.write_text(yaml.safe_dump({**content, "disturbance": section("spells")}), encoding="utf-8")
-    bare, disturbed = load("xgd24d"), load(path)
+def test_no_estimate_and_no_kept_state_depends_on_it(loaded, content):
+    bare, disturbed = load("xgd24d"), loaded({**content, "disturbance": section("spells")})
     assert disturbed.disturbance is not None
     assert dict(disturbed.parameters) == dict(bare.parameters)
     assert key(Estimator(disturbed)) == key(Estimator(bare))

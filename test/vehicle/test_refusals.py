@@ -3,13 +3,8 @@
 
 """Every kind of refusal of a vehicle file names the file, the key, the given and the allowed values."""
 
-from __future__ import annotations
-
 import copy
 import math
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,38 +21,26 @@ from trackres_ros.vehicle import load, load_any
 from trackres_ros.vehicle.loading import build
 from trackres_ros.vehicle.road import build_road
 
-Content = dict[str, Any]
 THICKNESS = "tracks.triangular.belt.thickness"
 WHEELS = "tracks.triangular.wrapped_wheels"
 
 
-def at(content: Any, path: str) -> Any:
+def at(content, path):
     """The node at a path of keys and numbers."""
     for key in filter(None, path.split(".")):
         content = content[int(key) if key.isdigit() else key]
     return content
 
 
-def put(content: Content, path: str, value: Any) -> None:
+def put(content, path, value):
     parent, _, key = path.rpartition(".")
     at(content, parent)[int(key) if key.isdigit() else key] = value
-
-
-def refusal(folder: Path, content: Any) -> InputError:
-    """The error that a content gives when loaded from a file."""
-    path = folder / "given.yaml"
-    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-    with pytest.raises(InputError) as caught:
-        load(path)
-    assert "\n" not in str(caught.value)
-    assert str(path) in caught.value.where
-    return caught.value
 
 
 # Files that are no vehicle files
 
 
-def test_neither_a_file_nor_a_name() -> None:
+def test_neither_a_file_nor_a_name():
     with pytest.raises(InputError) as caught:
         load("xgd24")
     assert caught.value.given == "xgd24"
@@ -65,7 +48,7 @@ def test_neither_a_file_nor_a_name() -> None:
     assert "agri3t" in caught.value.allowed
 
 
-def test_a_folder_is_no_vehicle(tmp_path: Path) -> None:
+def test_a_folder_is_no_vehicle(tmp_path):
     with pytest.raises(InputError, match="the path of a vehicle file"):
         load(tmp_path)
 
@@ -82,7 +65,7 @@ def test_a_folder_is_no_vehicle(tmp_path: Path) -> None:
         (b"a: !!python/object:os.system {}\n", "a YAML file"),
     ],
 )
-def test_a_file_that_is_not_yaml(tmp_path: Path, text: bytes, said: str) -> None:
+def test_a_file_that_is_not_yaml(tmp_path, text, said):
     path = tmp_path / "given.yaml"
     path.write_bytes(text)
     with pytest.raises(InputError) as caught:
@@ -105,51 +88,51 @@ MAPPINGS = (
 )  # fmt: skip
 
 
-def test_a_missing_key(folder: Path, shipped: Content) -> None:
+def test_a_missing_key(refusal, shipped):
     for key in REQUIRED:
         content = copy.deepcopy(shipped)
         parent, _, name = key.rpartition(".")
         del at(content, parent)[name]
-        error = refusal(folder, content)
+        error = refusal(content)
         assert name in error.where
         assert (error.given, error.allowed) == ("nothing", "this key is required")
 
 
-def test_an_unknown_key(folder: Path, shipped: Content) -> None:
+def test_an_unknown_key(refusal, shipped):
     for parent in {"", "tracks.triangular.beams", *MAPPINGS} - {"tracks"}:
         content = copy.deepcopy(shipped)
         at(content, parent)["colour"] = "green"
-        error = refusal(folder, content)
+        error = refusal(content)
         assert "colour" in error.where
         assert error.given == "colour"
         assert error.allowed.startswith("one of ")
 
 
-def test_a_misspelt_key_gets_a_suggestion(folder: Path, content: Content) -> None:
+def test_a_misspelt_key_gets_a_suggestion(refusal, content):
     belt = content["tracks"]["triangular"]["belt"]
     belt["thicknes"] = belt["thickness"]
-    assert refusal(folder, content).remedy == "did you mean thickness?"
+    assert refusal(content).remedy == "did you mean thickness?"
 
 
-def test_what_should_be_a_mapping_or_a_list(folder: Path, shipped: Content) -> None:
+def test_what_should_be_a_mapping_or_a_list(refusal, shipped):
     for key in MAPPINGS:
         for value in (None, 3.5, "text", [1], []):
             content = copy.deepcopy(shipped)
             put(content, key, value)
-            assert key.rpartition(".")[2].rstrip("0123456789") in refusal(folder, content).where
+            assert key.rpartition(".")[2].rstrip("0123456789") in refusal(content).where
     for key in ("assemblies", "chassis.axles", WHEELS):
         for value in (None, [], {}, "text", 1):
             content = copy.deepcopy(shipped)
             put(content, key, value)
-            error = refusal(folder, content)
+            error = refusal(content)
             assert key.rpartition(".")[2] in error.where
             assert error.allowed == "a list with at least one entry"
 
 
-def test_a_value_that_is_not_plausible(folder: Path, content: Content) -> None:
+def test_a_value_that_is_not_plausible(refusal, content):
     for value in (math.nan, math.inf, 0.05, 0.02, "thick", True, None, {}, 10**400, [0.03, 0.035], []):
         put(content, f"{THICKNESS}.value", value)
-        error = refusal(folder, content)
+        error = refusal(content)
         assert f"{THICKNESS}.value" in error.where
         assert ("one number" if isinstance(value, list) else "0.025 to 0.045 m") in error.allowed
         if isinstance(value, float) and math.isfinite(value):
@@ -157,7 +140,7 @@ def test_a_value_that_is_not_plausible(folder: Path, content: Content) -> None:
             assert "widen its range" in error.remedy
 
 
-def test_a_range_that_is_none(folder: Path, content: Content) -> None:
+def test_a_range_that_is_none(refusal, content):
     refused = {
         "two numbers": (None, [0.02], [0.02, 0.03, 0.04], "0.02"),
         "low <= high": ([0.045, 0.025],),
@@ -166,14 +149,14 @@ def test_a_range_that_is_none(folder: Path, content: Content) -> None:
     for allowed, ranges in refused.items():
         for bounds in ranges:
             put(content, f"{THICKNESS}.range", bounds)
-            error = refusal(folder, content)
+            error = refusal(content)
             assert f"{THICKNESS}.range" in error.where
             assert allowed in error.allowed
 
 
-def test_another_unit_is_not_converted(folder: Path, content: Content) -> None:
+def test_another_unit_is_not_converted(refusal, content):
     put(content, f"{THICKNESS}.unit", "mm")
-    error = refusal(folder, content)
+    error = refusal(content)
     assert f"{THICKNESS}.unit" in error.where
     assert (error.given, error.allowed, error.remedy) == ("mm", "m", "convert the value to this unit")
 
@@ -196,49 +179,45 @@ CHOICES = (
 )
 
 
-def test_a_choice_that_is_none(folder: Path, shipped: Content) -> None:
+def test_a_choice_that_is_none(refusal, shipped):
     for key, value, allowed in CHOICES:
         content = copy.deepcopy(shipped)
         put(content, key, value)
-        error = refusal(folder, content)
+        error = refusal(content)
         assert key.replace(".0", "") in error.where.replace("[0]", "")
         assert error.given == value
         assert allowed == error.allowed
 
 
 @pytest.mark.parametrize("name", ["front-left", "1", "a b", "vorne_ä", "a.b", "a/b", "a\n", "_a"])
-def test_a_name_that_topics_cannot_have_is_refused(folder: Path, content: Content, name: str) -> None:
+def test_a_name_that_topics_cannot_have_is_refused(refusal, content, name):
     content["assemblies"][0]["name"] = name
-    assert refusal(folder, content).where.endswith("assemblies[0].name")
+    assert refusal(content).where.endswith("assemblies[0].name")
 
 
 @pytest.mark.parametrize("name", ["front-left", "1", "a b", "vorne_ä", "a.b", "a/b", "a\n", "_a"])
-def test_an_axle_is_named_as_a_topics_file_can_name_it(folder: Path, content: Content, name: str) -> None:
+def test_an_axle_is_named_as_a_topics_file_can_name_it(refusal, loaded, content, name):
     content["chassis"]["axles"][0]["name"] = content["assemblies"][0]["axle"] = content["assemblies"][1]["axle"] = name
     try:
         Topics.parse({f"load/{name}": {"column": "load_n"}})
     except InputError:
-        assert refusal(folder, content).where.endswith("chassis.axles[0].name")
+        assert refusal(content).where.endswith("chassis.axles[0].name")
     else:
-        path = folder / "given.yaml"
-        path.write_text(yaml.safe_dump(content), encoding="utf-8")
-        assert load(path).axles[0].name == name
+        assert loaded(content).axles[0].name == name
 
 
-def test_a_number_that_yaml_reads_as_text_is_a_number(folder: Path, content: Content) -> None:
+def test_a_number_that_yaml_reads_as_text_is_a_number(loaded, content):
     put(content, "tracks.triangular.belt.cord_modulus.value", "1.2e11")
-    path = folder / "given.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    assert load(path).tracks["triangular"].belt.cord_modulus == 1.2e11
+    assert loaded(content).tracks["triangular"].belt.cord_modulus == 1.2e11
 
 
 # What only the whole can show
 
 
-def set_values(**values: float) -> Callable[[Content], None]:
+def set_values(**values):
     """Change belt or road-wheel values, with their ranges."""
 
-    def change(content: Content) -> None:
+    def change(content):
         for name, value in values.items():
             track = content["tracks"]["triangular"]
             entry = track["belt" if name in track["belt"] else "road_wheels"][name]
@@ -247,40 +226,40 @@ def set_values(**values: float) -> Callable[[Content], None]:
     return change
 
 
-def set_at(key: str, value: object) -> Callable[[Content], None]:
+def set_at(key, value):
     return lambda content: put(content, key, value)
 
 
-def second_sprocket(content: Content) -> None:
+def second_sprocket(content):
     wheels = content["tracks"]["triangular"]["wrapped_wheels"]
     wheels[0]["kind"] = "sprocket"
     del wheels[0]["radius"]
 
 
-def sprocket_with_radius(content: Content) -> None:
+def sprocket_with_radius(content):
     wheels = content["tracks"]["triangular"]["wrapped_wheels"]
     wheels[1]["radius"] = wheels[0]["radius"]
 
 
-def no_sprocket(content: Content) -> None:
+def no_sprocket(content):
     sprocket_with_radius(content)
     content["tracks"]["triangular"]["wrapped_wheels"][1]["kind"] = "guide"
 
 
-def open_loop(content: Content) -> None:
+def open_loop(content):
     wheel = content["tracks"]["triangular"]["wrapped_wheels"][0]["wrap_angle"]
     wheel["value"], wheel["range"] = 2.0, [2.0, 2.6]
 
 
-def half_a_motor(content: Content) -> None:
+def half_a_motor(content):
     content["chassis"]["motor_ratio"] = {"value": 30.0, "unit": "1", "flag": "A", "range": [20.0, 40.0], "reason": "a guess"}
 
 
-def spare_track(content: Content) -> None:
+def spare_track(content):
     content["tracks"]["spare"] = copy.deepcopy(content["tracks"]["triangular"])
 
 
-def second_axle_idle(content: Content) -> None:
+def second_axle_idle(content):
     for assembly in content["assemblies"]:
         assembly["axle"] = "front"
 
@@ -315,11 +294,9 @@ def second_axle_idle(content: Content) -> None:
         (spare_track, "assemblies", "at least one assembly a kind of track"),
     ],
 )
-def test_parts_that_do_not_fit_each_other(
-    folder: Path, content: Content, change: Callable[[Content], None], key: str, allowed: str
-) -> None:
+def test_parts_that_do_not_fit_each_other(refusal, content, change, key, allowed):
     change(content)
-    error = refusal(folder, content)
+    error = refusal(content)
     assert key in error.where
     assert allowed in error.allowed
 
@@ -328,8 +305,8 @@ KINDS = {"agri3t": (True, True), "bmw_i3": (False, True), "emps": (False, False)
 
 
 @pytest.mark.parametrize("vehicle", KINDS)
-def test_only_effects_with_a_meaning_for_a_vehicle_are_listed(folder: Path, vehicle: str) -> None:
-    path, (belts, rolls) = folder / f"{vehicle}.yaml", KINDS[vehicle]
+def test_only_effects_with_a_meaning_for_a_vehicle_are_listed(configuration, vehicle):
+    path, (belts, rolls) = configuration / f"{vehicle}.yaml", KINDS[vehicle]
     content, here = read_yaml(path), load_any(vehicle)
     quantities = {active.effect.name for active in here.active}
     for effect in catalogue(size=here.size, on_tyres=not belts).values():
@@ -353,25 +330,25 @@ def test_only_effects_with_a_meaning_for_a_vehicle_are_listed(folder: Path, vehi
         ("road_load.rolling_rise", {"value": -0.0003, "range": [-0.001, 0.0]}, "at least -rolling_coefficient / max_speed"),
     ],
 )
-def test_a_road_file_without_a_meaning_is_refused(folder: Path, key: str, value: Any, allowed: str) -> None:
-    content = read_yaml(folder / "bmw_i3.yaml")
+def test_a_road_file_without_a_meaning_is_refused(configuration, key, value, allowed):
+    content = read_yaml(configuration / "bmw_i3.yaml")
     put(content, key, {**at(content, key), **value} if "." in key else value)
     with pytest.raises(InputError) as caught:
-        build_road(folder / "bmw_i3.yaml", content)
+        build_road(configuration / "bmw_i3.yaml", content)
     assert key in caught.value.where
     assert allowed in caught.value.allowed
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.999])
-def test_rolling_resistance_may_fall_but_not_below_zero(folder: Path, share: float) -> None:
-    content = read_yaml(folder / "bmw_i3.yaml")
+def test_rolling_resistance_may_fall_but_not_below_zero(configuration, share):
+    content = read_yaml(configuration / "bmw_i3.yaml")
     least = -content["road_load"]["rolling_coefficient"]["value"] / content["road_load"]["max_speed"]["value"]
     content["road_load"]["rolling_rise"].update(value=share * least, range=[least, 0.0])
-    v = build_road(folder / "bmw_i3.yaml", content).values
+    v = build_road(configuration / "bmw_i3.yaml", content).values
     assert v["rolling_coefficient"] + v["rolling_rise"] * v["max_speed"] > 0.0
 
 
-def nodes(content: Any, path: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
+def nodes(content, path=()):
     """Paths of all nodes below the top."""
     children = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
     return [p for key, child in children for p in ((*path, key), *nodes(child, (*path, key)))]
@@ -385,10 +362,10 @@ anything = st.recursive(
 
 @settings(deadline=None, derandomize=True, max_examples=150, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
-def test_whatever_stands_in_a_file_it_is_loaded_or_refused(shipped: Content, data: st.DataObject) -> None:
+def test_whatever_stands_in_a_file_it_is_loaded_or_refused(shipped, data):
     """No content ends in anything but a vehicle or the one error that says where and what."""
     content, path = copy.deepcopy(shipped), data.draw(st.sampled_from(nodes(shipped)))
-    parent: Any = content
+    parent = content
     for key in path[:-1]:
         parent = parent[key]
     parent[path[-1]] = data.draw(anything)

@@ -3,18 +3,14 @@
 
 """Vehicle files: both shipped ones, overrides, and the file of the rubber."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import math
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Active
@@ -32,14 +28,14 @@ THICKNESS = "tracks.triangular.belt.thickness"
 # Content of the shipped files
 
 
-def test_both_vehicles_are_shipped() -> None:
+def test_both_vehicles_are_shipped():
     assert set(shipped_vehicles()) >= {"xgd24d", "agri3t"}
     for name, path in shipped_vehicles().items():
         vehicle = load(name)
         assert (vehicle.name, vehicle.source) == (name, path)
 
 
-def test_the_reference_vehicle() -> None:
+def test_the_reference_vehicle():
     vehicle = load("xgd24d")
     assert vehicle.weight == 272e3  # 2 x 112 + 4 x 12 kN
     assert vehicle.nominal_loads() == pytest.approx([68e3] * 4)
@@ -51,7 +47,7 @@ def test_the_reference_vehicle() -> None:
     assert vehicle.chassis.motor_ratio is None
 
 
-def test_the_small_carrier() -> None:
+def test_the_small_carrier():
     vehicle = load("agri3t")
     assert vehicle.weight == pytest.approx(3000 * 9.80665, rel=0.01)
     assert len(vehicle.assemblies) == 2
@@ -61,7 +57,7 @@ def test_the_small_carrier() -> None:
 
 
 @pytest.mark.parametrize("name", ["xgd24d", "agri3t"])
-def test_each_quantity_has_unit_provenance_and_a_range_around_it(name: str) -> None:
+def test_each_quantity_has_unit_provenance_and_a_range_around_it(name):
     for path, quantity in load(name).parameters.items():
         assert quantity.unit, path
         assert quantity.flag in "PLA", path
@@ -71,7 +67,7 @@ def test_each_quantity_has_unit_provenance_and_a_range_around_it(name: str) -> N
         assert quantity.standard_deviation == (quantity.high - quantity.low) / 4
 
 
-def test_a_vehicle_cannot_be_changed() -> None:
+def test_a_vehicle_cannot_be_changed():
     vehicle = load("xgd24d")
     for thing, name in (
         (vehicle, "name"),
@@ -82,10 +78,10 @@ def test_a_vehicle_cannot_be_changed() -> None:
         with pytest.raises(dataclasses.FrozenInstanceError):
             setattr(thing, name, 1.0)
     with pytest.raises(TypeError):
-        vehicle.tracks["other"] = vehicle.tracks["triangular"]  # type: ignore[index]
+        vehicle.tracks["other"] = vehicle.tracks["triangular"]
 
 
-def test_a_name_and_its_path_are_the_same() -> None:
+def test_a_name_and_its_path_are_the_same():
     assert (
         load("xgd24d").parameters
         == load(config_dir() / "xgd24d.yaml").parameters
@@ -96,14 +92,14 @@ def test_a_name_and_its_path_are_the_same() -> None:
 # Overrides
 
 
-def test_an_override_replaces_one_value() -> None:
+def test_an_override_replaces_one_value():
     base, thinner = load("xgd24d"), load("xgd24d", {THICKNESS: 0.03})
     assert thinner.tracks["triangular"].belt.thickness == 0.03
     changed = [path for path in base.parameters if base.parameters[path] != thinner.parameters[path]]
     assert changed == [THICKNESS]
 
 
-def test_an_override_may_leave_the_files_range_but_no_limit() -> None:
+def test_an_override_may_leave_the_files_range_but_no_limit():
     vehicle = load("xgd24d", {THICKNESS: 0.06})
     assert vehicle.parameters[THICKNESS].high == 0.06
     for value in (0.5, -1.0, math.nan, math.inf):
@@ -114,18 +110,14 @@ def test_an_override_may_leave_the_files_range_but_no_limit() -> None:
 
 
 @pytest.mark.parametrize("path", ["tracks.triangular.belt.thicknes", "thickness", "tracks.triangular.road_wheels.positions", ""])
-def test_an_override_of_what_is_not_there_is_refused(path: str) -> None:
+def test_an_override_of_what_is_not_there_is_refused(path):
     with pytest.raises(InputError, match="the path of a scalar quantity") as caught:
         load("xgd24d", {path: 0.03})
     assert caught.value.given == path
+    assert (f"did you mean {THICKNESS}" in caught.value.remedy) == ("belt" in path)
 
 
-def test_a_misspelt_override_gets_a_suggestion() -> None:
-    with pytest.raises(InputError, match=f"did you mean {THICKNESS}"):
-        load("xgd24d", {"tracks.triangular.belt.thicknes": 0.03})
-
-
-def test_variants_are_the_vehicle_with_its_methods() -> None:
+def test_variants_are_the_vehicle_with_its_methods():
     base = dataclasses.replace(load("xgd24d"), hysteresis="rainflow", thermal="core_surface")
     other = variants(base)({"chassis.drag_coefficient": 1.1})
     assert (other.hysteresis, other.thermal) == ("rainflow", "core_surface")
@@ -138,7 +130,7 @@ def test_variants_are_the_vehicle_with_its_methods() -> None:
 SWEEP = "T_degC,E_storage_MPa_10Hz,E_loss_MPa_10Hz\n-50,700,300\n0,14,2.5\n50,8,1\n100,7,0.6\n"
 
 
-def test_a_sweep_may_have_comments_and_plain_names(tmp_path: Path) -> None:
+def test_a_sweep_may_have_comments_and_plain_names(tmp_path):
     path = tmp_path / "sweep.csv"
     path.write_text(f"# of a test\n{SWEEP}", encoding="utf-8")
     plain = tmp_path / "plain.csv"
@@ -168,7 +160,7 @@ def test_a_sweep_may_have_comments_and_plain_names(tmp_path: Path) -> None:
         (SWEEP.replace("8,1", "2000,1").replace("7,0.6", "1900,1"), "storage modulus at 100 degC"),
     ],
 )
-def test_a_sweep_that_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_a_sweep_that_is_refused(tmp_path, text, said):
     path = tmp_path / "sweep.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
@@ -178,7 +170,7 @@ def test_a_sweep_that_is_refused(tmp_path: Path, text: str, said: str) -> None:
 
 
 @pytest.mark.parametrize("factors", [(1e6, 1e6), (1e3, 1e3), (1e-3, 1e-3), (1e6, 1.0), (1.0, 1e6), (1e-3, 1.0), (1.0, 1e3)])
-def test_moduli_in_another_unit_than_the_header_says_are_refused(tmp_path: Path, factors: tuple[float, float]) -> None:
+def test_moduli_in_another_unit_than_the_header_says_are_refused(tmp_path, factors):
     """The shipped sweep, one column or both a thousand or a million times too large or too small."""
     text = (config_dir() / "rubber" / "nr_sbr_10hz.csv").read_text(encoding="utf-8").splitlines()
     path = tmp_path / "sweep.csv"
@@ -189,7 +181,7 @@ def test_moduli_in_another_unit_than_the_header_says_are_refused(tmp_path: Path,
         read_rubber_sweep(path)
 
 
-def test_a_copied_vehicle_file_logs_that_it_uses_shipped_rubber(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_copied_vehicle_file_logs_that_it_uses_shipped_rubber(tmp_path, caplog):
     path = Path(shutil.copy(config_dir() / "xgd24d.yaml", tmp_path / "mine.yaml"))
     vehicle = load(path)
     assert vehicle.rubber_source == config_dir() / "rubber" / "nr_sbr_10hz.csv"
@@ -203,42 +195,32 @@ def test_a_copied_vehicle_file_logs_that_it_uses_shipped_rubber(tmp_path: Path, 
     assert load(path).rubber_source == tmp_path / "rubber" / "nr_sbr_10hz.csv"
 
 
-def test_overlapping_road_wheels_are_refused_unless_side_by_side(folder: Path, content: dict[str, Any]) -> None:
-    wheels, path = content["tracks"]["triangular"]["road_wheels"], folder / "given.yaml"
+def test_overlapping_road_wheels_are_refused_unless_side_by_side(refusal, loaded, content):
+    wheels = content["tracks"]["triangular"]["road_wheels"]
     wheels["radius"].update(value=0.26, range=[0.1, 0.3])  # the diameter for the radius
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    with pytest.raises(InputError, match="overlap along the track"):
-        load(path)
+    assert "overlap along the track" in refusal(content).given
     wheels["contact_length"].update(value=0.3, range=[0.1, 0.635])  # interleaved, two rows on a belt of 0.635 m
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    load(path)
+    assert loaded(content).tracks["triangular"].road_wheels.radius == 0.26
     wheels["radius"].update(value=0.36, range=[0.1, 0.5])  # three of 0.3 m do not fit in a row
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    with pytest.raises(InputError, match="3 wheels"):
-        load(path)
+    assert refusal(content).given.startswith("3 wheels")
 
 
-def test_a_sweep_that_is_not_there(folder: Path, content: dict[str, Any]) -> None:
+def test_a_sweep_that_is_not_there(refusal, content):
     content["rubber"]["file"] = "rubber/none.csv"
-    path = folder / "given.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    with pytest.raises(InputError, match="a readable CSV") as caught:
-        load(path)
-    assert caught.value.where == f"{path}: rubber.file"
-    assert "none.csv" in caught.value.given
+    error = refusal(content)
+    assert error.where.endswith("given.yaml: rubber.file")
+    assert "none.csv" in error.given
+    assert "a readable CSV" in error.allowed
 
 
-def test_a_sweep_is_read_in_pascal_beside_its_vehicle_file(folder: Path, content: dict[str, Any]) -> None:
-    (folder / "own.csv").write_text(SWEEP, encoding="utf-8")
+def test_a_sweep_is_read_in_pascal_beside_its_vehicle_file(configuration, loaded, content):
+    (configuration / "own.csv").write_text(SWEEP, encoding="utf-8")
     content["rubber"]["file"] = "own.csv"
-    path = folder / "given.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    rubber = load(path).rubber
+    rubber = loaded(content).rubber
     assert rubber.sweep_degc == pytest.approx([-50, 0, 50, 100])
     assert rubber.storage_pa == pytest.approx([7e8, 1.4e7, 8e6, 7e6])
-    content["rubber"]["file"] = str(folder / "own.csv")
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    assert load(path).rubber.loss_pa == pytest.approx(rubber.loss_pa)
+    content["rubber"]["file"] = str(configuration / "own.csv")
+    assert loaded(content).rubber.loss_pa == pytest.approx(rubber.loss_pa)
 
 
 # Written files
@@ -248,7 +230,7 @@ ROUTE = (RouteMap(SLOPE, *PLACES),)
 
 
 @pytest.mark.parametrize("there", ["rubber/nr_sbr_10hz.csv", "effects/squeak.py", "surroundings.yaml", "route.csv"])
-def test_a_written_vehicle_changes_no_other_file(tmp_path: Path, own: Path, there: str) -> None:
+def test_a_written_vehicle_changes_no_other_file(tmp_path, own, there):
     effects = catalogue(own)
     added = tuple(Active(effects[name], {q.name: q.start for q in effects[name].parameters}) for name in ("squeak", "grade"))
     changes, file = FileChanges(None, added, {}, route=ROUTE), tmp_path / "new.yaml"
@@ -267,8 +249,8 @@ def test_a_written_vehicle_changes_no_other_file(tmp_path: Path, own: Path, ther
 
 @pytest.mark.parametrize("surrounded", [False, True])
 @pytest.mark.parametrize("by", ["trackres replay", "trackres coastdown", "trackres compound"])
-def test_only_a_diagnosis_touches_surroundings(tmp_path: Path, own: Path, by: str, surrounded: bool) -> None:
-    def contents() -> dict[Path, bytes]:
+def test_only_a_diagnosis_touches_surroundings(tmp_path, own, by, surrounded):
+    def contents():
         return {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file() and path.parent != own}
 
     effects = catalogue(own)
@@ -276,27 +258,27 @@ def test_only_a_diagnosis_touches_surroundings(tmp_path: Path, own: Path, by: st
     left = tmp_path / "vehicle.yaml", tmp_path / "surroundings.yaml"
     write_track_vehicle(load("xgd24d"), left[0], FileChanges(None, (squeak, grade), {}, route=ROUTE), DIAGNOSED)
     before, vehicle = contents(), with_surroundings(load(left[0]), left[1]) if surrounded else load(left[0])
-    for folder in (tmp_path, tmp_path / "other"):
-        folder.mkdir(exist_ok=True)
-        files = write_track_vehicle(vehicle, folder / "car.yaml", FileChanges(None, (), {}, by=by), f"Written by {by}.")
+    for configuration in (tmp_path, tmp_path / "other"):
+        configuration.mkdir(exist_ok=True)
+        files = write_track_vehicle(vehicle, configuration / "car.yaml", FileChanges(None, (), {}, by=by), f"Written by {by}.")
         after = contents()
         assert {path: after[path] for path in before} == before
         assert after.keys() - before.keys() <= set(files) <= after.keys()
-        assert not folder.joinpath("other", "surroundings.yaml").exists()
+        assert not configuration.joinpath("other", "surroundings.yaml").exists()
         before = after
 
 
-def test_a_full_disk_leaves_each_written_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_each_written_file_whole(tmp_path, monkeypatch):
     vehicle, other = load("xgd24d"), tuple(one.times(2.0) for one in ROUTE)
 
-    def write(route: tuple[RouteMap, ...], text: str) -> dict[str, str]:
+    def write(route, text):
         write_track_vehicle(vehicle, tmp_path / "new.yaml", FileChanges(None, (), {}, route=route), f"{DIAGNOSED} from {text}")
         return contents()
 
-    def contents() -> dict[str, str]:
+    def contents():
         return {path.name: path.read_text(encoding="utf-8") for path in tmp_path.rglob("*.*")}
 
-    def fill_up(_: int) -> None:
+    def fill_up(_):
         left[0] -= 1
         if left[0] < 0:
             raise OSError(errno.ENOSPC, "No space left on device")

@@ -20,13 +20,11 @@ from types import CodeType, FunctionType
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.effects.effect import Conditions, Effect, Lag, Terms, VehicleConstants, values_type
 from trackres_ros.jit.code_cache import CodeCache
 from trackres_ros.jit.compiled import HAVE_NUMBA, code_folder, inlined, part
-
-Array = NDArray[np.float64]
 
 FACTS, ANSWERED = len(VehicleConstants._fields), len(Terms._fields)  # numbers that an effect looks at, and that it answers
 LOOKED_AT = FACTS + len(Conditions._fields) - 1

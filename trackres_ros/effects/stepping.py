@@ -14,17 +14,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array, IntArray
 from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active, Conditions, Terms, VehicleConstants
 from trackres_ros.effects.native import ANSWERED, FACTS, LOOKED_AT, call_at, native, reads_drag_area
 from trackres_ros.errors import InputError
 from trackres_ros.jit.arithmetic import length, squared
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.units import STANDSTILL_MPS
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # One row of the table of effects: which effect's own state, its kind (see below), its required inputs, and its two addresses.
 STATE, KIND, NEEDS, TERMS_AT, LAG_AT = range(5)
@@ -290,21 +287,9 @@ def own_state(address: int, values: Array, looked_at: Array, answer: Array, own:
 
 @compiled
 def step_effects(rows: IntArray, values: Array, memory: Array, work: Array, dt: float) -> int:
-    """All effects of a step that ends now, `dt` [s] after the one before.
+    """All effects of a step that ends now, `dt` [s] after the one before; return `ALL_WELL`, or why one is missing in the terms.
 
-    Parameters
-    ----------
-    rows, values
-        See `EffectTable`.
-    memory
-        See `new_memory`; changed.
-    work
-        See `new_work`, with the known values; its terms are filled. A missing distance is filled with the one driven.
-
-    Returns
-    -------
-    int
-        `ALL_WELL`, or why an effect is missing in the terms.
+    The work space has the known values; its terms are filled, and a missing distance by the one driven. The memory is changed.
     """
     looked_at, answer = work[TERMS : TERMS + LOOKED_AT], work[TERMS + LOOKED_AT :]
     memory[DISTANCE] += abs(memory[LAST_SPEED]) * dt

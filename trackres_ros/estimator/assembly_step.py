@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array
 from trackres_ros.effects.stepping import TERM_COOLING_VARIANCE, TERM_LOSS_VARIANCE
 from trackres_ros.estimator.belt_heat import loss_force, surface
 from trackres_ros.estimator.belt_step import BEHIND_BELTS, pass_gap, roll
@@ -35,8 +33,6 @@ from trackres_ros.estimator.road import Road
 from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.model.rubber import log_shift_factor
-
-Array = NDArray[np.float64]
 
 FIRST_OF_ASSEMBLIES, COLUMNS_EACH = Results.columns, OfAssembly.columns
 KIND = Assembly.kind

@@ -8,9 +8,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array
 from trackres_ros.effects.effect import SOFTENING_FROM_DEGC
 from trackres_ros.effects.stepping import (
     TERM_CONDUCTANCE,
@@ -27,8 +25,6 @@ from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.loss_table import look_up, look_up_drive
 from trackres_ros.model.rubber import log_shift_factor
 from trackres_ros.model.thermal import film_coefficient, surface_temperature
-
-Array = NDArray[np.float64]
 
 SLOWEST_LOG_SPEED = -6.0  # log10(m/s); below it the loss per metre of travel no longer changes
 

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array
 from trackres_ros.estimator.belt_heat import Heat
 from trackres_ros.estimator.columns import Assembly, Belt
 from trackres_ros.estimator.constants import Constants
@@ -17,14 +15,12 @@ from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.thermal import phi_1, phi_2
 
-Array = NDArray[np.float64]
-
 
 @inlined
 def advance_lumped(
     k: Constants, assembly: Assembly, belt: Array, heat: Heat, ambient_std: float, dt: float
 ) -> tuple[float, float]:
-    """Advance a belt with one node, as `belt_step.advance_belt`: f = (P - U A_h (T - T_a)) / C and J = df/dT.
+    """Advance a belt with one node, as `belt_step.roll`: f = (P - U A_h (T - T_a)) / C and J = df/dT.
 
     Notes
     -----

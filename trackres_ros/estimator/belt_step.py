@@ -12,9 +12,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array
 from trackres_ros.effects.stepping import WORK
 from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED, heat_of, log_speed
 from trackres_ros.estimator.belt_lumped import advance_lumped
@@ -25,43 +23,12 @@ from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import compiled, inlined
 
-Array = NDArray[np.float64]
-
 LONGEST_SUBSTEP = 0.5  # s while rolling
 MOST_SUBSTEPS = 20000
 # Offset in the work space, after the effects' entries: a belt before a gap and after a rest.
 BEFORE = WORK
 RESTED = BEFORE + 2 * BELT_COLUMNS
 BEHIND_BELTS = RESTED + 2 * BELT_COLUMNS
-
-
-@inlined
-def advance_belt(
-    k: Constants,
-    assembly: Assembly,
-    belt: Array,
-    speed: float,
-    log10_speed: float,
-    log_load: float,
-    drive_torque: float,
-    ambient: float,
-    ambient_std: float,
-    dt: float,
-) -> tuple[float, float]:
-    """Advance one belt by dt [s] at constant speed [m/s]; change `belt`, return heat in and out [J] over the step.
-
-    Both are nan where only the temperatures are wanted.
-
-    Notes
-    -----
-    T += dt phi_1(J dt) f, exponential Rosenbrock-Euler [5]: the model linearised at the start of the step is solved exactly. It
-    is of second order in dt for the nonlinear model, without a limit on dt at rest. Heat in and out are integrals of the same
-    linear model, so their difference is the heat stored to rounding.
-    """
-    heat = heat_of(k, assembly, belt[0, TEMPERATURE], speed, log10_speed, log_load, drive_torque, ambient)
-    if k.number.two_nodes:
-        return advance_two_nodes(k, assembly, belt, heat, ambient_std, dt)
-    return advance_lumped(k, assembly, belt, heat, ambient_std, dt)
 
 
 @inlined
@@ -78,18 +45,29 @@ def roll(
     ambient_std: float,
     dt: float,
 ) -> tuple[float, float]:
-    """Advance one belt by dt [s] with the speed linear between two values; return heat in and out [J].
+    """Advance one belt by dt [s] with the speed linear between two values [m/s]; change `belt`, return heat in and out [J].
 
-    `log10_middle` is log10 of the middle speed, shared by all belts in a short step.
+    Both are nan where only the temperatures are wanted. `log10_middle` is log10 of the middle speed, shared by all belts in a
+    short step.
+
+    Notes
+    -----
+    In each part of a step the speed is constant: T += dt phi_1(J dt) f, exponential Rosenbrock-Euler [5]. The model linearised at
+    its start is solved exactly. It is of second order in dt for the nonlinear model, without a limit on dt at rest. Heat in and
+    out are integrals of the same linear model, so their difference is the heat stored to rounding.
     """
     steps = 1
     if dt > LONGEST_SUBSTEP and not speed_from == speed_to == 0.0:
         steps = min(int(math.ceil(dt / LONGEST_SUBSTEP)), MOST_SUBSTEPS)
-    heat_in, heat_out = 0.0, 0.0
+    heat_in, heat_out, part = 0.0, 0.0, dt / steps
     for step in range(steps):
         speed = speed_from + (speed_to - speed_from) * (step + 0.5) / steps
         log10 = log10_middle if steps == 1 else log_speed(speed)
-        gained, lost = advance_belt(k, assembly, belt, speed, log10, log_load, drive_torque, ambient, ambient_std, dt / steps)
+        heat = heat_of(k, assembly, belt[0, TEMPERATURE], speed, log10, log_load, drive_torque, ambient)
+        if k.number.two_nodes:
+            gained, lost = advance_two_nodes(k, assembly, belt, heat, ambient_std, part)
+        else:
+            gained, lost = advance_lumped(k, assembly, belt, heat, ambient_std, part)
         heat_in += gained
         heat_out += lost
     return heat_in, heat_out

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array
 from trackres_ros.estimator.belt_heat import Heat
 from trackres_ros.estimator.belt_uncertainty import add_noise
 from trackres_ros.estimator.columns import BELT_COLUMNS, FIRST_DEPARTURE, Assembly, Belt
@@ -17,8 +15,6 @@ from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.model.thermal import phi_1, phi_matrix
-
-Array = NDArray[np.float64]
 
 LEAST_SPREAD = 1e-5  # of the rates, between the two of a belt
 
@@ -50,7 +46,7 @@ def walked(j11: float, j12: float, j21: float, j22: float, dt: float) -> tuple[f
 def advance_two_nodes(
     k: Constants, assembly: Assembly, belt: Array, heat: Heat, ambient_std: float, dt: float
 ) -> tuple[float, float]:
-    """Advance a belt with two nodes, as `belt_step.advance_belt` (ours); f are their rates and J the derivatives of these.
+    """Advance a belt with two nodes, as `belt_step.roll` (ours); f are their rates and J the derivatives of these.
 
     Notes
     -----

@@ -12,14 +12,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array
 from trackres_ros.estimator.columns import BELT_COLUMNS, FIRST_DEPARTURE, Belt
 from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import compiled, inlined
-
-Array = NDArray[np.float64]
 
 
 @inlined

@@ -8,9 +8,7 @@ The session turns it at messages. The live node and the exported C ask for its v
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.columns import Motion, Times
 from trackres_ros.estimator.constants import Constants
@@ -18,8 +16,6 @@ from trackres_ros.estimator.feedforward import finite, followed, present_target
 from trackres_ros.estimator.guards import LAST_ARRIVAL, Memory, not_enabled
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.units import NANOSECOND
-
-Array = NDArray[np.float64]
 
 ENABLE_OLD = int(at.Reason.ENABLE_OLD)
 

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array, IntArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.columns import Times
 from trackres_ros.estimator.constants import Constants
@@ -20,9 +18,6 @@ from trackres_ros.jit.compiled import inlined
 from trackres_ros.route.follower import PLACE_KNOWN, SLOPE, TORQUE, TORQUE_STD, drive_on, look, take_position
 from trackres_ros.route.track import FARTHEST_M, flat_now
 from trackres_ros.units import NANOSECOND
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 TOGETHER_NS = 50_000_000  # between the stamps of latitude and longitude: a bus sends them in two messages
 PLACE_UNKNOWN = int(at.Reason.PLACE_UNKNOWN)

@@ -189,59 +189,46 @@ REFUSALS = (*(Count(i) for i in range(Count.NON_FINITE, Count.BACKWARD + 1)), Co
 
 
 class Reason(IntFlag):
-    """Reasons why the status is not plainly good; several may apply."""
+    """Reasons why the status is not plainly good, each with its text; several may apply."""
+
+    text: str
+
+    def __new__(cls, value: int, text: str = "") -> Reason:
+        """A reason with its text."""
+        made = int.__new__(cls, value)
+        made._value_, made.text = value, text
+        return made
 
     NONE = 0
-    LOAD_HELD = 1 << 0
-    LOAD_NOMINAL = 1 << 1
-    AMBIENT_NOMINAL = 1 << 2
-    SPEED_STUCK = 1 << 3
-    GAP_BRIDGED = 1 << 4
-    GAP_UNKNOWN = 1 << 5
-    CLOCK_JUMPED = 1 << 6
-    TIME_RESET = 1 << 7
-    BELT_UNSURE = 1 << 8
-    BELT_SENSOR_DISAGREES = 1 << 9
-    OUTSIDE_TABLE = 1 << 10
-    FEEDFORWARD_CLAMPED = 1 << 11
-    FEEDFORWARD_RATE_LIMITED = 1 << 12
-    SPEED_QUANTISED = 1 << 13
-    EFFECT_LEFT_OUT = 1 << 14
-    SURROUNDINGS = 1 << 15
-    OUTSIDE_LEARNED = 1 << 16
-    OFF_ROUTE = 1 << 17
-    PLACE_UNKNOWN = 1 << 18
-    SPEED_IMPLAUSIBLE = 1 << 19
-    SPEED_DISAGREES = 1 << 20
-    DISABLED = 1 << 21
-    ENABLE_OLD = 1 << 22
+    LOAD_HELD = 1 << 0, "no recent load: the estimate uses the last one"
+    LOAD_NOMINAL = 1 << 1, "no load: the estimate uses the vehicle file's nominal load"
+    AMBIENT_NOMINAL = 1 << 2, "no ambient temperature: the estimate uses the vehicle file's"
+    SPEED_STUCK = 1 << 3, "the speed has not changed for a long time while moving"
+    GAP_BRIDGED = 1 << 4, "a gap in the speed was interpolated linearly"
+    GAP_UNKNOWN = 1 << 5, "a long gap in the speed: the belt temperature is between that of standing and of driving on"
+    CLOCK_JUMPED = 1 << 6, "the stamps jumped relative to arrival times: the arrival times are used"
+    TIME_RESET = 1 << 7, "time went back: the estimate was restarted"
+    BELT_UNSURE = 1 << 8, "the belt temperature is uncertain"
+    BELT_SENSOR_DISAGREES = 1 << 9, "the measured belt temperature is far from the estimate and was rejected"
+    OUTSIDE_TABLE = (
+        1 << 10,
+        "load or temperature is outside the range of the model or the rubber data: the torque is extrapolated",
+    )
+    FEEDFORWARD_CLAMPED = 1 << 11, "the feed-forward torque is at its limit"
+    FEEDFORWARD_RATE_LIMITED = 1 << 12, "the feed-forward torque is at its rate limit"
+    SPEED_QUANTISED = 1 << 13, "the speed is coarsely quantised: its acceleration is uncertain"
+    EFFECT_LEFT_OUT = 1 << 14, "an effect is inactive: an input is missing, or its output is not finite or implausible"
+    SURROUNDINGS = 1 << 15, "site, weather and ground come from the surroundings file, not from measurements"
+    OUTSIDE_LEARNED = 1 << 16, "a learned term is outside the range it was fitted on: it keeps its end value"
+    OFF_ROUTE = 1 << 17, "the surroundings file does not cover this place: the ground is assumed level and firm"
+    PLACE_UNKNOWN = 1 << 18, "the place on the route is unknown: the position is missing or old, or has no course yet"
+    SPEED_IMPLAUSIBLE = 1 << 19, "the speed changed faster than the vehicle can: samples were rejected until several agreed again"
+    SPEED_DISAGREES = 1 << 20, "the speed disagrees with all wheel speeds: the feed-forward fades to zero"
+    DISABLED = 1 << 21, "the feed-forward is not enabled: it fades to zero"
+    ENABLE_OLD = 1 << 22, "no recent enable message: the feed-forward fades to zero"
 
 
-REASON_TEXT = {
-    Reason.LOAD_HELD: "no recent load: the estimate uses the last one",
-    Reason.LOAD_NOMINAL: "no load: the estimate uses the vehicle file's nominal load",
-    Reason.AMBIENT_NOMINAL: "no ambient temperature: the estimate uses the vehicle file's",
-    Reason.SPEED_STUCK: "the speed has not changed for a long time while moving",
-    Reason.GAP_BRIDGED: "a gap in the speed was interpolated linearly",
-    Reason.GAP_UNKNOWN: "a long gap in the speed: the belt temperature is between that of standing and of driving on",
-    Reason.CLOCK_JUMPED: "the stamps jumped relative to arrival times: the arrival times are used",
-    Reason.TIME_RESET: "time went back: the estimate was restarted",
-    Reason.BELT_UNSURE: "the belt temperature is uncertain",
-    Reason.BELT_SENSOR_DISAGREES: "the measured belt temperature is far from the estimate and was rejected",
-    Reason.OUTSIDE_TABLE: "load or temperature is outside the range of the model or the rubber data: the torque is extrapolated",
-    Reason.FEEDFORWARD_CLAMPED: "the feed-forward torque is at its limit",
-    Reason.FEEDFORWARD_RATE_LIMITED: "the feed-forward torque is at its rate limit",
-    Reason.SPEED_QUANTISED: "the speed is coarsely quantised: its acceleration is uncertain",
-    Reason.EFFECT_LEFT_OUT: "an effect is inactive: an input is missing, or its output is not finite or implausible",
-    Reason.SURROUNDINGS: "site, weather and ground come from the surroundings file, not from measurements",
-    Reason.OUTSIDE_LEARNED: "a learned term is outside the range it was fitted on: it keeps its end value",
-    Reason.OFF_ROUTE: "the surroundings file does not cover this place: the ground is assumed level and firm",
-    Reason.PLACE_UNKNOWN: "the place on the route is unknown: the position is missing or old, or has no course yet",
-    Reason.SPEED_IMPLAUSIBLE: "the speed changed faster than the vehicle can: samples were rejected until several agreed again",
-    Reason.SPEED_DISAGREES: "the speed disagrees with all wheel speeds: the feed-forward fades to zero",
-    Reason.DISABLED: "the feed-forward is not enabled: it fades to zero",
-    Reason.ENABLE_OLD: "no recent enable message: the feed-forward fades to zero",
-}
+REASON_TEXT = {reason: reason.text for reason in Reason if reason}
 # Remarks that go with a fully usable estimate; any other reason makes it a warning.
 HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED | Reason.SPEED_QUANTISED | Reason.DISABLED
 

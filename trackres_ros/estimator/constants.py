@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array, IntArray
 from trackres_ros.effects.effect import ALL_KNOWN, VehicleConstants, conditions
 from trackres_ros.effects.stepping import effect_table, new_work, refuse_unusable
 from trackres_ros.estimator import columns as at
@@ -27,9 +27,6 @@ from trackres_ros.route.learned import SLOPE, TORQUE, followed_in, frame_of, of_
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 from trackres_ros.vehicle.reading import FITTED
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # Limits outside of which a measurement is refused, unless the vehicle file gives others: [low, high] in SI, degC.
 PLAUSIBLE = {

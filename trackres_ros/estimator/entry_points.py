@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array, IntArray
 from trackres_ros.effects.stepping import neutral, rest_effects
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED
@@ -23,12 +24,9 @@ from trackres_ros.estimator.columns import Assembly, Motion, Results, Times
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.guards import ACCEPTED_AFTER_RESET, GAP, Memory, admit, forget_others, gather
 from trackres_ros.estimator.kernel import advance, predict, start
-from trackres_ros.estimator.records import LARGEST, Carried, DriveSeries, Inputs
+from trackres_ros.estimator.records import LARGEST, DriveSeries, Inputs, State
 from trackres_ros.jit.compiled import HAVE_NUMBA, entry, inlined, interpreted
 from trackres_ros.units import NANOSECOND
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class Messages(NamedTuple):
@@ -44,7 +42,7 @@ class Messages(NamedTuple):
 def feed(
     k: Constants,
     memory: Memory,
-    carried: Carried,
+    carried: State,
     loads: Array,
     belt_measured: Array,
     channel: int,
@@ -82,7 +80,7 @@ def feed(
 def feed_all(
     k: Constants,
     memory: Memory,
-    carried: Carried,
+    carried: State,
     loads: Array,
     belt_measured: Array,
     messages: Messages,
@@ -102,7 +100,7 @@ def feed_all(
 
 
 @inlined
-def advance_once(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Array) -> bool:
+def advance_once(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array) -> bool:
     """`kernel.advance` for inputs from outside; false for values that `records.checked` refuses: here a check costs nothing."""
     usable = (
         inputs.ambient_std >= 0.0 and inputs.reasons >= 0 and inputs.fed >= 0.0 and not math.isnan(inputs.speed + inputs.ambient)
@@ -127,7 +125,7 @@ def advance_once(k: Constants, carried: Carried, inputs: Inputs, dt: float, out:
 
 @inlined
 def advance_along(
-    k: Constants, carried: Carried, series: DriveSeries, ambient_std: float, loads: Array, no_belts: Array, out: Array
+    k: Constants, carried: State, series: DriveSeries, ambient_std: float, loads: Array, no_belts: Array, out: Array
 ) -> None:
     """`kernel.advance` along a drive. One row of `out` a time."""
     for i in range(series.times.shape[0]):
@@ -143,7 +141,7 @@ def advance_along(
 
 
 @inlined
-def predict_along(k: Constants, carried: Carried, count: Array, series: DriveSeries, out: Array) -> None:
+def predict_along(k: Constants, carried: State, count: Array, series: DriveSeries, out: Array) -> None:
     """`kernel.predict` along a drive, from a state that was started or rested. One row of `out` a time."""
     for i in range(series.times.shape[0]):
         turning = series.yaw_rates[i], series.headings[i], series.distances[i]
@@ -155,7 +153,7 @@ def predict_along(k: Constants, carried: Carried, count: Array, series: DriveSer
 
 
 @inlined
-def rest(k: Constants, carried: Carried, ambient: float, ambient_std: float, seconds: float) -> None:
+def rest(k: Constants, carried: State, ambient: float, ambient_std: float, seconds: float) -> None:
     """Let the vehicle stand for some time [s] at an ambient temperature [degC]: belts and effects cool."""
     motion = Motion(carried.motion)
     motion.filtered_speed = motion.filtered_accel = motion.last_speed = motion.rolls = 0.0
@@ -173,7 +171,7 @@ def rest(k: Constants, carried: Carried, ambient: float, ambient_std: float, sec
 class Entries:
     """Functions that an estimator runs, compiled by numba or in plain Python, with equal results.
 
-    Each takes the fields of `Constants`, `Memory`, `Carried`, `Inputs`, `Messages` and `DriveSeries`, see `jit.compiled.entry`.
+    Each takes the fields of `Constants`, `Memory`, `State`, `Inputs`, `Messages` and `DriveSeries`, see `jit.compiled.entry`.
     """
 
     compiled: bool

@@ -8,14 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array, IntArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.text.numbers import decimals
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class Estimate:

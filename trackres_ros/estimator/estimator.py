@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros import checks
+from trackres_ros.arrays import Array, IntArray
 from trackres_ros.effects.stepping import cooled as cooled_effects
 from trackres_ros.effects.stepping import new_memory as new_effects_memory
 from trackres_ros.errors import InputError
@@ -26,7 +27,6 @@ from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
 from trackres_ros.estimator.records import (
     LARGEST,
     LEAST_WEIGHT,
-    Carried,
     DriveSeries,
     GroundSeries,
     Inputs,
@@ -50,9 +50,6 @@ ALONG = (
     "speed", "weight", "ambient", "acceleration", "grade", "yaw_rate", "heading", "distance", *DriveSeries._fields[-4:],
 )  # fmt: skip
 """Arguments of `Estimator.run` that are series, as in `DriveSeries`."""
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class Estimator:
@@ -186,8 +183,9 @@ class Estimator:
         """
         inputs = self._checked(inputs)
         belts = np.empty((len(self.assemblies), 2, at.BELT_COLUMNS))
-        state = State(belts, np.empty(at.Motion.columns), new_effects_memory(len(self.vehicle.active)))
-        self.entries.start_belts(*self.kernel_arguments, *_arrays(state), inputs.ambient, inputs.ambient_std)
+        effects = new_effects_memory(len(self.vehicle.active))
+        state = State(belts, np.empty(at.Motion.columns), effects, np.zeros(at.Learned.columns))
+        self.entries.start_belts(*self.kernel_arguments, *state, inputs.ambient, inputs.ambient_std)
         if belt_degc is not None:
             state.belts[:, :, at.Belt.temperature] = number(belt_degc, "belt_degc")
             state.belts[:, :, at.Belt.consider_ambient] = 0.0
@@ -211,8 +209,7 @@ class Estimator:
         after, elapsed, row = self._copy(state), duration(dt, "dt"), np.empty(len(self.columns))
         if not is_as_compiled(inputs, *self._sizes):
             inputs = self._checked(inputs)
-        carried = after.belts, after.motion, after.effects, after.learned
-        if not self.entries.step_once(*self.own_arguments(), *carried, *inputs, elapsed, row):
+        if not self.entries.step_once(*self.own_arguments(), *after, *inputs, elapsed, row):
             self._checked(inputs)  # which says why
         return after, Estimate(row, self.column_index)
 
@@ -268,7 +265,7 @@ class Estimator:
         series = DriveSeries(at_times, *(_at_each(at_times, a, name) for a, name in zip(given, ALONG, strict=True)))
         after, rows = self._copy(state), np.empty((len(at_times), len(self.columns)))
         work = self.constants.number.ambient_std, np.empty(len(self.constants.assembly)), self._no_belts
-        self.entries.run_series(*self.own_arguments(), *_arrays(after), *series, *work, rows)
+        self.entries.run_series(*self.own_arguments(), *after, *series, *work, rows)
         return after, rows
 
     def along_route(self, time_s: Array, speed: Array, latitude: Array, longitude: Array) -> GroundSeries:
@@ -305,7 +302,7 @@ class Estimator:
         state of another vehicle.
         """
         after, std, off = self._copy(state), self.constants.number.ambient_unknown_std, duration(seconds, "seconds")
-        self.entries.rest_vehicle(*self.own_arguments(), *_arrays(after), number(ambient, "ambient"), std, off)
+        self.entries.rest_vehicle(*self.own_arguments(), *after, number(ambient, "ambient"), std, off)
         return after
 
     def check(self, state: State) -> None:
@@ -333,11 +330,6 @@ def _at_each(at_times: Array, given: ArrayLike, where: str) -> Array:
     if found.shape not in ((), (1,), at_times.shape):
         raise InputError(where, f"an array of shape {found.shape}", f"a number, or shape {at_times.shape} as time_s")
     return np.array(np.broadcast_to(found, at_times.shape), order="C")
-
-
-def _arrays(state: State) -> Carried:
-    """As the kernel takes them."""
-    return Carried(state.belts, state.motion, state.effects, state.learned)
 
 
 class Session:
@@ -379,7 +371,7 @@ class Session:
     def begin(self, state: State) -> None:
         """Begin from a known state instead of a cold start. Raises InputError for the state of another vehicle."""
         self.estimator.check(state)
-        self.belts[:], self.motion[:], self.effects[:], self.learned[:] = _arrays(state)
+        self.belts[:], self.motion[:], self.effects[:], self.learned[:] = state
         self.motion[at.Motion.started] = at.RESTS
 
     def adopt(self, other: Session) -> None:

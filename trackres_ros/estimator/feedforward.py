@@ -7,16 +7,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from trackres_ros.effects.stepping import TERM_FED_GAIN, TERM_FED_INERTIA
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.columns import Motion, Part
 from trackres_ros.estimator.constants import Constants, Numbers
 from trackres_ros.jit.compiled import inlined
-
-Array = NDArray[np.float64]
 
 FEEDFORWARD_STEP_S = 0.02  # between two outputs at the default rate: so far the feed-forward moves at once, the rest follows
 

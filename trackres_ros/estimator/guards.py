@@ -13,8 +13,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array, IntArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.by_place import ground_now, of_place
 from trackres_ros.estimator.columns import Assembly, Motion, Times, Tracked
@@ -34,9 +34,6 @@ from trackres_ros.estimator.records import Inputs
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.route.follower import NOTHING_YET, forget
 from trackres_ros.units import NANOSECOND
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 ACCEPTED, NON_FINITE, OUT_OF_RANGE = int(at.Count.ACCEPTED), int(at.Count.NON_FINITE), int(at.Count.OUT_OF_RANGE)
 DUPLICATE, LATE, FUTURE, BACKWARD = int(at.Count.DUPLICATE), int(at.Count.LATE), int(at.Count.FUTURE), int(at.Count.BACKWARD)

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array
 from trackres_ros.effects.stepping import (
     ALL_WELL,
     DRAG_AREA,
@@ -54,13 +52,11 @@ from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.feedforward import feedforward
 from trackres_ros.estimator.learned_step import learn_from, learned_variance
 from trackres_ros.estimator.motion_step import advance_motion, rolls, start_motion
-from trackres_ros.estimator.records import Carried, Inputs
+from trackres_ros.estimator.records import Inputs, State
 from trackres_ros.estimator.road import Road, driving_torque, road_now, torque_of_place
 from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.resistance import direction, wind_force
-
-Array = NDArray[np.float64]
 
 LEAST_STD_SHARE = 0.001  # of the resistance: torque transducers are no better (class 0.1), so no estimate is
 
@@ -74,7 +70,7 @@ PREDICTED = 4
 
 
 @inlined
-def start(k: Constants, carried: Carried, ambient: float, ambient_std: float) -> None:
+def start(k: Constants, carried: State, ambient: float, ambient_std: float) -> None:
     """A cold start: every belt at the ambient temperature, and uncertain."""
     belts, motion, effects, _ = carried
     for i in range(belts.shape[0]):
@@ -93,7 +89,7 @@ def start(k: Constants, carried: Carried, ambient: float, ambient_std: float) ->
 @inlined
 def act(
     k: Constants,
-    carried: Carried,
+    carried: State,
     speed: float,
     accel: float,
     weight: float,
@@ -125,7 +121,7 @@ def act(
 
 
 @inlined
-def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Array) -> None:
+def advance(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array) -> None:
     """Advance the whole estimate by dt [s] to the time of `inputs`; change the carried state, fill one row of results.
 
     Parameters
@@ -250,7 +246,7 @@ def torque_variance(k: Constants, total: Part, learned: Learned, road: Road, dri
 
 @inlined
 def predict(
-    k: Constants, carried: Carried, count: Array, speed: float, accel: float, grade: float, torque_by_place: float, weight: float,
+    k: Constants, carried: State, count: Array, speed: float, accel: float, grade: float, torque_by_place: float, weight: float,
     ambient: float, turning: tuple[float, float, float], dt: float, out: Array,
 ) -> None:  # fmt: skip
     """Advance as `advance` does, without uncertainty, feed-forward and shares: for a fit, which needs thousands of runs.

@@ -14,18 +14,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array, IntArray
 from trackres_ros.estimator.columns import SPEED, Times, Tracked
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.feedforward import towards
 from trackres_ros.estimator.motion_step import LARGEST_QUANTUM
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.units import NANOSECOND
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 LONGEST_RUN_NS = 2_000_000_000  # by then the feed-forward is zero: a longer wait is no safer
 SEEN, LAST_ARRIVAL = Times.seen, Times.last_arrival

@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.guards import Memory
 from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
 from trackres_ros.route.follower import NOTHING_YET
-
-Array = NDArray[np.float64]
 
 BELT_DEGC = (-100.0, 400.0)  # wider than any rubber lives through
 MOST_DEPARTURE = 10.0  # relative to the file's value

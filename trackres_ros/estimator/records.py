@@ -6,18 +6,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from trackres_ros.effects.stepping import new_memory
+from trackres_ros.arrays import Array, IntArray
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.text.numbers import decimals
-
-Array = NDArray[np.float64]
 
 NOT_NUMBERS = "MmcbSUV"  # kinds of dtypes that numpy would convert: dates, durations, complex, true and false, texts, records
 DATES = "Mm"
@@ -53,28 +50,18 @@ FLOAT = np.dtype(float)
 KINDS = (float, np.ndarray, float, float, np.ndarray, *(float for _ in MAYBE_UNKNOWN), int, float)  # of Inputs, as compiled
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class State:
-    """State carried from one step to the next; not to be changed. `columns` describes the numbers."""
+class State(NamedTuple):
+    """State carried from one step to the next; not to be changed but by the kernel. `columns` describes the numbers."""
 
     belts: Array  # (assemblies, 2, BELT_COLUMNS): temperature [degC] and its departures [K], of the mean and of the surface
     motion: Array  # (MOTION_COLUMNS,): filtered speed and values of the last step
-    effects: Array = field(default_factory=lambda: new_memory(0))  # memory of the effects, see `effects.stepping`
-    learned: Array = field(default_factory=lambda: np.zeros(at.Learned.columns))  # learned departures of the vehicle
+    effects: Array  # memory of the effects, see `effects.stepping`
+    learned: Array  # learned departures of the vehicle
 
     def __repr__(self) -> str:
         degrees = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, at.Belt.temperature])
         belts = f"belts {degrees} degC, " if degrees else ""
         return f"<State: {belts}speed {decimals(float(self.motion[at.Motion.last_speed]), 2)} m/s>"
-
-
-class Carried(NamedTuple):
-    """State carried from step to step; all arrays are changed in place."""
-
-    belts: Array  # (assemblies, 2, BELT_COLUMNS); in a fit one of each kind
-    motion: Array  # (MOTION_COLUMNS,)
-    effects: Array  # see `stepping.new_memory`
-    learned: Array  # (LEARNED_COLUMNS,), see columns; zeros without learning
 
 
 class DriveSeries(NamedTuple):
@@ -127,7 +114,7 @@ def floats(given: ArrayLike, where: str, shape: tuple[int, ...] | None = None) -
     return found
 
 
-def whole_numbers(given: ArrayLike, where: str, low: int, high: int) -> NDArray[np.int64]:
+def whole_numbers(given: ArrayLike, where: str, low: int, high: int) -> IntArray:
     """Copy to an array of whole numbers from `low` to `high`, of floats the nearest ones. Raises InputError for others."""
     array = _of_numbers(given, where)
     if array.dtype.kind not in "iu" or isinstance(array, np.ma.MaskedArray):

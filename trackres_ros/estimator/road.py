@@ -8,16 +8,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array
 from trackres_ros.effects.stepping import TERM_DRIVE_GAIN, TERM_TORQUE
 from trackres_ros.estimator.belt_heat import log_speed
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.resistance import bearing_force, direction, grade_force, inertia_force, wind_force
-
-Array = NDArray[np.float64]
 
 
 class Road(NamedTuple):

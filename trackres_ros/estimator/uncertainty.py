@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
 from trackres_ros.files.cached_arrays import cached_arrays
 from trackres_ros.model.hysteresis import METHODS, Spectral
@@ -24,8 +24,6 @@ from trackres_ros.model.track import load_range
 from trackres_ros.vehicle import Vehicle, variants
 from trackres_ros.vehicle.belt_bulk import heat_capacity
 from trackres_ros.vehicle.reading import FITTED
-
-Array = NDArray[np.float64]
 
 VERSION = 2  # of the cached form
 STEP = 0.1  # of a standard deviation, for the differences

@@ -21,7 +21,7 @@ from trackres_ros.estimator.entry_points import feed, rest
 from trackres_ros.estimator.feedforward import fade
 from trackres_ros.estimator.guards import Memory, forget_others, not_enabled
 from trackres_ros.estimator.plausible_state import FARTHEST_NS
-from trackres_ros.estimator.records import Carried
+from trackres_ros.estimator.records import State
 from trackres_ros.estimator.snapshot import LONGEST_OFF
 from trackres_ros.units import NANOSECOND
 
@@ -52,7 +52,7 @@ def outcome_of(clock: IntArray, stepped: bool) -> int:
 
 
 def step(
-    k: Constants, memory: Memory, carried: Carried, loads: Array, belt_measured: Array, clock: IntArray, given: Array, dt: float,
+    k: Constants, memory: Memory, carried: State, loads: Array, belt_measured: Array, clock: IntArray, given: Array, dt: float,
     out: Array,
 ) -> int:  # fmt: skip
     """Process the inputs of a moment, `dt` [s] after the last one: the speed last, so that its step has all the others.
@@ -86,7 +86,7 @@ def step(
 
 
 def take_message(
-    k: Constants, memory: Memory, carried: Carried, loads: Array, belt_measured: Array, clock: IntArray, channel: int, stamp: int,
+    k: Constants, memory: Memory, carried: State, loads: Array, belt_measured: Array, clock: IntArray, channel: int, stamp: int,
     arrival: int, value: float, out: Array,
 ) -> int:  # fmt: skip
     """Process one message with its own stamp and its arrival [ns], as the live node does; see `step`."""
@@ -117,7 +117,7 @@ def is_stale(k: Constants, memory: Memory, latest: int) -> bool:
     return Times(memory.times[at.SPEED]).seen == 0 or age_of_speed(memory, latest) > k.number.speed_max_age
 
 
-def rest_after(k: Constants, memory: Memory, carried: Carried, ambient: float, seconds: float) -> None:
+def rest_after(k: Constants, memory: Memory, carried: State, ambient: float, seconds: float) -> None:
     """Restart after the vehicle stood, or was switched off: belts and effects have cooled, messages are forgotten.
 
     An ambient temperature that its guard would refuse is that of the vehicle file, and a time that is no number the longest.

@@ -16,9 +16,8 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.jit.compiled import HAVE_NUMBA
-
-Array = NDArray[np.float64]
 
 
 class Real:

@@ -11,12 +11,10 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.learning.parameters import STATES
 from trackres_ros.units import MAD_TO_STD
-
-Array = NDArray[np.float64]
 
 BLOCK_S = 20  # valid seconds
 MEMORY = 45.0  # blocks: a quarter of an hour

@@ -6,11 +6,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Mask
 from trackres_ros.estimator import columns as at
-
-Array = NDArray[np.float64]
 
 SPEED_SHARES = (0.2, 0.4, 0.6)  # edges, of the greatest speed
 MIDDLES = (0.1, 0.3, 0.5, 0.7)
@@ -44,13 +42,13 @@ class Buckets:
             self.accelerating += 1.0
 
     @property
-    def filled(self) -> NDArray[np.bool_]:
+    def filled(self) -> Mask:
         """Buckets with enough in them, shape SHAPE."""
         return np.asarray(self.seconds >= FILLED_S)
 
-    def covered(self) -> NDArray[np.bool_]:
+    def covered(self) -> Mask:
         """Whether each departure was excited enough, shape (LEARNABLE,)."""
-        filled: NDArray[np.bool_] = self.filled
+        filled: Mask = self.filled
         if self.seconds.sum() < LEAST_S or filled.sum() < self._least:
             return np.zeros(at.LEARNABLE, dtype=bool)
         speeds = np.asarray(filled.any(axis=(1, 2)))

@@ -9,15 +9,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array, Mask
 from trackres_ros.estimator import columns as at
 from trackres_ros.learning.filter import given_others
 from trackres_ros.learning.learned import LearnerState
 from trackres_ros.learning.parameters import REACH_STD, STEP, Prior
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 RATE_PER_HOUR = 1.0  # of the file's value: limit on the rate of acting values
 FASTEST = np.full(at.LEARNABLE, RATE_PER_HOUR / 3600.0)  # in a second
@@ -56,13 +53,8 @@ def sure(s: LearnerState, prior: Prior) -> Mask:
     return np.asarray(variances < 0.25 * np.diag(prior.covariance)[: at.LEARNABLE])
 
 
-def aim(s: LearnerState, prior: Prior, counted: Mask) -> None:
-    """Target of the acting departures: all accepted ones, with the file's values for the rest."""
-    s.aim[:] = accepted(s, prior, counted)
-
-
 def accepted(s: LearnerState, prior: Prior, counted: Mask) -> Array:
-    """The accepted departures, with the file's values for the rest, shape (LEARNABLE,)."""
+    """Target of the acting departures, (LEARNABLE,): all accepted ones, with the file's values for the rest."""
     if not counted.any():
         return np.zeros(at.LEARNABLE)
     of_vehicle = counted.copy()

@@ -17,12 +17,10 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.learning.delay_window import LONGEST_GAP_S, SPAN_S, WINDOW_S, window_delay
 from trackres_ros.units import NANOSECOND, SECOND_NS
-
-Array = NDArray[np.float64]
 
 APART_NS = 9_000_000  # between two kept samples: at 100 Hz all are kept
 PAST = 40  # windows that are kept

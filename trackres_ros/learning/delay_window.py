@@ -14,12 +14,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array, Mask
 from trackres_ros.learning.gate import AGAINST_SHARE, BRAKING_MPS2, SLOWEST_MPS
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 EARLIEST_S, LATEST_S = -0.5, 1.0  # delays searched: a delay up to 0.5 s needs both flanks of its peak
 GRID_S = 0.05

@@ -8,10 +8,8 @@ fixed order, so results are equal to the bit.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from trackres_ros.arrays import Array, Mask
 
 
 def aged(mean: Array, covariance: Array, keep: Array, gained: Array) -> None:

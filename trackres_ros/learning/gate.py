@@ -9,13 +9,12 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Session
 from trackres_ros.units import MAD_TO_STD, SECOND_NS, STANDSTILL_MPS
 
-Array = NDArray[np.float64]
 Row = list[float]
 
 SLOWEST_MPS = 1.0  # slower, friction may be static
@@ -37,17 +36,15 @@ LEAST_SHARE = 0.5  # of a second's samples that are valid: else the second is di
 LONGEST_HOLD_NS = 10 * SECOND_NS
 APART_NS = 45_000_000  # between two samples of a second: more of them do not improve its mean
 
-UNSURE = int(
+SPEED_UNSURE = int(
     at.Reason.SPEED_STUCK
     | at.Reason.SPEED_IMPLAUSIBLE
     | at.Reason.SPEED_DISAGREES
     | at.Reason.GAP_UNKNOWN
     | at.Reason.CLOCK_JUMPED
     | at.Reason.TIME_RESET
-    | at.Reason.BELT_SENSOR_DISAGREES
-    | at.Reason.OUTSIDE_TABLE
-    | at.Reason.EFFECT_LEFT_OUT
 )
+UNSURE = SPEED_UNSURE | int(at.Reason.BELT_SENSOR_DISAGREES | at.Reason.OUTSIDE_TABLE | at.Reason.EFFECT_LEFT_OUT)
 NO_TORQUE, SLOW, HARD, BRAKES, TURNS, STUCK, AGAINST, OUTLYING, DOUBTFUL = range(9)
 TEXTS = (
     "no torque is measured",

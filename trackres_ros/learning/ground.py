@@ -13,16 +13,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array, Mask
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Session
 from trackres_ros.learning.filter import corrected, spread
 from trackres_ros.learning.parameters import HEIGHT, SLOPE, STATES, TILT
 from trackres_ros.units import GRAVITY, SECOND_NS
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SLOPE_STD, REACH_M = 0.02, 200.0  # assumed: prior of roads, and their correlation length
 LEAST_SLOPE_STD, SLOPE_MEMORY_M = 0.003, 10e3

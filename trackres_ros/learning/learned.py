@@ -9,14 +9,12 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
 from trackres_ros.learning.blocks import BLOCK_S, Contest, Past, ResidualBlock, Wandering
 from trackres_ros.learning.ground import Ground
 from trackres_ros.learning.parameters import HEIGHT, SLOPE, SLOW, STATES, WANDERING_SHARE, Prior
-
-Array = NDArray[np.float64]
 
 SLOW_S = 180.0  # time constant of the slow disturbance
 SLOW_KEEPS = math.exp(-BLOCK_S / SLOW_S)  # of it from one block to the next

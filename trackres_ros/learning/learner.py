@@ -13,8 +13,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array, Mask
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.learning import correction
@@ -23,7 +23,7 @@ from trackres_ros.learning.buckets import ACCELERATES_MPS2, Buckets
 from trackres_ros.learning.delay import DelayEstimator
 from trackres_ros.learning.disturbances import DISAGREES_S, close_block, disturbance_text, let_last, why_frozen
 from trackres_ros.learning.filter import aged, corrected, expected, spread
-from trackres_ros.learning.gate import AGAINST, OUTLYING, TEXTS, Gate, Row
+from trackres_ros.learning.gate import AGAINST, OUTLYING, SPEED_UNSURE, TEXTS, Gate, Row
 from trackres_ros.learning.learned import SLOW_S, nothing_learned
 from trackres_ros.learning.parameters import (
     GAIN,
@@ -39,9 +39,6 @@ from trackres_ros.learning.parameters import (
 )
 from trackres_ros.units import GRAVITY, SECOND_NS
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
 MODES = OFF, WATCH, ON = "off", "watch", "on"
 STEP_S = 4 * 3600.0  # memory of sudden steps, in driving
 LEAST_BELT_STD_K = 0.1
@@ -55,13 +52,6 @@ NOISE_MEMORY_S = 120.0
 INERTIA_SHARE = 0.2  # of the inertia: an acceleration that is filtered from a speed lags
 ROLLING_MEMORY_S = 600.0
 TIME_RESET, CLOCK_JUMPED = int(at.Reason.TIME_RESET), int(at.Reason.CLOCK_JUMPED)
-SPEED_UNSURE = TIME_RESET | int(
-    at.Reason.SPEED_STUCK
-    | at.Reason.SPEED_IMPLAUSIBLE
-    | at.Reason.SPEED_DISAGREES
-    | at.Reason.GAP_UNKNOWN
-    | at.Reason.CLOCK_JUMPED
-)
 LEFT_OUT_SHARE = 0.1  # of the invalid samples of a minute, by fault of the torque: more are reported
 
 
@@ -170,7 +160,7 @@ class Learner:
             self._learn(session)
         let_last(s, second.counts)
         if second.counts and s.seconds % AIMS_EVERY_S == 0.0 and not self.frozen:
-            correction.aim(s, self.prior, self.counted)
+            s.aim[:] = correction.accepted(s, self.prior, self.counted)
         correction.follow(s)
         if self.mode == ON:
             self.act(session)

@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import relative_std
 from trackres_ros.estimator.estimator import Estimator
@@ -18,8 +18,6 @@ from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 from trackres_ros.vehicle.road import SECTION
 from trackres_ros.vehicle.schema import BELT, CHASSIS, ROAD_LOAD, RUBBER, QuantityLimits
 from trackres_ros.vehicle.writing.vehicle_file import rubber_share
-
-Array = NDArray[np.float64]
 
 # The filter's states: the departures of `estimator.columns`, then what is learned only so that it is not taken for them: offset
 # [Nm] and gain of the torque sensor, a drifting torque against travel within minutes, and one that came at once [Nm]; the
@@ -49,6 +47,8 @@ class Learnable:
     meaning: str
     state: int  # index of the filter's state; or `DELAY`
     nominal: float  # value of the vehicle file; states are departures over it, but offset and torques are themselves
+    paths: tuple[str, ...] = ()  # values of the file that a departure scales; the first is learned
+    factor: float = 1.0  # their relative change for a departure of 1
 
     def value(self, departure: float) -> float:
         """The value in its unit, of a departure."""
@@ -83,65 +83,46 @@ def learnables(vehicle: AnyVehicle) -> tuple[Learnable, ...]:
 
 
 def _of_tracks(vehicle: Vehicle) -> tuple[Learnable, ...]:
-    chassis = vehicle.chassis
+    chassis, scale = vehicle.chassis, vehicle.rubber.loss_modulus_scale
+    films = tuple(f"tracks.{name}.belt.{film}" for name in vehicle.tracks for film in ("film_offset", "film_slope"))
+    heat = ("rubber.heat_capacity",), 1.0 / rubber_share(vehicle)  # of a belt's: cords hold the rest
+    drag, mass = ("chassis.drag_coefficient",), ("chassis.rotating_mass_factor",)
     return (
-        Learnable("loss_modulus_scale", "1", "scale of the belts' loss", at.OF_LOSS, vehicle.rubber.loss_modulus_scale),
-        Learnable("bearing_friction", "1", "bearing friction", at.OF_BEARING, chassis.bearing_friction),
-        Learnable("drag_coefficient", "1", "drag coefficient", at.OF_DRAG, chassis.drag_coefficient),
-        Learnable("rotating_mass_factor", "1", "rotating-mass factor", at.OF_MASS, chassis.rotating_mass_factor),
-        Learnable("film_scale", "1", "scale of the belts' cooling", at.OF_COOLING, 1.0),
-        Learnable("capacity_scale", "1", "scale of the belts' heat capacity", at.OF_CAPACITY, 1.0),
+        Learnable("loss_modulus_scale", "1", "scale of the belts' loss", at.OF_LOSS, scale, ("rubber.loss_modulus_scale",)),
+        Learnable(
+            "bearing_friction", "1", "bearing friction", at.OF_BEARING, chassis.bearing_friction, ("chassis.bearing_friction",)
+        ),
+        Learnable("drag_coefficient", "1", "drag coefficient", at.OF_DRAG, chassis.drag_coefficient, drag),
+        Learnable("rotating_mass_factor", "1", "rotating-mass factor", at.OF_MASS, chassis.rotating_mass_factor, mass),
+        Learnable("film_scale", "1", "scale of the belts' cooling", at.OF_COOLING, 1.0, films),
+        Learnable("capacity_scale", "1", "scale of the belts' heat capacity", at.OF_CAPACITY, 1.0, *heat),
     )
 
 
 def _of_wheels(vehicle: RoadVehicle) -> tuple[Learnable, ...]:
-    values = vehicle.values
+    v, rolling = vehicle.values, (f"{SECTION}.rolling_coefficient", f"{SECTION}.rolling_rise")
+    drag, mass = (f"{SECTION}.drag_area",), (f"{SECTION}.rotating_mass_factor",)
     return (
-        Learnable("rolling_coefficient", "1", "rolling resistance over weight", at.OF_BEARING, values["rolling_coefficient"]),
-        Learnable("drag_area", "m^2", "drag area", at.OF_DRAG, values["drag_area"]),
-        Learnable("rotating_mass_factor", "1", "rotating-mass factor", at.OF_MASS, values["rotating_mass_factor"]),
+        Learnable("rolling_coefficient", "1", "rolling resistance over weight", at.OF_BEARING, v["rolling_coefficient"], rolling),
+        Learnable("drag_area", "m^2", "drag area", at.OF_DRAG, v["drag_area"], drag),
+        Learnable("rotating_mass_factor", "1", "rotating-mass factor", at.OF_MASS, v["rotating_mass_factor"], mass),
     )
 
 
-Places = Mapping[int, tuple[tuple[str, ...], float]]
-"""Values of the file behind each departure, and their change for a departure of 1."""
-
-
-def places(vehicle: AnyVehicle) -> Places:
-    """Values of a vehicle's file that each departure scales."""
-    if isinstance(vehicle, RoadVehicle):
-        return {
-            at.OF_BEARING: ((f"{SECTION}.rolling_coefficient", f"{SECTION}.rolling_rise"), 1.0),
-            at.OF_DRAG: ((f"{SECTION}.drag_area",), 1.0),
-            at.OF_MASS: ((f"{SECTION}.rotating_mass_factor",), 1.0),
-        }
-    share = rubber_share(vehicle)  # of a belt's heat: cords hold the rest
-    of_track = [f"tracks.{name}.belt.{film}" for name in vehicle.tracks for film in ("film_offset", "film_slope")]
-    return {
-        at.OF_LOSS: (("rubber.loss_modulus_scale",), 1.0),
-        at.OF_CAPACITY: (("rubber.heat_capacity",), 1.0 / share),
-        at.OF_COOLING: (tuple(of_track), 1.0),
-        at.OF_BEARING: (("chassis.bearing_friction",), 1.0),
-        at.OF_DRAG: (("chassis.drag_coefficient",), 1.0),
-        at.OF_MASS: (("chassis.rotating_mass_factor",), 1.0),
-    }
-
-
 def limits_of(path: str) -> QuantityLimits:
-    """What a file may hold for one of `places`."""
+    """What a file may hold for a value of `Learnable.paths`."""
     section, _, name = path.rpartition(".")
     return {"rubber": RUBBER, "chassis": CHASSIS, SECTION: ROAD_LOAD}.get(section, BELT)[name]
 
 
-def _in_a_file(vehicle: AnyVehicle, state: int) -> tuple[float, float]:
+def _in_a_file(vehicle: AnyVehicle, one: Learnable) -> tuple[float, float]:
     """Bounds of a departure within which all its values may be in a vehicle file."""
-    paths, factor = places(vehicle)[state]
     low, high = -np.inf, np.inf
-    for path in paths:
+    for path in one.paths:
         value, limits = vehicle.parameters[path].value, limits_of(path)
         assert isinstance(value, float)
         if value:
-            ends = sorted((end / value - 1.0) / factor for end in (limits.low, limits.high))
+            ends = sorted((end / value - 1.0) / one.factor for end in (limits.low, limits.high))
             low, high = max(low, ends[0]), min(high, ends[1])
     return min(low, 0.0), max(high, 0.0)
 
@@ -153,7 +134,7 @@ def make_prior(estimator: Estimator) -> Prior:
     correlated. So are mass and scale of the torque of a vehicle on wheels.
     """
     k = estimator.constants
-    own = [one.state for one in learnables(estimator.vehicle) if one.state in VEHICLES_OWN]
+    own = {one.state: one for one in learnables(estimator.vehicle) if one.paths}
     load = k.assembly[:, at.Assembly.nominal_load]
     factor = (load / load.sum()) @ k.assembly[:, at.CONSIDER_FACTOR : at.CAUSES_OF]
     covariance = _tied(estimator, own, factor.reshape(4, 4))
@@ -168,12 +149,12 @@ def make_prior(estimator: Estimator) -> Prior:
     low, high = np.full(STATES, -np.inf), np.full(STATES, np.inf)
     for state in own:
         reach = REACH_STD * float(np.sqrt(covariance[state, state]))
-        least, most = _in_a_file(estimator.vehicle, state)
+        least, most = _in_a_file(estimator.vehicle, own[state])
         low[state], high[state] = max(-reach, LEAST_FACTOR - 1.0, least), min(reach, most)
     return Prior(covariance, low, high, rolling)
 
 
-def _tied(estimator: Estimator, own: Sequence[int], factor: Array) -> Array:
+def _tied(estimator: Estimator, own: Iterable[int], factor: Array) -> Array:
     """Covariance of the vehicle's own departures, (STATES, STATES); `factor` is (4, 4), of uncertain belts and the radius."""
     vehicle, number = estimator.vehicle, estimator.constants.number
     wheels = isinstance(vehicle, RoadVehicle)

@@ -15,7 +15,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.learning.correction import accepted
 from trackres_ros.learning.filter import known_of_others
 from trackres_ros.learning.learner import Learner
-from trackres_ros.learning.parameters import REACH_STD, limits_of, places
+from trackres_ros.learning.parameters import REACH_STD, Learnable, limits_of
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle
 from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.writing.changes import FileChanges
@@ -43,8 +43,8 @@ def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> LearnedF
     It has the values that were learned. Those acting follow them at a limited rate, so they may be half-way.
     """
     counts = [state for state in learner.own if learner.acts and learner.counted[state]]
-    of_file = places(vehicle)
-    kept = {name: _value(vehicle, name) for state in learner.own if state not in counts for name in of_file[state][0]}
+    of_file = {one.state: one for one in learner.learnables}
+    kept = {name: _value(vehicle, name) for state in learner.own if state not in counts for name in of_file[state].paths}
     if not counts:
         fits = "the learned parameters fit no better than the vehicle file"
         return LearnedFile(path, (), {}, kept, fits if learner.counted.any() else learner.text)
@@ -57,7 +57,7 @@ def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> LearnedF
     def with_learned(text: str) -> str:
         document = Document(text)
         for state in counts:
-            changed.update(_set(document, vehicle, state, found[state], stds[state]))
+            changed.update(_set(document, vehicle, of_file[state], found[state], stds[state]))
         return document.text() or f"# {comment}\n{document.plain()}"
 
     changes = FileChanges(None, (), {}, by="trackres replay", amend=with_learned)
@@ -83,20 +83,19 @@ def _stds(learner: Learner, counts: list[int]) -> dict[int, float]:
     return {state: float(stds[state]) for state in counts}
 
 
-def _set(document: Document, vehicle: AnyVehicle, state: int, departure: float, std: float) -> dict[str, tuple[float, float]]:
+def _set(document: Document, vehicle: AnyVehicle, one: Learnable, departure: float, std: float) -> dict[str, tuple[float, float]]:
     """Put a departure into the values of the file that it is of; these before and after, by path.
 
     The first is learned. Others only scale with it, so their own relative ranges stay, if they are wider.
     """
-    paths, factor = places(vehicle)[state]
     changed = {}
-    for path in paths:
+    for path in one.paths:
         old, before_it, limit = vehicle.parameters[path], _value(vehicle, path), limits_of(path)
         if before_it == 0.0:  # scaled it stays 0, and is as uncertain as before
             continue
-        scale, reach = 1.0 + factor * departure, factor * REACH_STD * std
+        scale, reach = 1.0 + one.factor * departure, one.factor * REACH_STD * std
         ends = [before_it * (scale - reach), before_it * (scale + reach)]
-        if path != paths[0]:
+        if path != one.paths[0]:
             ends += [old.low * scale, old.high * scale]
         value, *span = (min(max(x, limit.low), limit.high) for x in (before_it * scale, min(ends), max(ends)))
         before = f"{REASON}; before it {before_it:g} ({old.flag}): {old.reason}"

@@ -8,13 +8,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trackres_ros.arrays import Array
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import Belt, Rubber
-from trackres_ros.vehicle.belt_bulk import mass_per_length
-
-Array = NDArray[np.float64]
+from trackres_ros.vehicle.belt_bulk import mass_per_length, wrapped_radius
 
 
 def cooled_area(belt: Belt) -> float:
@@ -80,16 +79,6 @@ def bending_moment_of_height(belt: Belt, order: int) -> float:
     """Integral of (h - h0)^order over the thickness [m^(order+1)], about the cord as neutral axis (19 to 21)."""
     above, below = belt.thickness - belt.cord_height, belt.cord_height
     return (above ** (order + 1) - (-below) ** (order + 1)) / (order + 1)
-
-
-def wrapped_radius(radius: float, wrap_angle: float, belt: Belt) -> float:
-    """Radius [m] of the cord round a wheel: R + h0, equation (20); a wheel on the outer face carries H - h0 below it."""
-    return radius + (belt.cord_height if wrap_angle >= 0 else belt.thickness - belt.cord_height)
-
-
-def arc_length(radius: float, wrap_angle: float, belt: Belt) -> float:
-    """Length of cord [m] on a wrapped wheel."""
-    return abs(wrap_angle) * wrapped_radius(radius, wrap_angle, belt)
 
 
 def signed_curvature(radius: float, wrap_angle: float, belt: Belt) -> float:

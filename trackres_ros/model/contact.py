@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from trackres_ros.arrays import Array
 
 LARGEST_HALF_LENGTH = 0.98  # of the wheel radius; above it the layer would wrap the wheel
 NEWTON_PASSES = 20

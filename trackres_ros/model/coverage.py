@@ -16,8 +16,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
 from trackres_ros.files.cached_arrays import cached_arrays
 from trackres_ros.model.contact import half_length_for_force
@@ -63,7 +64,7 @@ def coverage(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> Co
     wheels, sweep = track.road_wheels, vehicle.rubber.sweep_degc
     loads = wheel_loads(track, load_range(vehicle, track_name).nominal)
 
-    def coldest() -> dict[str, NDArray[np.float64]]:
+    def coldest() -> dict[str, Array]:
         return {"modulus": rubber.dynamic_modulus(vehicle.rubber.sweep_frequency, sweep[0])}
 
     modulus = cached_arrays(f"coldest-{fingerprint(vehicle, track_name)}", {"modulus": ()}, coldest, cache)["modulus"]

@@ -9,16 +9,15 @@ from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trackres_ros.arrays import Array
 from trackres_ros.model import belt as belt_model
 from trackres_ros.model import contact, rainflow
 from trackres_ros.model.loads import beam_shares, wheel_loads
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.strain_history import Loop, along_belt, build_loop, indentation_amplitudes
 from trackres_ros.vehicle import Track
-
-Array = NDArray[np.float64]
 
 HARMONICS = 4096  # doubling them moves the loss by less than 0.1 % (test_hysteresis.py)
 POINTS_AT_ONCE = 8  # of a vectorised evaluation, so that its arrays stay in the processor's cache

@@ -6,11 +6,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trackres_ros.arrays import Array
 from trackres_ros.vehicle import Beam, Track
-
-Array = NDArray[np.float64]
 
 
 def beam_shares(track: Track, own_weight: bool = False) -> Array:

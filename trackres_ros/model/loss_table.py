@@ -16,16 +16,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trackres_ros.arrays import Array
 from trackres_ros.files.cached_arrays import cached_arrays
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.hysteresis import METHODS, LossMethod, Spectral
 from trackres_ros.model.rubber import REFERENCE_ABOVE_TG, RubberModel
 from trackres_ros.model.track import LoadRange, TrackModel, load_range
 from trackres_ros.vehicle import Vehicle
-
-Array = NDArray[np.float64]
 
 VERSION = 6  # of the cached form
 LOG_SPEED = (-8.0, 9.5)  # x: from a belt at 120 degC creeping at 1 mm/s to one at -55 degC at any speed

@@ -12,12 +12,11 @@ import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trackres_ros.arrays import Array
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
-
-Array = NDArray[np.float64]
 
 RESISTANCE_PARTS = {"hysteresis": "hysteresis_nm", "bearing": "bearing_nm", "wind": "wind_nm", "effects": "effects_nm"}
 """Parts of the resistance, and their columns in the results."""

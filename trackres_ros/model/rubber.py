@@ -9,15 +9,15 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trackres_ros.arrays import Array
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.vehicle import Rubber
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
 
-Array = NDArray[np.float64]
 
 REFERENCE_ABOVE_TG = 50.0  # K: the shift function is 1 at Tg + 50, equation (4)
 

@@ -15,11 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.model import contact
-from trackres_ros.model.belt import arc_length, signed_curvature
+from trackres_ros.model.belt import signed_curvature
 from trackres_ros.vehicle import Track
+from trackres_ros.vehicle.belt_bulk import arc_length
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 SERIES_BELOW = 0.3  # the closed transforms of a pulse cancel below it

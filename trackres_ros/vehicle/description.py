@@ -14,12 +14,10 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.effects.effect import Active, VehicleKind
 from trackres_ros.route.learned import RouteMap
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

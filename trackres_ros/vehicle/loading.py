@@ -27,6 +27,7 @@ from trackres_ros.files.yamls import read_yaml
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import schema
+from trackres_ros.vehicle.belt_bulk import arc_length
 from trackres_ros.vehicle.description import (
     Assembly,
     Axle,
@@ -357,10 +358,7 @@ def _check_geometry(reader: ValueReader, key: str, track: Track) -> None:
     if abs(wraps - 2 * math.pi) > CLOSED_LOOP_TOLERANCE_RAD:
         allowed = f"a closed loop: 2 pi within {CLOSED_LOOP_TOLERANCE_RAD} rad"
         raise refused("wrapped_wheels", f"wrap angles that sum to {wraps:.3f} rad", allowed)
-    arcs = 0.0
-    for wheel in track.wrapped_wheels:  # a wheel on the outer face carries the belt's other side below the cord
-        below_cord = belt.cord_height if wheel.wrap_angle >= 0 else belt.thickness - belt.cord_height
-        arcs += abs(wheel.wrap_angle) * (wheel.radius + below_cord)
+    arcs = sum(arc_length(wheel.radius, wheel.wrap_angle, belt) for wheel in track.wrapped_wheels)
     if wheels.ground_run + arcs >= belt.loop_length:
         allowed = f"more than the ground run and the wraps together, {wheels.ground_run + arcs:.3f} m"
         raise refused("belt.loop_length", belt.loop_length, allowed)

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.effects.effect import Active, Effect, VehicleConstants, VehicleKind
 from trackres_ros.effects.vehicle.coulomb_friction import CoulombFriction
 from trackres_ros.effects.vehicle.drivetrain_efficiency import DrivetrainEfficiency
@@ -131,7 +131,7 @@ class RoadVehicle:
         scale, mass = (self.parameters[f"{SECTION}.{name}"] for name in ("torque_scale", "mass"))
         return scale.low * mass.low / self.values["mass"], scale.high * mass.high / self.values["mass"]
 
-    def nominal_loads(self) -> NDArray[np.float64]:
+    def nominal_loads(self) -> Array:
         """Its weight [N], shape (1,): all wheels are one."""
         return np.array([self.weight])
 

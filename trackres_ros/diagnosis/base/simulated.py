@@ -17,7 +17,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants, kernel_arguments, work_space
 from trackres_ros.estimator.entry_points import COMPILED
 from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_OUTCOME
-from trackres_ros.estimator.records import Carried, DriveSeries
+from trackres_ros.estimator.records import DriveSeries, State
 
 
 def simulated(
@@ -37,7 +37,7 @@ def simulated(
     table = acting.table
     k = k._replace(effects=table.rows, effect_values=table.values, work=work_space(facts, 0))
     arguments = kernel_arguments(k, COMPILED.compiled)
-    state = Carried(
+    state = State(
         np.empty((belts, 2, at.BELT_COLUMNS)),
         np.empty(at.Motion.columns),
         new_memory(len(acting.stepped)),

@@ -1,0 +1,33 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A step of effects alone, on the reference vehicle."""
+
+import pytest
+
+from trackres_ros.effects.stepping import (
+    ALL_WELL,
+    EXTRAPOLATED,
+    EffectTable,
+    effect_table,
+    look,
+    new_memory,
+    new_work,
+    step_effects,
+)
+from trackres_ros.model.vehicle_constants import vehicle_constants
+
+
+@pytest.fixture(scope="session")
+def stepped(xgd24d):
+    """The terms of effects, or of their table, by the step; it changes their memory."""
+    facts = vehicle_constants(xgd24d)
+
+    def step(effects, at, memory=None, machine=True, dt=0.0):
+        table = effects if isinstance(effects, EffectTable) else effect_table(effects, machine=machine)
+        work, memory = new_work(facts), new_memory(len(table.rows)) if memory is None else memory
+        look(work, *at[1:9], at.belt)
+        assert step_effects(table.rows, table.values, memory, work, dt) in (ALL_WELL, EXTRAPOLATED)
+        return work
+
+    return step
