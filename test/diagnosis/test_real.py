@@ -17,7 +17,7 @@ from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.diagnosis.stages.prepare import prepared
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.field.data import car, robot, trips
+from trackres_ros.evaluation.field.data import car, robot
 from trackres_ros.evaluation.field.run import BUT_WHEELS, SHOWS_TURNING
 from trackres_ros.files.resources import config_dir
 
@@ -60,26 +60,30 @@ def test_a_robot_on_wet_grass_shows_scrub_with_a_known_yaw_rate(report_of, tmp_p
     assert [e["name"] for e in by_wheels["effects"]] == ["turning_scrub"]
 
 
-def test_of_half_a_winter_nothing_is_named_but_what_warms_up(report_of, tmp_path):
-    winter = [name for name in trips(DATA) if name.startswith("TripB")]
-    paths = [car(DATA, name, tmp_path) for name in winter[::2]]  # half of them do; docs/proof-real.md is of all
-    found = report_of("bmw_i3", tmp_path / "out", *paths, "--hide", "ambient")
-    # Half of the trips hold evidence at the edge of what is named: a class in which it warms up, or no name at all.
-    assert found["verdict"]["status"] in ("one_of", "unexplained", "described")
-    for effect in found["effects"]:
+@pytest.fixture(scope="module")
+def winter(run, tmp_path_factory):
+    """The report on three trips of the car in winter; docs/proof-real.md is of all."""
+    folder = tmp_path_factory.mktemp("winter")
+    paths = [car(DATA, name, folder) for name in ("TripB18", "TripB21", "TripB24")]
+    assert run(paths, folder / "out", "--hide", "ambient", vehicle="bmw_i3").exit_code == 0
+    return json.loads((folder / "out" / "report.json").read_text())
+
+
+def test_in_winter_nothing_is_named_but_what_warms_up(winter):
+    # The trips hold evidence at the edge of what is named: a class in which it warms up, or no name at all.
+    assert winter["verdict"]["status"] in ("one_of", "unexplained", "described")
+    for effect in winter["effects"]:
         assert {"roadwheel_tyres", "warmup", "viscous_bearing"} & set(effect["class"])
-    assert found["heldout"]["mae"]["with_effects"] <= found["heldout"]["mae"]["refitted"]
+    assert winter["heldout"]["mae"]["with_effects"] <= winter["heldout"]["mae"]["refitted"]
 
 
-def test_the_car_is_refitted_to_values_of_a_car(report_of, tmp_path):
-    paths = [car(DATA, name, tmp_path) for name in ("TripB18", "TripB21", "TripB24")]
-    found = report_of("bmw_i3", tmp_path / "out", *paths)
-    refitted = {name: q["value"] for name, q in found["base"]["refitted"].items()}
+def test_the_car_is_refitted_to_values_of_a_car(winter):
+    refitted = {name: q["value"] for name, q in winter["base"]["refitted"].items()}
     assert 1.0 < refitted["rotating_mass_factor"] < 1.25
     assert 0.3 < refitted["drag_area"] < 0.9
-    assert found["heldout"]["r2"]["refitted"] > 0.85
-    assert sum("it had stood for" in note for note in found["notes"]) == 3  # after drives that are not among these
-    assert any("may brake" in x["reason"] and x["samples"] > 100 for x in found["rejected"])
+    assert winter["heldout"]["r2"]["refitted"] > 0.85
+    assert sum("it had stood for" in note for note in winter["notes"]) == 3  # after drives that are not among these
+    assert any("may brake" in x["reason"] and x["samples"] > 100 for x in winter["rejected"])
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.errors import InputError
-from trackres_ros.node.transport import Level
+from trackres_ros.node.transport import Level, Peer
 from trackres_ros.recording.bindings import Topics
 
 SPEED = "speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x%s}\n"
@@ -90,6 +90,25 @@ def test_an_enable_that_stops_coming_is_said_between_two_speeds(desk):
     made.forward(0.5)
     assert fed(made) == 0.0
     assert "ENABLE_OLD" in made.names()
+
+
+def test_an_enable_that_has_not_come_yet_is_no_warning(desk):
+    made = desk(SPEED % "" + BOOL % "")
+    made.forward(3.0)
+    assert {level for level, _ in made.logged} == {Level.OK}
+    made.forward(4.0)
+    assert made.logged[-1][0] > Level.OK
+    assert "no recent enable" in made.logged[-1][1]
+
+
+def test_what_is_wrong_is_logged_while_an_input_is_awaited(desk):
+    made = desk(SPEED % "" + BOOL % "")
+    made.found_peers = {given.name: (Peer("another/msg/Type", True),) for given in made.app.inputs}
+    made.forward(2.0)
+    level, text = made.logged[-1]
+    assert level is Level.WARN
+    assert "instead of" in text
+    assert "no speed yet" not in text
 
 
 def test_a_replay_with_enable_gives_the_numbers_of_live(desk, tmp_path):

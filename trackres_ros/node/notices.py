@@ -88,7 +88,13 @@ LIVE_KINDS = {
         Level.OK, "first start on this machine: steps run in plain Python until compiled, with the same numbers"
     ),
 }
-AWAITED = at.Reason.LOAD_NOMINAL | at.Reason.AMBIENT_NOMINAL | at.Reason.EFFECT_LEFT_OUT | at.Reason.PLACE_UNKNOWN
+AWAITED = (
+    at.Reason.LOAD_NOMINAL
+    | at.Reason.AMBIENT_NOMINAL
+    | at.Reason.EFFECT_LEFT_OUT
+    | at.Reason.PLACE_UNKNOWN
+    | at.Reason.ENABLE_OLD
+)
 KINDS: Mapping[str, NoticeKind] = MappingProxyType(
     {
         **LIVE_KINDS,

@@ -154,14 +154,15 @@ class Watch:
         """
         if self._began_ns is None:
             return None
+        starting = steady - self._began_ns < STARTING_NS
         heavy = [notice for notice in notices if notice.level > Level.OK]
-        starting = steady - self._began_ns < STARTING_NS and all(KINDS[notice.name].awaited for notice in heavy)
-        names = frozenset({"STARTING"}) if heavy and starting else frozenset(notice.name for notice in heavy)
+        wrong = [notice for notice in heavy if not (starting and KINDS[notice.name].awaited)]
+        names = frozenset(notice.name for notice in wrong) or frozenset({"STARTING"} if heavy else ())
         if names == self._logged:
             return None
         self._logged = names
-        text = "; ".join(notice.text for notice in heavy) or "no warnings"
-        return (Level.OK, f"waiting for inputs: {text}") if heavy and starting else (level_of(heavy), text)
+        text = "; ".join(notice.text for notice in wrong or heavy) or "no warnings"
+        return (level_of(wrong), text if wrong or not heavy else f"waiting for inputs: {text}")
 
 
 def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
