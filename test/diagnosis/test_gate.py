@@ -126,9 +126,7 @@ def test_no_effect_that_nature_has_is_refused(tmp_path, name):
     hidden = {name: {key: float(x) for key, x in {**CATALOGUE, **OUTSIDE}[name](rng, 1.5).items()}}
     build = dict.fromkeys(("loss", "bearing", "drag", "film", "capacity"), 1.0)
     case = Case("case", "single", hidden, build, False, False, False, True, 5)
-    (tmp_path / "cases").mkdir()
-    (tmp_path / "sealed").mkdir()
-    make_case((tmp_path, case, 4.0))
+    make_case(tmp_path, 4.0, case)
     folder = tmp_path / "cases" / "case"
     passed = judged(sorted(folder.glob("drive*.csv")), load_base(folder / "vehicle.yaml"))
     assert len(passed.sessions) >= 3
