@@ -14,12 +14,11 @@ from dataclasses import dataclass
 from math import log
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trackres_ros.arrays import Array
 from trackres_ros.model.rubber import REFERENCE_ABOVE_TG
 from trackres_ros.units import ZERO_DEGC_K
-
-Array = NDArray[np.float64]
 
 GAS_CONSTANT = 8.314462618  # J/mol/K, exact since 2019
 ABSOLUTE_ZERO_DEGC = -ZERO_DEGC_K

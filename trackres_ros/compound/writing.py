@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.compound.fitting import ARRHENIUS, KEPT, CompoundFit
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.output_files import not_an_input
@@ -22,8 +22,6 @@ from trackres_ros.vehicle.schema import RUBBER, SWEEP_DEGC, SWEEP_TAN_DELTA, WAR
 from trackres_ros.vehicle.writing.changes import FileChanges
 from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE, write_numbered, write_track_vehicle
 from trackres_ros.vehicle.writing.yaml_edit import Document
-
-Array = NDArray[np.float64]
 
 ROWS_K = 2.5  # between rows of a rubber file
 MOST_MEASURED_ROWS = 300

@@ -11,13 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.diagnosis import diagnose, load_base, read_recordings
 from trackres_ros.evaluation.processes import run_command
 from trackres_ros.evaluation.sealed.cases import Case
 from trackres_ros.evaluation.sealed.generate import make_case
 from trackres_ros.output.style import BLACK, BLUE, GREY, VERMILION, picture
-
-Array = NDArray[np.float64]
 
 MINUTES, SEED = 15.0, 5
 SMOOTHED_S = 10.0

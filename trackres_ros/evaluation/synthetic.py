@@ -12,13 +12,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.effects.effect import Active
-
-Array = NDArray[np.float64]
 
 STEP_S = 0.2
 TORQUE_NOISE_NM, SLOW_NOISE_NM, SLOW_NOISE_S = 40.0, 20.0, 3.0

@@ -10,9 +10,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackres_ros.arrays import Array, IntArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.between_steps import age_of_speed, fed_now
 from trackres_ros.estimator.columns import Motion, Times
@@ -24,9 +22,6 @@ from trackres_ros.estimator.plausible_state import FARTHEST_NS
 from trackres_ros.estimator.records import State
 from trackres_ros.estimator.snapshot import LONGEST_OFF
 from trackres_ros.units import NANOSECOND
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 STEPPED, WAITED, WRONG_TIME = 1, 0, -2
 FARTHEST_S = 1e9  # of one step to the next: more is no time

@@ -8,13 +8,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.files.cache import fetched, keep, trim, usable
 from trackres_ros.files.own_files import SEAL
 from trackres_ros.files.resources import cache_dir
-
-Array = NDArray[np.float64]
 
 SUFFIX = ".arrays"
 MOST_KEPT = 500 << 20  # bytes of all tables: those of some 250 diagnoses, each of which fits vehicles of its own

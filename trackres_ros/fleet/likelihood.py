@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.instrument import instrument, narrowed
 from trackres_ros.diagnosis.base.loading import LoadedBase
@@ -22,8 +23,6 @@ from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.effects.effect import Effect
 from trackres_ros.effects.surroundings.headwind import Headwind
 from trackres_ros.recording.recording import Recording
-
-Array = NDArray[np.float64]
 
 WIND_MPS, STRONGEST_WIND_MPS = 3.0, 12.0  # prior standard deviation of either component of a day's wind, and its bound
 

@@ -10,16 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import IntArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.input_reader import InputReader
 from trackres_ros.node.notices import KINDS, Notice, level_of, of_reasons
 from trackres_ros.node.transport import Level, Peer
-
-IntArray = NDArray[np.int64]
 
 REFUSED_SHARE = 0.1  # of the messages of a second: more is not the odd late one
 CLOCK_OFFSET_NS = 1_000_000_000

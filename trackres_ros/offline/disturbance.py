@@ -9,14 +9,12 @@ import math
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.disturbance import STEADY_MPS, STEADY_MPS2, DisturbanceWatch
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.vehicle import AnyVehicle
-
-Array = NDArray[np.float64]
 
 THERE, TORQUE = "disturbance_probability", "disturbance_torque_nm"
 MEANING = MappingProxyType(

@@ -11,16 +11,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.model.resistance import at_first_radius
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.output.preview import longest_step
 from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle import AnyVehicle, Vehicle
-
-Array = NDArray[np.float64]
 
 RESISTANCE = "resistance_torque_nm"
 MEGA, MJ_PER_KWH = 1e6, 3.6

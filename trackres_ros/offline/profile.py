@@ -10,16 +10,14 @@ from os import PathLike
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE
 from trackres_ros.recording.channel_source import ChannelSource
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import POSITION, ROLES
-
-Array = NDArray[np.float64]
 
 ARGUMENT_OF = {"load": "weight_kn", "ambient": "ambient_degc", "grade": "", **dict.fromkeys(POSITION, "")}
 """Possible columns in addition to the speed, and the argument of the same meaning."""

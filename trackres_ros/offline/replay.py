@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.entry_points import Entries
@@ -32,8 +33,6 @@ from trackres_ros.output.table import TableWriter
 from trackres_ros.recording.roles import GROUND, POSITION, base_role
 from trackres_ros.recording.samples import SampleBlock, Source
 from trackres_ros.units import NANOSECOND
-
-Array = NDArray[np.float64]
 
 BLOCK_ROWS = 8192  # results of so many messages stay in the cache and in memory already had
 

@@ -9,15 +9,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.model.resistance import resistance_parts
-
-Array = NDArray[np.float64]
 
 MOST_SAMPLES = 50_000_000
 ROUNDING = 1e-9  # of a time: less is no longer one

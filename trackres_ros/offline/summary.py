@@ -10,8 +10,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.errors import one_line
 from trackres_ros.estimator import columns as at
 from trackres_ros.learning.columns import lines as lines_of
@@ -25,8 +25,6 @@ from trackres_ros.offline.replay import Replayed
 from trackres_ros.recording.recording import defects_of
 from trackres_ros.recording.samples import Finding, SampleBlock, Source
 from trackres_ros.text.numbers import decimals, figures, number_of
-
-Array = NDArray[np.float64]
 
 MANY_REFUSED = 0.1  # of the speeds: more are no faults of single samples
 HEAD = 1  # columns of a picture row before the results: the time

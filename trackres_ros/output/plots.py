@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
 from trackres_ros.learning.buckets import BELT_DEGC, FILLED_S, SPEED_SHARES
 from trackres_ros.output.preview import longest_step
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, FigureBase
 
-Array = NDArray[np.float64]
 HOURS_FROM_S = 3 * 3600.0  # a longer time axis is in hours
 ESTIMATE_INCHES = (9.0, 7.2)
 LEARNED_INCHES, MAP_INCHES = 1.8, 2.2  # taller with learned values

@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trackres_ros.arrays import Array
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.files.own_files import write
 
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
-Array = NDArray[np.float64]
 
 MOST_POINTS = 4000  # of one line; more than a picture has columns of pixels
 DOTS_PER_INCH = 110

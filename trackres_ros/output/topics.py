@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.vehicle import AnyVehicle
 
-Array = NDArray[np.float64]
 TOTALS = {
     "total": "resistance_torque_nm", "hysteresis": "hysteresis_nm", "bearing": "bearing_nm", "wind": "wind_nm",
     "grade": "grade_nm", "inertia": "inertia_nm", "effects": "effects_nm", "drive": "drive_torque_nm",

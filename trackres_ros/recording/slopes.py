@@ -9,12 +9,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array, Mask
 from trackres_ros.units import MAD_TO_STD
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SLOWEST_MPS = 0.5
 STAND_S = 10.0  # of standing: long enough to detect a drifting altitude

@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array, Mask
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.units import EARTH_M
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 STEP_M = 10.0  # between points of a track
 SMOOTH_M = 10.0  # standard deviation of the mean over distance: satellite positions scatter by 5 to 20 m

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros import checks
+from trackres_ros.arrays import IntArray
 from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, LastSimulation, Predicted, Values
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, with_unseen
 from trackres_ros.diagnosis.prepare.settings import GateSettings
@@ -42,7 +42,6 @@ from trackres_ros.vehicle.writing.changes import FileChanges
 from trackres_ros.vehicle.writing.vehicle_file import finish
 from trackres_ros.vehicle.writing.yaml_edit import Document, flow
 
-IntArray = NDArray[np.int64]
 Torque = Callable[[DriveSession, Values], Array]
 
 SIZE = 0.15  # largest torque over weight times radius: of a vehicle that it accelerates by 1.5 m/s^2

@@ -9,9 +9,8 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from trackres_ros.arrays import Array
 
 LAYERS = 15
 KELVIN = 273.15

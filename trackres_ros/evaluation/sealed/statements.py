@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.evaluation.sealed.answers import words
-
-Array = NDArray[np.float64]
 
 BOUND = 0.4
 ALL, LEVELS = 0.7, 0.92  # correlations: with the main part of a torque; with its levels (a sine has 0.90)

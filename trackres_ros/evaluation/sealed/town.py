@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from trackres_ros.arrays import Array
+
 Crossing = tuple[int, int]
 
 BLOCKS_M = (150.0, 400.0)
