@@ -24,7 +24,8 @@ SETTLED = 0.3  # in log-likelihood: a round with a smaller gain is the last
 LARGE = 3.0  # times the typical size: prior standard deviation of an effect's amplitude
 DIFFERENCE = 1e-4  # of the span between bounds, for derivatives
 MOST_STEPS = 60
-NEARBY = 0.1  # standard deviations of noise, over all rows: the simulation is linear within this distance
+NEARBY = 1.0  # standard deviations of noise, over all rows: the simulation is linear within this distance
+CLOSE = 0.01  # in log-likelihood: a step with a smaller gain is the last of a round
 BELT_EVERY = 10  # steps: a belt's temperature is nearly constant from one second to the next
 
 
@@ -349,6 +350,7 @@ def fit(
     p = _Parameters(problem, sensed, tuple(effects), dict(fixed or {}))
     point = p.start(start or {})
     objective = _Objective(p, noises or problem.noises(p.residuals(point), largest_root))
+    rows = sum(int(np.count_nonzero(g.valid)) for g in problem.segments)
     solution, before = None, -np.inf
     for turn in range(MOST_ROUNDS if rounds is None else rounds):
         solution = least_squares(
@@ -358,7 +360,7 @@ def fit(
             bounds=(p.low, p.high),
             x_scale=p.scale,
             max_nfev=MOST_STEPS,
-            ftol=1e-7,
+            ftol=CLOSE / (0.5 * rows),  # relative to the deviance, which is about one per row
             xtol=1e-7,
         )
         point = solution.x
@@ -374,7 +376,7 @@ def fit(
     values, active = p.model(point)
     return Fit(
         problem, values, active[len(sensed) :], active[: len(sensed)], p.free, point, covariance, objective.noises, likelihood,
-        len(solution.fun) - len(p.free), tuple(problem.predict(values, active)),
+        rows, tuple(problem.predict(values, active)),
     )  # fmt: skip
 
 
