@@ -10,6 +10,7 @@ import pytest
 
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, read_recordings
 from trackres_ros.diagnosis.base.instrument import MOST_DELAY_S, MOST_GAIN, MOST_OFFSET_NM, instrument
+from trackres_ros.diagnosis.inference import fitting
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.effects import Active
 from trackres_ros.effects.effect import REFERENCE_NM
@@ -62,6 +63,19 @@ def test_what_is_of_an_instruments_size_is_found_as_that(problem_with):
     by_file = [p.torque for p in found.problem.predict(found.base_values, ())]
     shifted = np.concatenate([p.torque for p in found.predicted]) - np.concatenate(by_file)
     assert np.abs(shifted).max() > 10.0
+
+
+def test_a_fit_ends_where_a_closer_one_ends(problem_with, effects, monkeypatch):
+    problem, stribeck, rng = problem_with({}), effects["stribeck"], np.random.default_rng(7)
+    lacking = Active(stribeck, {q.name: q.start for q in stribeck.parameters})
+    shown = problem.predict(problem.base.nominal | {"bearing_friction": 0.006}, [lacking])
+    torques = [p.torque + 15.0 * rng.standard_t(3.0, len(p.torque)) for p in shown]
+    sessions = tuple(replace(s, torque=t) for s, t in zip(problem.sessions, torques, strict=True))
+    found = fit(replace(problem, sessions=sessions), [stribeck])
+    monkeypatch.setattr(fitting, "CLOSE", 1e-4 * fitting.CLOSE)
+    monkeypatch.setattr(fitting, "NEARBY", 0.01 * fitting.NEARBY)
+    closer = fit(found.problem, [stribeck], found.at, found.noises)
+    assert closer.log_likelihood - found.log_likelihood < 0.05
 
 
 @pytest.mark.parametrize("name", LARGE)
