@@ -312,6 +312,11 @@ class _Objective:
         slope = self._of_residuals(at, Noise.deviance_slope)
         return np.concatenate((-slope[:, np.newaxis] * self._white(self._linear[1]), np.diag(1.0 / p.std)))
 
+    def root_of_information(self) -> Array:
+        """Derivatives at the last point, whose square is the Fisher information: 1 for each innovation over its `std`."""
+        assert self._linear is not None
+        return np.concatenate((self._white(self._linear[1]), np.diag(1.0 / self._parameters.std)))
+
     def _of_residuals(self, at: Array, function: Callable[[Noise, Array], Array]) -> Array:
         problem = self._parameters.problem
         return of_rows(problem, problem.white(self._parameters.residuals(at), self.noises), function, self.noises)
@@ -351,9 +356,9 @@ def fit(
     point = p.start(start or {})
     objective = _Objective(p, noises or problem.noises(p.residuals(point), largest_root))
     rows = sum(int(np.count_nonzero(g.valid)) for g in problem.segments)
-    solution, before = None, -np.inf
+    likelihood, before = -np.inf, -np.inf
     for turn in range(MOST_ROUNDS if rounds is None else rounds):
-        solution = least_squares(
+        point = least_squares(
             objective.value,
             point,
             jac=objective.derivatives,
@@ -362,16 +367,15 @@ def fit(
             max_nfev=MOST_STEPS,
             ftol=CLOSE / (0.5 * rows),  # relative to the deviance, which is about one per row
             xtol=1e-7,
-        )
-        point = solution.x
+        ).x
         left = p.residuals(point)
         objective.noises = problem.noises(left, largest_root)
         likelihood = log_likelihood(problem, left, objective.noises) - 0.5 * float((p.off_nominal(point) ** 2).sum())
         if rounds is None and turn + 1 >= ROUNDS and likelihood - before < SETTLED:
             break
         before = likelihood
-    assert solution is not None
-    scaled = solution.jac * p.scale  # in units of each parameter's scale: they differ by many orders of magnitude
+    # In units of each parameter's scale: they differ by many orders of magnitude.
+    scaled = objective.root_of_information() * p.scale
     covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14, hermitian=True) * np.outer(p.scale, p.scale)
     values, active = p.model(point)
     return Fit(
