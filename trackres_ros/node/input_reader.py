@@ -32,6 +32,7 @@ class InputReader:
         self.received = [0] * len(inputs)
         self.dropped = [0] * len(inputs)
         self.absent = [0] * len(channels)
+        self.lacks = [""] * len(channels)  # the last field that a message did not have, and why
         self.bad_stamp = [0] * len(channels)
         self.sums = {role: Sum(role, bindings[role]) for i in inputs for role in i.roles if bindings[role].parts}
         self._channels = channels
@@ -45,24 +46,25 @@ class InputReader:
         self._last_clock = [0] * len(channels)
         self._same_clock = [0] * len(channels)
 
-    def read(self, index: int, message: object) -> tuple[int | None, list[float | None]]:
+    def read(self, index: int, message: object) -> tuple[int | None, list[float | str]]:
         """Stamp and values of a message with fields as attributes, for `samples`."""
         return _stamp(message), [_value(read, message) for _, read, *_ in self._readers[index]]
 
-    def samples(self, index: int, stamp_ns: int | None, values: Sequence[float | None], now_ns: int) -> list[Sample]:
+    def samples(self, index: int, stamp_ns: int | None, values: Sequence[float | str], now_ns: int) -> list[Sample]:
         """Samples from the values of a message of an input topic, at the node's time `now_ns`.
 
         The stamp is None where the message's type has none: then the node's time is used. One that was never set is 0 and stays
         so. A stamp out of a message's range gives no sample: it could not be published again. There is a scaled value for each
-        binding of the topic: nan where it is no number; None, and no sample, where the message has no such element.
+        binding of the topic: nan where it is no number; the reason, and no sample, where the message has no such element.
         """
         self.received[index] += 1
         found = []
         own_ns: dict[int, int] = {}
         absent, bad_stamp = set[int](), set[int]()  # channels: a sum has several parts in a message
         for (channel, _, by_header, binding, total, part), value in zip(self._readers[index], values, strict=True):
-            if value is None:
+            if isinstance(value, str):
                 absent.add(channel)
+                self.lacks[channel] = f"{binding.field}: {value}"
                 continue
             if by_header and stamp_ns is not None:
                 stamp = stamp_ns
@@ -108,11 +110,11 @@ def _getter(binding: TopicBinding) -> Callable[[Any], float]:
     return lambda message: scale * float(get(message)) + offset
 
 
-def _value(read: Callable[[Any], float], message: object) -> float | None:
+def _value(read: Callable[[Any], float], message: object) -> float | str:
     try:
         return read(message)
-    except LookupError:
-        return None
+    except LookupError as error:
+        return str(error)
     except (TypeError, ValueError, AttributeError):
         return math.nan
 

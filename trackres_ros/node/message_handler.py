@@ -34,7 +34,7 @@ class Arrived(NamedTuple):
     now_ns: int  # arrival by the node's time
     place: int  # of the input
     stamp_ns: int | None
-    values: Sequence[float | None]
+    values: Sequence[float | str]
     raw: bytes | None  # to be recorded
 
 
@@ -75,7 +75,7 @@ class MessageHandler:
         self,
         index: int,
         stamp_ns: int | None,
-        values: Sequence[float | None],
+        values: Sequence[float | str],
         sent_ns: int = 0,
         arrived: Arrival | None = None,
         raw: bytes | None = None,
