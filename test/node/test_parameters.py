@@ -189,3 +189,13 @@ def test_a_parameter_acts_where_the_topics_file_gives_no_other(desk, line, name,
         changed.app.change({name: value})
         changed.app.change({name: make_parameters({}).values[name]})
         assert getattr(changed.app.estimator.settings, name) == before
+
+
+@pytest.mark.parametrize("name", ["speed kmh", "/a//b", "~/speed", "{node}/speed", "/2nd", "a/", "/", "/räder"])
+def test_a_topic_name_that_ros_does_not_allow_is_refused(desk, name):
+    line = "{{topic: {}, type: std_msgs/msg/Float64, field: data}}"
+    good, bad = line.format("/a_1/b"), line.format(f'"{name}"')
+    desk(f"speed: {good}\n")
+    for lines in (f"speed: {good}\nbrake: {bad}\n", f"speed: {{sum: [{good}, {bad}]}}\n"):
+        with pytest.raises(InputError, match=r"topics\.yaml: (brake|speed): topic: given .*allowed: a path such as /left/speed"):
+            desk(lines)

@@ -161,7 +161,7 @@ def _single(text: str) -> tuple[str, object]:
 
 def check_names(name: str, namespace: str) -> None:
     """Refuse an invalid node name or namespace."""
-    if not re.fullmatch(r"[A-Za-z_]\w*", name):
+    if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII):
         raise InputError("--name", name, "letters, digits and underscores, not beginning with a digit")
-    if not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", namespace):
+    if not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", namespace, re.ASCII):
         raise InputError("--namespace", namespace, "a path such as /left/rear")
