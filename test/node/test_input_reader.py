@@ -149,3 +149,10 @@ def test_an_input_whose_messages_all_lack_the_element_warns(desk):
     assert told(wheels=8.0)[1] is Level.WARN
     d.app.close()
     assert "messages: speed accepted 120, speed absent 360" in [text for _, text in d.logged]
+
+
+def test_a_role_with_two_fields_of_a_topic_is_named_once(desk):
+    part = "{{topic: js, type: sensor_msgs/msg/JointState, field: 'velocity[{0}]'}}"
+    d = desk(f"speed: {{sum: [{part.format('a')}, {part.format('b')}]}}\n")
+    d.forward(1.0)
+    assert "speed: nobody publishes sensor_msgs/msg/JointState on /js" in [notice.text for notice in d.app.notices()]

@@ -166,7 +166,7 @@ class Watch:
 
 
 def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
-    roles = ", ".join(given.roles)
+    roles = given.role_names
     right = [peer for peer in peers if peer.type == given.type]
     found = []
     for kind in sorted({peer.type for peer in peers} - {given.type}):

@@ -23,6 +23,7 @@ from trackres_ros.recording.message_types import HEADER, NUMBERS, TIME, Definiti
 from trackres_ros.recording.samples import FloatArray, IntArray
 from trackres_ros.units import SECOND_NS
 
+LACKS_SHOWN = 3
 MAX_LAYOUTS = 16
 """Number of layouts of one length tried on all rows; rows that fit none are then decoded one by one."""
 
@@ -216,7 +217,9 @@ class FieldReader:
         if stamp:
             seconds, fraction = (field.name for field in types[TIME])
             self.paths += [(*stamp, FieldStep(seconds)), (*stamp, FieldStep(fraction))]
-        self.lacks: dict[int, str] = {}
+        self.lacks: dict[
+            int, list[str]
+        ] = {}  # by index of the field: the first `LACKS_SHOWN` reasons why messages do not have it
         self._layouts: dict[int, list[Layout]] = {}
 
     def decode(self, raws: Sequence[bytes]) -> Decoded:
@@ -268,7 +271,9 @@ class FieldReader:
         for slot, column in enumerate(columns[: self.count]):
             if column is None:
                 out.absent[rows, slot] = True
-                self.lacks.setdefault(slot, layout.lacks.get(slot, ""))
+                lacks, lack = self.lacks.setdefault(slot, []), layout.lacks.get(slot, "")
+                if lack not in lacks and len(lacks) < LACKS_SHOWN:
+                    lacks.append(lack)
             else:
                 out.value[rows, slot] = column
         if len(columns) > self.count:

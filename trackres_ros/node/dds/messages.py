@@ -95,7 +95,7 @@ class CdrInput:
     """
 
     def __init__(self, given: InputTopic, origin: str) -> None:
-        where = f"{origin}: {', '.join(given.roles)}"
+        where = f"{origin}: {given.role_names}"
         self._type = known_type(given.type, where)
         self._scales = [(binding.scale, binding.offset) for binding in given.bindings]
         self._has_fix = bool(given.bindings[0].fix)
