@@ -11,6 +11,7 @@ import pytest
 from trackres_ros.errors import InputError
 from trackres_ros.node.endpoints import full_name, input_name, input_topics
 from trackres_ros.node.input_reader import InputReader
+from trackres_ros.node.transport import Level
 from trackres_ros.offline.replay import channel_indices
 from trackres_ros.recording.bindings import Topics
 
@@ -125,3 +126,33 @@ def test_parts_of_a_sum_without_the_other_are_said_and_counted(desk):
     assert any("without_other_part" in notice.text for notice in d.app.notices() if notice.name == "REFUSED")
     rates = {state.topic: state.rate_hz for state in d.app.overview().inputs}
     assert rates == {"/left": pytest.approx(50.0, abs=2.0), "/right": 0.0}
+
+
+def test_an_input_whose_messages_all_lack_the_element_warns(desk):
+    d = desk("speed: {topic: js, type: sensor_msgs/msg/JointState, field: 'velocity[wheel]'}\n")
+
+    def told(**joints):
+        for _ in range(120):
+            d.forward(0.02)
+            for name, value in joints.items():  # each joint has its own publisher
+                d.app.messages.receive(0, joint_state(d.now_ns(), **{name: value}))
+        (found,) = d.app.overview().inputs
+        assert found.rate_hz == pytest.approx(50.0 * len(joints), abs=2.0)
+        _, shown, *_ = next(entries for topic, entries in reversed(d.statuses) if topic == "/diagnostics")
+        return [notice.text for notice in d.app.notices() if notice.name == "REFUSED"], shown.level
+
+    texts, level = told(wheels=8.0)
+    why = "50 absent (the messages do not have velocity[wheel]: its names are wheels)"
+    assert texts == [f"speed: rejected in the last second: {why}"]
+    assert level is Level.STALE
+    assert told(wheels=8.0, wheel=8.0) == ([], Level.OK)
+    assert told(wheels=8.0)[1] is Level.WARN
+    d.app.close()
+    assert "messages: speed accepted 120, speed absent 360" in [text for _, text in d.logged]
+
+
+def test_a_role_with_two_fields_of_a_topic_is_named_once(desk):
+    part = "{{topic: js, type: sensor_msgs/msg/JointState, field: 'velocity[{0}]'}}"
+    d = desk(f"speed: {{sum: [{part.format('a')}, {part.format('b')}]}}\n")
+    d.forward(1.0)
+    assert "speed: nobody publishes sensor_msgs/msg/JointState on /js" in [notice.text for notice in d.app.notices()]

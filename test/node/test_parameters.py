@@ -7,13 +7,14 @@ import dataclasses
 import math
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.topic_settings import AGE_LIMITS, settings_for
-from trackres_ros.node.parameters import PARAMETERS, Parameters, make_parameters, read_parameters
+from trackres_ros.node.parameters import PARAMETERS, Parameters, make_parameters, read_parameters, read_with_overrides
 from trackres_ros.recording.bindings import Topics
 
 NUMBERS = [p for p in PARAMETERS.values() if p.is_number]
@@ -189,3 +190,25 @@ def test_a_parameter_acts_where_the_topics_file_gives_no_other(desk, line, name,
         changed.app.change({name: value})
         changed.app.change({name: make_parameters({}).values[name]})
         assert getattr(changed.app.estimator.settings, name) == before
+
+
+def test_overrides_of_qos_are_apart_with_full_names(tmp_path):
+    path, words = tmp_path / "p.yaml", {"/left/speed": {"subscription": {"reliability": "reliable", "depth": 7}}}
+    path.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"gap_s": 2.0, "qos_overrides": words}}}))
+    named = {
+        f"qos_overrides./left/speed.subscription.{name}": value for name, value in (("reliability", "reliable"), ("depth", 7))
+    }
+    assert read_with_overrides(path, "trackres", "/") == (read_parameters(path), named) == ({"gap_s": 2.0}, named)
+    path.write_text("/**: {ros__parameters: {qos_overrides: {/speed: {subscription: {depth: [7]}}}}}\n")
+    with pytest.raises(InputError, match=r"speed\.subscription\.depth: given"):
+        read_parameters(path)
+
+
+@pytest.mark.parametrize("name", ["speed kmh", "/a//b", "~/speed", "{node}/speed", "/2nd", "a/", "/", "/räder"])
+def test_a_topic_name_that_ros_does_not_allow_is_refused(desk, name):
+    line = "{{topic: {}, type: std_msgs/msg/Float64, field: data}}"
+    good, bad = line.format("/a_1/b"), line.format(f'"{name}"')
+    desk(f"speed: {good}\n")
+    for lines in (f"speed: {good}\nbrake: {bad}\n", f"speed: {{sum: [{good}, {bad}]}}\n"):
+        with pytest.raises(InputError, match=r"topics\.yaml: (brake|speed): topic: given .*allowed: a path such as /left/speed"):
+            desk(lines)

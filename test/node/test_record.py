@@ -205,6 +205,31 @@ def test_messages_held_in_a_pause_replay_with_their_stamps(desk, tmp_path):
     assert list(replayed.session.counts()) == list(d.app.session.counts())
 
 
+@pytest.mark.parametrize(("shaft", "set_s", "follows"), [(NUMBER, 0.9, False), (NUMBER, 2.0, True), (WRENCH, 0.9, True)])
+def test_without_a_stamp_live_is_as_its_replay_until_others_jump(desk, tmp_path, shaft, set_s, follows):
+    lines = f"torque: {{topic: shaft, type: {shaft}, field: {'data' if shaft == NUMBER else 'wrench.torque.y'}}}\n"
+    d = desk(f"speed: {{topic: speed, type: {NUMBER}, field: data}}\n" + lines, learning="off")
+    wire, now_ns, chance, stamps = Wire(d, tmp_path / "live.mcap"), d.now_ns, random.Random(4), []
+    record = d.app.on_estimate
+    d.app.on_estimate = lambda row, stamp, arrival: (stamps.append(stamp), record(row, stamp, arrival))
+    d.now_ns = lambda: now_ns() + chance.randrange(10000)  # it is read after the steady clock
+
+    def drive():
+        for step in range(60):
+            d.forward(0.02)
+            wire.send("shaft", shaft, 3000.0)
+            wire.send("speed", NUMBER, 5.0 + 0.01 * (step % 3))
+
+    drive()
+    d.clock_offset_s = -set_s
+    drive()
+    wire.recorder.end()
+    replayed = tr.replay(tmp_path / "live.mcap", "xgd24d", topics=tmp_path / "topics.yaml")["stamp_ns"].tolist()
+    assert stamps[:60] == replayed[:60]
+    assert (stamps == replayed) is not follows
+    assert (replayed[-1] - stamps[-1]) * 1e-9 == pytest.approx(set_s if follows else 0.0, abs=1e-4)
+
+
 def test_each_round_of_simulated_time_is_a_file_of_its_own(desk, tmp_path):
     d = desk(TOPICS, use_sim_time=True, learning="off")
     wire, last = Wire(d, tmp_path / "live.mcap"), []

@@ -318,15 +318,18 @@ def test_damaged_and_odd_messages_are_counted_and_kept(tmp_path: Path) -> None:
             raw = bytes(STORE.serialize_cdr(odometry(STORE, START + row, float(row)), ODOMETRY))
             writer.write(odom, START + row, raw[:40] if row == 20 else raw)
             names = ["left"] if row < 5 else ["right"]
-            writer.write(joint, START + row, STORE.serialize_cdr(joints(STORE, START + row, names, [1.0]), JOINTS))
+            efforts = [] if row == 49 else [1.0]
+            writer.write(joint, START + row, STORE.serialize_cdr(joints(STORE, START + row, names, efforts), JOINTS))
     recording = Recording.from_source(open_source([tmp_path / "bag"], Topics.parse(lines_of("speed", "torque"))))
     assert np.flatnonzero(np.isnan(recording.series["speed"].value)).tolist() == [20]
     assert recording.series["speed"].stamp_ns[20] == START + 20
-    assert len(recording.series["torque"]) == 45
+    assert len(recording.series["torque"]) == 44
     counts = {(finding.role, finding.kind): finding.count for finding in recording.findings}
     assert counts["speed", "malformed"] == 1
     assert counts["speed", "non_finite"] == 1
-    assert counts["torque", "absent"] == 5
+    assert counts["torque", "absent"] == 6
+    reasons = "its names are left, or the array effort has no elements"
+    assert any(f"6 messages do not have effort[right]: {reasons};" in finding.text for finding in recording.findings)
 
 
 def test_messages_the_metadata_promises(tmp_path: Path) -> None:

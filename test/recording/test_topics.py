@@ -105,8 +105,9 @@ def test_a_binding_reads_a_message() -> None:
     joints = SimpleNamespace(name=["a", "b"], effort=[1.0, 2.0])
     binding = TopicBinding("/t", "sensor_msgs/msg/JointState", "effort[b]", scale=3.0, offset=1.0)
     assert binding.read(joints) == 7.0
-    with pytest.raises(LookupError):
-        TopicBinding("/t", "sensor_msgs/msg/JointState", "effort[c]").read(joints)
+    for field, why in (("effort[c]", "its names are a, b"), ("effort[2]", "the array effort has only 2 elements")):
+        with pytest.raises(LookupError, match=why):
+            TopicBinding("/t", "sensor_msgs/msg/JointState", field).read(joints)
     assert TopicBinding("/t", "x/msg/Y", "effort[0]").read(joints) == 1.0
     nested = SimpleNamespace(twist=SimpleNamespace(linear=SimpleNamespace(x=4)))
     assert TopicBinding(**SPEED).read(nested) == 4.0

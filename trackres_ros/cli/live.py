@@ -92,7 +92,7 @@ def live_command(
     from trackres_ros.cli.live_table import LiveTable
     from trackres_ros.files.output_files import BAG_SUFFIX, output_file
     from trackres_ros.node.parameter_file import ParameterFile
-    from trackres_ros.node.parameters import make_parameters, read_parameters
+    from trackres_ros.node.parameters import make_parameters, read_with_overrides
     from trackres_ros.node.record import Recorder
     from trackres_ros.node.record_files import RecordLimits
     from trackres_ros.node.signals import REQUESTS
@@ -103,7 +103,7 @@ def live_command(
         raise InputError("--record", "not given", "a file to record into, with --record-split-... and --record-limit-mb")
     recorder = Recorder(output_file(record, (BAG_SUFFIX,), "--record"), limits) if record else None
     watch(record)
-    given = read_parameters(params_file, name, namespace)
+    given, of_qos = read_with_overrides(params_file, name, namespace)
     overruled = dict(_single(text) for text in single) | {key: value for key, value in named.items() if value is not None}
     parameters = make_parameters(given | overruled)
     REQUESTS.listen()
@@ -125,10 +125,13 @@ def live_command(
         if transport == "ros" or (transport == "auto" and _rclpy_imports()):
             from trackres_ros.node.ros.main import run as run_on_ros
 
-            code = run_on_ros(parameters, name, namespace, REQUESTS, started)
+            code = run_on_ros(parameters, name, namespace, REQUESTS, started, of_qos)
             return code
         from trackres_ros.node.dds.node import run as run_on_dds
 
+        if of_qos:
+            allowed = "no override of a quality of service, which needs --transport ros"
+            raise InputError(str(params_file), ", ".join(of_qos), allowed, "input_* and output_* set that of all topics")
         watched = ParameterFile(params_file, name, namespace, parameters, overruled) if params_file else None
         code = run_on_dds(parameters, name, namespace, REQUESTS, started, watched)
         return code
@@ -161,7 +164,7 @@ def _single(text: str) -> tuple[str, object]:
 
 def check_names(name: str, namespace: str) -> None:
     """Refuse an invalid node name or namespace."""
-    if not re.fullmatch(r"[A-Za-z_]\w*", name):
+    if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII):
         raise InputError("--name", name, "letters, digits and underscores, not beginning with a digit")
-    if not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", namespace):
+    if not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", namespace, re.ASCII):
         raise InputError("--namespace", namespace, "a path such as /left/rear")

@@ -424,16 +424,12 @@ class Application:
             return f"the state is not saved because of a bug: {type(error).__name__}: {error}"
 
     def _log_counts(self) -> None:
+        reader, channels = self.messages.reader, self.estimator.channels
         counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]
-        counted += [
-            f"{name} bad_stamp {n}" for name, n in zip(self.estimator.channels, self.messages.reader.bad_stamp, strict=True) if n
-        ]
-        counted += [
-            f"{name} without_other_part {n}"
-            for name, n in zip(self.estimator.channels, self.messages.reader.alone(), strict=True)
-            if n
-        ]
-        counted += [f"{name} dropped {n}" for name, n in zip(self._topic_names, self.messages.reader.dropped, strict=True) if n]
+        others = {"bad_stamp": reader.bad_stamp, "without_other_part": reader.alone(), "absent": reader.absent}
+        for kind, counts in others.items():
+            counted += [f"{name} {kind} {n}" for name, n in zip(channels, counts, strict=True) if n]
+        counted += [f"{name} dropped {n}" for name, n in zip(self._topic_names, reader.dropped, strict=True) if n]
         self._log(Level.OK, f"messages: {', '.join(counted) or 'none'}")
 
     def _go_on_with(self, estimator: Estimator) -> None:

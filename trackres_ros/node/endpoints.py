@@ -45,6 +45,11 @@ class InputTopic:
     bindings: tuple[TopicBinding, ...]  # the field for each role
     parts: tuple[int | None, ...]  # for a role that is a sum, the field's place among its parts; else None
 
+    @property
+    def role_names(self) -> str:
+        """For messages: each role once."""
+        return ", ".join(dict.fromkeys(self.roles))
+
 
 def input_topics(topics: Topics, on_route: bool = False, channels: Collection[str] = CHANNELS) -> tuple[InputTopic, ...]:
     """All topics to subscribe to, those that feed a speed last. Roles that the estimate does not need have none.

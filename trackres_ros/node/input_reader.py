@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.estimator.columns import not_of_vehicle
+from trackres_ros.estimator import columns as at
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.transport import is_usable, stamp_ns
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.sums import Sum
 
+TOGETHER = frozenset({at.SPEED, at.TORQUE, at.SPECIFIC_FORCE, at.LATITUDE, at.LONGITUDE})  # channels whose stamps are compared
 Sample = tuple[int, int, float]
 """Channel, stamp [ns] and value."""
 
@@ -32,7 +33,9 @@ class InputReader:
         self.received = [0] * len(inputs)
         self.dropped = [0] * len(inputs)
         self.absent = [0] * len(channels)
+        self.lacks = [""] * len(channels)  # the last field that a message did not have, and why
         self.bad_stamp = [0] * len(channels)
+        self.stamped = False  # whether a channel in `TOGETHER` has had a stamp
         self.sums = {role: Sum(role, bindings[role]) for i in inputs for role in i.roles if bindings[role].parts}
         self._channels = channels
         self._readers = [
@@ -45,36 +48,38 @@ class InputReader:
         self._last_clock = [0] * len(channels)
         self._same_clock = [0] * len(channels)
 
-    def read(self, index: int, message: object) -> tuple[int | None, list[float | None]]:
+    def read(self, index: int, message: object) -> tuple[int | None, list[float | str]]:
         """Stamp and values of a message with fields as attributes, for `samples`."""
         return _stamp(message), [_value(read, message) for _, read, *_ in self._readers[index]]
 
-    def samples(self, index: int, stamp_ns: int | None, values: Sequence[float | None], now_ns: int) -> list[Sample]:
-        """Samples from the values of a message of an input topic, at the node's time `now_ns`.
+    def samples(self, index: int, stamp_ns: int | None, values: Sequence[float | str], arrival_ns: int) -> list[Sample]:
+        """Samples from the values of a message of an input topic, that came at `arrival_ns`.
 
-        The stamp is None where the message's type has none: then the node's time is used. One that was never set is 0 and stays
+        The stamp is None where the message's type has none: then the arrival is used. One that was never set is 0 and stays
         so. A stamp out of a message's range gives no sample: it could not be published again. There is a scaled value for each
-        binding of the topic: nan where it is no number; None, and no sample, where the message has no such element.
+        binding of the topic: nan where it is no number; the reason, and no sample, where the message has no such element.
         """
         self.received[index] += 1
         found = []
         own_ns: dict[int, int] = {}
         absent, bad_stamp = set[int](), set[int]()  # channels: a sum has several parts in a message
         for (channel, _, by_header, binding, total, part), value in zip(self._readers[index], values, strict=True):
-            if value is None:
+            if isinstance(value, str):
                 absent.add(channel)
+                self.lacks[channel] = f"{binding.field}: {value}"
                 continue
             if by_header and stamp_ns is not None:
                 stamp = stamp_ns
+                self.stamped |= stamp != 0 and channel in TOGETHER
             else:  # one stamp for all parts of a sum in this message
-                stamp = own_ns[channel] = own_ns.get(channel) or self._own_stamp(channel, now_ns)
+                stamp = own_ns[channel] = own_ns.get(channel) or self._own_stamp(channel, arrival_ns)
             stamp = stamp - binding.delay_ns if stamp else 0
             if not is_usable(stamp):
                 bad_stamp.add(channel)
             elif total is None or part is None:
                 found.append((channel, stamp, float(binding.meant(np.asarray(value))) if binding.values else value))
             else:
-                found += [(channel, *sample) for sample in total.add(part, stamp, now_ns, value)]
+                found += [(channel, *sample) for sample in total.add(part, stamp, arrival_ns, value)]
         for channel in absent:
             self.absent[channel] += 1
         for channel in bad_stamp:
@@ -86,7 +91,7 @@ class InputReader:
         return [self.sums[role].alone if role in self.sums else 0 for role in self._channels]
 
     def _own_stamp(self, channel: int, now_ns: int) -> int:
-        """The node's time; a simulated clock stands still between its ticks, so each message adds a nanosecond."""
+        """The arrival; a simulated clock stands still between its ticks, so each message adds a nanosecond."""
         if now_ns == self._last_clock[channel]:
             self._same_clock[channel] += 1
         else:
@@ -96,7 +101,7 @@ class InputReader:
 
 def _channel(role: str, channels: Sequence[str]) -> int:
     if role not in channels:
-        raise not_of_vehicle(role, channels)
+        raise at.not_of_vehicle(role, channels)
     return channels.index(role)
 
 
@@ -108,11 +113,11 @@ def _getter(binding: TopicBinding) -> Callable[[Any], float]:
     return lambda message: scale * float(get(message)) + offset
 
 
-def _value(read: Callable[[Any], float], message: object) -> float | None:
+def _value(read: Callable[[Any], float], message: object) -> float | str:
     try:
         return read(message)
-    except LookupError:
-        return None
+    except LookupError as error:
+        return str(error)
     except (TypeError, ValueError, AttributeError):
         return math.nan
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import partial
@@ -33,6 +33,7 @@ AT_START = "the node reads it once, when it is configured"
 CONNECTED = "the node connects with it when it is configured"
 RELIABILITIES = ("best_effort", "reliable")
 ROS_KEY = "ros__parameters"
+QOS_OVERRIDES = "qos_overrides"  # rclpy's section of a parameter file
 SWITCH = MappingProxyType({True: "on", False: "off"})
 """YAML's values for the words on and off, and the words themselves."""
 
@@ -255,18 +256,36 @@ def make_parameters(given: Mapping[str, object]) -> Parameters:
 
 
 def read_parameters(path: Path | None, node: str = "trackres", namespace: str = "/") -> dict[str, object]:
-    """Names and values out of a parameter file, see `read_entries`, each of them checked.
+    """Names and values out of a parameter file, see `read_with_overrides`."""
+    return read_with_overrides(path, node, namespace)[0]
+
+
+def read_with_overrides(path: Path | None, node: str, namespace: str) -> tuple[dict[str, object], dict[str, bool | int | str]]:
+    """Names and values out of a parameter file, see `read_entries`, each of them checked; and rclpy's overrides of the quality
+    of service, with full names.
 
     Raises InputError if the file cannot be read, an entry is unknown or bad, or no section fits the node.
     """
-    if path is None:
-        return {}
-    given = read_entries(path, node, namespace)
+    given = {} if path is None else read_entries(path, node, namespace)
+    own = {name: value for name, value in given.items() if str(name).split(".")[0] != QOS_OVERRIDES}
     try:
-        make_parameters(given)
+        make_parameters(own)
     except InputError as error:
         raise InputError(f"{path}: {error.where}", error.given, error.allowed, error.remedy) from None
-    return given
+    overrides = dict(_flat({name: value for name, value in given.items() if name not in own}, ""))
+    for name, value in overrides.items():
+        if not isinstance(value, bool | int | str):
+            raise InputError(f"{path}: {name}", value, "a word, a whole number, true or false")
+    return own, overrides
+
+
+def _flat(entries: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    """Nested entries by their dotted names."""
+    for name, value in entries.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
 
 
 def read_entries(path: Path, node: str, namespace: str) -> dict[str, object]:

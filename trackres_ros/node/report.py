@@ -202,10 +202,13 @@ def _of_disturbance(belief: Belief, node: str, vehicle: str) -> Status:
 
 
 def _input_level(given: InputState) -> tuple[Level, str]:
+    why = [f"rejected in the last second: {given.refused}"] if given.refused else []
     if math.isnan(given.age_s):
-        return Level.STALE, "no accepted message yet"
+        return Level.STALE, "; ".join(["no accepted message yet", *why])
     if given.rate_hz == 0.0:
         return Level.STALE, "no message in the last second"
+    if why:
+        return Level.WARN, why[0]
     return Level.OK, f"{given.rate_hz:.1f} Hz"
 
 

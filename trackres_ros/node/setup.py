@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,8 @@ from trackres_ros.node.parameters import Parameters
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.roles import POSITION
 from trackres_ros.vehicle import AnyVehicle, load_any, with_surroundings
+
+TOPIC_NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +68,14 @@ def changed_parameters(before: Parameters, given: Mapping[str, object], topics: 
 
 
 def _check_live(topics: Topics) -> None:
-    """Refuse topics that a live node cannot use: a column of a table, or no speed among them."""
+    """Refuse topics that a live node cannot use: a column of a table, a name that ROS does not allow, or no speed among them."""
     for role in topics:
         if not topics[role].of_topics:
             raise InputError(f"{topics.origin}: {role}", "a column of a table", "a topic with type and field")
+        for source in topics[role].sources:
+            if not TOPIC_NAME.fullmatch(source.topic):
+                allowed = "a path such as /left/speed: letters, digits and underscores, no part beginning with a digit"
+                raise InputError(f"{topics.origin}: {role}: topic", source.topic, allowed)
         if role in POSITION and not topics[role].unit:
             remedy = "a live node has no values yet to infer the unit from"
             raise InputError(f"{topics.origin}: {role}: unit", "none", "deg or rad", remedy)

@@ -36,6 +36,7 @@ class InputState:
     age_s: float  # since the arrival of the last accepted one, by a monotonic clock [s]; nan if there was none
     value: float  # the last accepted one, in the unit of the role; nan if there was none
     counts: tuple[tuple[str, int], ...]  # counters that are not zero, by name
+    refused: str = ""  # numbers and kinds, where too many were rejected
 
 
 class Watch:
@@ -51,7 +52,6 @@ class Watch:
         self._peers: Sequence[Sequence[Peer]] = [()] * len(inputs)
         self._last: dict[str, IntArray] = {}  # counters at the last look, by name
         self._overrun: list[tuple[str, int]] = []
-        self._refused: dict[str, list[tuple[str, int]]] = {}
         self._looked_ns: int | None = None
         self._shown_reasons, self._second_reasons, self._last_reasons = 0, 0, 0
         self._steps = 0
@@ -93,22 +93,25 @@ class Watch:
         new = self._since("counts", session.memory.counters)
         bad_stamp, alone = self._since("bad_stamp", reader.bad_stamp), self._since("alone", reader.alone())
         received, dropped = self._since("received", reader.received), self._since("dropped", reader.dropped)
+        absent = self._since("absent", reader.absent)
         self._overrun = [(given.name, int(n)) for given, n in zip(self._topics, dropped, strict=True) if n]
-        self._refused.clear()
         states = []
         for role, i in self._roles:
             channel = self._channel[role]
             messages = int(received[i] if role in reader.sums else new[channel, MESSAGES].sum() + bad_stamp[channel])
             refused = [(at.Count(c).name.lower(), int(new[channel, c])) for c in REFUSALS]
             refused += [("bad_stamp", int(bad_stamp[channel])), ("without_other_part", int(alone[channel]))]
-            if sum(number for _, number in refused) > REFUSED_SHARE * messages:
-                self._refused[role] = [(name, number) for name, number in refused if number]
+            if not new[channel, at.Count.ACCEPTED]:  # else another publisher on the topic has the element
+                refused.append((f"absent (the messages do not have {reader.lacks[channel]})", int(absent[channel])))
+            many = sum(number for _, number in refused) > REFUSED_SHARE * messages
+            why = ", ".join(f"{number} {name}" for name, number in refused if number and many)
             seen = [(count.name.lower(), int(self._last["counts"][channel, count])) for count in at.Count]
             seen += [("bad_stamp", reader.bad_stamp[channel]), ("without_other_part", int(self._last["alone"][channel]))]
             seen += [("absent", reader.absent[channel]), ("dropped", reader.dropped[i])]
             value = float(session.memory.values[channel])
             shown = tuple((name, number) for name, number in seen if number)
-            states.append(InputState(role, self._topics[i].name, messages / elapsed_s, math.nan, value, shown))
+            messages += 0 if role in reader.sums else int(absent[channel])
+            states.append(InputState(role, self._topics[i].name, messages / elapsed_s, math.nan, value, shown, why))
         self._inputs = tuple(states)
         still = self._last_reasons if not (self._steps or self._old) else 0  # of a slow speed, until its next step
         self.steps_hz, self._steps = self._steps / elapsed_s, 0
@@ -135,9 +138,8 @@ class Watch:
         for name, number in self._overrun:
             text = f"{name}: {number} messages were dropped in the last second, as they arrived too fast"
             found.append(Notice("OVERRUN", text))
-        for role, refused in self._refused.items():
-            why = ", ".join(f"{number} {name}" for name, number in refused)
-            found.append(Notice("REFUSED", f"{role}: rejected in the last second: {why}"))
+        refused = {state.role: state.refused for state in self._inputs if state.refused}
+        found += [Notice("REFUSED", f"{role}: rejected in the last second: {why}") for role, why in refused.items()]
         found += [notice for given, peers in zip(self._topics, self._peers, strict=True) for notice in _of_peers(given, peers)]
         if abs(self._offset_ns) > CLOCK_OFFSET_NS and clock_runs and not math.isinf(age_s):
             side = "behind" if self._offset_ns > 0 else "ahead of"
@@ -164,7 +166,7 @@ class Watch:
 
 
 def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
-    roles = ", ".join(given.roles)
+    roles = given.role_names
     right = [peer for peer in peers if peer.type == given.type]
     found = []
     for kind in sorted({peer.type for peer in peers} - {given.type}):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Literal, cast
@@ -22,6 +23,7 @@ FIX, NO_FIX = "status.status", -1
 """Field of such a message for the fix, and its value without one."""
 STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\[\]]+)\])?")
 PATH = re.compile(rf"{STEP.pattern}(?:\.{STEP.pattern})*")
+NAMES_SHOWN = 20
 MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
 
 
@@ -106,22 +108,36 @@ class TopicBinding:
     def read(self, message: object) -> float:
         """Return the value of this role in a decoded message, in the unit of the role; nan of a receiver without a fix.
 
-        Raises LookupError if the message has no such element (of a joint that is not in it, for one); AttributeError if the type
-        of the message has no such field.
+        Raises LookupError, with the reason, if the message has no such element (of a joint that is not in it, for one);
+        AttributeError if the type of the message has no such field.
         """
         if self.fix and attrgetter(self.fix)(message) == NO_FIX:
             return math.nan
         value = message
         for step in self.steps:
             parent, value = value, getattr(value, step.name)
+            index = step.index
             if step.element is not None:
                 names = list(getattr(parent, "name"))  # noqa: B009 - of any message type
                 if step.element not in names:
-                    raise LookupError(step.element)
-                value = cast("list[object]", value)[names.index(step.element)]
-            elif step.index is not None:
-                value = cast("list[object]", value)[step.index]
+                    raise LookupError(other_names(names))
+                index = names.index(step.element)
+            if index is not None:
+                array = cast("list[object]", value)
+                if index >= len(array):
+                    raise LookupError(too_few(step.name, len(array)))
+                value = array[index]
         return self.scale * float(cast("float", value)) + self.offset
+
+
+def other_names(names: Sequence[str]) -> str:
+    """Why a message has no element of a name: the names that it has."""
+    return f"its names are {', '.join(names[:NAMES_SHOWN]) or 'none'}"
+
+
+def too_few(name: str, count: int) -> str:
+    """Why an array of a message has no such element."""
+    return f"the array {name} has {f'only {count}' if count else 'no'} element{'s' * (count != 1)}"
 
 
 def field_steps(path: str) -> tuple[FieldStep, ...]:

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
-from trackres_ros.recording.binding import FieldStep
+from trackres_ros.recording.binding import FieldStep, other_names, too_few
 from trackres_ros.recording.message_types import HEADER, NUMBERS, TIME, Definitions, check_field, stamp_path
 from trackres_ros.recording.samples import FloatArray, IntArray
 from trackres_ros.units import SECOND_NS
 
-NAMES_SHOWN = 20
+LACKS_SHOWN = 3
 MAX_LAYOUTS = 16
 """Number of layouts of one length tried on all rows; rows that fit none are then decoded one by one."""
 
@@ -136,7 +136,7 @@ class _Walk:
                     if steps[0].element is None:
                         self._spot(slot, arrays[field.name], steps[0].index or 0)
                         if self.spots[slot] is None:
-                            self.lacks[slot] = _few(field.name, count)
+                            self.lacks[slot] = too_few(field.name, count)
             elif field.type == "string":
                 keep = bool(by_name) and field.name == "name"
                 found = [self.string(keep) for _ in range(count)]
@@ -144,7 +144,7 @@ class _Walk:
             elif field.type in self.types:
                 for slot, steps in mine:
                     if (steps[0].index or 0) >= count:
-                        self.lacks[slot] = _few(steps[0].name, count)
+                        self.lacks[slot] = too_few(steps[0].name, count)
                 for index in range(count):
                     before = self.pos
                     self.message(field.type, [(slot, steps[1:]) for slot, steps in mine if (steps[0].index or 0) == index])
@@ -156,17 +156,12 @@ class _Walk:
             element = cast("str", step.element).encode()
             self._spot(slot, arrays[step.name], names.index(element) if element in names else -1)
             if self.spots[slot] is None:
-                there = ", ".join(name.decode(errors="replace") for name in names[:NAMES_SHOWN]) or "none"
-                of = _few(step.name, arrays[step.name][1])
-                self.lacks[slot] = of if element in names else f"its names are {there}"
+                few = too_few(step.name, arrays[step.name][1])
+                self.lacks[slot] = few if element in names else other_names([name.decode(errors="replace") for name in names])
 
     def _spot(self, slot: int, array: tuple[int, int, str], index: int) -> None:
         start, count, kind = array
         self.spots[slot] = (start + index * int(kind[1]), self.order + kind) if 0 <= index < count else None
-
-
-def _few(name: str, count: int) -> str:
-    return f"the array {name} has {f'only {count}' if count else 'no'} element{'s' * (count != 1)}"
 
 
 def layout_of(
@@ -222,7 +217,9 @@ class FieldReader:
         if stamp:
             seconds, fraction = (field.name for field in types[TIME])
             self.paths += [(*stamp, FieldStep(seconds)), (*stamp, FieldStep(fraction))]
-        self.lacks: dict[int, str] = {}
+        self.lacks: dict[
+            int, list[str]
+        ] = {}  # by index of the field: the first `LACKS_SHOWN` reasons why messages do not have it
         self._layouts: dict[int, list[Layout]] = {}
 
     def decode(self, raws: Sequence[bytes]) -> Decoded:
@@ -274,7 +271,9 @@ class FieldReader:
         for slot, column in enumerate(columns[: self.count]):
             if column is None:
                 out.absent[rows, slot] = True
-                self.lacks.setdefault(slot, layout.lacks.get(slot, ""))
+                lacks, lack = self.lacks.setdefault(slot, []), layout.lacks.get(slot, "")
+                if lack not in lacks and len(lacks) < LACKS_SHOWN:
+                    lacks.append(lack)
             else:
                 out.value[rows, slot] = column
         if len(columns) > self.count:

@@ -205,8 +205,8 @@ class BagSource:
 
     def _lack(self, role: int) -> str:
         """Why messages have no element for a role."""
-        lacks = [topic.reader.lacks.get(topic.roles.index(role), "") for topic in self._topics.values() if role in topic.roles]
-        return next(filter(None, lacks), "")
+        readers = [(topic.reader, topic.roles.index(role)) for topic in self._topics.values() if role in topic.roles]
+        return ", or ".join(dict.fromkeys(lack for reader, slot in readers for lack in reader.lacks.get(slot, ()) if lack))
 
     def _batches(self, path: Path, max_rows: int, tally: _Tally) -> Iterator[SampleBlock]:
         """Read one bag in the small batches that are decoded together."""

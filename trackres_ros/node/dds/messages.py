@@ -95,7 +95,7 @@ class CdrInput:
     """
 
     def __init__(self, given: InputTopic, origin: str) -> None:
-        where = f"{origin}: {', '.join(given.roles)}"
+        where = f"{origin}: {given.role_names}"
         self._type = known_type(given.type, where)
         self._scales = [(binding.scale, binding.offset) for binding in given.bindings]
         self._has_fix = bool(given.bindings[0].fix)
@@ -105,15 +105,15 @@ class CdrInput:
         self._has_stamp = len(self._fields.paths) > len(fields)
         self._fixed: tuple[tuple[slice, bytes], ...] = ()
         self._length = -1
-        self._places: list[tuple[int, struct.Struct] | None] = []
+        self._places: list[tuple[int, struct.Struct] | str] = []
 
-    def read(self, raw: bytes) -> tuple[int | None, list[float | None]]:
-        """Stamp [ns], None where the type has none; and the scaled number of each binding, None where the message lacks it,
-        nan of a receiver without a fix. Raises MalformedError if the bytes are no message of the type.
+    def read(self, raw: bytes) -> tuple[int | None, list[float | str]]:
+        """Stamp [ns], None where the type has none; and the scaled number of each binding, the reason where the message lacks
+        it, nan of a receiver without a fix. Raises MalformedError if the bytes are no message of the type.
         """
         if len(raw) != self._length or any(raw[where] != content for where, content in self._fixed):
             self._learn(raw)
-        numbers: list[Any] = [None if place is None else place[1].unpack_from(raw, place[0])[0] for place in self._places]
+        numbers: list[Any] = [at if isinstance(at, str) else at[1].unpack_from(raw, at[0])[0] for at in self._places]
         stamp = None
         if self._has_stamp:
             nanoseconds, seconds = numbers.pop(), numbers.pop()
@@ -121,7 +121,7 @@ class CdrInput:
         if self._has_fix and numbers.pop() == NO_FIX:
             numbers = [math.nan] * len(numbers)
         return stamp, [
-            None if number is None else scale * number + offset
+            number if isinstance(number, str) else scale * number + offset
             for number, (scale, offset) in zip(numbers, self._scales, strict=True)
         ]
 
@@ -129,7 +129,9 @@ class CdrInput:
         layout = layout_of(raw, self._fields.types, self._type, self._fields.paths)
         self._length = layout.length
         self._fixed = tuple((slice(start, start + len(content)), content) for start, content in layout.fixed)
-        self._places = [None if spot is None else (spot[0], STRUCTS[spot[1]]) for spot in layout.spots]
+        self._places = [
+            (spot[0], STRUCTS[spot[1]]) if spot else layout.lacks.get(slot, "") for slot, spot in enumerate(layout.spots)
+        ]
 
 
 def clock_ns(raw: bytes) -> int:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from trackres_ros.errors import InputError
@@ -61,15 +61,17 @@ def run(
     node: str,
     namespace: str,
     requests: SignalRequests,
-    started: Callable[[Application], None] | None = None,
+    started: Callable[[Application], None] | None,
+    qos_overrides: Mapping[str, bool | int | str],
 ) -> int:
     """Run the node with checked parameters until a signal requests a stop; return the exit code."""
     from trackres_ros.node.ros.node import EstimatorNode
 
-    sim_time = rclpy.Parameter("use_sim_time", value=parameters.sim_time)
+    given = {"use_sim_time": parameters.sim_time, **qos_overrides}
+    overrides = [rclpy.Parameter(name, value=value) for name, value in given.items()]
 
     def make() -> Any:
-        return EstimatorNode(parameters, node, namespace=namespace, parameter_overrides=[sim_time])
+        return EstimatorNode(parameters, node, namespace=namespace, parameter_overrides=overrides)
 
     return _run(make, requests, [], started, of_command=True)
 

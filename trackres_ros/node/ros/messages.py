@@ -109,7 +109,7 @@ def input_type(given: InputTopic, origin: str) -> Any:
 
     Raises InputError for a type that is not installed, or a field path that does not lead to a number.
     """
-    where = f"{origin}: {', '.join(given.roles)}"
+    where = f"{origin}: {given.role_names}"
     message = installed_type(given.type, where)
     types = with_nested(given.type, installed_fields)
     for binding in given.bindings:

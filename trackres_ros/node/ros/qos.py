@@ -15,8 +15,9 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.endpoints import Quality
+from trackres_ros.node.parameters import QOS_OVERRIDES
 
-OVERRIDES = "qos_overrides."  # parameters that rclpy declares with each topic
+OVERRIDES = f"{QOS_OVERRIDES}."  # parameters that rclpy declares with each topic
 OVERRIDABLE = QoSOverridingOptions.with_default_policies()
 
 
