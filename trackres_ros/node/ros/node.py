@@ -11,9 +11,11 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
+from lifecycle_msgs.srv import ChangeState
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
@@ -73,6 +75,9 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         ros_parameters.declare(self, values or make_parameters({}))
         self.add_post_set_parameters_callback(self._apply)
         self._warn(ros_parameters.unknown(self, of_topics=False))
+        for service in self.services:
+            if service.srv_type is ChangeState:
+                service.callback = _answering(service.callback)
 
     def _clear(self) -> None:
         """Before configuration or after cleanup."""
@@ -376,6 +381,19 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             period_ns = int(self.application.period_s * SECOND_NS)
             if self._ticker.timer_period_ns != period_ns:
                 self._ticker.timer_period_ns = period_ns
+
+
+def _answering(change_state: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """The service, refusing a transition that the present state does not have: rclpy would raise, and never answer."""
+
+    def serve(request: Any, response: Any) -> Any:
+        try:
+            return change_state(request, response)
+        except rclpy_implementation.RCLError:  # rcl has logged it
+            response.success = False
+            return response
+
+    return serve
 
 
 def _come(given: Any) -> Iterator[Taken]:
