@@ -3,7 +3,9 @@
 
 """What `trackres live --record` writes is a recording: every message as it came, to be replayed and diagnosed as any other."""
 
+import errno
 import math
+import os
 import random
 from collections import deque
 from functools import partial
@@ -17,7 +19,7 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 
 import trackres_ros as tr  # noqa: E402
 from trackres_ros.estimator.columns import LOAD  # noqa: E402
-from trackres_ros.node import message_handler  # noqa: E402
+from trackres_ros.node import message_handler, record  # noqa: E402
 from trackres_ros.node.inbox import Inbox  # noqa: E402
 from trackres_ros.node.record import Recorder  # noqa: E402
 
@@ -51,12 +53,12 @@ def messages_of(bag):
 class Wire:
     """Passes messages to an application as a transport does, and keeps them."""
 
-    def __init__(self, desk, path):
+    def __init__(self, desk, path, recorder=None):
         self.desk, self.sent = desk, []
         desk.record = lambda others: [
             STORE.generate_msgdef(given.type, ros_version=2)[0] for given in (*desk.app.inputs, *others)
         ]
-        self.recorder = Recorder(path)
+        self.recorder = recorder or Recorder(path)
         self.recorder.begin(desk.app)
         self.index = {given.name: i for i, given in enumerate(desk.app.inputs)} | {"brake": len(desk.app.inputs)}
 
@@ -224,6 +226,24 @@ def test_each_round_of_simulated_time_is_a_file_of_its_own(desk, tmp_path):
         assert replayed["belt_degc/front_left"][-1] == pytest.approx(belt, abs=1e-6)
 
 
+def test_the_next_application_is_recorded_in_the_next_file(desk, tmp_path):
+    recorder, last = Recorder(tmp_path / "live.mcap"), []
+    for vehicle in ("xgd24d", "agri3t"):
+        d = desk(TOPICS, vehicle=vehicle, learning="off")
+        wire = Wire(d, None, recorder)
+        for _ in range(100):
+            d.forward(0.02)
+            wire.send("speed", TWIST, 2.0)
+        last.append(d.app.overview().values[f"belt_degc/{d.app.estimator.assemblies[0]}"])
+        d.app.close()
+    lines = recorder.end()
+    assert f"{tmp_path / 'live.mcap'} to {tmp_path / 'live_0001.mcap'}: 200 estimates" in lines[0]
+    assert "200 of /speed" in lines[0]
+    for name, vehicle, belt in zip(("live", "live_0001"), ("xgd24d", "agri3t"), last, strict=True):
+        replayed = tr.replay(tmp_path / f"{name}.mcap", vehicle, topics=tmp_path / "topics.yaml")
+        assert replayed[f"belt_degc/{tr.Estimator(vehicle).assemblies[0]}"][-1] == pytest.approx(belt, abs=1e-6)
+
+
 def test_messages_before_the_sim_clock_get_its_first_time(desk, tmp_path):
     d = desk(TOPICS, use_sim_time=True)
     wire, clock = Wire(d, tmp_path / "live.mcap"), d.now_ns
@@ -272,3 +292,12 @@ def test_what_is_not_handled_is_recorded_too(desk, tmp_path):
         wire.sent[1][2],
         b"waits for a speed",
     ]
+
+
+def test_a_recording_that_cannot_begin_is_refused(desk, tmp_path, monkeypatch):
+    def full(_bag):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(record.OutputBag, "__enter__", full)
+    with pytest.raises(tr.InputError, match=r"--record: given .*No space left"):
+        Recorder(tmp_path / "live.mcap").begin(desk().app)

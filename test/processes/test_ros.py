@@ -272,6 +272,8 @@ from trackres_ros.node.parameters import make_parameters
 from trackres_ros.node.ros.node import EstimatorNode
 rclpy.init()
 node = EstimatorNode(make_parameters({"vehicle": "xgd24d", "state_file": "none"}))
+made = []
+node.configured = made.append
 serve = next(service.callback for service in node.services if service.srv_type is ChangeState)
 def ask(transition):
     request = ChangeState.Request()
@@ -283,6 +285,7 @@ def fail():
 ask(1)
 node.application.activate = fail
 print(ask(3), node.failure)
+print(len(set(made)), "applications are handed over")
 """
 
 
@@ -292,6 +295,7 @@ def test_a_lifecycle_request_out_of_order_is_refused(cyclone):
     in_order = "False False True False True False False True False True False"
     assert in_order in asked.said()
     assert "False OSError: no disk" in asked.said()
+    assert "2 applications are handed over" in asked.said()
 
 
 def test_two_nodes_in_one_process(cyclone):

@@ -61,7 +61,7 @@ def run(
     node: str,
     namespace: str,
     requests: SignalRequests,
-    started: Callable[[Application], None] | None = None,
+    started: Callable[[Application], None] | None = None,  # called with each application, after a cleanup with the next one
 ) -> int:
     """Run the node with checked parameters until a signal requests a stop; return the exit code."""
     from trackres_ros.node.ros.node import EstimatorNode
@@ -93,6 +93,7 @@ def _run(
                 raise
             print(f"estimator: error: {error}", file=sys.stderr)
             return BAD_INPUT
+        node.configured = started
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         if of_command or node.get_parameter("autostart").value:
@@ -101,8 +102,6 @@ def _run(
                     raise node.refused
                 return BAD_INPUT
             node.trigger_activate()
-        if started and node.application:
-            started(node.application)
         gc.freeze()  # loaded objects stay: scanning them would delay a message now and then
         requests.started()
         _spin(executor, node, requests)

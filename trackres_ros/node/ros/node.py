@@ -66,6 +66,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     def __init__(self, values: Parameters | None = None, node: str = DEFAULT_NODE, **arguments: Any) -> None:
         self._group = OneAtATime()
         self.application: Application | None = None
+        self.configured: Callable[[Application], None] | None = None  # called with each application that is made
         self.failure = ""
         self.refused: InputError | None = None  # refusal of the last transition
         self._clear()
@@ -159,6 +160,8 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._wait_or_collect(application)
         self._warn(ros_parameters.unknown(self, of_topics=True))
         self.get_logger().info(f"{application.vehicle.title}; {application.began_with}")
+        if self.configured:
+            self.configured(application)
 
     def _open_output(self, topic: OutputTopic, parameters: Parameters) -> None:
         if topic is ESTIMATE_TOPIC and self._estimate is None:
