@@ -374,8 +374,10 @@ class Application:
         return changed_parameters(self.parameters, given, self.topics)
 
     def reset(self) -> str:
-        """Start cold, with belts at the ambient temperature; return a text for the log."""
-        self._start_anew(time_went_back=False)
+        """Start cold, with belts at the ambient temperature; inputs stay. Return a text for the log."""
+        age_s = self._publisher.age_s(self.clock.steady_ns())
+        self.session.start_cold(driving=age_s <= self.estimator.settings.speed_max_age_s)
+        self._forget()
         text = f"the estimate restarts with cold {'belts' if self.estimator.assemblies else 'effects'} at the next speed"
         self._log(Level.WARN, f"reset: {text}")
         return text
@@ -399,11 +401,11 @@ class Application:
         if back_ns <= self.estimator.settings.clock_jump_s * SECOND_NS:
             return
         self.messages.time_went_back()
-        self._start_anew(time_went_back=True)
+        self.session.start_anew()
+        self._forget()
         self._log(Level.WARN, "time went back: the estimate restarts")
 
-    def _start_anew(self, time_went_back: bool) -> None:
-        self.session.start_anew(time_went_back)
+    def _forget(self) -> None:
         self.comparison.restart()
         self.learning.restart(self.session)
 
