@@ -131,6 +131,8 @@ class Application:
         return known
 
     def _step(self, channel: int, stamp: int, value: float, steady: int, now: int, arrival: int) -> None:
+        if channel == at.SPEED and self._publisher.stamp_ns is None:
+            self._rest_unused_belts()
         counters = self.session.memory.counters
         before, doubted = counters[channel, ACCEPTED], counters[channel, IMPLAUSIBLE]
         estimate = self.session.feed(channel, stamp, arrival, value)
