@@ -413,7 +413,6 @@ class Application:
 
     def close(self) -> str:
         """Save the state and end other threads; return a text for the log."""
-        self.guard("the service manager", self._service.stopping)
         self.deactivate()
         self.messages.close()
         self.guard("ending the compiler", self._warm_up.close)

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import gc
 import sys
+import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.parameters import Parameters
+from trackres_ros.node.service_manager import ServiceManager
 from trackres_ros.node.signals import SignalRequests
 from trackres_ros.node.transport import Level
 
@@ -113,6 +115,7 @@ def _run(
         fault = error
     finally:
         if node is not None:
+            ServiceManager().stopping()
             if node.application:
                 node.application.deactivate(fault)
             node.release()
@@ -123,7 +126,7 @@ def _run(
 
 def _spin(executor: Any, node: Any, requests: SignalRequests) -> None:
     """Run until a signal requests a stop. Exceptions of callbacks leave the executor here, and end nothing else."""
-    failed = 0
+    failed, service = 0, ServiceManager()
     while not requests.to_stop:
         try:
             executor.spin_once(timeout_sec=LONGEST_WAIT_S)
@@ -137,6 +140,8 @@ def _spin(executor: Any, node: Any, requests: SignalRequests) -> None:
             node.application.guard.failed("a callback", error, essential=False)
         if node.application:
             node.application.guard("a request", _carry_out, node, requests)
+        else:  # unconfigured by request
+            service.alive(0, False, time.monotonic_ns())
 
 
 def _carry_out(node: Any, requests: SignalRequests) -> None:
