@@ -19,7 +19,8 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 
 import trackres_ros as tr  # noqa: E402
 from trackres_ros.estimator.columns import LOAD  # noqa: E402
-from trackres_ros.node import message_handler, record  # noqa: E402
+from trackres_ros.node import message_handler  # noqa: E402
+from trackres_ros.node import record as record_room  # noqa: E402
 from trackres_ros.node.inbox import Inbox  # noqa: E402
 from trackres_ros.node.record import Recorder  # noqa: E402
 
@@ -226,7 +227,39 @@ def test_each_round_of_simulated_time_is_a_file_of_its_own(desk, tmp_path):
         assert replayed["belt_degc/front_left"][-1] == pytest.approx(belt, abs=1e-6)
 
 
-def test_the_next_application_is_recorded_in_the_next_file(desk, tmp_path):
+def test_a_restored_start_replays_as_live(desk, tmp_path, monkeypatch):
+    state, bag, now = tmp_path / "state.json", tmp_path / "live.mcap", [1e9]
+    monkeypatch.setattr("time.time", lambda: now[0])
+    monkeypatch.setattr(record_room, "estimate_figure", lambda *_, **__: None)
+    warm = desk(TOPICS, state_file=str(state))
+    warm.drive(60.0, speed=15.0, dt=0.2)
+    warm.app.close()
+    d = desk(TOPICS, state_file=str(state), learning="on")
+    wire, rows = Wire(d, bag), []
+    record = d.app.on_estimate
+    d.app.on_estimate = lambda row, stamp, arrival: (rows.append(row), record(row, stamp, arrival))
+    for step in range(80):
+        d.forward(0.1)
+        now[0] += 1.0  # the belts cool until the first speed
+        wire.send("/air", TEMPERATURE, 12.0)
+        wire.send("shaft", WRENCH, 2000.0 + 10.0 * (step % 7))
+        if step > 30:
+            wire.send("speed", TWIST, 5.0)
+    d.app.save_state()
+    assert f"--resume {record_room.start_of(bag)}" in "".join(wire.recorder.end())
+    topics = tmp_path / "topics.yaml"
+    replayed = tr.replay(bag, "xgd24d", topics=topics, resume=record_room.start_of(bag), learning="on")
+    for name in ("belt_degc/front_left", "resistance_torque_nm", "residual_nm", "feedforward_torque_nm"):
+        live = [row[d.app.estimator.column_index[name]] for row in rows]
+        np.testing.assert_allclose(replayed[name], live, rtol=1e-12, atol=1e-9, err_msg=name)
+    cold = tr.replay(bag, "xgd24d", topics=topics)
+    assert cold["belt_degc/front_left"][0] < replayed["belt_degc/front_left"][0] - 1.0
+    Wire(desk(TOPICS), bag).recorder.end()
+    assert not record_room.start_of(bag).exists()  # of the bag that was replaced
+
+
+def test_the_next_application_is_recorded_in_the_next_file(desk, tmp_path, monkeypatch):
+    monkeypatch.setattr(record_room, "estimate_figure", lambda *_, **__: None)
     recorder, last = Recorder(tmp_path / "live.mcap"), []
     for vehicle in ("xgd24d", "agri3t"):
         d = desk(TOPICS, vehicle=vehicle, learning="off")
@@ -298,6 +331,6 @@ def test_a_recording_that_cannot_begin_is_refused(desk, tmp_path, monkeypatch):
     def full(_bag):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(record.OutputBag, "__enter__", full)
+    monkeypatch.setattr(record_room.OutputBag, "__enter__", full)
     with pytest.raises(tr.InputError, match=r"--record: given .*No space left"):
         Recorder(tmp_path / "live.mcap").begin(desk().app)

@@ -20,6 +20,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.between_steps import fed_now
 from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.snapshot import content
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.estimator.warm_up import LIVE, CompilerWarmUp, exercise
 from trackres_ros.jit.compiled import interpreted
@@ -78,6 +79,7 @@ class Application:
         self.keeper = StateKeeper(*file)
         self.active = self._withdrawn = False
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
+        self.on_restored: Callable[[bytes, int], None] | None = None  # file of the state that the first speed found, arrival
         self.recording_notices: Callable[[], list[Notice]] = list
         self.guard = Guard(self._report_fault, steady_ns)
         self.clock = NodeClock(transport, parameters.sim_time, steady_ns, self.guard)
@@ -131,8 +133,11 @@ class Application:
         return known
 
     def _step(self, channel: int, stamp: int, value: float, steady: int, now: int, arrival: int) -> None:
+        restored = None
         if channel == at.SPEED and self._publisher.stamp_ns is None:
             self._rest_unused_belts()
+            if self.on_restored and self.session.started:
+                restored = self.guard("recording", self._restored)
         counters = self.session.memory.counters
         before, doubted = counters[channel, ACCEPTED], counters[channel, IMPLAUSIBLE]
         estimate = self.session.feed(channel, stamp, arrival, value)
@@ -141,7 +146,15 @@ class Application:
         elif counters[channel, IMPLAUSIBLE] != doubted:
             self._show(SPEED_IMPLAUSIBLE)
         if estimate is not None:
+            if restored and self.on_restored:
+                self.guard("recording", self.on_restored, restored, arrival)
             self._take(estimate, steady, now, arrival)
+
+    def _restored(self) -> bytes:
+        """State file from which a replay of all messages gives the live estimates."""
+        session = self.estimator.session()  # without the messages until now, which are in the replay
+        session.begin(self.session.state)
+        return content(session, self._state_at, self.learning.stored())
 
     def _take(self, estimate: Estimate, steady: int, now: int, arrival: int) -> None:
         values = estimate.row.tolist()

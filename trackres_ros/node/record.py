@@ -21,6 +21,8 @@ import numpy as np
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.snapshot import is_other_kind, state_file
+from trackres_ros.files import own_files
 from trackres_ros.learning.columns import LearningColumns
 from trackres_ros.node.endpoints import InputTopic, input_name
 from trackres_ros.node.notices import Notice
@@ -59,8 +61,8 @@ class Recorded(NamedTuple):
 
 
 Item = tuple[int, bytes | list[float], int, int, Recorded]
-"""Topic (or `ESTIMATE`), message or row, stamp and arrival [ns], and what they belong to."""
-ESTIMATE = -1
+"""Topic (or `ESTIMATE`, `RESTORED`), message, row or file, stamp and arrival [ns], and what they belong to."""
+ESTIMATE, RESTORED = -1, -2
 
 
 class Recorder:
@@ -90,6 +92,7 @@ class Recorder:
         self._error, self._failed_ns, self._answered_ns = "", -SHOWN_NS, 0
         self._is_finished = False
         self._done: list[str] = []
+        self._starts: list[Path] = []  # files of restored states
         self._began_ns = self._latest_ns = 0
         self._early: list[Item] = []
         self._unseen: list[Steps] = []
@@ -120,7 +123,8 @@ class Recorder:
                 raise InputError("--record", f"{self._path}: {error.strerror}", "a file that can be written") from error
             self._answered_ns = time.monotonic_ns()
             self._thread.start()
-        application.on_estimate, application.recording_notices = self._take, self.notices
+        application.on_estimate, application.on_restored = self._take, self._start_from
+        application.recording_notices = self.notices
         return [f"{path} is unfinished but readable; repair it with: trackres recover {path} -o FILE" for path in unfinished]
 
     def end(self) -> list[str]:
@@ -141,6 +145,10 @@ class Recorder:
             lines.append(f"{self._files.deleted} of the oldest files were deleted to stay within --record-limit-mb")
         if not self._is_finished:
             lines.append(f"{self._part} is unfinished: {self._error}; it is readable, repair it with: trackres recover")
+        lines += [
+            f"{path}: the state restored before it; for the same numbers: trackres replay --resume {path}"
+            for path in self._starts
+        ]
         return [*lines, *self._picture()]
 
     def _where(self) -> str:
@@ -169,6 +177,9 @@ class Recorder:
 
     def _take(self, row: list[float], stamp_ns: int, arrival_ns: int) -> None:
         self._wait((ESTIMATE, row, stamp_ns, arrival_ns, self._now))
+
+    def _start_from(self, state: bytes, arrival_ns: int) -> None:
+        self._wait((RESTORED, state, 0, arrival_ns, self._now))
 
     def _wait(self, item: Item) -> None:
         if self._put - self._taken > MOST_WAITING_BYTES:
@@ -216,7 +227,8 @@ class Recorder:
         rounds: list[list[Item]] = [[]]
         of = self._of
         for item in self._drain():
-            self._given_out[item[0] == ESTIMATE] += 1
+            if item[0] != RESTORED:
+                self._given_out[item[0] == ESTIMATE] += 1
             if item[4] is not of or 0 < item[3] < self._latest_ns - of.jump_ns:  # a simulated clock went back
                 rounds.append([])
                 self._latest_ns, of = 0, item[4]
@@ -241,20 +253,25 @@ class Recorder:
             self._open()
         assert self._bag
         first_ns = next((item[3] for item in items if item[3] > 0), 0)
-        rows = []
+        rows, states = [], list[bytes]()
         for index, content, stamp_ns, arrival_ns, _ in items:
-            if isinstance(content, bytes):
+            if not isinstance(content, bytes):
+                rows.append((content, stamp_ns, arrival_ns))
+            elif index == RESTORED:
+                states.append(content)
+            else:
                 # A simulated clock stands still between its ticks; two samples without a stamp would have the same time.
                 self._last[index] = max(arrival_ns if arrival_ns > 0 else first_ns, self._last[index] + 1)
                 self._bag.writer.write_raw(self._topics[index], content, self._last[index])
-            else:
-                rows.append((content, stamp_ns, arrival_ns))
         if rows:
             values, stamps, arrivals = zip(*rows, strict=True)
             steps = Steps(np.array(stamps, dtype=np.int64), np.array(arrivals, dtype=np.int64), np.array(values))
             self._unseen.append(steps)
             self._bag.write(steps)
         self._bag.writer.flush()
+        for state in states:
+            own_files.write(state_file(start_of(self._bag.path), "--record"), state)
+            self._starts.append(start_of(self._bag.path))
         if sum(len(steps.rows) for steps in self._unseen) >= PREVIEW_ROWS:
             self._see()
         if items:
@@ -273,6 +290,8 @@ class Recorder:
     def _open(self) -> None:
         self._files.make_room()
         path, self._part = self._files.next()
+        if start_of(path).exists() and not is_other_kind(start_of(path)):  # of the bag that is replaced
+            start_of(path).unlink()
         bag = OutputBag(path, self._of.estimator, self._of.learned, self._part)
         bag.__enter__()
         self._topics = [bag.writer.raw_topic(input_name(given.name, "/"), given.type, text) for given, text in self._of.given]
@@ -308,6 +327,11 @@ class Recorder:
         except Exception as error:  # a picture is not worth an exit code
             return [f"no picture {picture}: {getattr(error, 'strerror', None) or error}"]
         return [f"{picture}: torque and temperature over time"]
+
+
+def start_of(bag: Path) -> Path:
+    """File beside a bag, with the restored state that its estimates begin with."""
+    return bag.with_suffix(".start.json")
 
 
 def _size(item: Item) -> int:
