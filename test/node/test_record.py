@@ -245,7 +245,6 @@ def test_a_restored_start_replays_as_live(desk, tmp_path, monkeypatch):
         wire.send("shaft", WRENCH, 2000.0 + 10.0 * (step % 7))
         if step > 30:
             wire.send("speed", TWIST, 5.0)
-    d.app.save_state()
     assert f"--resume {record_room.start_of(bag)}" in "".join(wire.recorder.end())
     topics = tmp_path / "topics.yaml"
     replayed = tr.replay(bag, "xgd24d", topics=topics, resume=record_room.start_of(bag), learning="on")

@@ -135,9 +135,8 @@ class Application:
     def _step(self, channel: int, stamp: int, value: float, steady: int, now: int, arrival: int) -> None:
         restored = None
         if channel == at.SPEED and self._publisher.stamp_ns is None:
-            self._rest_unused_belts()
-            if self.on_restored and self.session.started:
-                restored = self.guard("recording", self._restored)
+            self.guard("cooling the restored belts", self._rest_unused_belts)
+            restored = self.guard("recording", self._restored) if self.on_restored else None
         counters = self.session.memory.counters
         before, doubted = counters[channel, ACCEPTED], counters[channel, IMPLAUSIBLE]
         estimate = self.session.feed(channel, stamp, arrival, value)
@@ -150,8 +149,10 @@ class Application:
                 self.guard("recording", self.on_restored, restored, arrival)
             self._take(estimate, steady, now, arrival)
 
-    def _restored(self) -> bytes:
-        """State file from which a replay of all messages gives the live estimates."""
+    def _restored(self) -> bytes | None:
+        """State file from which a replay of all messages gives the live estimates; None for a cold start."""
+        if not self.session.started:
+            return None
         session = self.estimator.session()  # without the messages until now, which are in the replay
         session.begin(self.session.state)
         return content(session, self._state_at, self.learning.stored())
@@ -436,7 +437,7 @@ class Application:
             return self.save_state(SAVING_AT_THE_END_S)
         except InputError as error:
             return str(error)
-        except Exception as error:  # whatever fails, it is to end
+        except BaseException as error:  # whatever fails, it is to end
             return f"the state is not saved because of a bug: {type(error).__name__}: {error}"
 
     def _log_counts(self) -> None:
