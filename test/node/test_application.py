@@ -259,6 +259,30 @@ def test_reset_starts_cold(desk):
     assert d.last("track_temperature/front_left")[1][0] == pytest.approx(15.0, abs=0.01)
 
 
+def test_a_reset_while_driving_keeps_inputs_and_feedforward(desk):
+    d = desk()
+    d.drive(60.0, dt=0.1, ambient=28.0, load=180e3)
+    assert d.last("track_temperature/front_left")[1][0] > 28.2
+    cold, count = desk(), len(d.published)
+    cold.drive(1.0, ambient=28.0, load=180e3)
+    d.app.reset()
+    d.drive(0.4)
+    torques = [values[0] for name, _, values in d.published[count:] if name == "feedforward_torque_nm"]
+    assert d.last("track_temperature/front_left")[1][0] == pytest.approx(28.0, abs=0.02)
+    assert torques == pytest.approx([cold.last("feedforward_torque_nm")[1][0]] * 20, rel=2e-3)
+    assert not {"LOAD_NOMINAL", "AMBIENT_NOMINAL"} & d.names()
+
+
+def test_a_reset_in_a_pause_of_the_speed_starts_cold_after_it(desk):
+    d = desk()
+    d.drive(60.0, dt=0.1, ambient=28.0)
+    d.forward(100.0)
+    d.app.reset()
+    d.drive(0.1)
+    assert d.last("track_temperature/front_left")[1][0] == pytest.approx(28.0, abs=0.01)
+    assert not {"GAP_UNKNOWN", "AMBIENT_NOMINAL"} & d.names()
+
+
 def test_a_clock_that_is_set_keeps_the_temperature_and_is_said(desk):
     d = desk()
     d.drive(120.0, dt=0.1)

@@ -3,7 +3,9 @@
 
 """What `trackres live --record` writes is a recording: every message as it came, to be replayed and diagnosed as any other."""
 
+import errno
 import math
+import os
 import random
 from collections import deque
 from functools import partial
@@ -18,6 +20,7 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 import trackres_ros as tr  # noqa: E402
 from trackres_ros.estimator.columns import LOAD  # noqa: E402
 from trackres_ros.node import message_handler  # noqa: E402
+from trackres_ros.node import record as record_room  # noqa: E402
 from trackres_ros.node.inbox import Inbox  # noqa: E402
 from trackres_ros.node.record import Recorder  # noqa: E402
 
@@ -51,12 +54,12 @@ def messages_of(bag):
 class Wire:
     """Passes messages to an application as a transport does, and keeps them."""
 
-    def __init__(self, desk, path):
+    def __init__(self, desk, path, recorder=None):
         self.desk, self.sent = desk, []
         desk.record = lambda others: [
             STORE.generate_msgdef(given.type, ros_version=2)[0] for given in (*desk.app.inputs, *others)
         ]
-        self.recorder = Recorder(path)
+        self.recorder = recorder or Recorder(path)
         self.recorder.begin(desk.app)
         self.index = {given.name: i for i, given in enumerate(desk.app.inputs)} | {"brake": len(desk.app.inputs)}
 
@@ -249,6 +252,55 @@ def test_each_round_of_simulated_time_is_a_file_of_its_own(desk, tmp_path):
         assert replayed["belt_degc/front_left"][-1] == pytest.approx(belt, abs=1e-6)
 
 
+def test_a_restored_start_replays_as_live(desk, tmp_path, monkeypatch):
+    state, bag, now = tmp_path / "state.json", tmp_path / "live.mcap", [1e9]
+    monkeypatch.setattr("time.time", lambda: now[0])
+    monkeypatch.setattr(record_room, "estimate_figure", lambda *_, **__: None)
+    warm = desk(TOPICS, state_file=str(state))
+    warm.drive(60.0, speed=15.0, dt=0.2)
+    warm.app.close()
+    d = desk(TOPICS, state_file=str(state), learning="on")
+    wire, rows = Wire(d, bag), []
+    record = d.app.on_estimate
+    d.app.on_estimate = lambda row, stamp, arrival: (rows.append(row), record(row, stamp, arrival))
+    for step in range(80):
+        d.forward(0.1)
+        now[0] += 1.0  # the belts cool until the first speed
+        wire.send("/air", TEMPERATURE, 12.0)
+        wire.send("shaft", WRENCH, 2000.0 + 10.0 * (step % 7))
+        if step > 30:
+            wire.send("speed", TWIST, 5.0)
+    assert f"--resume {record_room.start_of(bag)}" in "".join(wire.recorder.end())
+    topics = tmp_path / "topics.yaml"
+    replayed = tr.replay(bag, "xgd24d", topics=topics, resume=record_room.start_of(bag), learning="on")
+    for name in ("belt_degc/front_left", "resistance_torque_nm", "residual_nm", "feedforward_torque_nm"):
+        live = [row[d.app.estimator.column_index[name]] for row in rows]
+        np.testing.assert_allclose(replayed[name], live, rtol=1e-12, atol=1e-9, err_msg=name)
+    cold = tr.replay(bag, "xgd24d", topics=topics)
+    assert cold["belt_degc/front_left"][0] < replayed["belt_degc/front_left"][0] - 1.0
+    Wire(desk(TOPICS), bag).recorder.end()
+    assert not record_room.start_of(bag).exists()  # of the bag that was replaced
+
+
+def test_the_next_application_is_recorded_in_the_next_file(desk, tmp_path, monkeypatch):
+    monkeypatch.setattr(record_room, "estimate_figure", lambda *_, **__: None)
+    recorder, last = Recorder(tmp_path / "live.mcap"), []
+    for vehicle in ("xgd24d", "agri3t"):
+        d = desk(TOPICS, vehicle=vehicle, learning="off")
+        wire = Wire(d, None, recorder)
+        for _ in range(100):
+            d.forward(0.02)
+            wire.send("speed", TWIST, 2.0)
+        last.append(d.app.overview().values[f"belt_degc/{d.app.estimator.assemblies[0]}"])
+        d.app.close()
+    lines = recorder.end()
+    assert f"{tmp_path / 'live.mcap'} to {tmp_path / 'live_0001.mcap'}: 200 estimates" in lines[0]
+    assert "200 of /speed" in lines[0]
+    for name, vehicle, belt in zip(("live", "live_0001"), ("xgd24d", "agri3t"), last, strict=True):
+        replayed = tr.replay(tmp_path / f"{name}.mcap", vehicle, topics=tmp_path / "topics.yaml")
+        assert replayed[f"belt_degc/{tr.Estimator(vehicle).assemblies[0]}"][-1] == pytest.approx(belt, abs=1e-6)
+
+
 def test_messages_before_the_sim_clock_get_its_first_time(desk, tmp_path):
     d = desk(TOPICS, use_sim_time=True)
     wire, clock = Wire(d, tmp_path / "live.mcap"), d.now_ns
@@ -297,3 +349,12 @@ def test_what_is_not_handled_is_recorded_too(desk, tmp_path):
         wire.sent[1][2],
         b"waits for a speed",
     ]
+
+
+def test_a_recording_that_cannot_begin_is_refused(desk, tmp_path, monkeypatch):
+    def full(_bag):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(record_room.OutputBag, "__enter__", full)
+    with pytest.raises(tr.InputError, match=r"--record: given .*No space left"):
+        Recorder(tmp_path / "live.mcap").begin(desk().app)

@@ -80,7 +80,11 @@ def test_belts_that_wait_for_a_speed_cool_meanwhile(desk, warm, monkeypatch):
     d.forward(31.0)
     d.app.save_state()
     assert json.loads(path.read_text())["saved_at"] == now[0]
-    assert first_belt(d) < belt - 3.0
+    now[0] += 3600.0
+    waited = first_belt(d)
+    assert waited < belt - 3.0
+    path.write_bytes(seal({**content, "saved_at": now[0] - 7200.0}))
+    assert waited == pytest.approx(first_belt(desk(state_file=str(path))), abs=1e-6)  # as if switched off all the time
 
 
 SPOILT = {

@@ -265,6 +265,39 @@ def test_both_edges_offer_the_same(cyclone):
     assert all("RIHS01" in said for ends in on_ros.values() for said in ends)
 
 
+ORDERS = """
+import rclpy
+from lifecycle_msgs.srv import ChangeState
+from trackres_ros.node.parameters import make_parameters
+from trackres_ros.node.ros.node import EstimatorNode
+rclpy.init()
+node = EstimatorNode(make_parameters({"vehicle": "xgd24d", "state_file": "none"}))
+made = []
+node.configured = made.append
+serve = next(service.callback for service in node.services if service.srv_type is ChangeState)
+def ask(transition):
+    request = ChangeState.Request()
+    request.transition.id = transition
+    return serve(request, ChangeState.Response()).success
+print(*map(ask, [3, 99, 1, 1, 3, 1, 2, 4, 4, 2, 2]))
+def fail():
+    raise OSError("no disk")
+ask(1)
+node.application.activate = fail
+print(ask(3), node.failure)
+print(len(set(made)), "applications are handed over")
+"""
+
+
+def test_a_lifecycle_request_out_of_order_is_refused(cyclone):
+    asked = cyclone.start(sys.executable, "-c", ORDERS)
+    assert exit_code(asked) == 0, asked.said()
+    in_order = "False False True False True False False True False True False"
+    assert in_order in asked.said()
+    assert "False OSError: no disk" in asked.said()
+    assert "2 applications are handed over" in asked.said()
+
+
 def test_two_nodes_in_one_process(cyclone):
     program = """
 import rclpy

@@ -5,8 +5,11 @@
 
 import signal
 import socket
+import time
+from types import SimpleNamespace
 
-from conftest import Node
+import pytest
+from conftest import Node, why_not
 from waiting import exit_code
 
 
@@ -45,3 +48,23 @@ def test_a_service_reports_ready_alive_and_stopping_unless_hung(tmp_path, wire, 
     finally:
         node.close()
         manager.close()
+
+
+@pytest.mark.skipif(bool(why_not("ros")), reason="rclpy does not import here")
+def test_an_unconfigured_node_is_ready_and_alive(tmp_path, monkeypatch):
+    from trackres_ros.node.ros.main import _spin
+
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "notify"))
+        manager.setblocking(False)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        requests = SimpleNamespace(to_stop=False)
+
+        def spin_once(timeout_sec):
+            time.sleep(timeout_sec)
+            spun.append(timeout_sec)
+            requests.to_stop = len(spun) > 4
+
+        spun = []
+        _spin(SimpleNamespace(spin_once=spin_once), SimpleNamespace(application=None), requests)
+        assert [manager.recv(4096).decode() for _ in range(2)] == ["READY=1\nWATCHDOG=1", "WATCHDOG=1"]

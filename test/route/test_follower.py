@@ -327,7 +327,7 @@ def test_time_that_goes_back_forgets_the_place(on):
     sent = messages(WAY[WAY < 450.0])
     session = on["slopes"].session()
     driven(on["slopes"], sent, session)
-    session.start_anew(time_went_back=True)
+    session.start_anew()
     rows = driven(on["slopes"], [one for one in sent if one[0] == at.SPEED], session)
     assert (reasons_of(rows) & Reason.PLACE_UNKNOWN).all()
 

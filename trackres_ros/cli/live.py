@@ -108,17 +108,17 @@ def live_command(
     parameters = make_parameters(given | overruled)
     REQUESTS.listen()
     shown: list[LiveTable | LiveJson] = []
+    running: list[Application] = []  # one at a time: a lifecycle's cleanup and configure make the next
 
     def started(application: Application) -> None:
-        if recorder:
-            for text in recorder.begin(application):
-                click.echo(f"trackres: {text}", err=True)
-        if as_json:
-            shown.append(LiveJson(application.overview))
-        elif not quiet:
-            shown.append(LiveTable(f"{name}: {application.vehicle.title}", application.overview))
-        for display in shown:
-            display.start()
+        running[:] = [application]
+        for text in recorder.begin(application) if recorder else ():
+            click.echo(f"trackres: {text}", err=True)
+        if shown or (quiet and not as_json):
+            return
+        overview = lambda: running[0].overview()  # noqa: E731
+        shown.append(LiveJson(overview) if as_json else LiveTable(lambda: f"{name}: {running[0].vehicle.title}", overview))
+        shown[0].start()
 
     code = 1
     try:

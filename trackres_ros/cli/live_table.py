@@ -32,7 +32,7 @@ COLOURS = {Level.OK: "green", Level.WARN: "yellow", Level.ERROR: "red", Level.ST
 class LiveTable:
     """Shows an overview repeatedly from its own thread: redrawn in a terminal, else one line at intervals."""
 
-    def __init__(self, title: str, overview: Callable[[], Overview]) -> None:
+    def __init__(self, title: Callable[[], str], overview: Callable[[], Overview]) -> None:
         self._title, self._overview = title, overview
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="table", daemon=True)
@@ -59,9 +59,9 @@ class LiveTable:
         with Live(console=console, auto_refresh=False) as live:
             over = False
             while not over:
-                live.update(table(self._title, self._overview()), refresh=True)
+                live.update(table(self._title(), self._overview()), refresh=True)
                 over = self._stop.wait(REFRESH_S)
-            live.update(table(self._title, self._overview()), refresh=True)
+            live.update(table(self._title(), self._overview()), refresh=True)
 
 
 def table(title: str, seen: Overview) -> Panel:

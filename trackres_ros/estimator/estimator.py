@@ -22,7 +22,8 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants, kernel_arguments, make_constants
 from trackres_ros.estimator.entry_points import COMPILED, Entries, Messages
 from trackres_ros.estimator.estimate import Estimate, Steps
-from trackres_ros.estimator.guards import Memory, new_memory
+from trackres_ros.estimator.guards import Memory, held, new_memory
+from trackres_ros.estimator.kernel import start
 from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
 from trackres_ros.estimator.records import (
     LARGEST,
@@ -381,12 +382,29 @@ class Session:
         for mine, its in zip(self.memory, other.memory, strict=True):
             mine[:] = its
 
-    def start_anew(self, time_went_back: bool) -> None:
-        """Reset belts and messages, as at a cold start; counters stay. The next estimate reports a time reset."""
+    def start_anew(self) -> None:
+        """Reset belts and messages after time went back, as at a cold start; counters stay. The next estimate reports it."""
         self.memory.times[:], self.memory.values[:] = 0, math.nan
         self.memory.followed[:], self.memory.tracked[:] = NOTHING_YET, NOTHING_TRACKED
         self.effects[:] = cooled_effects(self.effects)
-        self.motion[at.Motion.started] = at.START_ANEW if time_went_back else 0.0
+        self.motion[at.Motion.started] = at.START_ANEW
+
+    def start_cold(self, driving: bool) -> None:
+        """Reset belts and effects; other inputs stay.
+
+        While the vehicle is driving, belts begin at the ambient temperature known now, and the feed-forward goes on. Else they
+        begin at the next speed, and the time until then does not count.
+        """
+        k, memory = self.estimator.constants, self.memory
+        if self.started and driving:
+            now = int(memory.times[at.SPEED, at.Times.last_arrival])
+            ambient, std = held(memory, at.AMBIENT, now, k.number.ambient_hold_ns), k.number.ambient_std
+            if math.isnan(ambient):
+                ambient, std = k.number.nominal_ambient, k.number.ambient_unknown_std
+            start(k, State(self.belts, self.motion.copy(), self.effects, self.learned), ambient, std)
+        elif self.started:  # otherwise it starts cold anyway
+            memory.times[at.SPEED, at.Times.seen], memory.values[at.SPEED] = 0, math.nan
+            self.motion[at.Motion.started] = 0.0
 
     def channel(self, name: str) -> int:
         """Index of a channel by its name, such as `speed` or `load/front`; KeyError for an unknown name."""

@@ -20,6 +20,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.between_steps import fed_now
 from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.snapshot import content
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.estimator.warm_up import LIVE, CompilerWarmUp, exercise
 from trackres_ros.jit.compiled import interpreted
@@ -78,6 +79,7 @@ class Application:
         self.keeper = StateKeeper(*file)
         self.active = self._withdrawn = False
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
+        self.on_restored: Callable[[bytes, int], None] | None = None  # file of the state that the first speed found, arrival
         self.recording_notices: Callable[[], list[Notice]] = list
         self.guard = Guard(self._report_fault, steady_ns)
         self.clock = NodeClock(transport, parameters.sim_time, steady_ns, self.guard)
@@ -131,6 +133,10 @@ class Application:
         return known
 
     def _step(self, channel: int, stamp: int, value: float, steady: int, now: int, arrival: int) -> None:
+        restored = None
+        if channel == at.SPEED and self._publisher.stamp_ns is None:
+            self.guard("cooling the restored belts", self._rest_unused_belts)
+            restored = self.guard("recording", self._restored) if self.on_restored else None
         counters = self.session.memory.counters
         before, doubted = counters[channel, ACCEPTED], counters[channel, IMPLAUSIBLE]
         estimate = self.session.feed(channel, stamp, arrival, value)
@@ -139,7 +145,17 @@ class Application:
         elif counters[channel, IMPLAUSIBLE] != doubted:
             self._show(SPEED_IMPLAUSIBLE)
         if estimate is not None:
+            if restored and self.on_restored:
+                self.guard("recording", self.on_restored, restored, arrival)
             self._take(estimate, steady, now, arrival)
+
+    def _restored(self) -> bytes | None:
+        """State file from which a replay of all messages gives the live estimates; None for a cold start."""
+        if not self.session.started:
+            return None
+        session = self.estimator.session()  # without the messages until now, which are in the replay
+        session.begin(self.session.state)
+        return content(session, self._state_at, self.learning.stored())
 
     def _take(self, estimate: Estimate, steady: int, now: int, arrival: int) -> None:
         values = estimate.row.tolist()
@@ -374,8 +390,10 @@ class Application:
         return changed_parameters(self.parameters, given, self.topics)
 
     def reset(self) -> str:
-        """Start cold, with belts at the ambient temperature; return a text for the log."""
-        self._start_anew(time_went_back=False)
+        """Start cold, with belts at the ambient temperature; inputs stay. Return a text for the log."""
+        age_s = self._publisher.age_s(self.clock.steady_ns())
+        self.session.start_cold(driving=age_s <= self.estimator.settings.speed_max_age_s)
+        self._forget()
         text = f"the estimate restarts with cold {'belts' if self.estimator.assemblies else 'effects'} at the next speed"
         self._log(Level.WARN, f"reset: {text}")
         return text
@@ -399,17 +417,16 @@ class Application:
         if back_ns <= self.estimator.settings.clock_jump_s * SECOND_NS:
             return
         self.messages.time_went_back()
-        self._start_anew(time_went_back=True)
+        self.session.start_anew()
+        self._forget()
         self._log(Level.WARN, "time went back: the estimate restarts")
 
-    def _start_anew(self, time_went_back: bool) -> None:
-        self.session.start_anew(time_went_back)
+    def _forget(self) -> None:
         self.comparison.restart()
         self.learning.restart(self.session)
 
     def close(self) -> str:
         """Save the state and end other threads; return a text for the log."""
-        self.guard("the service manager", self._service.stopping)
         self.deactivate()
         self.messages.close()
         self.guard("ending the compiler", self._warm_up.close)
@@ -420,7 +437,7 @@ class Application:
             return self.save_state(SAVING_AT_THE_END_S)
         except InputError as error:
             return str(error)
-        except Exception as error:  # whatever fails, it is to end
+        except BaseException as error:  # whatever fails, it is to end
             return f"the state is not saved because of a bug: {type(error).__name__}: {error}"
 
     def _log_counts(self) -> None:

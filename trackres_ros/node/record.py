@@ -14,13 +14,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from trackres_ros.errors import MissingExtraError
+from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.snapshot import is_other_kind, state_file
+from trackres_ros.files import own_files
 from trackres_ros.learning.columns import LearningColumns
 from trackres_ros.node.endpoints import InputTopic, input_name
 from trackres_ros.node.notices import Notice
@@ -43,9 +45,24 @@ BYTES_PER_NUMBER, BYTES_BESIDES = 32, 200  # memory of the queue
 SHOWN_NS = 5_000_000_000  # since something was lost, or since the disk answered last
 END_PATIENCE_S = 10.0
 
-Item = tuple[int, bytes | list[float], int, int]
-"""Topic (or `ESTIMATE`), message or row, stamp and arrival [ns]."""
-ESTIMATE = -1
+
+class Recorded(NamedTuple):
+    """What is recorded of one application."""
+
+    estimator: Estimator
+    learned: LearningColumns | None
+    given: list[tuple[InputTopic, str]]  # topics, and the texts that define their types
+    jump_ns: int  # back in time, from which on the next file begins
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Of a row; with learning, the learned columns follow those of the estimate."""
+        return (*self.estimator.columns, *(() if self.learned is None else self.learned.names))
+
+
+Item = tuple[int, bytes | list[float], int, int, Recorded]
+"""Topic (or `ESTIMATE`, `RESTORED`), message, row or file, stamp and arrival [ns], and what they belong to."""
+ESTIMATE, RESTORED = -1, -2
 
 
 class Recorder:
@@ -53,7 +70,7 @@ class Recorder:
 
     Messages have their names in the topics file, whatever the namespace: with it the bag is a recording like any other. A
     message from before the simulated clock gets the clock's first time. Times on a topic are unique. Where the clock goes back
-    the next file begins, as the estimate does.
+    the next file begins, as the estimate does; so it does with the next application, after a lifecycle's cleanup.
 
     Parameters
     ----------
@@ -71,35 +88,43 @@ class Recorder:
         self._put = self._taken = 0  # bytes; one thread counts each
         self._dropped, self._dropped_ns = [0, 0], -SHOWN_NS  # messages and estimates
         self._given_out, self._finished, self._not_written = [0, 0], [0, 0], [0, 0]
-        self._counts: list[int] = []
+        self._counts: dict[str, int] = {}  # messages of each topic
         self._error, self._failed_ns, self._answered_ns = "", -SHOWN_NS, 0
         self._is_finished = False
         self._done: list[str] = []
+        self._starts: list[Path] = []  # files of restored states
         self._began_ns = self._latest_ns = 0
-        self._jump_ns = LAST_NS  # a real clock never goes back, though a message may be recorded late
+        self._early: list[Item] = []
+        self._unseen: list[Steps] = []
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
 
     def begin(self, application: Application) -> list[str]:
         """Begin the bag, and record all inputs and results of the application from now on; return a text about earlier runs.
 
-        With learning, the learned columns follow those of the estimate. Raises OSError if the file cannot be created.
+        For a later application the next file begins, with its first message. Raises InputError if the first cannot be created.
         """
-        learner = application.learning.learner
-        self._estimator: Estimator = application.estimator
-        self._learned = None if learner is None else LearningColumns(learner)
-        self._columns = (*self._estimator.columns, *(() if self._learned is None else self._learned.names))
-        self._seen, self._unseen = ResultPreview(len(self._columns)), list[Steps]()
-        unfinished = self._files.left_unfinished()
-        self._given: list[tuple[InputTopic, str]] = application.record(self._keep)
-        self._counts, self._last = [0] * len(self._given), [0] * len(self._given)
-        self._early: list[Item] = []
+        learner, estimator = application.learning.learner, application.estimator
+        learned = None if learner is None else LearningColumns(learner)
+        jump_ns = LAST_NS  # a real clock never goes back, though a message may be recorded late
         if application.parameters.sim_time:
-            self._jump_ns = int(self._estimator.settings.clock_jump_s * SECOND_NS)
-        self._open()
-        application.on_estimate, application.recording_notices = self._take, self.notices
-        self._answered_ns = time.monotonic_ns()
-        self._thread.start()
+            jump_ns = int(estimator.settings.clock_jump_s * SECOND_NS)
+        self._now = Recorded(estimator, learned, application.record(self._keep), jump_ns)
+        self._names = [input_name(given.name, "/") for given, _ in self._now.given]
+        self._counts = dict.fromkeys(self._names, 0) | self._counts
+        unfinished: list[Path] = []
+        if self._thread.ident is None:
+            unfinished = self._files.left_unfinished()
+            self._of, self._last = self._now, [0] * len(self._now.given)
+            self._seen = ResultPreview(len(self._now.columns))
+            try:
+                self._open()
+            except OSError as error:
+                raise InputError("--record", f"{self._path}: {error.strerror}", "a file that can be written") from error
+            self._answered_ns = time.monotonic_ns()
+            self._thread.start()
+        application.on_estimate, application.on_restored = self._take, self._start_from
+        application.recording_notices = self.notices
         return [f"{path} is unfinished but readable; repair it with: trackres recover {path} -o FILE" for path in unfinished]
 
     def end(self) -> list[str]:
@@ -110,9 +135,9 @@ class Recorder:
         self._thread.join(END_PATIENCE_S)
         if self._thread.is_alive():
             return [f"{self._part}: the disk does not respond, the file is unfinished; see trackres recover"]
-        counted = zip(self._given, self._counts, strict=True)
-        inputs = ", ".join(f"{n} of {input_name(given.name, '/')}" for (given, _), n in counted)
-        estimates = f"{self._seen.steps} estimates as topics" if self._seen.steps else "no estimate was made"
+        inputs = ", ".join(f"{number} of {name}" for name, number in self._counts.items())
+        written = self._written()[1]
+        estimates = f"{written} estimates as topics" if written else "no estimate was made"
         lines = [f"{self._where()}: {estimates}; messages: {inputs}"]
         if any(self._lost()):
             lines.append(f"not recorded: {_counted(self._lost())}")
@@ -120,6 +145,10 @@ class Recorder:
             lines.append(f"{self._files.deleted} of the oldest files were deleted to stay within --record-limit-mb")
         if not self._is_finished:
             lines.append(f"{self._part} is unfinished: {self._error}; it is readable, repair it with: trackres recover")
+        lines += [
+            f"{path}: the state restored before it; for the same numbers: trackres replay --resume {path}"
+            for path in self._starts
+        ]
         return [*lines, *self._picture()]
 
     def _where(self) -> str:
@@ -143,11 +172,14 @@ class Recorder:
     # Called by the application, at almost no cost
 
     def _keep(self, index: int, raw: bytes, arrival_ns: int) -> None:
-        self._counts[index] += 1
-        self._wait((index, raw, 0, arrival_ns))
+        self._counts[self._names[index]] += 1
+        self._wait((index, raw, 0, arrival_ns, self._now))
 
     def _take(self, row: list[float], stamp_ns: int, arrival_ns: int) -> None:
-        self._wait((ESTIMATE, row, stamp_ns, arrival_ns))
+        self._wait((ESTIMATE, row, stamp_ns, arrival_ns, self._now))
+
+    def _start_from(self, state: bytes, arrival_ns: int) -> None:
+        self._wait((RESTORED, state, 0, arrival_ns, self._now))
 
     def _wait(self, item: Item) -> None:
         if self._put - self._taken > MOST_WAITING_BYTES:
@@ -193,38 +225,53 @@ class Recorder:
 
     def _write(self) -> None:
         rounds: list[list[Item]] = [[]]
+        of = self._of
         for item in self._drain():
-            self._given_out[item[0] == ESTIMATE] += 1
-            if 0 < item[3] < self._latest_ns - self._jump_ns:  # a simulated clock went back
+            if item[0] != RESTORED:
+                self._given_out[item[0] == ESTIMATE] += 1
+            if item[4] is not of or 0 < item[3] < self._latest_ns - of.jump_ns:  # a simulated clock went back
                 rounds.append([])
-                self._latest_ns = 0
+                self._latest_ns, of = 0, item[4]
             self._latest_ns = max(self._latest_ns, item[3])
             rounds[-1].append(item)
         for number, items in enumerate(rounds):
             if number:
                 self._close()
-                self._last = [0] * len(self._given)
-            self._write_round(items)
+                self._turn_to(items[0][4])
+            if items or len(rounds) == 1:
+                self._write_round(items)
+
+    def _turn_to(self, of: Recorded) -> None:
+        """Go on with the next file, perhaps of another application; where its columns differ the picture begins anew."""
+        self._see()
+        if of.columns != self._of.columns:
+            self._seen = ResultPreview(len(of.columns))
+        self._of, self._last = of, [0] * len(of.given)
 
     def _write_round(self, items: Sequence[Item]) -> None:
         if self._bag is None:
             self._open()
         assert self._bag
         first_ns = next((item[3] for item in items if item[3] > 0), 0)
-        rows = []
-        for index, content, stamp_ns, arrival_ns in items:
-            if isinstance(content, bytes):
+        rows, states = [], list[bytes]()
+        for index, content, stamp_ns, arrival_ns, _ in items:
+            if not isinstance(content, bytes):
+                rows.append((content, stamp_ns, arrival_ns))
+            elif index == RESTORED:
+                states.append(content)
+            else:
                 # A simulated clock stands still between its ticks; two samples without a stamp would have the same time.
                 self._last[index] = max(arrival_ns if arrival_ns > 0 else first_ns, self._last[index] + 1)
                 self._bag.writer.write_raw(self._topics[index], content, self._last[index])
-            else:
-                rows.append((content, stamp_ns, arrival_ns))
         if rows:
             values, stamps, arrivals = zip(*rows, strict=True)
             steps = Steps(np.array(stamps, dtype=np.int64), np.array(arrivals, dtype=np.int64), np.array(values))
             self._unseen.append(steps)
             self._bag.write(steps)
         self._bag.writer.flush()
+        for state in states:
+            own_files.write(state_file(start_of(self._bag.path), "--record"), state)
+            self._starts.append(start_of(self._bag.path))
         if sum(len(steps.rows) for steps in self._unseen) >= PREVIEW_ROWS:
             self._see()
         if items:
@@ -243,9 +290,11 @@ class Recorder:
     def _open(self) -> None:
         self._files.make_room()
         path, self._part = self._files.next()
-        bag = OutputBag(path, self._estimator, self._learned, self._part)
+        if start_of(path).exists() and not is_other_kind(start_of(path)):  # of the bag that is replaced
+            start_of(path).unlink()
+        bag = OutputBag(path, self._of.estimator, self._of.learned, self._part)
         bag.__enter__()
-        self._topics = [bag.writer.raw_topic(input_name(given.name, "/"), given.type, text) for given, text in self._given]
+        self._topics = [bag.writer.raw_topic(input_name(given.name, "/"), given.type, text) for given, text in self._of.given]
         self._bag, self._began_ns = bag, 0
 
     def _close(self) -> None:
@@ -271,13 +320,18 @@ class Recorder:
         if not self._seen.steps:
             return []
         try:
-            columns = picture_columns(self._columns, self._seen.kept)
-            estimate_figure(self._seen.kept[:, 0], columns, f"Live: {self._estimator.vehicle.title}", path=picture)
+            columns = picture_columns(self._of.columns, self._seen.kept)
+            estimate_figure(self._seen.kept[:, 0], columns, f"Live: {self._of.estimator.vehicle.title}", path=picture)
         except MissingExtraError as error:
             return [f"no picture: {error}"]
         except Exception as error:  # a picture is not worth an exit code
             return [f"no picture {picture}: {getattr(error, 'strerror', None) or error}"]
         return [f"{picture}: torque and temperature over time"]
+
+
+def start_of(bag: Path) -> Path:
+    """File beside a bag, with the restored state that its estimates begin with."""
+    return bag.with_suffix(".start.json")
 
 
 def _size(item: Item) -> int:

@@ -44,7 +44,7 @@ class ServiceManager:
             self._status = line
 
     def stopping(self) -> None:
-        """Report an end by request."""
+        """Report that the process ends; the loop that runs the node does, as a lifecycle's cleanup ends no process."""
         self._tell("STOPPING=1")
 
     def _tell(self, text: str) -> None:

@@ -23,6 +23,7 @@ from trackres_ros.node.endpoints import InputTopic, Quality, full_name, input_na
 from trackres_ros.node.inbox import Inbox
 from trackres_ros.node.parameter_file import LOOK_EVERY_S, ParameterFile
 from trackres_ros.node.parameters import Parameters, Value
+from trackres_ros.node.service_manager import ServiceManager
 from trackres_ros.node.signals import SignalRequests
 from trackres_ros.node.transport import Level, Peer, Reasons, Status
 from trackres_ros.recording.cdr import MalformedError
@@ -242,6 +243,7 @@ def run(
     except Exception as error:
         fault = error
     finally:
+        ServiceManager().stopping()
         running.application.deactivate(fault)
         running.close()
     return FAULT if fault else 0

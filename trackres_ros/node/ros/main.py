@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import gc
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.parameters import Parameters
+from trackres_ros.node.service_manager import ServiceManager
 from trackres_ros.node.signals import SignalRequests
 from trackres_ros.node.transport import Level
 
@@ -61,7 +63,7 @@ def run(
     node: str,
     namespace: str,
     requests: SignalRequests,
-    started: Callable[[Application], None] | None,
+    started: Callable[[Application], None] | None,  # called with each application, after a cleanup with the next one
     qos_overrides: Mapping[str, bool | int | str],
 ) -> int:
     """Run the node with checked parameters until a signal requests a stop; return the exit code."""
@@ -95,6 +97,7 @@ def _run(
                 raise
             print(f"estimator: error: {error}", file=sys.stderr)
             return BAD_INPUT
+        node.configured = started
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         if of_command or node.get_parameter("autostart").value:
@@ -103,8 +106,6 @@ def _run(
                     raise node.refused
                 return BAD_INPUT
             node.trigger_activate()
-        if started and node.application:
-            started(node.application)
         gc.freeze()  # loaded objects stay: scanning them would delay a message now and then
         requests.started()
         _spin(executor, node, requests)
@@ -116,6 +117,7 @@ def _run(
         fault = error
     finally:
         if node is not None:
+            ServiceManager().stopping()
             if node.application:
                 node.application.deactivate(fault)
             node.release()
@@ -126,7 +128,7 @@ def _run(
 
 def _spin(executor: Any, node: Any, requests: SignalRequests) -> None:
     """Run until a signal requests a stop. Exceptions of callbacks leave the executor here, and end nothing else."""
-    failed = 0
+    failed, service = 0, ServiceManager()
     while not requests.to_stop:
         try:
             executor.spin_once(timeout_sec=LONGEST_WAIT_S)
@@ -140,6 +142,8 @@ def _spin(executor: Any, node: Any, requests: SignalRequests) -> None:
             node.application.guard.failed("a callback", error, essential=False)
         if node.application:
             node.application.guard("a request", _carry_out, node, requests)
+        else:  # unconfigured by request
+            service.alive(0, False, time.monotonic_ns())
 
 
 def _carry_out(node: Any, requests: SignalRequests) -> None:

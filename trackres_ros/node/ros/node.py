@@ -11,9 +11,11 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
+from lifecycle_msgs.srv import ChangeState
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
@@ -64,6 +66,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     def __init__(self, values: Parameters | None = None, node: str = DEFAULT_NODE, **arguments: Any) -> None:
         self._group = OneAtATime()
         self.application: Application | None = None
+        self.configured: Callable[[Application], None] | None = None  # called with each application that is made
         self.failure = ""
         self.refused: InputError | None = None  # refusal of the last transition
         self._clear()
@@ -73,6 +76,9 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         ros_parameters.declare(self, values or make_parameters({}))
         self.add_post_set_parameters_callback(self._apply)
         self._warn(ros_parameters.unknown(self, of_topics=False))
+        for service in self.services:
+            if service.srv_type is ChangeState:
+                service.callback = _answering(service.callback)
 
     def _clear(self) -> None:
         """Before configuration or after cleanup."""
@@ -154,6 +160,8 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._wait_or_collect(application)
         self._warn(ros_parameters.unknown(self, of_topics=True))
         self.get_logger().info(f"{application.vehicle.title}; {application.began_with}")
+        if self.configured:
+            self.configured(application)
 
     def _open_output(self, topic: OutputTopic, parameters: Parameters) -> None:
         if topic is ESTIMATE_TOPIC and self._estimate is None:
@@ -376,6 +384,19 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             period_ns = int(self.application.period_s * SECOND_NS)
             if self._ticker.timer_period_ns != period_ns:
                 self._ticker.timer_period_ns = period_ns
+
+
+def _answering(change_state: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """The service, refusing a transition that the present state does not have: rclpy would raise, and never answer."""
+
+    def serve(request: Any, response: Any) -> Any:
+        try:
+            return change_state(request, response)
+        except rclpy_implementation.RCLError:  # rcl has logged it
+            response.success = False
+            return response
+
+    return serve
 
 
 def _come(given: Any) -> Iterator[Taken]:
