@@ -5,12 +5,11 @@
 
 import signal
 import socket
-import time
 from types import SimpleNamespace
 
 import pytest
 from conftest import Node, why_not
-from waiting import exit_code
+from waiting import exit_code, wait_for
 
 
 def test_a_service_reports_ready_alive_and_stopping_unless_hung(tmp_path, wire, monkeypatch):
@@ -61,7 +60,7 @@ def test_an_unconfigured_node_is_ready_and_alive(tmp_path, monkeypatch):
         requests = SimpleNamespace(to_stop=False)
 
         def spin_once(timeout_sec):
-            time.sleep(timeout_sec)
+            wait_for(lambda: False, timeout_sec)
             spun.append(timeout_sec)
             requests.to_stop = len(spun) > 4
 
