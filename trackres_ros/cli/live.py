@@ -20,6 +20,7 @@ from trackres_ros.cli.partial_output import watch
 
 if TYPE_CHECKING:
     from trackres_ros.node.application import Application
+    from trackres_ros.node.report import Overview
 
 
 def name_options(command: options.Decorated) -> options.Decorated:
@@ -110,13 +111,15 @@ def live_command(
     shown: list[LiveTable | LiveJson] = []
     running: list[Application] = []  # one at a time: a lifecycle's cleanup and configure make the next
 
+    def overview() -> Overview:
+        return running[0].overview()
+
     def started(application: Application) -> None:
         running[:] = [application]
         for text in recorder.begin(application) if recorder else ():
             click.echo(f"trackres: {text}", err=True)
         if shown or (quiet and not as_json):
             return
-        overview = lambda: running[0].overview()  # noqa: E731
         shown.append(LiveJson(overview) if as_json else LiveTable(lambda: f"{name}: {running[0].vehicle.title}", overview))
         shown[0].start()
 

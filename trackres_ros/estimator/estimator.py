@@ -22,7 +22,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants, kernel_arguments, make_constants
 from trackres_ros.estimator.entry_points import COMPILED, Entries, Messages
 from trackres_ros.estimator.estimate import Estimate, Steps
-from trackres_ros.estimator.guards import Memory, held, new_memory
+from trackres_ros.estimator.guards import Memory, ambient_now, new_memory
 from trackres_ros.estimator.kernel import start
 from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
 from trackres_ros.estimator.records import (
@@ -397,10 +397,7 @@ class Session:
         """
         k, memory = self.estimator.constants, self.memory
         if self.started and driving:
-            now = int(memory.times[at.SPEED, at.Times.last_arrival])
-            ambient, std = held(memory, at.AMBIENT, now, k.number.ambient_hold_ns), k.number.ambient_std
-            if math.isnan(ambient):
-                ambient, std = k.number.nominal_ambient, k.number.ambient_unknown_std
+            ambient, std, _ = ambient_now(k, memory, int(memory.times[at.SPEED, at.Times.last_arrival]))
             start(k, State(self.belts, self.motion.copy(), self.effects, self.learned), ambient, std)
         elif self.started:  # otherwise it starts cold anyway
             memory.times[at.SPEED, at.Times.seen], memory.values[at.SPEED] = 0, math.nan

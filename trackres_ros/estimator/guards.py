@@ -176,6 +176,15 @@ def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
 
 
 @inlined
+def ambient_now(k: Constants, memory: Memory, now: int) -> tuple[float, float, int]:
+    """Ambient temperature [degC] at an arrival, its standard deviation [K], and the reason if it is the nominal one, else 0."""
+    ambient = held(memory, at.AMBIENT, now, k.number.ambient_hold_ns)
+    if math.isnan(ambient):
+        return k.number.nominal_ambient, k.number.ambient_unknown_std, AMBIENT_NOMINAL
+    return ambient, k.number.ambient_std, 0
+
+
+@inlined
 def not_enabled(k: Constants, memory: Memory, now: int) -> int:
     """Reason why the feed-forward is zero at an arrival [ns], else 0.
 
@@ -250,10 +259,8 @@ def gather(
         reasons |= SPEED_QUANTISED
     if abs(speed) > STANDING and stamp - times.unchanged_since > k.number.stuck_ns * patience:
         reasons |= SPEED_STUCK
-    ambient, ambient_std = held(memory, at.AMBIENT, now, k.number.ambient_hold_ns), k.number.ambient_std
-    if math.isnan(ambient):
-        ambient, ambient_std = k.number.nominal_ambient, k.number.ambient_unknown_std
-        reasons |= AMBIENT_NOMINAL
+    ambient, ambient_std, nominal = ambient_now(k, memory, now)
+    reasons |= nominal
     first_belt = k.number.first_wheel - belt_measured.shape[0]
     for i in range(belt_measured.shape[0]):
         belt_measured[i] = math.nan

@@ -309,8 +309,9 @@ class _Objective:
         p = self._parameters
         if self._linear is None or np.linalg.norm(self._white(self._linear[1]) @ (at - self._linear[0])) > NEARBY:
             self._linear = at.copy(), jacobian(p.expected, at, p.free)
-        slope = self._of_residuals(at, Noise.deviance_slope)
-        return np.concatenate((-slope[:, np.newaxis] * self._white(self._linear[1]), np.diag(1.0 / p.std)))
+        found, slope = self.root_of_information(), self._of_residuals(at, Noise.deviance_slope)
+        found[: len(slope)] *= -slope[:, np.newaxis]
+        return found
 
     def root_of_information(self) -> Array:
         """Derivatives at the last point, whose square is the Fisher information: 1 for each innovation over its `std`."""
