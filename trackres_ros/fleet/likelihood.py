@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.instrument import instrument, narrowed
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.inference.fitting import Fit, Free, Problem, fit, free_parameters, jacobian, of_rows, valid_rows
-from trackres_ros.diagnosis.inference.noise import SHORT_ROOT, Noise
+from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.diagnosis.prepare.split import split
@@ -149,10 +149,9 @@ def quadratic(problem: Problem, fitted: Fit) -> tuple[Array, Array, Array]:
         return np.concatenate(problem.expected(problem.predict(*fitted.model_at(at))))
 
     columns = valid_rows(problem.white(problem.split(jacobian(expected, point, free)), noises)) * std
-    root, slope = (of_rows(problem, white, function, noises) for function in (Noise.deviance_root, Noise.deviance_slope))
-    columns = columns * slope[:, np.newaxis]
-    precision = columns.T @ columns
-    return precision, columns.T @ root + precision @ ((point - nominal) / std), std
+    slope = of_rows(problem, white, lambda noise, w: noise.weights(w) * w, noises)  # of the log-likelihood
+    precision = columns.T @ columns  # Fisher's: innovations over their standard deviation have an information of 1 each
+    return precision, columns.T @ slope + precision @ ((point - nominal) / std), std
 
 
 def _training(session: DriveSession) -> NDArray[np.bool_]:
