@@ -306,10 +306,10 @@ class _Objective:
 
     def derivatives(self, at: Array) -> Array:
         """Derivatives of the value; the simulation's are reused from a nearby point."""
-        p = self._parameters
+        p, slope = self._parameters, self._of_residuals(at, Noise.deviance_slope)  # first: its simulation is the last one
         if self._linear is None or np.linalg.norm(self._white(self._linear[1]) @ (at - self._linear[0])) > NEARBY:
             self._linear = at.copy(), jacobian(p.expected, at, p.free)
-        found, slope = self.root_of_information(), self._of_residuals(at, Noise.deviance_slope)
+        found = self.root_of_information()
         found[: len(slope)] *= -slope[:, np.newaxis]
         return found
 
