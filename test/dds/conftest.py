@@ -26,6 +26,7 @@ def environment(tmp_path):
         "ROS_DOMAIN_ID": str(DOMAIN),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "XDG_STATE_HOME": str(tmp_path / "state"),
+        "PYTHONFAULTHANDLER": "1",  # see `waiting.exit_code`
     }
 
 

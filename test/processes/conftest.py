@@ -67,6 +67,7 @@ def environment(transport, folder):
         "ROS_DOMAIN_ID": str(DOMAIN),
         "XDG_STATE_HOME": str(folder / "state"),
         "ROS_HOME": str(folder / "ros"),
+        "PYTHONFAULTHANDLER": "1",  # see `waiting.exit_code`
     }
     chosen["CYCLONEDDS_URI"] = peer.LOOPBACK
     chosen["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
@@ -270,9 +271,7 @@ class Node:
         """End it; its exit code."""
         if self.process.poll() is None:
             self.process.send_signal(how)
-            if exit_code(self.process) is None:
-                self.process.kill()
-                self.process.wait()
+            exit_code(self.process)
         return self.process.returncode
 
     def close(self):

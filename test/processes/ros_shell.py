@@ -65,9 +65,7 @@ class Shell:
         """End a process; its exit code."""
         if process.poll() is None:
             process.send_signal(how)
-            if exit_code(process) is None:
-                process.kill()
-                process.wait()
+            exit_code(process)
         with suppress(ProcessLookupError):  # what a launch that had to be killed has left
             os.killpg(process.pid, signal.SIGKILL)
         return process.returncode

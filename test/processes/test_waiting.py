@@ -5,6 +5,7 @@
 
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -58,9 +59,10 @@ def test_who_works_without_end_is_given_up(start, monkeypatch):
     assert not wait_for(lambda: False, patience_s=0.2, working=start("while True: pass").pid)
 
 
-def test_an_exit_code_is_waited_for_and_an_idle_process_has_none(start, tmp_path, monkeypatch):
-    idle = start("input()")
-    assert exit_code(idle, patience_s=0.2) is None
+def test_an_exit_code_is_waited_for_and_who_idles_says_where(start, tmp_path, monkeypatch, capfd):
+    idle = start("import faulthandler; faulthandler.enable()\ndef dreaming(): input()\ndreaming()")
+    assert exit_code(idle, patience_s=0.5) == -signal.SIGABRT
+    assert "in dreaming" in capfd.readouterr().err
     monkeypatch.setattr(waiting, "LEAST_PROGRESS", 1e-9)
     busy = start(BUSY.format(str(tmp_path / "there")).replace("input()", "raise SystemExit(3)"))
     assert exit_code(busy, patience_s=0.2) == 3

@@ -8,6 +8,7 @@ another; a condition is neither.
 """
 
 import os
+import signal
 import time
 from pathlib import Path
 
@@ -57,9 +58,14 @@ def wait_for(holds, patience_s=PATIENCE_S, working=None, meanwhile=None):
 
 
 def exit_code(process, patience_s=PATIENCE_S):
-    """Exit code of a process that is to end, waited for as long as it works; None where it does not come to its end."""
-    wait_for(lambda: process.poll() is not None, patience_s, working=process.pid)
-    return process.poll()
+    """Exit code of a process that is to end, waited for as long as it works. One that does not come to its end is aborted, and
+    shows where each of its threads was, see `faulthandler`.
+    """
+    if not wait_for(lambda: process.poll() is not None, patience_s, working=process.pid):
+        process.send_signal(signal.SIGABRT)
+        if process.stderr:
+            print(process.stderr.read())
+    return process.wait()
 
 
 def work_s(pid):
