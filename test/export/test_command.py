@@ -131,7 +131,7 @@ def test_the_export_begins_with_what_a_restarted_node_knows(own, trackres, name,
     save(session, own / "off", 0.0, stored(learner))
     refused = trackres("export", "c", name, "-o", "out", "--state", "off", cwd=own)
     assert "without active learned parameters" in refused.stderr
-    s.contest.better, s.lasting_nm, s.step_s, s.mean[STEP] = True, 250.0, 10.0, 250.0
+    s.fresh.better, s.lasting_nm, s.step_s, s.mean[STEP] = True, 250.0, 10.0, 250.0
     save(session, own / "on", 0.0, stored(learner))
     exported = translated(Request(name, state=Path("on")))
     again, live = Learner(estimator, ON), estimator.session()

@@ -14,9 +14,11 @@ from hypothesis import strategies as st
 import trackres_ros as tr
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.learning.blocks import Contest
 from trackres_ros.learning.correction import accepted
 from trackres_ros.learning.disturbances import LASTING_SHARE
 from trackres_ros.learning.filter import corrected
+from trackres_ros.learning.learned import LearnerState
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import SLOW, STATES, VEHICLES_OWN, learnables, limits_of, make_prior, rise_torques
 from trackres_ros.learning.vehicle_file import write_learned
@@ -324,3 +326,25 @@ def test_a_value_of_0_cannot_depart_by_a_share_of_itself():
         return make_prior(Estimator(replace(car, values={**car.values, "drag_area": 0.0}, parameters=known))).covariance
 
     assert np.array_equal(prior(0.5), prior(0.0))
+
+
+def test_one_drive_against_learned_values_does_not_outweigh_all():
+    """After a pause they act by the evidence of all drives, and go on by that since then."""
+    rng, state = np.random.default_rng(3), LearnerState.__new__(LearnerState)
+    state.contest, state.fresh = Contest(), Contest()
+
+    def drive(gain, blocks):
+        state.doubt()
+        for one in rng.normal(gain, 8.0, blocks):
+            state.contest.see(one)
+            state.fresh.see(one)
+        return state.fresh.better
+
+    assert drive(10.0, 60)
+    assert drive(10.0, 30)
+    assert not drive(-10.0, 15)
+    state.doubt()
+    assert state.fresh.better
+    assert not any(drive(-10.0, 30) for _ in range(3))
+    state.doubt()
+    assert not state.fresh.better

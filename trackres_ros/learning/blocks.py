@@ -8,7 +8,7 @@ data better.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -138,11 +138,6 @@ class Contest:
     variance: float = 0.0
     better: bool = False
 
-    def pause(self) -> None:
-        """The vehicle may have changed: values that are better need fresh evidence. The others still lack it."""
-        if self.better and self.blocks >= LEAST_SINCE_PAUSE:
-            self.blocks = 0
-
     def see(self, gain: float) -> None:
         """Add a block: size of the file's residual less that of the learned one [Nm]."""
         self.blocks += 1
@@ -155,3 +150,11 @@ class Contest:
             self.better &= self.blocks < LEAST_SINCE_PAUSE or self.gain > 0.0
             return
         self.better = self.gain > (-error if self.better else SURELY * error)
+
+    def since_pause(self, last: Contest) -> Contest:
+        """The contest after a pause, as the vehicle may have changed: values that are better over all drives need fresh evidence.
+        The others go on with all that there is. `last` is that since the pause before.
+        """
+        if last.blocks < LEAST_SINCE_PAUSE:
+            return last
+        return Contest(gain=self.gain, better=True) if self.better else replace(self)

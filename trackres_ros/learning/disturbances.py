@@ -35,6 +35,7 @@ def close_block(s: LearnerState) -> None:
     s.past.see(_level(s, block) - float(s.mean[STEP]), SLOW_KEEPS)
     _tell(s)
     s.contest.see(block.gain)
+    s.fresh.see(block.gain)
     s.last_block, s.block = block, ResidualBlock()
     s.keep_before()
 

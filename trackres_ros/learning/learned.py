@@ -58,7 +58,8 @@ class LearnerState:
     last_block: ResidualBlock = field(default_factory=ResidualBlock)
     past: Past = field(default_factory=Past)
     wandering: Wandering = field(default_factory=Wandering)
-    contest: Contest = field(default_factory=Contest)
+    contest: Contest = field(default_factory=Contest)  # over all drives
+    fresh: Contest = field(default_factory=Contest)  # since a pause: it decides whether the values act
     ground: Ground = field(default_factory=Ground)
 
     def keep_before(self) -> None:
@@ -68,6 +69,10 @@ class LearnerState:
         self.before_mean[:], self.before_covariance[:] = self.recent_mean, self.recent_covariance
         self.recent_mean[:], self.recent_covariance[:] = self.mean, self.covariance
 
+    def doubt(self) -> None:
+        """After a pause, in which the vehicle may have changed: learned values need fresh evidence."""
+        self.fresh = self.contest.since_pause(self.fresh)
+
     def begin_anew(self, prior: Prior) -> None:
         """Reset belts and slow disturbance to their priors; keep the vehicle's parameters."""
         self.second, self.last_left, self.suspect, self.disagrees, self.blocks = -1, math.nan, 0.0, 0.0, 0
@@ -75,7 +80,7 @@ class LearnerState:
         self.disturbance_nm, self.disturbed_since = 0.0, -1
         self.block, self.last_block = ResidualBlock(), ResidualBlock()
         self.past.pause()
-        self.contest.pause()
+        self.doubt()
         self.ground.restart()
         for state in (at.OF_BELT, SLOW, SLOPE, HEIGHT):
             self.mean[state] = 0.0

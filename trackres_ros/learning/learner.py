@@ -205,7 +205,7 @@ class Learner:
         s = self.learned
         if seconds > PAUSE_S:
             self._wear(seconds)
-            s.contest.pause()
+            s.doubt()
             s.block = ResidualBlock()
         keep, gained = np.ones(STATES), np.zeros(STATES)
         slow, step = math.exp(-seconds / SLOW_S), math.exp(-seconds / STEP_S)
@@ -277,7 +277,7 @@ class Learner:
     @property
     def acts(self) -> bool:
         """Whether learned values are used, or would be: some are accepted, and they fit better than the file."""
-        return self.learned.contest.better
+        return self.learned.fresh.better
 
     # Output
 
@@ -302,5 +302,5 @@ class Learner:
         if not self.acts:
             return "the learned parameters fit no better than the vehicle file so far: the file is used"
         using = "used" if self.mode == ON else "not used in this mode"
-        better = f"{self.learned.contest.gain:.0f} Nm better than the vehicle file"
+        better = f"{self.learned.fresh.gain:.0f} Nm better than the vehicle file"
         return f"{count} of {len(self.own)} parameters learned, {better}; {using}"
