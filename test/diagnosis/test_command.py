@@ -183,7 +183,7 @@ def test_order_names_and_bad_files_change_nothing(run, recorded, tmp_path, monke
 
 
 def test_one_speed_alone_shows_little_and_says_so(run, tmp_path):
-    n = 600
+    n = 300
     torque = np.random.default_rng(3).normal(5500.0, 40.0, n)
     columns = {"time_s": np.arange(float(n)), "speed_mps": np.full(n, 5.0), "torque_nm": torque}
     found = found_in(run, [written(tmp_path / "steady.csv", columns)], tmp_path / "out")

@@ -112,7 +112,7 @@ def test_what_is_of_an_instruments_size_is_no_finding(diagnosed_with):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", LARGE)
+@pytest.mark.parametrize("name", ["delay", "torque_offset"])  # a gain of 1.06 is named in test_payload.py
 def test_what_no_instrument_does_is_named(name, diagnosed_with):
     found = diagnosed_with({name: LARGE[name]})
     (first,) = found.found

@@ -29,10 +29,10 @@ from trackres_ros.diagnosis.stages.options import BY_DEFAULT
 from trackres_ros.effects import catalogue
 from trackres_ros.evaluation.synthetic import drives
 
-MINUTES, LAP_S, LAPS = 15.0, 75.0, 12  # of each of two drives
-HELD_OUT = 3  # laps of each drive
+LAP_S, LAPS = 75.0, 8  # of each of two drives
+HELD_OUT_EVERY = 4  # so many laps of a drive leave one that is not fitted
 NOISE_NM, NOISE_PHI = 20.0, 0.4
-GAIN, LEVEL_NM, SINCE_S = 1.1, 200.0, 350.0
+GAIN, LEVEL_NM, SINCE_S = 1.1, 200.0, 250.0
 MOST_SPEED_MPS = 15.0
 
 
@@ -48,19 +48,19 @@ def driven(loaded, known):
     the last laps of each drive are held out.
     """
 
-    def make(gain=1.0, adds=None, held_out_gain=None):
+    def make(gain=1.0, adds=None, held_out_gain=None, laps=LAPS):
         base, rng = loaded.base, np.random.default_rng(1)
-        sessions = drives(base, MOST_SPEED_MPS, 2, MINUTES, rng, step=1.0)
+        sessions = drives(base, MOST_SPEED_MPS, 2, laps * LAP_S / 60.0, rng, step=1.0)
         bare = [p.torque for p in base.predict(sessions, base.nominal, ())]
         shown, masks = [], []
         for i, (session, torque) in enumerate(zip(sessions, bare, strict=True)):
             lap = (session.time // LAP_S).astype(np.int64)
-            fitted = lap < LAPS - HELD_OUT
+            fitted = lap < laps - laps // HELD_OUT_EVERY
             scale = np.where(fitted, gain, gain if held_out_gain is None else held_out_gain)
             noise = lfilter([1.0], [1.0, -NOISE_PHI], rng.normal(0.0, NOISE_NM, len(session)))
             more = 0.0 if adds is None else adds(session, i) * np.sign(session.speed)
             moves = np.abs(session.speed) > 0.5
-            shown.append(replace(session, torque=scale * (torque + more) + noise, block=lap + i * LAPS, used=moves))
+            shown.append(replace(session, torque=scale * (torque + more) + noise, block=lap + i * laps, used=moves))
             masks.append(moves & fitted)
         return fit(Problem(base, tuple(shown), tuple(masks)))
 
@@ -365,7 +365,7 @@ def test_a_term_as_large_as_its_improvement_is_confirmed(driven, graded):
 
 def test_a_gain_far_above_the_size_of_a_term_is_not_confirmed(driven, graded, known, monkeypatch):
     """A fit without the term that ended in a worse optimum, and a term that is nothing."""
-    found = driven()
+    found = driven(laps=12)
     worse = replace(found, predicted=tuple(replace(p, torque=0.9 * p.torque) for p in found.predicted))
     monkeypatch.setattr(Choice, "judged", with_worse_base(Choice.judged, worse))
     of, confirmed = graded(found, known["torque_gain"])

@@ -36,7 +36,7 @@ class Road:
         for i in range(round(minutes * 600.0)):
             stamp, time = START_NS + self.steps * STEP_NS, self.steps * 0.1
             self.steps += 1
-            now, slope = speed(time), self.slope(self.way) if self.slope else 0.0
+            now, slope = float(speed(time)), float(self.slope(self.way)) if self.slope else 0.0  # others are converted slowly
             self.way += 0.1 * now
             self.height += 0.1 * now * slope
             if self.slope:
@@ -45,12 +45,12 @@ class Road:
             arrival, stamp = stamp, stamp + self.ahead_ns
             torque = shown(truth["drive_torque_nm"], i)
             if torque is not None:
-                self.session.handle(at.TORQUE, stamp, arrival, torque + self.random.normal(0.0, noise))
+                self.session.handle(at.TORQUE, stamp, arrival, float(torque + self.random.normal(0.0, noise)))
             if self.altitude is not None and self.steps % 10 == 0:
-                self.session.handle(at.ALTITUDE, stamp, arrival, self.height + self.random.normal(0.0, self.altitude))
+                self.session.handle(at.ALTITUDE, stamp, arrival, float(self.height + self.random.normal(0.0, self.altitude)))
             if self.tilt is not None:
                 felt = GRAVITY * (slope + self.tilt) + truth["accel_mps2"] + self.random.normal(0.0, 0.3)
-                self.session.handle(at.SPECIFIC_FORCE, stamp, arrival, felt)
+                self.session.handle(at.SPECIFIC_FORCE, stamp, arrival, float(felt))
             estimate = self.session.handle(at.SPEED, stamp, arrival, now)
             if estimate is None:  # until a jump of the clock is confirmed
                 continue

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from trackres_ros.arrays import Array, IntArray
-from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active, Conditions, Terms, VehicleConstants
+from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active, Conditions, Effect, Terms, VehicleConstants
 from trackres_ros.effects.native import ANSWERED, FACTS, LOOKED_AT, call_at, native, reads_drag_area
 from trackres_ros.errors import InputError
 from trackres_ros.jit.arithmetic import length, squared
@@ -99,31 +100,48 @@ class EffectTable(NamedTuple):
     values: Array  # (rows, most parameters)
 
 
-def effect_table(
-    of_vehicle: Sequence[Active], of_surroundings: Sequence[Active] = (), with_uncertainty: bool = True, machine: bool = True
-) -> EffectTable:
-    """The effects of a vehicle, which are fed forward, and of its surroundings, with or without the rows that move nothing; as
-    machine code, or in plain Python to save compiling.
+def effect_table(of_vehicle: Sequence[Active], of_surroundings: Sequence[Active] = (), machine: bool = True) -> EffectTable:
+    """The effects of a vehicle, which are fed forward, and of its surroundings, with the rows that move nothing; as machine
+    code, or in plain Python to save compiling.
     """
     rows: list[tuple[int, ...]] = []
     values: list[tuple[float, ...]] = []
     for state, active in enumerate((*of_vehicle, *of_surroundings)):
-        effect = active.effect
-        fed = FED_WITH_ACCEL if "accel" in effect.needs else FED
-        needs = sum(1 << Conditions._fields.index(need) for need in effect.needs)
-        addresses = native(effect, machine)
-        rows.append((state, fed if state < len(of_vehicle) else UNFED, needs, *addresses))
+        fed, *of_effect = _row(active.effect, machine)
+        rows.append((state, fed if state < len(of_vehicle) else UNFED, *of_effect))
         values.append(active.numbers)
-        if with_uncertainty and reads_drag_area(effect):
-            rows.append((state, WITH_MORE_DRAG, needs, *addresses))
+        if reads_drag_area(active.effect):
+            rows.append((state, WITH_MORE_DRAG, *of_effect))
             values.append(active.numbers)
-        for other in active.shifted() if with_uncertainty else ():
-            rows.append((state, SHIFTED, needs, *addresses))
+        for other in active.shifted():
+            rows.append((state, SHIFTED, *of_effect))
             values.append(other.numbers)
-    table = np.zeros((len(rows), max((len(row) for row in values), default=0)))
+    return EffectTable(np.array(rows, dtype=np.int64).reshape(-1, ROW), _values(values))
+
+
+def fit_table(of_vehicle: Sequence[Active]) -> EffectTable:
+    """The same for a fit, without the rows that move nothing."""
+    return EffectTable(_fit_rows(tuple(a.effect for a in of_vehicle)), _values([a.numbers for a in of_vehicle]))
+
+
+@lru_cache(maxsize=256)
+def _fit_rows(effects: tuple[Effect, ...]) -> IntArray:
+    """Rows of effects in a fit: it changes only their values, thousands of times."""
+    rows = [(state, *_row(effect, True)) for state, effect in enumerate(effects)]
+    return np.array(rows, dtype=np.int64).reshape(-1, ROW)
+
+
+def _row(effect: Effect, machine: bool) -> tuple[int, int, int, int]:
+    """An effect's row after its state, if it is fed forward."""
+    fed = FED_WITH_ACCEL if "accel" in effect.needs else FED
+    return fed, sum(1 << Conditions._fields.index(need) for need in effect.needs), *native(effect, machine)
+
+
+def _values(values: Sequence[tuple[float, ...]]) -> Array:
+    table = np.zeros((len(values), max(map(len, values), default=0)))
     for i, row in enumerate(values):
         table[i, : len(row)] = row
-    return EffectTable(np.array(rows, dtype=np.int64).reshape(-1, ROW), table)
+    return table
 
 
 def refuse_unusable(active: Active, at: Conditions) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from trackres_ros.diagnosis.base.patterns import ResidualPattern, SlopeByPlace, TorqueByPlace
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects.effect import Active, Terms, VehicleConstants, conditions, terms_by_parameters
-from trackres_ros.effects.stepping import EffectTable, effect_table, refuse_unusable
+from trackres_ros.effects.stepping import EffectTable, fit_table, refuse_unusable
 from trackres_ros.vehicle.writing.changes import FileChanges
 
 Values = Mapping[str, float]
@@ -160,7 +160,7 @@ class Acting:
         stepped = tuple(active for active in effects if active not in series and active.effect.acts_on != "sensor")
         of_sensors = [active for active in effects if active.effect.acts_on == "sensor"]
         sensors = terms_by_parameters(tuple(a.effect for a in of_sensors), tuple(a.numbers for a in of_sensors), facts)
-        return cls(stepped, effect_table(stepped, with_uncertainty=False), watched, slopes, torques, sensors)
+        return cls(stepped, fit_table(stepped), watched, slopes, torques, sensors)
 
     def speed(self, session: DriveSession) -> Array:
         """True speed [m/s]."""

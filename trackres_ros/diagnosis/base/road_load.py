@@ -38,6 +38,7 @@ FITTED = (
 )  # fmt: skip
 """Re-fitted parameters, if their range has a width; also sliding friction and an offset, if the file has them."""
 TORQUE_OFFSET = TorqueOffset.name
+DELAY, OFFSET = Delay(), TorqueOffset()
 ONLY_ONE_OF = ("mass", "torque_scale")
 """Both scale nearly all terms, and only their product is identifiable. One is re-fitted if the file fixes the other with a
 range of zero width. With both free, a robot's scale fell to half to a tenth of its value: speed errors hide inertia.
@@ -85,9 +86,9 @@ class RoadBase(Base):
         """See `base.Base`."""
         values = {**self.vehicle.values, **self.fixed, **values}
         chain = [Active(effect, {q: arm * values[name]}) for effect, q, name, arm in built_in(values)]
-        chain.append(Active(Delay(), {"time": values["torque_delay"]}))
+        chain.append(Active(DELAY, {"time": values["torque_delay"]}))
         if TORQUE_OFFSET in values:
-            chain.append(Active(TorqueOffset(), {"offset": values[TORQUE_OFFSET]}))
+            chain.append(Active(OFFSET, {"offset": values[TORQUE_OFFSET]}))
         acting = Acting.of([*chain, *self._active, *effects], self.facts)
         torques = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
         found = []

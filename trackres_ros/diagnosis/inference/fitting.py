@@ -286,9 +286,6 @@ class _Parameters:
         base = {name: value for (effect, name), value in values.items() if not effect}
         return base, tuple(Active(e, {q.name: values[e.name, q.name] for q in e.parameters}) for e in self.acting)
 
-    def residuals(self, at: Array) -> list[Array]:
-        return self.problem.residuals(self.problem.predict(*self.model(at)))
-
     def expected(self, at: Array) -> Array:
         return np.concatenate(self.problem.expected(self.problem.predict(*self.model(at))))
 
@@ -296,9 +293,25 @@ class _Parameters:
 class _Objective:
     """Least-squares objective, under noise that changes from round to round."""
 
-    def __init__(self, parameters: _Parameters, noises: Mapping[str, Noise]) -> None:
-        self._parameters, self.noises = parameters, dict(noises)
+    def __init__(self, parameters: _Parameters, noises: Mapping[str, Noise] | None, largest_root: float) -> None:
+        self._parameters, self._largest_root = parameters, largest_root
+        self._last: tuple[Array, list[Array]] | None = None  # a point, and the residuals there
         self._linear: tuple[Array, Array] | None = None  # a point, and the derivatives of the simulation there
+        self._white: Array | None = None  # these, whitened
+        self.noises = dict(noises or {})
+
+    def settle(self, at: Array) -> list[Array]:
+        """Take the noise of the residuals at a point, and return these."""
+        left = self.residuals(at)
+        self.noises, self._white = self._parameters.problem.noises(left, self._largest_root), None
+        return left
+
+    def residuals(self, at: Array) -> list[Array]:
+        """Measured less simulated, of each segment; kept for the last point, which several ask for."""
+        if self._last is None or not np.array_equal(self._last[0], at):
+            problem = self._parameters.problem
+            self._last = at.copy(), problem.residuals(problem.predict(*self._parameters.model(at)))
+        return self._last[1]
 
     def value(self, at: Array) -> Array:
         """Signed deviance roots of the whitened residuals and of the priors."""
@@ -307,24 +320,27 @@ class _Objective:
     def derivatives(self, at: Array) -> Array:
         """Derivatives of the value; the simulation's are reused from a nearby point."""
         p, slope = self._parameters, self._of_residuals(at, Noise.deviance_slope)  # first: its simulation is the last one
-        if self._linear is None or np.linalg.norm(self._white(self._linear[1]) @ (at - self._linear[0])) > NEARBY:
-            self._linear = at.copy(), jacobian(p.expected, at, p.free)
+        if self._linear is None or np.linalg.norm(self._whitened() @ (at - self._linear[0])) > NEARBY:
+            self._linear, self._white = (at.copy(), jacobian(p.expected, at, p.free)), None
         found = self.root_of_information()
         found[: len(slope)] *= -slope[:, np.newaxis]
         return found
 
     def root_of_information(self) -> Array:
         """Derivatives at the last point, whose square is the Fisher information: 1 for each innovation over its `std`."""
-        assert self._linear is not None
-        return np.concatenate((self._white(self._linear[1]), np.diag(1.0 / self._parameters.std)))
+        return np.concatenate((self._whitened(), np.diag(1.0 / self._parameters.std)))
 
     def _of_residuals(self, at: Array, function: Callable[[Noise, Array], Array]) -> Array:
         problem = self._parameters.problem
-        return of_rows(problem, problem.white(self._parameters.residuals(at), self.noises), function, self.noises)
+        return of_rows(problem, problem.white(self.residuals(at), self.noises), function, self.noises)
 
-    def _white(self, rows: Array) -> Array:
-        problem = self._parameters.problem
-        return valid_rows(problem.white(problem.split(rows), self.noises))
+    def _whitened(self) -> Array:
+        """The derivatives of the simulation, whitened."""
+        if self._white is None:
+            assert self._linear is not None
+            problem = self._parameters.problem
+            self._white = valid_rows(problem.white(problem.split(self._linear[1]), self.noises))
+        return self._white
 
 
 def fit(
@@ -355,7 +371,9 @@ def fit(
     sensed = tuple(e for e in instrument(problem.base) if e.name not in named)
     p = _Parameters(problem, sensed, tuple(effects), dict(fixed or {}))
     point = p.start(start or {})
-    objective = _Objective(p, noises or problem.noises(p.residuals(point), largest_root))
+    objective = _Objective(p, noises, largest_root)
+    if not noises:
+        objective.settle(point)
     rows = sum(int(np.count_nonzero(g.valid)) for g in problem.segments)
     likelihood, before = -np.inf, -np.inf
     for turn in range(MOST_ROUNDS if rounds is None else rounds):
@@ -369,8 +387,7 @@ def fit(
             ftol=CLOSE / (0.5 * rows),  # relative to the deviance, which is about one per row
             xtol=1e-7,
         ).x
-        left = p.residuals(point)
-        objective.noises = problem.noises(left, largest_root)
+        left = objective.settle(point)
         likelihood = log_likelihood(problem, left, objective.noises) - 0.5 * float((p.off_nominal(point) ** 2).sum())
         if rounds is None and turn + 1 >= ROUNDS and likelihood - before < SETTLED:
             break

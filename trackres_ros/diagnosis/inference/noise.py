@@ -175,7 +175,8 @@ def _coefficients(x: Array, y: Array, weight: Array, largest_root: float) -> Arr
 
 def solved(normal: Array, right: Array, ridge: float) -> Array:
     """Solution of normal equations, with a small part of their trace added on their diagonal, in place."""
-    normal.flat[:: len(normal) + 1] += ridge * normal.trace()
+    diagonal = normal.reshape(-1)[:: len(normal) + 1]  # a view: `normal` is contiguous
+    diagonal += ridge * diagonal.sum()
     _, found, failed = dposv(normal, right)
     return np.asarray(np.linalg.solve(normal, right) if failed else found)
 

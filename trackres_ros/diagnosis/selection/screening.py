@@ -260,8 +260,9 @@ class _Linear:
             columns = mover.white(noises) if turn else mover.white_at_first(begin)
             parts_x, parts_e = [np.diag(mover.prior)], [pull]
             for kind, noise in noises.items():
-                weight = np.sqrt(noise.weights(_white(left[kind], noise)))
-                parts_e.append(weight * _white(residual[kind], noise))
+                white = _white(residual[kind], noise)
+                weight = np.sqrt(noise.weights(_white(left[kind], noise) if turn else white))
+                parts_e.append(weight * white)
                 parts_x.append(weight[:, np.newaxis] * columns[kind])
             moved = _bounded(np.concatenate(parts_x), np.concatenate(parts_e), mover.low, mover.high)
             left = {kind: rows - mover.columns[kind] @ moved for kind, rows in residual.items()}

@@ -37,7 +37,11 @@ class Material:
     def loss(self, omega_shifted: ArrayLike) -> Array:
         """Loss modulus [Pa] at an angular frequency times a_T [rad/s]."""
         x = np.asarray(omega_shifted, dtype=float)[..., np.newaxis] * self.times
-        return np.asarray((self.moduli * x / (1.0 + x * x)).sum(axis=-1))
+        damped = x * x  # in place from here: the arrays are large
+        damped += 1.0
+        x *= self.moduli
+        x /= damped
+        return np.asarray(x.sum(axis=-1))
 
     def size(self, omega_shifted: ArrayLike) -> Array:
         """Size of the complex modulus [Pa]."""
