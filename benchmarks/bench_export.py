@@ -66,9 +66,9 @@ def measured(vehicle: AnyVehicle, single: bool, steps: int, rounds: int) -> dict
             for i, (a, load) in enumerate(zip(estimator.assemblies, vehicle.nominal_loads().tolist(), strict=False))
         )
         defined = ["-DSPEED=10.0", f"-DLOADS={loads}"]
-        run = ["cc", *FLAGS, *defined, "trackres.c", str(HERE / "export_step.c"), "-I.", "-o", "step", "-lm"]
-        subprocess.run(run, cwd=folder, check=True)
         subprocess.run(["cc", *FLAGS, "-c", "trackres.c", "-o", "step.o"], cwd=folder, check=True)
+        run = ["cc", *FLAGS, *defined, "step.o", str(HERE / "export_step.c"), "-I.", "-o", "step", "-lm"]
+        subprocess.run(run, cwd=folder, check=True)
         out = subprocess.run(["./step", str(steps), str(rounds)], cwd=folder, check=True, capture_output=True, text=True).stdout
         sizes = subprocess.run(["size", "step.o"], cwd=folder, check=True, capture_output=True, text=True).stdout
     each = [float(line.split()[0]) for line in out.splitlines()]
@@ -86,14 +86,20 @@ def measured(vehicle: AnyVehicle, single: bool, steps: int, rounds: int) -> dict
     }
 
 
-def built(vehicle: AnyVehicle, folder: Path, single: bool, program: str) -> list[str]:
-    """Export into a folder and build a program there; returns the names of the outputs."""
+def written(vehicle: AnyVehicle, folder: Path, single: bool) -> list[str]:
+    """Export into a folder and compile the step there; returns the names of the outputs."""
     source = CSource(Parts(Estimator(vehicle), single=single), vehicle.title, ("benchmark",))
+    folder.mkdir()
     for file, text in source.files().items():
         (folder / file).write_text(text)
-    command = ["cc", *FLAGS, "-DSPEED=10.0", "trackres.c", program, "-I.", "-o", "program", "-lm"]
-    subprocess.run(command, cwd=folder, check=True)
+    subprocess.run(["cc", *FLAGS, "-c", "trackres.c", "-o", "step.o"], cwd=folder, check=True)
     return source.columns
+
+
+def build(folder: Path, program: str) -> None:
+    """Build a program with the step that was compiled there."""
+    command = ["cc", *FLAGS, "-DSPEED=10.0", program, "step.o", "-I.", "-o", "program", "-lm"]
+    subprocess.run(command, cwd=folder, check=True)
 
 
 def difference(double: Array, single: Array, names: Sequence[str]) -> dict[str, float]:
@@ -107,32 +113,29 @@ def difference(double: Array, single: Array, names: Sequence[str]) -> dict[str, 
     return found | {"belt temperature, largest difference [K]": float(off[belts].max())}
 
 
-def of_float(vehicle: AnyVehicle, hours: float) -> dict[str, float]:
-    """The difference of float and double on a drive of changing speed at 20 Hz."""
+def of_float(exports: Sequence[Path], names: Sequence[str], hours: float) -> dict[str, float]:
+    """The difference of double and float on a drive of changing speed at 20 Hz."""
     time_s = np.arange(0.0, 3600.0 * hours, 0.05)
     speed = np.clip(8.0 + 7.0 * np.sin(time_s / 211.0) + 2.0 * np.sin(time_s / 17.0), 0.0, None)
+    columns = np.column_stack([time_s, speed, 10.0 + 5.0 * np.sin(time_s / 3000.0)])
     rows = []
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        columns = np.column_stack([time_s, speed, 10.0 + 5.0 * np.sin(time_s / 3000.0)])
+    for folder in exports:
         np.savetxt(folder / "drive.csv", columns, delimiter=",", header="time_s,speed_mps,ambient_degc", comments="", fmt="%.5f")
-        for single in (False, True):
-            names = built(vehicle, folder, single, "main.c")
-            with (folder / "rows.csv").open("w") as out:
-                subprocess.run(["./program", "drive.csv"], cwd=folder, check=True, stdout=out)
-            rows.append(np.genfromtxt(folder / "rows.csv", delimiter=",", skip_header=1)[:, 2 : 2 + len(names)])
+        build(folder, "main.c")
+        with (folder / "rows.csv").open("w") as out:
+            subprocess.run(["./program", "drive.csv"], cwd=folder, check=True, stdout=out)
+        rows.append(np.genfromtxt(folder / "rows.csv", delimiter=",", skip_header=1)[:, 2 : 2 + len(names)])
     return difference(*rows, names)
 
 
-def of_steady(vehicle: AnyVehicle, rate_hz: int, hours: float) -> dict[str, float]:
+def of_steady(exports: Sequence[Path], names: Sequence[str], rate_hz: int, hours: float) -> dict[str, float]:
     """The same on a steady drive with a stop: at a high rate each step of a belt is small against its temperature."""
     rows = []
-    with tempfile.TemporaryDirectory() as name:
-        for single in (False, True):
-            names = built(vehicle, Path(name), single, str(HERE / "export_steady.c"))
-            command = ["./program", str(rate_hz), str(hours)]
-            out = subprocess.run(command, cwd=name, check=True, capture_output=True, text=True).stdout
-            rows.append(np.genfromtxt(out.splitlines(), delimiter=",", ndmin=2))
+    for folder in exports:
+        build(folder, str(HERE / "export_steady.c"))
+        command = ["./program", str(rate_hz), str(hours)]
+        out = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
+        rows.append(np.genfromtxt(out.splitlines(), delimiter=",", ndmin=2))
     return difference(*rows, names)
 
 
@@ -148,6 +151,9 @@ def run(steps: int = STEPS, rounds: int = ROUNDS, hours: float = 2.0) -> dict[st
         ("ztbus_hess19", load_any("ztbus_hess19"), False),
     ):
         result |= {f"{name}: {what}": value for what, value in measured(vehicle, single, steps, rounds).items()}
-    off = {"": of_float(load_any("xgd24d"), hours)}
-    off |= {f"steady at {rate} Hz, ": of_steady(load_any("xgd24d"), rate, 2.0 * hours) for rate in (50, 1000)}
+    with tempfile.TemporaryDirectory() as name:
+        exports = [Path(name, number) for number in ("double", "float")]
+        names, _ = (written(load_any("xgd24d"), folder, folder.name == "float") for folder in exports)
+        off = {"": of_float(exports, names, hours)}
+        off |= {f"steady at {rate} Hz, ": of_steady(exports, names, rate, 2.0 * hours) for rate in (50, 1000)}
     return result | {f"xgd24d as float: {drive}{what}": value for drive, of in off.items() for what, value in of.items()}

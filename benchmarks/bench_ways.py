@@ -211,6 +211,9 @@ def changed(folder: Path, way: Way | None) -> Path:
     return folder
 
 
+MEASURES: dict[str, Callable[..., dict[str, float]]] = {STEP: of_steps, READING: of_reading, COMPILING: of_compiling}
+
+
 def measured(of: str, way: Way | None, sizes: Mapping[str, Any]) -> dict[str, float]:
     """Ratios of a changed copy, by a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
@@ -295,11 +298,10 @@ TARGETS: dict[str, Any] = {}
 def main() -> None:
     """Measure one kind of ratio of the package that is imported; print it as JSON."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    measures = {STEP: of_steps, READING: of_reading, COMPILING: of_compiling}
-    parser.add_argument("of", choices=tuple(measures))
+    parser.add_argument("of", choices=tuple(MEASURES))
     parser.add_argument("sizes", type=json.loads)
     given = parser.parse_args()
-    print(json.dumps(measures[given.of](**given.sizes)))
+    print(json.dumps(MEASURES[given.of](**given.sizes)))
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ def test_a_page_leads_where_it_says(page, repository, tmp_path, monkeypatch, goo
             (tmp_path / title).write_text(text, encoding="utf-8")
         elif kind == "sh":
             for line in text.splitlines():
-                ran += run(line, good, page)
+                ran += run(line, good)
     assert ran >= 3
     if NAMED[page]:
         report = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
@@ -42,12 +42,11 @@ def test_a_page_leads_where_it_says(page, repository, tmp_path, monkeypatch, goo
         assert report["verdict"]["may_be"] == []
 
 
-def run(line, good, page):
+def run(line, good):
     """Run a line of a page, commands and Python in this process; whether it is a command of ours."""
     program, *words = shlex.split(line)
     if program == "trackres":
-        shorter = {"first-tester": ["--quick"], "own-effect": ["--quick", "--no-page"]} if words[0] == "diagnose" else {}
-        good(*words, *shorter.get(page, []))
+        good(*words, *(["--quick", "--no-page"] if words[0] == "diagnose" else []))
     elif program == "python":
         runpy.run_path(words[0], run_name="__main__")
     else:

@@ -20,11 +20,13 @@ pytest.importorskip("distributed")
 pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
+from trackres_ros.diagnosis.report import pictures
 from trackres_ros.engine import executor
 from trackres_ros.engine.executor import DEATHS, dashboard, done, engine, why
 from trackres_ros.fleet import periods
 from trackres_ros.fleet import run as fleet_run
 from trackres_ros.fleet.dataset import FleetDataset
+from trackres_ros.results import diagnosis
 
 SIX = {f"truck-0{v}/drive_000{n}.csv" for v in (1, 2) for n in (1, 2, 3)}
 
@@ -116,6 +118,8 @@ def test_each_vehicle_has_a_diagnosis_by_month_made_once(recordings, good, in_th
         return reports[0]
 
     monkeypatch.setattr(periods, "diagnose_period", once)
+    monkeypatch.setattr(pictures, "draw_all", lambda *_: [])
+    monkeypatch.setattr(diagnosis, "_plots", lambda _: "not drawn here")
     for module in (fleet_run, periods):
         in_this_process(module)
     good(*by_month)

@@ -27,8 +27,9 @@ from trackres_ros.node.parameters import make_parameters, read_parameters
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.vehicle.surroundings import load_surroundings
 
-SPOILT_OF_EACH, MORE = 30, 150
+SPOILT_OF_EACH, MORE = 30, 60
 LONGEST_LINE = 3000  # characters
+DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 EFFECTS = "\neffects: {turning_scrub: {friction: 0.3}, still_air: {share: {value: 0.5, range: [0.4, 0.6]}}}\n"
 DISTURBANCE = """
@@ -116,7 +117,7 @@ def places(content: object, path: tuple = ()) -> list[tuple]:
 @given(data=st.data())
 def test_anything_in_any_place(kind, data):
     taken, right = kind
-    content = yaml.safe_load(right)
+    content = parse_yaml(right, "right")
     parent, place = content, data.draw(st.sampled_from(places(content)))
     for key in place[:-1]:
         parent = parent[key]
@@ -125,8 +126,15 @@ def test_anything_in_any_place(kind, data):
         parent["_HERE_"] = parent.pop(place[-1])  # as a key
     else:
         parent[place[-1]] = "_HERE_"
-    text = yaml.safe_dump(content, default_flow_style=None, width=10**6).replace("_HERE_", nasty)
+    text = yaml.dump(content, Dumper=DUMPER, default_flow_style=None, width=10**6).replace("_HERE_", nasty)
     taken(text.encode("utf-8", "surrogatepass"))
+
+
+@pytest.mark.parametrize("kind", ["track vehicle"], indirect=True)
+def test_a_file_name_that_is_too_long_is_refused(kind):
+    taken, right = kind
+    for content in (re.sub(r"\S+\.csv", "x" * 300, right), f"{right}\neffect_files: [{'x' * 300}]\n"):
+        assert isinstance(taken(content.encode()), InputError)
 
 
 @pytest.mark.parametrize("nasty", NASTY)
@@ -168,6 +176,7 @@ def test_the_process_says_it_in_one_line_and_ends_with_2(tmp_path):
     assert "line 1" in str(done.exception)
 
 
+@settings(max_examples=40)
 @given(
     st.recursive(
         st.none() | st.booleans() | st.floats() | st.text() | st.integers(), lambda x: st.lists(x) | st.dictionaries(st.text(), x)

@@ -13,15 +13,17 @@ import ast
 import inspect
 import re
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from types import FunctionType
 from typing import Any, cast
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.export.kinds import BOOL, INT, REAL, WIDE, ArrayOf, Const, Kind, Record, Scalar, literal, safe, words
+from trackres_ros.export.kinds import BOOL, INT, REAL, WIDE, ArrayOf, Const, Kind, Record, Scalar, literal, literals, safe, words
 
 MOST_COLUMNS = 130  # of a line of C
 A_LINE = 5  # numbers of a table
@@ -35,6 +37,16 @@ class Source:
     tree: ast.FunctionDef
     file: str
     line: int
+    stores: Counter[str] = field(init=False)  # how often each name is assigned
+    loops: Counter[str] = field(init=False)  # how often each name is that of a loop
+
+    def __post_init__(self) -> None:
+        nodes = list(ast.walk(self.tree))
+        names = [node for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)]
+        names += [node.target for node in nodes if isinstance(node, ast.AugAssign) and isinstance(node.target, ast.Name)]
+        targets = [node.target for node in nodes if isinstance(node, ast.For)]
+        object.__setattr__(self, "stores", Counter(name.id for name in names))
+        object.__setattr__(self, "loops", Counter(target.id for target in targets if isinstance(target, ast.Name)))
 
     @property
     def summary(self) -> str:
@@ -61,6 +73,20 @@ class Instance:
     def given(self) -> list[tuple[str, Kind]]:
         """Its parameters in C."""
         return [(n, k) for n, k in self.arguments.items() if n in self.reads and not isinstance(k, Const)]
+
+
+_READ: WeakKeyDictionary[FunctionType, Source] = WeakKeyDictionary()  # by all exports of this process
+
+
+def _read(function: FunctionType) -> Source:
+    try:
+        lines, line = inspect.getsourcelines(function)
+    except (OSError, TypeError) as error:
+        raise InputError(f"export: {function.__qualname__}", "no source", "a function in a file", REMEDY) from error
+    tree = ast.parse(textwrap.dedent("".join(lines))).body[0]
+    if not isinstance(tree, ast.FunctionDef):
+        raise InputError(f"{inspect.getsourcefile(function)}:{line}", "no plain function", "a function with def", REMEDY)
+    return Source(tree, str(inspect.getsourcefile(function)), line)
 
 
 class Translator:
@@ -109,14 +135,9 @@ class Translator:
     def source(self, function: FunctionType) -> Source:
         """The source of a function."""
         if function not in self.sources:
-            try:
-                lines, line = inspect.getsourcelines(function)
-            except (OSError, TypeError) as error:
-                raise InputError(f"export: {function.__qualname__}", "no source", "a function in a file", REMEDY) from error
-            tree = ast.parse(textwrap.dedent("".join(lines))).body[0]
-            if not isinstance(tree, ast.FunctionDef):
-                raise InputError(f"{inspect.getsourcefile(function)}:{line}", "no plain function", "a function with def", REMEDY)
-            self.sources[function] = Source(tree, str(inspect.getsourcefile(function)), line)
+            if function not in _READ:
+                _READ[function] = _read(function)
+            self.sources[function] = _READ[function]
         return self.sources[function]
 
     def add_text(self, function: FunctionType, text: str) -> None:
@@ -198,7 +219,7 @@ class Translator:
         for name, value in self.tables.values():
             array = np.asarray(value)
             kind = self.number(INT if array.dtype.kind in "iu" else REAL)
-            numbers = [self.literal(one) for one in array.ravel().tolist()]
+            numbers = literals(array, self.single)
             body = ",\n".join(f"    {', '.join(numbers[i : i + A_LINE])}" for i in range(0, len(numbers), A_LINE))
             shape = " x ".join(map(str, array.shape))
             lines.append(f"static const {kind} {name}[{array.size}] = {{ /* {shape} */\n{body}\n}};\n")

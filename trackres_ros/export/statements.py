@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ast
 import re
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -30,12 +29,10 @@ class Statements(Calls):
     def __init__(self, translator: Translator, one: Instance) -> None:
         super().__init__(translator, one)
         self._tree = one.source.tree
-        self._stores = Counter(_stored_names(self._tree))
+        self._stores = one.source.stores
         self._parameters = {a.arg for a in self._tree.args.args}
-        targets = [node.target for node in ast.walk(self._tree) if isinstance(node, ast.For)]
-        loops = Counter(target.id for target in targets if isinstance(target, ast.Name))
-        self._of_loops = set(loops)
-        for name, count in loops.items():
+        self._of_loops = set(one.source.loops)
+        for name, count in one.source.loops.items():
             if name in self._parameters or self._stores[name] != count:
                 raise self.refuse(self._tree, f"{name} of a loop that has another meaning too", "a name of its own for it")
         self._within: list[str] = []
@@ -274,12 +271,3 @@ class Statements(Calls):
 
     def _pass_statement(self, node: ast.Pass, depth: int) -> bool:  # noqa: ARG002
         return False
-
-
-def _stored_names(tree: ast.AST) -> Iterator[str]:
-    """Each assigned name, as often as it is assigned."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            yield node.id
-        if isinstance(node, ast.AugAssign) and isinstance(node.target, ast.Name):
-            yield node.target.id

@@ -37,3 +37,11 @@ def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:
     if len(content) > most_bytes:
         raise InputError(str(path), f"more than {most_bytes} bytes", f"a {what} of at most that size")
     return content
+
+
+def is_there(path: Path) -> bool:
+    """Whether a path leads to anything; not if its name is too long for one."""
+    try:
+        return path.exists()
+    except OSError:
+        return False

@@ -22,7 +22,7 @@ from trackres_ros.effects.effect import Active, VehicleKind
 from trackres_ros.effects.registry import catalogue, check_effects
 from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir, find_vehicle
-from trackres_ros.files.small_files import read_text
+from trackres_ros.files.small_files import is_there, read_text
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import GRAVITY
@@ -133,7 +133,7 @@ def listed_effects(
     if not files and "effects" not in content:
         return ()
     for file in files:
-        if not file.is_file():
+        if not (is_there(file) and file.is_file()):
             raise InputError(reader.where("effect_files"), str(file), "existing Python files, relative to this file")
     known = catalogue(size=size, on_tyres=not kind.has_belt, files=files)
     return check_effects(content.get("effects", {}), reader.where("effects"), known, belongs_to, size, kind)
@@ -143,10 +143,10 @@ def _rubber(reader: ValueReader, given: Any) -> tuple[Rubber, Path]:
     values = reader.table(given, "rubber", schema.RUBBER, others=("file",))
     file = Path(reader.text(given["file"], "rubber.file"))
     path, shipped = reader.path.parent / file, config_dir() / "rubber" / file.name
-    if not path.exists() and not file.is_absolute() and shipped.exists():
+    if not is_there(path) and not file.is_absolute() and is_there(shipped):
         _say_shipped(path, shipped)
         path = shipped
-    if not path.is_file():
+    if not (is_there(path) and path.is_file()):
         raise InputError(reader.where("rubber.file"), str(path), "a readable CSV with a temperature sweep, relative to this file")
     sweep_degc, storage_pa, loss_pa = read_rubber_sweep(path)
     return Rubber(sweep_degc, storage_pa, loss_pa, **values), path

@@ -30,7 +30,7 @@ def belt_loss(sheet: DataSheet, material: Material) -> BeltLoss:
     """Compute the tables."""
     nominal = sheet["weight"] / sheet.assemblies
     speeds = 10.0**LOG_SPEEDS
-    indentation = np.array([[_indentation(sheet, material, share * nominal, v) for v in speeds] for share in LOAD_SHARES])
+    indentation = np.array([_indentation(sheet, material, share * nominal, speeds) for share in LOAD_SHARES])
     return BeltLoss(indentation, _bending(sheet, material, speeds))
 
 
@@ -45,21 +45,30 @@ def _dissipated(amplitudes: Array, material: Material, loop: float, speed: float
     return float((np.pi * n[keep] * amplitudes[keep] ** 2 * material.loss(2.0 * np.pi * n[keep] * speed / loop)).sum())
 
 
-def _indentation(sheet: DataSheet, material: Material, load: float, speed: float) -> float:
+def _indentation(sheet: DataSheet, material: Material, load: float, speeds: Array) -> Array:
     loop, thickness = sheet["track.belt.loop_length"], sheet["track.belt.thickness"]
     width = sheet["track.road_wheels.contact_length"]
-    radius, wheels = sheet["track.road_wheels.radius"], sheet.wheel_positions
-    on_wheel = load / len(wheels)
-    half = 0.02
-    for _ in range(ITERATIONS):  # the contact's length, its frequency and the modulus hang on each other
-        modulus = float(material.size(2.0 * np.pi * speed / (2.0 * half)))
-        half = 0.5 * half + 0.5 * (1.5 * on_wheel * radius * thickness / (modulus * width)) ** (1.0 / 3.0)
     place = np.arange(POINTS) * loop / POINTS
-    strain = np.zeros(POINTS)
-    for at in wheels:
-        near = np.clip(1.0 - ((place - at - half) / half) ** 2, 0.0, None)
-        strain += half * half / (2.0 * radius * thickness) * near
-    return _dissipated(_harmonics(strain), material, loop, speed) * width * thickness
+    found = []
+    for half, speed in zip(_half_contacts(sheet, material, load, speeds), speeds.tolist(), strict=True):
+        strain = np.zeros(POINTS)
+        for at in sheet.wheel_positions:
+            near = np.clip(1.0 - ((place - at - half) / half) ** 2, 0.0, None)
+            strain += half * half / (2.0 * sheet["track.road_wheels.radius"] * thickness) * near
+        found.append(_dissipated(_harmonics(strain), material, loop, speed) * width * thickness)
+    return np.array(found)
+
+
+def _half_contacts(sheet: DataSheet, material: Material, load: float, speeds: Array) -> list[float]:
+    """Half the length of a wheel's contact [m] at each speed: it, its frequency and the modulus hang on each other."""
+    on_wheel, width = load / len(sheet.wheel_positions), sheet["track.road_wheels.contact_length"]
+    radius, thickness = sheet["track.road_wheels.radius"], sheet["track.belt.thickness"]
+    halves = [0.02] * len(speeds)
+    for _ in range(ITERATIONS):
+        moduli = material.size(2.0 * np.pi * speeds / (2.0 * np.array(halves))).tolist()
+        lengths = [(1.5 * on_wheel * radius * thickness / (modulus * width)) ** (1.0 / 3.0) for modulus in moduli]
+        halves = [0.5 * half + 0.5 * length for half, length in zip(halves, lengths, strict=True)]
+    return halves
 
 
 def _bending(sheet: DataSheet, material: Material, speeds: Array) -> Array:

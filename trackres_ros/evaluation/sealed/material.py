@@ -17,6 +17,8 @@ ELEMENTS_PER_DECADE = 2
 SHIFT_ABOVE_TG_K = 50.0
 BELOW_TG_K = 40.0  # the shift function has a pole further down; it goes on straight from here
 
+AT_ONCE = 64  # frequencies, whose elements the processor keeps at hand
+
 
 @dataclass(frozen=True, eq=False)
 class Material:
@@ -36,11 +38,16 @@ class Material:
 
     def loss(self, omega_shifted: ArrayLike) -> Array:
         """Loss modulus [Pa] at an angular frequency times a_T [rad/s]."""
-        x = np.asarray(omega_shifted, dtype=float)[..., np.newaxis] * self.times
-        damped = x * x  # in place from here: the arrays are large
-        damped += 1.0
+        omega = np.asarray(omega_shifted, dtype=float)
+        if omega.size > AT_ONCE:
+            flat = omega.ravel()
+            parts = [self.loss(flat[i : i + AT_ONCE]) for i in range(0, flat.size, AT_ONCE)]
+            return np.concatenate(parts).reshape(omega.shape)
+        x = omega[..., np.newaxis] * self.times
+        below = x * x
+        below += 1.0
         x *= self.moduli
-        x /= damped
+        x /= below
         return np.asarray(x.sum(axis=-1))
 
     def size(self, omega_shifted: ArrayLike) -> Array:
