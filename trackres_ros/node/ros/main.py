@@ -120,7 +120,6 @@ def _run(
             ServiceManager().stopping()
             if node.application:
                 node.application.deactivate(fault)
-            node.release()
             node.destroy_node()
         rclpy.try_shutdown()
     return FAULT if fault else 0
