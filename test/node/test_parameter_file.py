@@ -63,6 +63,14 @@ def test_edits_give_the_parameters_of_a_start_with_the_last_file(tmp_path_factor
     assert file.look(parameters.changed) == ({}, [])
 
 
+def test_an_edit_during_the_start_is_applied(tmp_path):
+    path = tmp_path / "p.yaml"
+    write(path, {"gap_s": 2.0})
+    parameters = make_parameters(read_parameters(path))
+    write(path, {"gap_s": 3.0})
+    assert looked(ParameterFile(path, "trackres", "/", parameters, ()), parameters).number("gap_s") == 3.0
+
+
 def test_what_is_just_being_written_is_not_read(tmp_path):
     file, parameters = watched(tmp_path / "p.yaml", {"gap_s": 2.0})
     for half in ("", "gap", "gap_s: ", "gap_s: 3"):

@@ -5,6 +5,7 @@
 
 import json
 import os
+import re
 import signal
 import sys
 from pathlib import Path
@@ -322,3 +323,33 @@ executor.spin()
     topics = cyclone.ros2("topic", "list", "--no-daemon")
     assert "/left/trackres/status" in topics
     assert "/right/trackres/status" in topics
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_the_example_of_the_docs_ends_at_zero_torque_and_saves(cyclone, repository, wire, how):
+    (example,) = re.findall(r"```python\n(.+?)```", (repository / "docs" / "node.md").read_text(), re.DOTALL)
+    fed = wire.subscribe(*NUMBER)
+    node = cyclone.start(sys.executable, "-c", example)
+    cyclone.start(ROS2, "topic", "pub", *SPEED)
+    wait(lambda: fed.update() and fed.heard[-1].message.data > 1000.0, node)
+    assert cyclone.end(node, how) == 0, node.said()
+    wait(lambda: fed.update()[-1].message.data == 0.0)
+    assert "state saved in " in node.said()
+
+
+def test_a_node_destroyed_after_rclpy_is_shut_down_saves(cyclone):
+    program = """
+import rclpy
+from trackres_ros.node.parameters import make_parameters
+from trackres_ros.node.ros.node import EstimatorNode
+rclpy.init()
+node = EstimatorNode(make_parameters({"vehicle": "xgd24d"}))
+node.trigger_configure()
+node.trigger_activate()
+rclpy.shutdown()
+node.destroy_node()
+node.destroy_node()
+"""
+    process = cyclone.start(sys.executable, "-c", program)
+    assert exit_code(process) == 0, process.said()
+    assert "state saved in " in process.said()

@@ -173,6 +173,25 @@ def test_a_healthy_start_logs_no_warning(shell):
     assert shell.end(node) == 0
 
 
+def test_simulated_time_is_as_overridden_else_as_given(cyclone):
+    program = """
+import rclpy
+from trackres_ros.node.parameters import make_parameters
+from trackres_ros.node.ros.node import EstimatorNode
+rclpy.init()
+for given in (False, True):
+    for overridden in (None, False, True):
+        overrides = [] if overridden is None else [rclpy.Parameter("use_sim_time", value=overridden)]
+        node = EstimatorNode(make_parameters({"use_sim_time": given}), parameter_overrides=overrides)
+        expected = given if overridden is None else overridden
+        assert node.get_parameter("use_sim_time").value is expected, (given, overridden)
+        assert (node.now_ns() == 0) is expected, (given, overridden)
+        node.destroy_node()
+"""
+    process = cyclone.start(sys.executable, "-c", program)
+    assert exit_code(process) == 0, process.said()
+
+
 def test_messages_keep_order_in_a_multithreaded_executor(cyclone):
     program = """
 import signal, rclpy

@@ -19,16 +19,18 @@ Stamp = tuple[int, int, int]
 class ParameterFile:
     """A parameter file that is checked every `LOOK_EVERY_S`.
 
-    It is read once it is unchanged between two checks, so that a file that an editor is still writing is not read. A refused line
-    leaves its parameter unchanged, and the other lines apply. Values of the command line keep priority. A deleted file changes
-    nothing. `parameters` are those at the start of the node, and `overruled` the names set on the command line.
+    It is read once it is unchanged between two checks, so that a file that an editor is still writing is not read. So it is after
+    the start too: someone may have changed it since the node read it. A refused line leaves its parameter unchanged, and the
+    other lines apply. Values of the command line keep priority. A deleted file changes nothing. `parameters` are those at the
+    start of the node, and `overruled` the names set on the command line.
     """
 
     def __init__(self, path: Path, node: str, namespace: str, parameters: Parameters, overruled: Collection[str]) -> None:
         self.path, self._node, self._namespace = path, node, namespace
         self._overruled = frozenset(overruled)
         self._applied: dict[str, Value] = dict(parameters.values)
-        self._read = self._seen = _stamp(path)
+        self._read: Stamp | None = None
+        self._seen: Stamp | None = None
 
     def look(self, check: Callable[[Mapping[str, Value]], object]) -> tuple[Mapping[str, Value], list[InputError]]:
         """Names and values that differ from those applied last, and an error for each refused line; mostly neither.

@@ -69,8 +69,7 @@ def run(
     """Run the node with checked parameters until a signal requests a stop; return the exit code."""
     from trackres_ros.node.ros.node import EstimatorNode
 
-    given = {"use_sim_time": parameters.sim_time, **qos_overrides}
-    overrides = [rclpy.Parameter(name, value=value) for name, value in given.items()]
+    overrides = [rclpy.Parameter(name, value=value) for name, value in qos_overrides.items()]
 
     def make() -> Any:
         return EstimatorNode(parameters, node, namespace=namespace, parameter_overrides=overrides)
@@ -120,7 +119,6 @@ def _run(
             ServiceManager().stopping()
             if node.application:
                 node.application.deactivate(fault)
-            node.release()
             node.destroy_node()
         rclpy.try_shutdown()
     return FAULT if fault else 0

@@ -219,7 +219,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._tick_if_due()
 
     def release(self) -> None:
-        """Save the state and destroy everything that `on_configure` made."""
+        """Let the feed-forward go to zero, save the state, and destroy everything that `on_configure` made."""
         application, self.application = self.application, None
         if application is None:
             return
@@ -235,6 +235,11 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         for service in self._offered:
             self.destroy_service(service)
         self._clear()
+
+    def destroy_node(self) -> None:
+        """Release everything, which lets the feed-forward go to zero, and destroy the node."""
+        self.release()
+        super().destroy_node()
 
     # Interface of the application's transport
 

@@ -26,8 +26,10 @@ def declare(node: Node, values: Parameters) -> None:
     """Declare all parameters; the command line or a parameter file overrides `values`. Raises InputError for a bad value."""
     overrides = node._parameter_overrides
     for name, parameter in PARAMETERS.items():
-        if name != SIM_TIME:
-            value = parameter.checked(overrides[name].value) if name in overrides else values.values[name]
+        value = parameter.checked(overrides[name].value) if name in overrides else values.values[name]
+        if name == SIM_TIME:
+            node.set_parameters([RosParameter(name, value=value)])
+        else:
             node.declare_parameter(name, _on_ros(value), descriptor(parameter), ignore_override=True)
 
 
