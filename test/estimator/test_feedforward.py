@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from trackres_ros.effects.stepping import WORK
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, feedforward, towards
+from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, feedforward, followed, rate_towards, towards
 from trackres_ros.estimator.motion_step import ROLLS_FROM
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.jit.compiled import interpreted
@@ -98,6 +98,25 @@ def test_feedforward_keeps_its_rate_and_resumes_where_it_faded(rate, steps):
 def test_no_way_leads_beyond_its_ends(here, there, room):
     found = interpreted(towards)(here, there, room)
     assert found in (here, there) or min(here, there) < found < max(here, there) or math.isnan(here)
+
+
+TORQUES_NM, TIMES_S = st.floats(-LIMIT_NM, LIMIT_NM), st.floats(0.0, 5.0)
+
+
+@given(st.sampled_from(sorted(RATES)), TORQUES_NM, TORQUES_NM, TIMES_S, TIMES_S)
+def test_its_way_is_one_and_a_wrong_sign_goes_first_and_fast(rate, value, target, first, then):
+    number, way = RATES[rate].constants.number, interpreted(followed)
+    fast = interpreted(rate_towards)(number, 0.0)
+    halfway, found = (way(number, value, target, lasted) for lasted in (first, first + then))
+    assert way(number, halfway, target, then) == pytest.approx(found, abs=1e-6)
+    assert min(value, target) <= found <= max(value, target)
+    gone_s = abs(value) / fast if value * target < 0.0 else 0.0
+    if first < gone_s:
+        assert abs(value - halfway) == pytest.approx(fast * first)
+    else:
+        here = 0.0 if gone_s else value
+        most = (rate if target else fast) * (first - gone_s)
+        assert abs(halfway - here) == pytest.approx(min(most, abs(target - here)), abs=1e-6)
 
 
 def test_feedforward_keeps_its_limit_whatever_is_no_number():

@@ -6,6 +6,7 @@
 import itertools
 import math
 import random
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings
@@ -150,6 +151,97 @@ def test_outputs_keep_the_feedforward_rate_over_speeds_and_gaps(desk, rate_hz, h
         else:
             assert abs(now - before) <= (nm_per_s + fading) * (now_s - before_s) + 1e-3
     assert risen > 20
+
+
+class Pace:
+    """Keeps each published feed-forward with its target and the settings since the one before, and judges them."""
+
+    def __init__(self, d):
+        self.d, self.passed_on, self.outputs, self.settings = d, d.publish, [(d.steady_s, 0.0, 0.0, [])], []
+        d.publish = self
+        self.changed()
+
+    def changed(self):
+        """Until the next output, the settings from before hold too."""
+        self.settings.append(self.d.app.estimator.constants.number)
+
+    def begins(self):
+        self.outputs.append((self.d.steady_s, 0.0, 0.0, []))
+
+    def __call__(self, output, stamp, values):
+        self.passed_on(output, stamp, values)
+        if self.d.app.outputs[output].name == "feedforward_torque_nm":
+            steady = self.d.app.clock.steady_ns()
+            target = 0.0 if self.d.app._withdrawn else self.d.app._fed(steady, self.d.app.clock.pace_ns(steady))[1]
+            self.outputs.append((self.d.steady_s, values[0], target, self.settings))
+            self.settings = self.settings[-1:]
+
+    def judge(self):
+        """Hold the laws, and return the kinds of outputs that there were."""
+        seen, wrong_s, longest_s = set(), 0.0, 0.0
+        for (before_s, before, *_), (now_s, now, target, numbers) in itertools.pairwise(self.outputs):
+            if not numbers:
+                wrong_s = 0.0
+                continue
+            rate = max(number.feedforward_rate for number in numbers)
+            fading = max(number.feedforward_limit / number.feedforward_fade for number in numbers)
+            away = abs(now) > abs(before) and now * before >= 0.0
+            most = rate if away else max(rate, fading) + fading
+            assert abs(now - before) <= most * (now_s - before_s) + 1e-3  # of a clock that counts nanoseconds
+            assert now * target > 0.0 or (not away and now * before >= 0.0)
+            longest_s = max(longest_s if wrong_s else 0.0, *(number.feedforward_fade for number in numbers))
+            wrong_s = wrong_s + now_s - before_s if now * target < 0.0 else 0.0
+            assert wrong_s <= longest_s + 0.2
+            seen.add("away" if away else "wrong" if wrong_s else "zero" if target == 0.0 else "to it")
+        return seen
+
+
+AIMS = {"ahead": 3.0, "slowly": 1.5, "back": -1.5, "stop": 0.0}
+CHANGES = {
+    "feedforward_rate": (300.0, 1000.0, 20000.0),
+    "feedforward_fade_s": (0.3, 1.0, 10.0),
+    "speed_max_age_s": (0.1, 0.5, 5.0),
+    "output_rate_hz": (0.0, 0.5, 50.0),
+}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_whatever_comes_the_feedforward_moves_only_as_documented(desk, seed):
+    enable = "enable: {topic: enable, type: std_msgs/msg/Bool, field: data, max_age_s: 60.0}\n"
+    d = desk("speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}\n" + enable,
+             output_rate_hz=50.0, output_deadline_s=0.0, feedforward_rate=1000.0)  # fmt: skip
+    pace, chance, speed, on = Pace(d), random.Random(seed), 0.0, True
+    kinds = [*AIMS, *AIMS, "silent", "silent", "silent", "enable", "change", "activation"]
+    for what in ["ahead", "back", *chance.choices(kinds, k=30)]:
+        if what == "silent":
+            d.forward(chance.choice([0.3, 0.8, 1.3, 3.0]))
+        if what in ("silent", "change"):
+            name = chance.choice(list(CHANGES))
+            d.app.change({name: chance.choice(CHANGES[name])})
+            pace.changed()
+            d.forward(0.2)
+        elif what == "enable":
+            on = chance.random() < 0.7
+        elif what == "activation" and d.app.active:
+            d.app.deactivate()
+        elif what == "activation":
+            d.app.activate()
+            pace.begins()
+        d.app.messages.receive(d.index("enable"), SimpleNamespace(data=on))
+        for _ in range(0 if what == "silent" else 60 if len(pace.outputs) < 200 else chance.choice([3, 60])):
+            speed += max(-0.1, min(0.1, AIMS.get(what, speed) - speed))
+            d.drive(0.04, speed=speed, dt=0.04)
+    assert pace.judge() == {"away", "wrong", "zero", "to it"}
+
+
+def test_at_a_slow_rate_a_torque_of_the_wrong_sign_goes_in_time(desk):
+    d = desk(output_rate_hz=0.2, output_deadline_s=0.0, feedforward_rate=1000.0)
+    d.drive(10.1, speed=1.5)
+    assert d.last("feedforward_torque_nm")[1][0] > 1000.0
+    for i in range(30):
+        d.drive(0.04, speed=1.45 - 0.1 * i, dt=0.04)
+    d.drive(1.1, speed=-1.5)
+    assert d.last("feedforward_torque_nm")[1][0] <= 0.0
 
 
 def test_live_and_replay_agree_over_pauses(desk):

@@ -52,9 +52,16 @@ def finite(torque: float) -> float:
 
 @inlined
 def followed(number: Numbers, value: float, target: float, lasted: float) -> float:
-    """Feed-forward [Nm] after some time [s] on its way from a value to a target."""
-    there = finite(target)
-    return towards(finite(value), there, rate_towards(number, there) * max(0.0, lasted))
+    """Feed-forward [Nm] after some time [s] on its way from a value to a target. One of the other sign goes to zero first, at the
+    rate to zero, as it pushes the wrong way (ours).
+    """
+    here, there, left = finite(value), finite(target), max(0.0, lasted)
+    if here * there < 0.0:
+        room = rate_towards(number, 0.0) * left
+        if not abs(here) < room:
+            return towards(here, 0.0, room)
+        here, left = 0.0, left * (1.0 - abs(here) / room)
+    return towards(here, there, rate_towards(number, there) * left)
 
 
 @inlined
@@ -89,7 +96,7 @@ def feedforward(
         reasons |= CLAMPED
     last = followed(number, motion.feedforward, present_target(motion), dt - motion.turned)
     last *= fade(dt, number.speed_max_age, number.feedforward_fade)
-    moved = towards(last, wanted, rate_towards(number, wanted) * min(dt, FEEDFORWARD_STEP_S))
+    moved = followed(number, last, wanted, min(dt, FEEDFORWARD_STEP_S))
     if moved != wanted:
         reasons |= LIMITED
     motion.feedforward_target, motion.turned, motion.unfed = wanted, FEEDFORWARD_STEP_S, 1.0 - fed

@@ -283,10 +283,11 @@ class Application:
             self._publish(steady)
 
     def _has_to_fall(self, steady: int) -> bool:
-        """Whether the last published torque is on its way to zero: that does not wait for a slow rate of the outputs."""
-        if self._publisher.feedforward == 0.0:
+        """Whether the last published torque is on its way to zero or through it: that waits for no slow rate of outputs."""
+        here = self._publisher.feedforward
+        if here == 0.0:
             return False
-        return self._publisher.left(steady) < 1.0 or self._fed(steady, self.clock.pace_ns(steady))[1] == 0.0
+        return self._publisher.left(steady) < 1.0 or here * self._fed(steady, self.clock.pace_ns(steady))[1] <= 0.0
 
     def _save_due(self, steady: int) -> None:
         if steady >= self._next_save_ns:

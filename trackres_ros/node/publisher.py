@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.feedforward import fade, rate_towards, towards
+from trackres_ros.estimator.feedforward import fade, followed, rate_towards, towards
 from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.transport import Level, Reasons, Status, Transport, nearest_usable
@@ -18,7 +18,8 @@ from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputT
 from trackres_ros.units import NANOSECOND
 
 # Not worth compiling at a first start.
-FADE, TOWARDS, RATE_TOWARDS = interpreted(fade), interpreted(towards), interpreted(rate_towards)
+FADE, FOLLOWED = interpreted(fade), interpreted(followed)
+TOWARDS, RATE_TOWARDS = interpreted(towards), interpreted(rate_towards)
 Row = list[float]
 Values = Callable[[Row], list[float]]
 
@@ -28,8 +29,9 @@ class OutputPublisher:
 
     While the speed is old, the last state is still published with its stamp, and the feed-forward fades to zero. So it is safe
     even for receivers that ignore the stamp. Between outputs the feed-forward moves by `feedforward_rate` at most, whatever the
-    speeds and their pauses. It continues from a step's intermediate value towards the last target, and from the faded value
-    when a speed returns. Its time is the controller's, `pace`: a steady clock, or the simulated one if that runs faster.
+    speeds, their pauses and the settings; only to zero it may be faster. It continues from a step's intermediate value towards
+    the last target, and from the faded value when a speed returns. Its time is the controller's, `pace`: a steady clock, or the
+    simulated one if that runs faster.
 
     A topic that cannot be published delays no other one; `failed` names it and the reason.
     """
@@ -45,7 +47,7 @@ class OutputPublisher:
         self.sent = 0  # messages that the middleware took, statuses too
         self._transport = transport
         self._taken_ns = 0
-        self._unfaded = 0.0
+        self._unfaded, self._left = 0.0, 1.0  # as last published: the feed-forward before its fading, and the share left of it
         self._published_at: tuple[int, int] | None = None
         self._withdrawn_ns: int | None = None
         index = estimator.column_index
@@ -63,18 +65,23 @@ class OutputPublisher:
     def take(self, row: Row, stamp_ns: int, steady: int) -> None:
         """Keep a row of results, and the time of its state."""
         self.row, self.stamp_ns, self._taken_ns = row, nearest_usable(stamp_ns), steady
-        self._unfaded = self.feedforward
+        self._unfaded, self._left = self.feedforward, 1.0
 
     def age_s(self, steady: int) -> float:
         """Time since the last estimate was made [s]; infinite before the first."""
         return math.inf if self.stamp_ns is None else (steady - self._taken_ns) * NANOSECOND
 
     def left(self, steady: int) -> float:
-        """Share of the feed-forward at the age of the speed."""
+        """Share of the feed-forward at the age of the speed. Only a new speed raises it, and it falls no faster than a fading,
+        whatever the settings change to.
+        """
         settings = self.estimator.settings
         age_s, fade_s = self.age_s(steady), settings.feedforward_fade_s
         since_s = 0.0 if self._withdrawn_ns is None else (steady - self._withdrawn_ns) * NANOSECOND
-        return 0.0 if math.isinf(age_s) else FADE(age_s, settings.speed_max_age_s, fade_s) * FADE(since_s, 0.0, fade_s)
+        share = 0.0 if math.isinf(age_s) else FADE(age_s, settings.speed_max_age_s, fade_s) * FADE(since_s, 0.0, fade_s)
+        if self._published_at is None:
+            return share
+        return min(self._left, max(share, self._left - (steady - self._published_at[1]) * NANOSECOND / fade_s))
 
     def publish(self, steady: int, pace: int, reasons: Callable[[int], Reasons], goal: float, target: float) -> None:
         """Publish the last estimate on all topics of numbers, with the present reasons; nothing before the first one.
@@ -87,8 +94,9 @@ class OutputPublisher:
         elapsed_s = max(0, pace - before_pace, steady - before_ns) * NANOSECOND  # a simulated clock stops between ticks
         if self._withdrawn_ns is not None:
             goal = target = 0.0
-        self._unfaded = TOWARDS(self._unfaded, goal, RATE_TOWARDS(self.estimator.constants.number, target) * elapsed_s)
-        self.feedforward, self._published_at = self._unfaded * self.left(steady), (pace, steady)
+        self._unfaded = self._moved(goal, target, elapsed_s)
+        self._left, self._published_at = self.left(steady), (pace, steady)
+        self.feedforward = self._unfaded * self._left
         row = self.row.copy()
         row[at.Results.feedforward_torque_nm] = self.feedforward
         for output, values in self._values:
@@ -102,6 +110,14 @@ class OutputPublisher:
             else:
                 self._send(output, self._transport.publish, self.stamp_ns, numbers)
         self.published += 1
+
+    def _moved(self, goal: float, target: float, elapsed_s: float) -> float:
+        """The feed-forward before its fading, after a time on its way. While the session's goes to zero, so does this one."""
+        number, here = self.estimator.constants.number, self._unfaded
+        if goal * target > 0.0:
+            return FOLLOWED(number, here, goal, elapsed_s)
+        there = goal if min(0.0, here) <= goal <= max(0.0, here) else 0.0
+        return TOWARDS(here, there, RATE_TOWARDS(number, 0.0) * elapsed_s)
 
     def publish_statuses(
         self, statuses: Sequence[Status], now_ns: int, diagnostics: bool, learned: Sequence[Status] = ()
