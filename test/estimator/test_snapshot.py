@@ -74,8 +74,8 @@ def test_time_off_cools_the_belt(reference, tmp_path):
 def test_a_clock_that_went_back_counts_as_no_time_off(reference, tmp_path):
     session = driven(reference, 2000)
     snapshot.save(session, tmp_path / "state.json", saved_at=1000.0)
-    again, off = snapshot.after_time_off(reference, tmp_path / "state.json", now=10.0)
-    assert off == 0.0
+    again, since = snapshot.after_time_off(reference, tmp_path / "state.json", now=10.0)
+    assert since == -990.0
     assert again.belts[0, 0, 0] == pytest.approx(session.belts[0, 0, 0], abs=1e-9)
 
 

@@ -87,6 +87,22 @@ def test_belts_that_wait_for_a_speed_cool_meanwhile(desk, warm, monkeypatch):
     assert waited == pytest.approx(first_belt(desk(state_file=str(path))), abs=1e-6)  # as if switched off all the time
 
 
+@pytest.mark.parametrize("wrong_s", [-1e9, -86400.0, 0.0])
+def test_a_clock_set_before_the_first_speed_tells_the_time_off(desk, warm, monkeypatch, wrong_s):
+    path, _ = warm
+    now = [1e9]
+    path.write_bytes(seal({**json.loads(path.read_text()), "saved_at": now[0] - 600.0}))
+    monkeypatch.setattr("time.time", lambda: now[0])
+    right = first_belt(desk(state_file=str(path)))
+    path.write_bytes(seal({**json.loads(path.read_text()), "saved_at": now[0] - 600.0}))
+    now[0] += wrong_s
+    d = desk(state_file=str(path))
+    d.forward(31.0)
+    d.app.save_state()
+    now[0] -= wrong_s
+    assert first_belt(d) == pytest.approx(right, abs=1e-6)
+
+
 SPOILT = {
     "damaged": [
         lambda path: path.write_text(""),

@@ -183,12 +183,12 @@ def resume(estimator: Estimator, path: Path) -> Session:
 
 
 def after_time_off(estimator: Estimator, path: Path, now: float, ambient: float | None = None) -> tuple[Session, float]:
-    """Begin a new session with belts that have cooled since the file was written; return it and the time off [s].
+    """Begin a new session with belts that have cooled since the file was written; return it and the time since then [s].
 
     Parameters
     ----------
     now
-        Wall-clock time [s since 1970]. A clock before `saved_at` means no time off.
+        Wall-clock time [s since 1970]. A clock before `saved_at` means no time off; the returned time is negative.
     ambient
         Ambient temperature while off [degC]; by default the vehicle file's.
 
@@ -201,12 +201,11 @@ def after_time_off(estimator: Estimator, path: Path, now: float, ambient: float 
     saved_at = _take(before, path)
     if not before.started:
         return session, 0.0
-    off = max(0.0, now - saved_at)
+    since = now - saved_at
     ambient = estimator.vehicle.chassis.ambient if ambient is None else ambient
-    session.begin(
-        estimator.rest(State(before.belts, before.motion, before.effects, before.learned), ambient, min(off, LONGEST_OFF))
-    )
-    return session, off
+    off = min(max(0.0, since), LONGEST_OFF)
+    session.begin(estimator.rest(State(before.belts, before.motion, before.effects, before.learned), ambient, off))
+    return session, since
 
 
 def _arrays(session: Session) -> dict[str, NDArray[Any]]:

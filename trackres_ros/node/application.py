@@ -20,7 +20,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.between_steps import fed_now
 from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.snapshot import content
+from trackres_ros.estimator.snapshot import LONGEST_OFF, content
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.estimator.warm_up import LIVE, CompilerWarmUp, exercise
 from trackres_ros.jit.compiled import interpreted
@@ -92,7 +92,7 @@ class Application:
         self.session, self.began_with = self.keeper.load(self.estimator, self.learning)
         if idle := without_effect(self.topics, self.estimator.channels, bool(self.estimator.assemblies)):
             self.began_with += f"; the vehicle has no belt or wheel for {', '.join(idle)} of the topics file: without effect"
-        self._state_at = self._rested_at = time.time()
+        self._state_at = self.keeper.holds_at
         self._topic_names = [transport.topic_name(given.name) for given in self.inputs]
         named = [replace(given, name=name) for given, name in zip(self.inputs, self._topic_names, strict=True)]
         self._watch = Watch(self.estimator, named)
@@ -457,13 +457,11 @@ class Application:
         self._publisher.estimator = estimator
 
     def _rest_unused_belts(self) -> None:
-        """Belts from a state file keep cooling until the first speed arrives."""
-        now = time.time()
-        if self._publisher.stamp_ns is None and self.session.started:
-            cooled = self.estimator.rest(self.session.state, self.vehicle.chassis.ambient, max(0.0, now - self._rested_at))
-            self.session.begin(cooled)
-            self._state_at = now
-        self._rested_at = now
+        """Belts from a state file keep cooling until the first speed arrives: a clock that is set before that tells how long."""
+        off = time.time() - self._state_at
+        if self._publisher.stamp_ns is None and self.session.started and off > 0.0:
+            self.session.begin(self.estimator.rest(self.session.state, self.vehicle.chassis.ambient, min(off, LONGEST_OFF)))
+            self._state_at += off
 
     def _save_period_ns(self) -> int:
         return int(self.parameters.number("save_period_s") * SECOND_NS)

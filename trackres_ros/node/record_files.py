@@ -96,7 +96,7 @@ class RecordingFiles:
         for path, size in sizes.items():
             if too_much <= 0:
                 return
-            if path.suffix != SUFFIX or time.time() - path.stat().st_mtime > STILL_WRITTEN_S:
+            if path.suffix != SUFFIX or abs(time.time() - path.stat().st_mtime) > STILL_WRITTEN_S:
                 path.unlink(missing_ok=True)
                 self.deleted += 1
                 too_much -= size

@@ -129,7 +129,7 @@ def overview(
         disturbance=comparison.belief,
         learning=learning.text,
         state_file=str(keeper.path or ""),
-        saved_s_ago=math.nan if keeper.saved_at is None else time.time() - keeper.saved_at,
+        saved_s_ago=math.nan if keeper.saved_ns is None else (time.monotonic_ns() - keeper.saved_ns) * NANOSECOND,
         state_error=keeper.error,
         state_unused=keeper.unused,
     )

@@ -71,7 +71,8 @@ class StateKeeper:
 
     def __init__(self, path: Path | None, why_none: str = "") -> None:
         self.path = path
-        self.saved_at: float | None = None
+        self.holds_at = time.time()  # when the loaded state holds: that of the file may be later than a clock not yet set
+        self.saved_ns: int | None = None  # monotonic
         self.error = why_none
         self.unused = ""  # why the state file that was there could not be used
         self._aside: Path | None = None  # where that file is copied before it is replaced; None if there is nothing to keep
@@ -95,7 +96,7 @@ class StateKeeper:
             return estimator.session(), self.unused
         file = self.path
         try:
-            session, off_s = after_time_off(estimator, file, time.time())
+            session, since_s = after_time_off(estimator, file, self.holds_at)
         except InputError as error:
             self.unused = f"cold start: the state file cannot be used: {error}"
             with suppress(OSError):
@@ -105,10 +106,12 @@ class StateKeeper:
             self._keep_unused("; a start with its values uses it again")
             try:  # that of an earlier start with these values
                 file = place_aside(file, key(estimator))
-                session, off_s = after_time_off(estimator, file, time.time())
+                session, since_s = after_time_off(estimator, file, self.holds_at)
             except InputError:
                 return estimator.session(), self.unused
             self.unused = ""
+        off_s = max(0.0, since_s)
+        self.holds_at += off_s - since_s
         what = "belts" if estimator.assemblies else "temperatures of the effects"
         text = f"{what} restored from {file} and cooled for {off_s / 60.0:.1f} min"
         try:
@@ -191,4 +194,4 @@ class StateKeeper:
         except Exception as error:  # of the disk, mostly
             self.error = getattr(error, "strerror", None) or str(error)
         else:
-            self.error, self.saved_at = "", time.time()
+            self.error, self.saved_ns = "", time.monotonic_ns()
