@@ -16,6 +16,7 @@ from trackres_ros.node.parameters import make_parameters
 
 START_NS = 1_700_000_000_000_000_000
 SECOND_NS = 1_000_000_000
+DISK_PATIENCE_S = 30.0
 TOPICS = """
 speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
 torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
@@ -47,6 +48,10 @@ class Desk:
         self.app = Application(make_parameters(parameters), self, steady_ns=steady_ns, sleep=sleep)
         self.app.clock.offset_ns = START_NS
         self.app.activate()
+
+    def save(self):
+        """Save the state, however busy the disk is; the text for the log."""
+        return self.app.save_state(DISK_PATIENCE_S)
 
     def now_ns(self):
         return START_NS + round((self.time_s + self.clock_offset_s) * SECOND_NS)

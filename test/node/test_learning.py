@@ -61,7 +61,7 @@ def test_it_survives_a_restart_and_a_reset_forgets_it(desk, topics, tmp_path):
     drive(d, 60.0)
     seconds = d.app.learning.learner.learned.seconds
     assert seconds > 30.0
-    d.app.save_state()
+    d.save()
     again = desk(**given)
     assert again.app.learning.learner.learned.seconds == seconds
     assert "used for learning" in again.app.began_with
@@ -73,17 +73,17 @@ def test_without_a_torque_what_was_learned_is_kept_until_a_reset(desk, topics, t
     state = tmp_path / "state.json"
     d = desk(topics=topics, state_file=str(state))
     drive(d, 60.0)
-    d.app.save_state()
+    d.save()
     learned = json.loads(state.read_text())["learning"]
     without = desk(state_file=str(state))
     assert "kept" in without.app.began_with
     for _ in range(2):
         without.drive(2.0)
-        without.app.save_state()
+        without.save()
         assert json.loads(state.read_text())["learning"] == learned
     assert "are reset" in without.app.reset_learning()
     assert "nothing to reset" in without.app.reset_learning()
-    without.app.save_state()
+    without.save()
     assert "learning" not in json.loads(state.read_text())
 
 
@@ -91,7 +91,7 @@ def test_the_state_file_of_a_node_without_learning_starts_afresh(desk, topics, t
     state = str(tmp_path / "state.json")
     d = desk(state_file=state)
     d.drive(2.0)
-    d.app.save_state()
+    d.save()
     assert desk(topics=topics, state_file=state).app.learning.learner.learned.seconds == 0.0
 
 

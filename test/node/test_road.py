@@ -72,7 +72,7 @@ def test_its_state_is_kept_over_a_restart(desk, tmp_path):
     kept = {"vehicle": BUS, "state_file": str(tmp_path / "state.json")}
     first = desk(**kept)
     driven(first, [8.0] * 20)
-    first.app.save_state()
+    first.save()
     again = desk(**kept)
     assert "restored from" in again.app.began_with
     assert "belts" not in again.app.began_with

@@ -26,7 +26,7 @@ def warm_file(standing_desk, tmp_path_factory):
     path = tmp_path_factory.mktemp("warm") / "state.json"
     d = standing_desk(state_file=str(path))
     d.drive(600.0, speed=15.0, dt=0.2)
-    assert "saved" in d.app.save_state()
+    assert "saved" in d.save()
     return path, d.app.overview().values["belt_degc/front_left"]
 
 
@@ -78,7 +78,7 @@ def test_belts_that_wait_for_a_speed_cool_meanwhile(desk, warm, monkeypatch):
     d = desk(state_file=str(path))
     now[0] += 3600.0
     d.forward(31.0)
-    d.app.save_state()
+    d.save()
     assert json.loads(path.read_text())["saved_at"] == now[0]
     now[0] += 3600.0
     waited = first_belt(d)
@@ -98,7 +98,7 @@ def test_a_clock_set_before_the_first_speed_tells_the_time_off(desk, warm, monke
     now[0] += wrong_s
     d = desk(state_file=str(path))
     d.forward(31.0)
-    d.app.save_state()
+    d.save()
     now[0] -= wrong_s
     assert first_belt(d) == pytest.approx(right, abs=1e-6)
 
@@ -211,11 +211,11 @@ def test_no_intact_state_is_lost_whatever_is_refused(desk, warm, topics, what):
     d = desk(state_file=str(path), topics=topics)
     d.forward(40.0)
     with pytest.raises(InputError, match="no speed yet"):
-        d.app.save_state()
+        d.save()
     d.drive(0.04)
     assert path.read_bytes() == before
     notice = next(notice for notice in d.app.notices() if notice.name == "STATE_NOT_USED")
-    d.app.save_state(1.0)
+    d.save()
     (kept,) = (one for one in path.parent.glob("state*") if one != path)
     assert kept.read_bytes() == before != path.read_bytes()
     assert str(kept) in notice.text
@@ -227,7 +227,7 @@ def test_an_unwritable_state_folder_is_reported_and_not_fatal(desk, tmp_path):
     d = desk(state_file=str(blocked / "state.json"), save_period_s=1.0)
     d.drive(2.5)
     with pytest.raises(InputError, match=r"state\.json"):
-        d.app.save_state()
+        d.save()
     assert "STATE_NOT_SAVED" in d.names()
     count = len(d.published)
     d.drive(0.5)
@@ -243,13 +243,13 @@ def test_a_disk_that_takes_no_more_leaves_the_old_file_whole(desk, warm):
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))  # less than a state file
     try:
         with pytest.raises(InputError, match="too large"):
-            d.app.save_state()
+            d.save()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert path.read_text() == before
     assert list(path.parent.iterdir()) == [path]
     assert "STATE_NOT_SAVED" in d.names()
-    d.app.save_state()
+    d.save()
     assert "STATE_NOT_SAVED" not in d.names()
 
 
@@ -290,7 +290,7 @@ def test_a_vehicle_named_like_a_path_has_its_state_in_the_folder(desk, monkeypat
     vehicle.write_text(re.sub(r"(?m)^name:.*$", "name: ../../../x", text).replace("rubber/", f"{repository}/config/rubber/"))
     d = desk(vehicle=str(vehicle), state_file="auto")
     d.drive(0.1)
-    d.app.save_state()
+    d.save()
     assert [path.parent for path in tmp_path.rglob("*.json")] == [tmp_path / "state" / "trackres"]
 
 
