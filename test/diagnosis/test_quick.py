@@ -80,7 +80,7 @@ def tried(tmp_path_factory):
     """The positioning system without dry friction in its file, and with it."""
     if not EMPS.is_file():
         pytest.skip("no recording of the positioning system on this machine")
-    return try_slide(EMPS, tmp_path_factory.mktemp("emps"), quick=True)
+    return try_slide(EMPS, tmp_path_factory.mktemp("emps"))
 
 
 def test_a_slide_lacks_dry_friction(tried):

@@ -11,13 +11,11 @@ from trackres_ros.evaluation.field.data import car, trips
 from trackres_ros.evaluation.field.live import taught
 from trackres_ros.vehicle import load_any
 
-TRIPS = 7
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 
 
 @pytest.mark.skipif(not (REAL / "bmw_i3" / "trips.csv").is_file(), reason="the car's recordings are not here")
 def test_half_of_the_winter_trips_improves_the_other(tmp_path):
-    names = [name for name in trips(REAL) if name.startswith("TripB")][:TRIPS]
-    winter = [car(REAL, name, tmp_path, False, "altitude_m") for name in names]
-    found = taught("winter", load_any("bmw_i3"), "default", winter[1::2], winter[::2])
-    assert found.learned_nm < 0.9 * found.file_nm
+    winter = [car(REAL, name, tmp_path, False, "altitude_m") for name in trips(REAL) if name.startswith("TripB")]
+    found = taught("winter", load_any("bmw_i3"), "default", winter[::2], winter[1::2])
+    assert found.learned_nm < 0.8 * found.file_nm

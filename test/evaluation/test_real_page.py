@@ -50,7 +50,7 @@ def test_without_altitude_a_bus_diagnosis_names_only_the_slope():
 @pytest.mark.skipif(not missions(DATA), reason="no recording of the bus on this machine")
 def test_learned_streets_halve_the_error_in_the_rest_of_a_drive(tmp_path):
     of_bus = next(all_drives(DATA, tmp_path))
-    errors = {e.what: e.error_nm for e in live_errors(of_bus, tmp_path, "--quick", "--no-page")}
+    errors = {e.what: e.error_nm for e in live_errors(of_bus, tmp_path)}
     assert errors["vehicle.yaml and surroundings.yaml"] < 0.5 * errors["the shipped vehicle file"]
     assert errors["vehicle.yaml"] < 1.05 * errors["the shipped vehicle file"]
 

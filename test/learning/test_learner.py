@@ -14,11 +14,9 @@ from hypothesis import strategies as st
 import trackres_ros as tr
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.learning.blocks import Contest
 from trackres_ros.learning.correction import accepted
 from trackres_ros.learning.disturbances import LASTING_SHARE
 from trackres_ros.learning.filter import corrected
-from trackres_ros.learning.learned import LearnerState
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import SLOW, STATES, VEHICLES_OWN, learnables, limits_of, make_prior, rise_torques
 from trackres_ros.learning.vehicle_file import write_learned
@@ -328,10 +326,9 @@ def test_a_value_of_0_cannot_depart_by_a_share_of_itself():
     assert np.array_equal(prior(0.5), prior(0.0))
 
 
-def test_one_drive_against_learned_values_does_not_outweigh_all():
+def test_one_drive_against_learned_values_does_not_outweigh_all(reference):
     """After a pause they act by the evidence of all drives, and go on by that since then."""
-    rng, state = np.random.default_rng(3), LearnerState.__new__(LearnerState)
-    state.contest, state.fresh = Contest(), Contest()
+    rng, state = np.random.default_rng(3), Learner(reference).learned
 
     def drive(gain, blocks):
         state.doubt()

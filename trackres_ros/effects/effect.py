@@ -167,16 +167,17 @@ class Terms(NamedTuple):
 
     def with_(self, other: Terms) -> Terms:
         """Both together."""
-        both = Terms._make([x * y if factor else x + y for x, y, factor in zip(self, other, ARE_FACTORS, strict=True)])
-        share = other.conductance / both.conductance if both.conductance != 0.0 else 0.0
-        return both._replace(sink=self.sink + share * (other.sink - self.sink))
+        conductance = self.conductance + other.conductance
+        share = other.conductance / conductance if conductance != 0.0 else 0.0
+        both = {name: getattr(self, name) * getattr(other, name) for name in FACTORS}
+        both |= {name: getattr(self, name) + getattr(other, name) for name in SUMS}
+        return Terms(**both, conductance=conductance, sink=self.sink + share * (other.sink - self.sink))
 
 
 FACTORS = ("drive_gain", "loss_factor", "film_offset_factor", "film_slope_factor", "speed_factor", "sensor_gain")
 SUMS = ("torque", "softening", "heat", "inner_resistance", "sensor_offset", "sensor_delay", "extrapolated")
 if {*FACTORS, *SUMS, "conductance", "sink"} != set(Terms._fields):
     raise TypeError("Terms has a field that is neither a factor nor a sum: say how two effects act together in it")
-ARE_FACTORS = tuple(name in FACTORS for name in Terms._fields)
 SOFTENING_FROM_DEGC = 40.0
 
 
@@ -280,7 +281,7 @@ class Active:
     @cached_property
     def numbers(self) -> tuple[float, ...]:
         """The values in the order of the parameters."""
-        return tuple([float(self.values[q.name]) for q in self.effect.parameters])
+        return tuple(float(self.values[q.name]) for q in self.effect.parameters)
 
     def terms(self, at: Conditions, own: float = 0.0) -> Terms:
         """Its terms, given its own state."""

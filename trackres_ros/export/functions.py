@@ -16,14 +16,14 @@ import textwrap
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from types import FunctionType
 from typing import Any, cast
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.export.kinds import BOOL, INT, REAL, WIDE, ArrayOf, Const, Kind, Record, Scalar, literal, literals, safe, words
+from trackres_ros.export.kinds import BOOL, INT, REAL, WIDE, ArrayOf, Const, Kind, Record, Scalar, literal, safe, words
 
 MOST_COLUMNS = 130  # of a line of C
 A_LINE = 5  # numbers of a table
@@ -75,9 +75,7 @@ class Instance:
         return [(n, k) for n, k in self.arguments.items() if n in self.reads and not isinstance(k, Const)]
 
 
-_READ: WeakKeyDictionary[FunctionType, Source] = WeakKeyDictionary()  # by all exports of this process
-
-
+@cache
 def _read(function: FunctionType) -> Source:
     try:
         lines, line = inspect.getsourcelines(function)
@@ -135,9 +133,7 @@ class Translator:
     def source(self, function: FunctionType) -> Source:
         """The source of a function."""
         if function not in self.sources:
-            if function not in _READ:
-                _READ[function] = _read(function)
-            self.sources[function] = _READ[function]
+            return _read(function)
         return self.sources[function]
 
     def add_text(self, function: FunctionType, text: str) -> None:
@@ -219,7 +215,7 @@ class Translator:
         for name, value in self.tables.values():
             array = np.asarray(value)
             kind = self.number(INT if array.dtype.kind in "iu" else REAL)
-            numbers = literals(array, self.single)
+            numbers = [self.literal(one) for one in array.ravel().tolist()]
             body = ",\n".join(f"    {', '.join(numbers[i : i + A_LINE])}" for i in range(0, len(numbers), A_LINE))
             shape = " x ".join(map(str, array.shape))
             lines.append(f"static const {kind} {name}[{array.size}] = {{ /* {shape} */\n{body}\n}};\n")

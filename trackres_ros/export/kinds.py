@@ -153,14 +153,6 @@ def literal(value: Any, single: bool) -> str:
     return (text if "e" in text or "." in text else f"{text}.0") + "f" * single
 
 
-def literals(array: np.ndarray[Any, Any], single: bool) -> list[str]:
-    """Constant numbers of an array, each as `literal` writes it."""
-    if array.dtype == np.float64 and np.isfinite(numbers := array.astype(np.float32) if single else array).all():
-        texts = numbers.ravel().astype(str).tolist() if single else map(repr, numbers.ravel().tolist())
-        return [f"{text}{'f' * single}" for text in texts]
-    return [literal(one, single) for one in array.ravel().tolist()]
-
-
 def safe(name: str) -> str:
     """A name that is no word of C."""
     return f"{name}_" if name in NOT_FOR_NAMES else name

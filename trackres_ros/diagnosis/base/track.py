@@ -65,7 +65,6 @@ class TrackBase(Base):
         self._firsts, self._count = _kinds(self._constants)
         self._simulated = LastSimulation()
         self._loss_tables: tuple[tuple[tuple[float, slice], Array], ...] = ()
-        self._loads_of: tuple[tuple[DriveSession, ...], slice] = (), slice(0)
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = vehicle_constants(vehicle)
         first = vehicle.track_of(vehicle.assemblies[0])
@@ -136,17 +135,13 @@ class TrackBase(Base):
         return simulated(k, self._count, belts, facts, sessions, lambda session: session.weight, acting)
 
     def _loads(self, sessions: Sequence[DriveSession]) -> slice:
-        """Columns of the loss table between which the belts are loaded, with one more on either side; kept for the last ones."""
-        known = tuple(sessions)
-        if known == self._loads_of[0]:
-            return self._loads_of[1]
+        """Columns of the loss table between which the belts are loaded, with one more on either side."""
         of = self._constants.assembly[self._firsts].T
         driven = [weight for session in sessions for weight in session.lightest_and_heaviest]
         loads = np.array([*(weight * of[at.Assembly.share_of_all] for weight in driven), of[at.Assembly.nominal_load]])
         nodes = (np.log(loads) - of[at.Assembly.first_log_load]) / of[at.Assembly.step_log_load]
         first, last = np.clip([nodes.min(), nodes.max()], 0, self._constants.loss.shape[2] - 2).astype(int).tolist()
-        self._loads_of = known, slice(max(first - 1, 0), last + 3)
-        return self._loads_of[1]
+        return slice(max(first - 1, 0), last + 3)
 
     def _scaled(self, loss: float, loads: slice) -> Array:
         """Loss table for a multiple of the file's loss modulus, nan at other loads; cached, because a fit step reuses a few."""

@@ -319,7 +319,7 @@ class _Objective:
 
     def derivatives(self, at: Array) -> Array:
         """Derivatives of the value; the simulation's are reused from a nearby point."""
-        p, slope = self._parameters, self._of_residuals(at, Noise.deviance_slope)  # first: its simulation is the last one
+        p, slope = self._parameters, self._of_residuals(at, Noise.deviance_slope)
         if self._linear is None or np.linalg.norm(self._whitened() @ (at - self._linear[0])) > NEARBY:
             self._linear, self._white = (at.copy(), jacobian(p.expected, at, p.free)), None
         found = self.root_of_information()

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_base, read_recordings
+from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.prepare.session import Mask
@@ -42,7 +42,7 @@ class SlideTrial:
     with_friction: Diagnosis
 
 
-def try_slide(recording: Path, folder: Path, quick: bool = False) -> SlideTrial:
+def try_slide(recording: Path, folder: Path) -> SlideTrial:
     """Diagnose the recording of the positioning system; InputError without one. The second vehicle file goes to `folder`."""
     if not recording.is_file():
         raise InputError("--emps", str(recording), "the recording of the positioning system, emps.csv.gz")
@@ -51,8 +51,8 @@ def try_slide(recording: Path, folder: Path, quick: bool = False) -> SlideTrial:
     second = folder / "emps_coulomb.yaml"
     folder.mkdir(parents=True, exist_ok=True)
     second.write_text(yaml.safe_dump(file, sort_keys=False), encoding="utf-8")
-    drives, options = read_recordings([recording], Topics.load("emps")), DiagnosisOptions(quick=quick)
-    return SlideTrial(diagnose(drives, load_base("emps"), options), diagnose(drives, load_base(second), options))
+    drives = read_recordings([recording], Topics.load("emps"))
+    return SlideTrial(diagnose(drives, load_base("emps")), diagnose(drives, load_base(second)))
 
 
 def force_error(d: Diagnosis, found: Fit, held_out: bool = False) -> float:

@@ -86,12 +86,12 @@ def parted(table: str, folder: Path, name: str, share: float = DIAGNOSED) -> tup
     return files
 
 
-def live_errors(drives: Drives, folder: Path, *options: str) -> list[LiveError]:
-    """Diagnose with further `options`, and replay the rest with the shipped file, with the written one, and with that in the
-    surroundings that were written.
+def live_errors(drives: Drives, folder: Path) -> list[LiveError]:
+    """Diagnose, and replay the rest with the shipped file, with the written one, and with that in the surroundings that were
+    written.
     """
     report = folder / "report"
-    run_command("diagnose", *drives.first, "--vehicle", drives.vehicle, "--topics", drives.topics, "-o", report, *options)
+    run_command("diagnose", *drives.first, "--vehicle", drives.vehicle, "--topics", drives.topics, "-o", report)
     written, around = report / "vehicle.yaml", report / "surroundings.yaml"
     runs: list[tuple[str, list[str | Path]]] = [("the shipped vehicle file", [drives.vehicle]), ("vehicle.yaml", [written])]
     if around.is_file():
