@@ -208,7 +208,7 @@ def test_messages_held_in_a_pause_replay_with_their_stamps(desk, tmp_path):
     assert list(replayed.session.counts()) == list(d.app.session.counts())
 
 
-@pytest.mark.parametrize(("shaft", "set_s", "follows"), [(NUMBER, 0.9, False), (NUMBER, 2.0, True), (WRENCH, 0.9, True)])
+@pytest.mark.parametrize(("shaft", "set_s", "follows"), [(NUMBER, 0.3, False), (NUMBER, 2.0, False), (WRENCH, 0.9, True)])
 def test_without_a_stamp_live_is_as_its_replay_until_others_jump(desk, tmp_path, shaft, set_s, follows):
     lines = f"torque: {{topic: shaft, type: {shaft}, field: {'data' if shaft == NUMBER else 'wrench.torque.y'}}}\n"
     d = desk(f"speed: {{topic: speed, type: {NUMBER}, field: data}}\n" + lines, learning="off")
@@ -231,6 +231,9 @@ def test_without_a_stamp_live_is_as_its_replay_until_others_jump(desk, tmp_path,
     assert stamps[:60] == replayed[:60]
     assert (stamps == replayed) is not follows
     assert (replayed[-1] - stamps[-1]) * 1e-9 == pytest.approx(set_s if follows else 0.0, abs=1e-4)
+    for output in ("feedforward_torque", "resistance_torque"):
+        assert d.last(output)[0] == pytest.approx(now_ns(), abs=20_000)
+    assert "CLOCK_OFFSET" not in d.names()
 
 
 def test_each_round_of_simulated_time_is_a_file_of_its_own(desk, tmp_path):

@@ -162,8 +162,9 @@ class Application:
         if not all(math.isfinite(values[column]) for column in MUST_BE_FINITE):
             raise ArithmeticError(f"the estimate is not finite: {values}")
         stamp = int(self.session.memory.times[at.SPEED, at.Times.last_stamp])
-        self._publisher.take(values, stamp, steady)
-        new_reasons = self.guard("watching the reasons", self._watch.accepted, int(values[at.Results.reasons]), now - stamp)
+        published = stamp + (0 if self.messages.reader.stamped else self.clock.set_by_ns(now, arrival))
+        self._publisher.take(values, published, steady)
+        new_reasons = self.guard("watching the reasons", self._watch.accepted, int(values[at.Results.reasons]), now - published)
         if new_reasons:
             self._reasons_seen = None
         if self.active and self._on_speed:

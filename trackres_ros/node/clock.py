@@ -11,6 +11,7 @@ from collections.abc import Callable
 from trackres_ros.node.guard import Guard
 from trackres_ros.node.transport import Transport, nearest_usable
 
+SET_NS = 50_000_000  # assumed: the machine's clock is slewed over less, with the steady clock; over more it is set
 Arrival = tuple[int, int]
 """When a message came, by the steady clock and by the node's time [ns]."""
 
@@ -36,6 +37,10 @@ class NodeClock:
     def recorded_ns(self, steady: int, now: int) -> int:
         """An arrival as it is recorded: steady like the ages of samples, or simulated."""
         return now if self.simulated else steady + self.offset_ns
+
+    def set_by_ns(self, now: int, recorded: int) -> int:
+        """How far the machine's clock has been set since the start, as an arrival shows by both times."""
+        return now - recorded if abs(now - recorded) > SET_NS else 0
 
     def pace_ns(self, steady: int) -> int:
         """Time of the feed-forward's motion: the controller's, or the simulated one."""

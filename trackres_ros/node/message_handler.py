@@ -17,11 +17,9 @@ from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.guard import Guard
 from trackres_ros.node.input_reader import InputReader
 from trackres_ros.node.transport import KeepMessage
-from trackres_ros.node.watch import CLOCK_OFFSET_NS
 
 MOST_BEFORE_CLOCK = 10000  # messages of an input
 LONGEST_WAIT_NS = 50_000_000  # of a message for a speed that was sent later
-SET_NS = 50_000_000  # assumed: the machine's clock is slewed over less, with the steady clock; over more it is set
 LONGEST_HELD_NS = 10_000_000_000  # of a message that is handled after a later one; a clock that goes back further was set
 
 UseSample = Callable[[int, int, float, int, int, int], None]
@@ -153,8 +151,7 @@ class MessageHandler:
             recorded, now = self._handled_ns + 1, self._handled_now_ns + 1
         self._handled_ns, self._handled_now_ns = recorded, now
         self._record(place, raw, recorded)
-        follows_ns = SET_NS if self.reader.stamped else CLOCK_OFFSET_NS  # stamps of others follow a clock that was set
-        own = recorded if abs(now - recorded) <= follows_ns else now
+        own = recorded + (self._clock.set_by_ns(now, recorded) if self.reader.stamped else 0)  # as the stamps of others
         samples = self._guard.essential("taking a message", self.reader.samples, place, stamp_ns, values, own)
         for channel, stamp, value in samples or ():
             self._guard.essential("the step", self._use, channel, stamp, value, steady, now, recorded)
