@@ -236,6 +236,15 @@ def test_a_confirmed_explanation_has_only_confirmed_terms(both):
     assert both.chosen.graded.keys() == both.chosen.explanation.key
 
 
+def test_an_explanation_counts_if_each_term_gains_more_than_noise(both, monkeypatch):
+    search, pair = both.search, both.choice.judged(both.search.known[frozenset({"torque_gain", "level_change"})])
+    lost = {name: pair.explanation.evidence - search.without(pair.explanation, name).evidence for name in pair.key}
+    gains = [lost[name] + c.gain - c.criterion for name, c in pair.explanation.candidates.items()]
+    for share, counts in ((0.9, True), (1.1, False)):
+        monkeypatch.setattr(search, "_pool", replace(search._pool, by_noise=share * min(gains)))
+        assert both.choice._counts(pair) == counts
+
+
 def test_no_term_of_an_unconfirmed_explanation_is_confirmed(both, monkeypatch):
     monkeypatch.setattr(both.choice, "_is_confirmed", lambda _: False)
     graded = both.choice.best(keep_suspected=True).graded
