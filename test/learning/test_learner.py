@@ -92,6 +92,13 @@ def test_a_pump_goes_as_it_came(driven_before):
     assert driven.errors(4.0)[1] < 0.025
 
 
+@pytest.mark.parametrize(("gain", "words"), [(46.0, "46 Nm better"), (-8.0, "8 Nm worse")])
+def test_the_status_says_if_used_values_fit_better_or_worse(driven_before, monkeypatch, gain, words):
+    learner = driven_before("on").learner
+    monkeypatch.setattr(learner.learned.fresh, "gain", gain)
+    assert f", {words} than the vehicle file; used" in learner.text
+
+
 def test_a_torque_from_outside_is_reported_while_it_lasts(driven_before):
     driven = driven_before("watch")
     assert driven.learner.disturbance == ""

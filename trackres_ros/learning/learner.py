@@ -302,5 +302,6 @@ class Learner:
         if not self.acts:
             return "the learned parameters fit no better than the vehicle file so far: the file is used"
         using = "used" if self.mode == ON else "not used in this mode"
-        better = f"{self.learned.fresh.gain:.0f} Nm better than the vehicle file"
-        return f"{count} of {len(self.own)} parameters learned, {better}; {using}"
+        gain = self.learned.fresh.gain  # within its standard error they stay in use
+        beside = f"{abs(gain):.0f} Nm {'worse' if gain < 0.0 else 'better'} than the vehicle file"
+        return f"{count} of {len(self.own)} parameters learned, {beside}; {using}"

@@ -46,9 +46,12 @@ def write_page(folder: Path, scores: dict[str, Any]) -> str:
 
 
 def _head(scores: dict[str, Any], plain: list[Any], hostile: list[Any]) -> list[str]:
+    sealed, scored = scores["sealed"], len(scores["cases"])
+    first = (
+        f"Of {sealed} sealed vehicles the first {scored} by their drawn names" if scored < sealed else f"{sealed} sealed vehicles"
+    )
     return [
-        f"Of {scores['sealed']} sealed vehicles the first {len(scores['cases'])} by their drawn names: "
-        f"{len(plain)} whose files are off, {len(hostile)} on whose drives something misleads. {DRIVES} drives of "
+        f"{first}: {len(plain)} whose files are off, {len(hostile)} on whose drives something misleads. {DRIVES} drives of "
         f"{scores['minutes']:g} minutes each, two weeks apart, with a state file between. Seed: {scores['seed']}, SHA-256 of "
         "the labels",
         f"`{scores['seal']}`.",
