@@ -236,7 +236,7 @@ def test_a_confirmed_explanation_has_only_confirmed_terms(both):
     assert both.chosen.graded.keys() == both.chosen.explanation.key
 
 
-def test_an_explanation_counts_if_each_term_gains_more_than_noise(both, monkeypatch):
+def test_an_explanation_counts_if_each_term_beats_the_noise(both, monkeypatch):
     search, pair = both.search, both.choice.judged(both.search.known[frozenset({"torque_gain", "level_change"})])
     lost = {name: pair.explanation.evidence - search.without(pair.explanation, name).evidence for name in pair.key}
     gains = [lost[name] + c.gain - c.criterion for name, c in pair.explanation.candidates.items()]
