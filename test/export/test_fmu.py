@@ -118,6 +118,20 @@ def test_a_long_step_feeds_forward_what_short_steps_do(instance):
     instance.freeFMUState(state)
 
 
+def test_a_call_moves_by_its_time_and_at_a_speed_by_20_ms_more(instance):
+    rate, short = 1000.0, 0.005
+    instance.put("feedforward_rate", rate)
+    moves, before = [], 0.0
+    for i in range(200):
+        instance.put("inputs.speed_mps", 2.0 + 0.01 * i if i % 9 == 0 else np.nan)
+        instance.doStep(i * short, short)
+        moves.append(instance.get("feedforward_torque_nm") - before)
+        before += moves[-1]
+    at_speed = np.arange(200) % 9 == 0
+    assert np.max(np.array(moves)[at_speed]) == pytest.approx(rate * (short + STEP_S))
+    assert np.max(np.array(moves)[~at_speed]) == pytest.approx(rate * short)
+
+
 def test_a_state_that_was_kept_goes_on_as_before(instance):
     drive(instance, 0, 200)
     state = instance.getFMUState()
