@@ -500,6 +500,22 @@ def test_the_command_names_the_option_instead(drive, folder, refused):
         assert refused(*words).startswith(f"trackres: error: {option}: given")
 
 
+def test_what_is_allowed_is_said_for_programs_and_commands():
+    """The command renames the place of an error alone: no other part has an argument."""
+    names = {q for name in tr.__all__ if callable(f := getattr(tr, name)) for q in inspect.signature(f).parameters if "_" in q}
+    calls = [
+        (path.name, node)
+        for path in sorted((PACKAGE / "api").glob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "InputError"
+    ]
+    assert len(calls) > 10
+    for file, call in calls:
+        text = " ".join(n.value for part in call.args[2:] for n in ast.walk(part) if isinstance(n, ast.Constant))
+        assert "=" not in text, file
+        assert not names & set(text.replace(";", " ").replace(",", " ").split()), file
+
+
 @pytest.mark.parametrize("name", shipped_road_vehicles())
 def test_a_vehicle_without_belts_can_be_simulated_and_explained(name):
     vehicle = tr.load_vehicle(name)

@@ -13,8 +13,10 @@ import yaml
 import trackres_ros as tr
 from trackres_ros.design.compare import asked_of
 from trackres_ros.design.compare_text import designs_text, draw_designs
-from trackres_ros.design.steady import held, steady
+from trackres_ros.design.steady import FileErrors, held, solver, steady
 from trackres_ros.design.uncertain import difference_std, moved, slopes_of
+from trackres_ros.effects.effect import Active
+from trackres_ros.effects.registry import catalogue
 from trackres_ros.fleet.compare import draw_overlay
 from trackres_ros.model.operating_point import explain, explain_road
 from trackres_ros.model.track import belt_network, with_methods
@@ -181,6 +183,20 @@ def test_ranges_inside_a_belt_move_its_steady_state(thermal):
         exact = (np.array(astuple(replace(own, kinds=(other,)).solve())) - found) / 0.1
         assert off[path] == pytest.approx(exact, rel=0.05, abs=1e-9)
         assert exact[2] < -0.3 or (thermal == "lumped" and path == paths[0])
+
+
+def test_errors_of_a_file_act_with_its_effects():
+    """With more air drag, an error of the drag area moves the torque more; those of loss and cooling as before."""
+    plain, speed, air, share = load("agri3t"), 4.0, 5.0, 0.5
+    vehicle = replace(plain, effects=(Active(catalogue()["air_drag"], {"share": share}),))
+    solvers, track = [solver(one, speed, air) for one in (plain, vehicle)], plain.assemblies[0].track
+    before = [np.array(astuple(solve(FileErrors()))) for solve in solvers]
+    for change, factor in (({"loss": 1.1}, 1.0), ({"film": 1.1}, 1.0), ({"drag_area": 1.0}, 1.0 + share)):
+        one, other = (astuple(solve(FileErrors(track, **change))) - at for solve, at in zip(solvers, before, strict=True))
+        assert np.abs(one).max() > 1.0
+        assert other[[0, 1, 3]] == pytest.approx(factor * one[[0, 1, 3]], rel=0.02, abs=1e-3)
+        assert other[2] == pytest.approx(one[2], rel=0.02, abs=0.1)
+        assert astuple(solvers[1](FileErrors("another", **change | {"drag_area": 0.0}))) == tuple(before[1])
 
 
 def test_the_same_design_twice_is_the_same(good, softer):

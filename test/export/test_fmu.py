@@ -4,12 +4,16 @@
 """The FMU is valid, and FMPy drives it to the numbers of a replay; its state can be kept and its parameters tuned."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from built import EQUAL, difference, have
 
 import trackres_ros as tr
+from trackres_ros.export import fmu
+from trackres_ros.export.c_source import CSource
+from trackres_ros.export.parts import Parts
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy, which reads FMUs, is not installed")
 validation = pytest.importorskip("fmpy.validation")
@@ -114,6 +118,20 @@ def test_a_long_step_feeds_forward_what_short_steps_do(instance):
     instance.freeFMUState(state)
 
 
+def test_a_call_moves_by_its_time_and_at_a_speed_by_20_ms_more(instance):
+    rate, short = 1000.0, 0.005
+    instance.put("feedforward_rate", rate)
+    moves, before = [], 0.0
+    for i in range(200):
+        instance.put("inputs.speed_mps", 2.0 + 0.01 * i if i % 9 == 0 else np.nan)
+        instance.doStep(i * short, short)
+        moves.append(instance.get("feedforward_torque_nm") - before)
+        before += moves[-1]
+    at_speed = np.arange(200) % 9 == 0
+    assert np.max(np.array(moves)[at_speed]) == pytest.approx(rate * (short + STEP_S))
+    assert np.max(np.array(moves)[~at_speed]) == pytest.approx(rate * short)
+
+
 def test_a_state_that_was_kept_goes_on_as_before(instance):
     drive(instance, 0, 200)
     state = instance.getFMUState()
@@ -142,13 +160,13 @@ def test_a_damaged_state_is_refused_whatever_byte_differs(instance):
 def test_a_tuned_drag_is_that_of_effects_too(name, instance):
     drive(instance, 0, 100)
     state, found = instance.getFMUState(), []
-    for factor in (1.0, 3.0):
+    for factor in (1.0, 1.5):
         instance.setFMUState(state)
         instance.put(name, factor * instance.get(name))
         instance.doStep(100 * STEP_S, STEP_S)
         found.append([instance.get("wind_nm"), instance.get("effects_nm")])
     (wind, effects), (more_wind, more_effects) = found
-    assert more_wind == pytest.approx(3.0 * wind)
+    assert more_wind == pytest.approx(1.5 * wind)
     assert more_effects - effects == pytest.approx(0.5 * (more_wind - wind))  # which is its share
     instance.freeFMUState(state)
 
@@ -168,11 +186,52 @@ def test_a_tuned_parameter_moves_the_torque_by_what_it_says(instance):
     instance.freeFMUState(state)
 
 
-def test_what_is_no_input_and_no_number_cannot_be_set(instance):
+def test_an_output_cannot_be_set_and_an_input_may_be_unknown(instance):
     with pytest.raises(Exception, match="fmi3SetFloat64"):
         instance.put("resistance_torque_nm", 1.0)
-    for name in ("bearing_friction", "feedforward_limit", "effects.drivetrain_drag.drag"):
-        for value in (np.nan, np.inf):
+    instance.put("inputs.weight_n", np.nan)
+
+
+def tunable(model):
+    """Each tunable parameter with its lowest and highest value."""
+    known = [v for v in fmpy.read_model_description(str(model)).modelVariables if v.variability == "tunable"]
+    return {v.name: (float(v.min), float(v.max)) for v in known}
+
+
+def test_a_parameter_takes_values_from_its_min_to_its_max_only(model, instance):
+    assert len(tunable(model)) == 10
+    for name, (low, high) in tunable(model).items():
+        assert low <= instance.get(name) <= high
+        for value in (low, high):
+            instance.put(name, value)
+        for value in (np.nextafter(low, -np.inf), np.nextafter(high, np.inf), np.nan, np.inf, -np.inf):
             with pytest.raises(Exception, match="fmi3SetFloat64"):
                 instance.put(name, value)
-    instance.put("inputs.weight_n", np.nan)
+        assert instance.get(name) == high
+
+
+@pytest.mark.parametrize("end", [0, 1])
+@pytest.mark.parametrize("over", [{"inputs.speed_mps": 0.0}, {"inputs.enable": 0.0}])
+def test_no_parameter_pushes_while_standing_or_disabled(over, end, model, instance):
+    for name, limits in tunable(model).items():
+        instance.put(name, limits[end])
+    drive(instance, 0, 200)
+    assert abs(instance.get("feedforward_torque_nm")) > 1.0
+    for name, value in over.items():
+        instance.put(name, value)
+    for i in range(200, 260):
+        instance.doStep(i * STEP_S, STEP_S)
+    assert instance.get("feedforward_torque_nm") == 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "least", "changed"),
+    [("ztbus_hess19", 0.001, {"rolling_coefficient": 0.002, "rolling_rise": -0.001 / 25.0, "max_speed": 25.0}),
+     ("emps", 0.0, {"viscous_friction": 1e7})],
+)  # fmt: skip
+def test_limits_are_those_of_the_vehicle_file(name, least, changed):
+    vehicle = tr.load_vehicle(name)
+    estimator = tr.Estimator(replace(vehicle, values={**vehicle.values, **changed}))
+    variables = [v for v in fmu._variables(CSource(Parts(estimator), "", ())) if v.limits]
+    assert all(v.limits[0] <= v.start <= v.limits[1] for v in variables)
+    assert variables[0].limits[0] == pytest.approx(least, rel=1e-4)  # of the rolling resistance, as the vehicle reaches 25 m/s

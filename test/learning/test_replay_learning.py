@@ -170,7 +170,7 @@ def test_the_command_says_what_was_learned_and_draws_it(recording, tmp_path, goo
         "replay", recording, "--vehicle", "xgd24d", "--save-vehicle", tmp_path / "v.yaml", "-o", tmp_path / "x.csv"
     )
     assert refused.returncode == 2
-    assert "replay that learns" in refused.stderr
+    assert "with learning watch or on" in refused.stderr
 
 
 def test_a_delay_is_told_and_gone_once_the_topics_file_has_it(tmp_path, reference):

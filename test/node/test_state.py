@@ -134,6 +134,7 @@ def test_a_file_of_no_use_is_a_cold_start_that_says_why(desk, warm, said):
         notice = next(notice for notice in d.app.notices() if notice.name == "STATE_NOT_USED")
         assert said in notice.text
         assert str(path) in notice.text
+        assert "or none" not in notice.text  # what a command is given
 
 
 @pytest.mark.parametrize("content", [b"name: my truck", b"[1, 2]", b'{"format": 3}', b"time_s,speed_mps"])

@@ -126,7 +126,7 @@ def replay(
     no_two_alike({"output": file, "save_state": state, "save_vehicle": learned_file})
     learns = checks.one_of(learning, "learning", MODES) != OFF
     if learned_file is not None and not learns:
-        raise InputError("save_vehicle", str(save_vehicle), "a replay that learns", "give learning='watch' too")
+        raise InputError("save_vehicle", str(save_vehicle), "only with learning watch or on")
     kept: list[Steps] = []
     with ExitStack() as stack:
         warm_up = stack.enter_context(first_run(LIVE if learns else BLOCKS, described))

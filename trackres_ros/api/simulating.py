@@ -108,7 +108,7 @@ def simulate(
     profile = profile if profile is None or isinstance(profile, Recording) else checks.path(profile, "profile")
     for name, seconds in (("duration_s", duration_s), ("ramp_s", ramp_s)):
         if profile is not None and seconds is not None:
-            raise InputError(name, seconds, "only with speed_kmh; a profile has its own duration and ramps")
+            raise InputError(name, seconds, "only with a speed; a profile has its own duration and ramps")
     file = None if output is None else output_file(output)
     described = as_vehicle(vehicle)
     _check_weight(described, weight_kn, LEAST_LOAD_SHARE, LARGEST_LOAD_SHARE)

@@ -8,7 +8,7 @@ difference.
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.design.drives import STAGES, DriveCycle, check_weight, driven, read_cycle, with_factors
-from trackres_ros.design.steady import J_PER_KWH, WARMEST_K, Array, FileErrors, held, steady
+from trackres_ros.design.steady import J_PER_KWH, WARMEST_K, Array, FileErrors, Steady, solver, steady
 from trackres_ros.design.uncertain import LogDerivatives, difference_std, half_width, moved, slopes_of
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
@@ -210,11 +210,12 @@ def _steady(
     """Outcomes of both vehicles, and how sure the difference is."""
     speed, values, changes = kmh / KMH_PER_MPS, [], []
     for number, vehicle in enumerate(asked.vehicles):
-        found = steady(vehicle, speed, air, weight)
-        plain = held(replace(vehicle, effects=(), surroundings=()), speed, air, weight)
+        found, solve = steady(vehicle, speed, air, weight), solver(vehicle, speed, air, weight)
 
-        def outcomes(off: FileErrors, _capacity: float, plain: Any = plain) -> Array:
-            return np.array(astuple(plain.solve(off)))
+        def outcomes(
+            off: FileErrors, _capacity: float, solve: Callable[[FileErrors], Steady] = solve, found: Steady = found
+        ) -> Array:
+            return np.array(astuple(found if off == FileErrors(off.track) else solve(off)))
 
         warm = found.belt_degc if math.isfinite(found.belt_degc) else air
         values.append(np.array(astuple(found)))

@@ -33,7 +33,7 @@ def designs_text(found: Mapping[str, Any]) -> str:
     parts += _conditions("Drives from cold", found["drives"], "cycle", "drive", DRIVEN, names)
     parts.append(
         "+- 95 %: from the ranges of the values that both files have alike, which move both together; the second column holds "
-        "the ranges of the values that differ too."
+        "the ranges of the values that differ too. Parameters of effects are taken as known."
     )
     head = ("belt [degC]", *(f"{figures(kmh)} km/h" for kmh in found["speeds_kmh"]))
     weights = [design["weight_n"] for design in found["designs"]]

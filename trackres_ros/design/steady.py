@@ -117,9 +117,27 @@ def steady(vehicle: Vehicle, speed: float, ambient: float, weight: float | None 
     InputError beyond the speeds of the vehicle.
     """
     check_speed(vehicle, speed)
-    if vehicle.active:
-        return _with_effects(vehicle, speed, ambient, weight)
-    return held(vehicle, speed, ambient, weight).solve()
+    return solver(vehicle, speed, ambient, weight)(AS_IT_IS)
+
+
+def solver(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = None) -> Callable[[FileErrors], Steady]:
+    """The steady state of a vehicle as a function of errors of its file; see `steady`."""
+    if not vehicle.active:
+        return held(vehicle, speed, ambient, weight).solve
+    return lambda off: _with_effects(_with_errors(vehicle, off), speed, ambient, weight, off)
+
+
+def _with_errors(vehicle: Vehicle, off: FileErrors) -> Vehicle:
+    """A vehicle with errors in its values, but for the loss."""
+    tracks = {}
+    for name, track in vehicle.tracks.items():
+        here, belt = off if off.track in ("", name) else AS_IT_IS, track.belt
+        belt = replace(belt, film_offset=here.film * belt.film_offset, film_slope=here.film * belt.film_slope)
+        tracks[name] = replace(track, belt=belt, sprocket_radius=here.radius * track.sprocket_radius)
+    chassis, area = vehicle.chassis, vehicle.chassis.drag_coefficient * vehicle.chassis.frontal_area + off.drag_area
+    friction = chassis.bearing_friction + off.bearing_friction
+    chassis = replace(chassis, bearing_friction=friction, drag_coefficient=area, frontal_area=1.0)
+    return replace(vehicle, tracks=tracks, chassis=chassis)
 
 
 def held(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = None) -> Held:
@@ -153,12 +171,13 @@ def held(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = 
     return Held(speed, ambient, tuple(kinds.values()))
 
 
-def _with_effects(vehicle: Vehicle, speed: float, ambient: float, weight: float | None) -> Steady:
+def _with_effects(vehicle: Vehicle, speed: float, ambient: float, weight: float | None, off: FileErrors) -> Steady:
     kinds = [(one.track, float(load)) for one, load in zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)]
     whole = vehicle.weight if weight is None else weight
+    losses = {name: off.loss for name in vehicle.tracks if off.track in ("", name)}
 
     def at(belts: Mapping[tuple[str, float], float]) -> VehicleState:
-        return vehicle_state(vehicle, speed, [belts[kind] for kind in kinds], ambient, whole)
+        return vehicle_state(vehicle, speed, [belts[kind] for kind in kinds], ambient, whole, losses)
 
     def excess(kind: tuple[str, float], degc: float) -> float:
         own = at({**belts, kind: degc}).assemblies[kinds.index(kind)]

@@ -76,8 +76,9 @@ def feedforward(
 ) -> tuple[float, int]:
     """Chosen parts [Nm], limited in size and rate, and the reasons for limits; store the target in `motion` (ours).
 
-    It starts from the present output, which followed the last target and faded during a dropout of the speed. It moves by at
-    most the change allowed per output. At standstill no rolling resistance is fed forward; with `fed` 0 nothing is.
+    It starts from the present output, which followed the last target and faded during a dropout of the speed. From there it
+    moves at once by what the rate allows in `FEEDFORWARD_STEP_S`, or in a shorter `dt`. At standstill no rolling resistance is
+    fed forward; with `fed` 0 nothing is.
     """
     number, reasons = k.number, 0
     wanted = number.feed_grade * total.grade if given_grade else 0.0  # a slope by place is of the surroundings

@@ -36,7 +36,7 @@ from trackres_ros.vehicle import Vehicle
 FORMAT = "trackres-state"
 VERSION = 12
 HEAD = json.dumps({"format": FORMAT}).encode()[:-1]  # first bytes of each state file
-REMEDY = "delete the file to start cold"
+REMEDY = "give a state of this vehicle, or none"
 LARGEST = 4 << 20  # bytes; a vehicle with four assemblies has 10 thousand
 FARTHEST_SAVED_AT = 1e10  # s: the year 2286, and as far before 1970
 LONGEST_OFF = 7 * 86400.0  # s: by then any belt is at the temperature of the air, and as uncertain as it gets
@@ -267,8 +267,8 @@ def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
         data = own_files.read(path, LARGEST)
     except OSError as error:
         raise InputError(where, error.strerror or str(error), "a file written by this program") from error
-    if _is_other_head(data[: len(HEAD)]):  # it may be a recording, so no remedy deletes it
-        raise InputError(where, "another kind of file", f"a file of format {FORMAT}")
+    if _is_other_head(data[: len(HEAD)]):
+        raise InputError(where, "another kind of file", f"a file of format {FORMAT}", REMEDY)
     try:
         content: dict[str, Any] = parse_json(data)
     except ValueError as error:

@@ -22,11 +22,15 @@ import trackres_ros as tr
 from trackres_ros.effects import native, stepping
 from trackres_ros.effects.effect import Active, Parameter, VehicleConstants
 from trackres_ros.errors import InputError
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.settings import Settings
 from trackres_ros.export.c_source import TEMPLATES, CSource, filled, in_c
 from trackres_ros.export.exporting import Request, translated
 from trackres_ros.files.output_files import output_file
 from trackres_ros.files.own_files import write
 from trackres_ros.model.thermal import parting_resistance
+from trackres_ros.vehicle.road import RoadVehicle, built_in, least_rolling
+from trackres_ros.vehicle.schema import CHASSIS, ROAD_LOAD
 
 MODEL = "trackres"
 SOURCES = ("trackres.c", "fmi3.c")
@@ -68,6 +72,7 @@ class Variable:
     rows: int = 1
     stride: str = "0"
     also: str = "0"  # another place of the same number
+    limits: tuple[float, float] | None = None  # lowest and highest value of a parameter
 
 
 def export_fmu(request: Request, path: Path) -> Path:
@@ -115,12 +120,34 @@ def _variables(source: CSource) -> Iterator[Variable]:
         yield Variable(f"inputs/{name}", f"offsetof(struct instance, inputs.{in_c(name)})", "input", _unit(name), "", start)
     for name in source.columns:
         yield Variable(name, f"offsetof(struct instance, outputs.{in_c(name)})", "output", _unit(name))
+    limits = _limits(source.estimator)
     for i, (name, (unit, text)) in enumerate(TUNED.items()):
         start = float(getattr(source.estimator.constants.number, name))
         facts = VehicleConstants._fields
         seen = _in_state("work", stepping.TERMS + facts.index(name)) if name in facts else "0"
-        yield Variable(name, _in_state("tuned", i), "parameter", unit, text, start, also=seen)
+        yield Variable(name, _in_state("tuned", i), "parameter", unit, text, start, also=seen, limits=limits[name])
     yield from _of_effects(source)
+
+
+def _limits(estimator: Estimator) -> dict[str, tuple[float, float]]:
+    """Lowest and highest value of each number of `TUNED`, as a vehicle file and settings take them."""
+    vehicle = estimator.vehicle
+    rate, share = (Settings.__dataclass_fields__[f"feedforward_{of}"].metadata for of in ("rate", "share"))
+    per_share = estimator.constants.number.feedforward_limit / estimator.settings.feedforward_share
+    if isinstance(vehicle, RoadVehicle):
+        of, area = ROAD_LOAD, (ROAD_LOAD["drag_area"].low, ROAD_LOAD["drag_area"].high)
+        friction = least_rolling(vehicle.values), ROAD_LOAD["rolling_coefficient"].high
+    else:
+        of, drag, front = CHASSIS, CHASSIS["drag_coefficient"], CHASSIS["frontal_area"]
+        area = drag.low * front.low, drag.high * front.high
+        friction = CHASSIS["bearing_friction"].low, CHASSIS["bearing_friction"].high
+    alike = {"air_density": "air_density", "rotating_mass_factor": "rotating_mass_factor", "nominal_ambient": "ambient"}
+    return {name: (of[key].low, of[key].high) for name, key in alike.items()} | {
+        "bearing_friction": friction,
+        "drag_area": area,
+        "feedforward_rate": (rate["low"], rate["high"]),
+        "feedforward_limit": (share["low"] * per_share, share["high"] * per_share),
+    }
 
 
 def _of_effects(source: CSource) -> Iterator[Variable]:
@@ -129,16 +156,20 @@ def _of_effects(source: CSource) -> Iterator[Variable]:
     width = k.effect_values.shape[1] if k.effect_values.ndim > 1 else 0
     states = k.effects[:, stepping.STATE].tolist()
     facts = VehicleConstants(*k.work[stepping.TERMS : stepping.TERMS + native.FACTS].tolist())
+    vehicle = source.estimator.vehicle
+    listed = built_in(vehicle.values) if isinstance(vehicle, RoadVehicle) else ()
+    quantities = {effect: (arm, ROAD_LOAD[name]) for effect, _, name, arm in listed}
     for state, active in enumerate(source.parts.active):
         first, rows = states.index(state), states.count(state)
         for i, q in enumerate(active.effect.parameters):
             if q.is_fixed or _parts_belt(active, q, facts):  # the number of nodes follows from it
                 continue
             place = _in_state("effect_values", first * width + i)
+            arm, of = quantities.get(active.effect, (1.0, q))
             unit, text = q.unit.replace("Nm", "N.m").replace("^", ""), f"{q.text} [{q.unit}]"
             yield Variable(
                 f"effects/{active.effect.name}/{q.name}", place, "parameter", unit if unit in UNITS else "", text,
-                float(active.values[q.name]), rows, f"{width} * sizeof(double)",
+                float(active.values[q.name]), rows, f"{width} * sizeof(double)", limits=(arm * of.low, arm * of.high),
             )  # fmt: skip
 
 
@@ -157,7 +188,11 @@ def _unit(name: str) -> str:
 
 
 def _places(source: CSource, variables: list[Variable], token: str) -> dict[str, str]:
-    lines = [f"    {{{v.place}, {v.rows}, {v.stride}, {v.also}, {v.causality.upper()}}}, /* {v.name} */" for v in variables]
+    lines = []
+    for v in variables:
+        low, high = v.limits or (0.0, 0.0)
+        values = f"{v.place}, {v.rows}, {v.stride}, {v.also}, {v.causality.upper()}, {low!r}, {high!r}"
+        lines.append(f"    {{{values}}}, /* {v.name} */")
     counts = {"VARIABLE_COUNT": len(variables), "OF_REASONS": len(variables), "OF_LEVEL": len(variables) + 1}
     longest = repr(float(source.estimator.settings.speed_max_age_s))
     texts = {"TOKEN": token, "LONGEST_S": longest, "VARIABLES": "\n".join(lines)}
@@ -181,6 +216,7 @@ def _description(source: CSource, variables: list[Variable], token: str) -> byte
         more: dict[str, Any] = {"description": v.text} if v.text else {}
         more |= {"unit": v.unit} if v.unit else {}
         more |= {} if v.start is None else {"start": "NaN" if v.start != v.start else repr(v.start)}
+        more |= {} if v.limits is None else {"min": repr(v.limits[0]), "max": repr(v.limits[1])}
         variability = "tunable" if v.causality == "parameter" else "continuous"
         Xml.SubElement(
             known, "Float64", name=".".join(map(in_c, v.name.split("/"))), valueReference=str(reference), causality=v.causality,

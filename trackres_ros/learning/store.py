@@ -15,6 +15,7 @@ import numpy as np
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Session
+from trackres_ros.estimator.snapshot import REMEDY
 from trackres_ros.learning.correction import use_file
 from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import ON, Learner
@@ -81,8 +82,7 @@ def go_on_from(path: Path, session: Session, learner: Learner | None, saved: obj
     try:
         go_on(session, learner, saved, off_s)
     except ValueError as error:
-        allowed, remedy = "learned parameters saved by this program", "delete the file to start anew"
-        raise InputError(f"state file {path}", str(error), allowed, remedy) from error
+        raise InputError(f"state file {path}", str(error), "learned parameters saved by this program", REMEDY) from error
 
 
 def _parts(learner: Learner) -> dict[str, Any]:

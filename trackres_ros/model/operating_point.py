@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -120,12 +120,19 @@ class VehicleState:
     remarks: list[str]
 
 
-def vehicle_state(vehicle: Vehicle, speed: float, belts_degc: Sequence[float], ambient: float, weight: float) -> VehicleState:
-    """A vehicle with its effects at a speed [m/s], with the belt temperature of each assembly; see `explain`."""
+def vehicle_state(
+    vehicle: Vehicle, speed: float, belts_degc: Sequence[float], ambient: float, weight: float,
+    loss_factors: Mapping[str, float] | None = None,
+) -> VehicleState:  # fmt: skip
+    """A vehicle with its effects at a speed [m/s], with the belt temperature of each assembly; see `explain`.
+
+    `loss_factors`: on the loss of kinds of track, by name.
+    """
     nominal = vehicle.nominal_loads()
     loads = weight * nominal / nominal.sum()
     kinds = [(a.track, float(load), degc) for a, load, degc in zip(vehicle.assemblies, loads, belts_degc, strict=True)]
     models = {name: track_model(vehicle, name) for name in vehicle.tracks}
+    factors = dict.fromkeys(vehicle.tracks, 1.0) | dict(loss_factors or {})
     usable, left_out = _effects(vehicle)
     belts = np.array(belts_degc)
     mean = float(belts[0] + (belts - belts[0]).mean())
@@ -133,7 +140,9 @@ def vehicle_state(vehicle: Vehicle, speed: float, belts_degc: Sequence[float], a
     terms = _on_belts(usable, at)
     for _ in range(DRIVE_PASSES):
         alike = {
-            (track, load, degc): _assembly_state(vehicle.chassis, at, degc, terms, models[track], load)
+            (track, load, degc): _assembly_state(
+                vehicle.chassis, at, degc, terms._replace(loss_factor=factors[track] * terms.loss_factor), models[track], load
+            )
             for track, load, degc in set(kinds)
         }
         assemblies = tuple(alike[kind] for kind in kinds)

@@ -98,6 +98,7 @@ class StateKeeper:
         try:
             session, since_s = after_time_off(estimator, file, self.holds_at)
         except InputError as error:
+            error = InputError(error.where, error.given, error.allowed)  # there is nothing to do: a copy is kept
             self.unused = f"cold start: the state file cannot be used: {error}"
             with suppress(OSError):
                 if file.is_file() and is_other_kind(file):

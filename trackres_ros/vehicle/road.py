@@ -154,10 +154,15 @@ def load_any(path_or_name: str | os.PathLike[str]) -> AnyVehicle:
     return build_road(path, content) if isinstance(content.get(SECTION), dict) else build(path, content)
 
 
+def least_rolling(values: Mapping[str, float]) -> float:
+    """Lowest rolling coefficient: with less the rolling resistance becomes negative below the greatest speed."""
+    return max(ROAD_LOAD["rolling_coefficient"].low, -values["rolling_rise"] * values["max_speed"] / (1.0 + ROUNDED))
+
+
 def _check_rolling(reader: ValueReader, values: Mapping[str, float]) -> None:
     """Refuse a rolling resistance that becomes negative below the greatest speed."""
     coefficient, rise, fastest = values["rolling_coefficient"], values["rolling_rise"], values["max_speed"]
-    if coefficient + rise * fastest < -ROUNDED * coefficient:
+    if coefficient < least_rolling(values):
         least = f"-rolling_coefficient / max_speed = {figures(-coefficient / fastest)} s/m"
         remedy = "below it the rolling resistance is negative at max_speed"
         raise InputError(reader.where(f"{SECTION}.rolling_rise"), rise, f"at least {least}", remedy)

@@ -45,6 +45,8 @@ struct variable {
     size_t stride;
     size_t also; /* 0 without one */
     enum causality causality;
+    double low; /* of a parameter, and its highest value */
+    double high;
 };
 
 static const double longest_s = @LONGEST_S@; /* of a piece: a speed that is older is a dropout */
@@ -224,8 +226,8 @@ EXPORTED fmi3Status fmi3SetFloat64(
         if (variable == NULL || (variable->causality != INPUT && variable->causality != PARAMETER)) {
             return failed(one, "no input or parameter of this reference");
         }
-        if (variable->causality == PARAMETER && !isfinite(values[i])) {
-            return failed(one, "a parameter that is no number");
+        if (variable->causality == PARAMETER && !(variable->low <= values[i] && values[i] <= variable->high)) {
+            return failed(one, "a parameter that is no number from its min to its max");
         }
         const double moved = values[i] - *number_at(one, variable->place);
         for (int row = 1; row < variable->rows; row++) {

@@ -69,7 +69,8 @@ void trackres_init(trackres_state *state);
 /* Inputs of which none is known. */
 void trackres_no_inputs(trackres_inputs *inputs);
 
-/* Take in what is known now, dt [s] after the last call. To be called in each control step, with or without a new speed. */
+/* Take in what is known now, dt [s] after the last call. To be called in each control step, with or without a new speed. The
+ * feed-forward moves by up to its largest rate times dt, and by that of 20 ms more in a call with an accepted speed. */
 int trackres_step(trackres_state *state, const trackres_inputs *inputs, trackres_real dt, trackres_outputs *outputs);
 
 /* Take in one message with its own stamp and its arrival [ns]: all guards of the live node, late and double messages too. */
