@@ -114,6 +114,20 @@ def test_every_unit_of_a_role_is_known_in_any_spelling():
         assert conversion(wrong, inside) is None
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_line_that_a_source_would_not_use_is_refused(files, kind):
+    path, topics = files[kind]
+    other = files["CSV" if kind == "bag" else "bag"][1]["load"]
+    strange = {"load": replace(topics, bindings=MappingProxyType({**topics.bindings, "load": other}))}
+    if kind in ("bag", "MF4", "BLF", "ASC"):
+        strange["time"] = replace(topics, time=files["CSV"][1]["speed"])
+    if not topics.dbc:
+        strange["dbc"] = topics.with_databases([path])
+    for line, given_ in strange.items():
+        with pytest.raises(InputError, match=rf": {line}: given .*a topics file for each kind of source"):
+            open_source([path], given_)
+
+
 def test_the_topics_file_wins_over_the_unit_of_the_file(files):
     path, _ = files["MF4"]
     by_file = tr.read(path, topics={"speed": {"channel": "VehicleSpeed"}})

@@ -80,6 +80,8 @@ class ChannelFile:
         Findings of the last reading.
     has_times : bool
         Whether channels have their own times; in a table a column is the time.
+    has_frames : bool
+        Whether they are signals in frames of a bus, which a database describes.
     """
 
     name: str
@@ -88,6 +90,7 @@ class ChannelFile:
     notes: Sequence[str] = ()
     findings: Sequence[Finding] = ()
     has_times = True
+    has_frames = False
 
     def is_number(self, place: int) -> bool:  # noqa: ARG002
         """Whether a channel holds numbers."""

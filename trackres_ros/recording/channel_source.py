@@ -56,6 +56,8 @@ class ChannelSource:
             check_file(path)
         with self._reading():
             files = read(path, self.name, topics)
+        if topics:
+            topics.check_used(False, any(not one.has_times for one in files), any(one.has_frames for one in files))
         self._file, choice, others = _first_that_fits(files, topics)
         self._time, channels = choice.time, sorted(choice.channels, key=lambda one: one.role == "speed")
         self.roles = tuple(dict.fromkeys(one.role for one in channels))

@@ -108,7 +108,8 @@ class BagSource:
         if topics is None:
             filled = {one.topic: one.msgtype for _, ones in found for one in ones if one.msgcount}
             topics, guesses = guess(filled)
-        bindings = self.bindings = {role: topics[role] for role in topics if topics[role].of_topics}
+        topics.check_used(of_topics=True)
+        bindings = self.bindings = {role: topics[role] for role in topics}
         if "speed" not in bindings:
             raise InputError(f"{topics.origin}: speed", "no topic", "a topic for speed", "add a line for it")
         self.roles = tuple(sorted(bindings, key=lambda role: role == "speed"))
