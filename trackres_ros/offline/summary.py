@@ -70,7 +70,7 @@ class KeptSource:
 
     def all_findings(self) -> tuple[Finding, ...]:
         """Defects of the samples; only those of reading if the blocks were not kept."""
-        return (*self.findings, *defects_of(self._kept, self)) if self._keep else self.findings
+        return (*self.findings, *defects_of(self._kept, self._source)) if self._keep else self.findings
 
 
 def picture_columns(columns: Sequence[str], picture: Array) -> dict[str, Array]:

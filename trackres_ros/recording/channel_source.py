@@ -148,7 +148,9 @@ class ChannelSource:
                 stamps, found = stamp_ns[rows], values[rows, column]
                 for place, binding in modes.items():
                     found[column == place] = binding.meant(found[column == place])
-                yield SampleBlock(column.astype(np.int16), stamps - delay_ns[column], stamps, found)
+                at_ns = stamps - delay_ns[column]
+                at_ns[(at_ns == 0) & (stamps != 0)] = 1  # 0 would mean that it was never set
+                yield SampleBlock(column.astype(np.int16), at_ns, stamps, found)
         if not done:
             if self._file.has_times:
                 why = "; ".join(finding.text for finding in self._file.findings)
