@@ -275,7 +275,7 @@ def test_no_torque_names_what_may_hold_it(tmp_path, trackres):
     assert f"no torque channel is in use; candidates: {likely}" in tr.read(path).notes
     done = trackres("diagnose", path, "--vehicle", "xgd24d", "-o", tmp_path / "report")
     assert done.returncode == 2
-    assert f"it may be in {likely}: give it in a topics file: torque: {{column: NAME, scale: 1.0}}" in done.stderr
+    assert f"it may be in {likely}: give it in a topics file: torque: {{column: NAME, unit: Nm}}" in done.stderr
     assert "sum of left and right" in done.stderr
 
 
