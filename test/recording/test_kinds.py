@@ -206,7 +206,10 @@ def test_parts_with_other_times_are_added_between_samples(tmp_path):
         mdf.append([Signal(5.0 * right, right, name="Trq", unit="kNm")], acq_name="right")
         mdf.save(path)
     parts = [{"channel": "left/Trq"}, {"channel": "right/Trq"}]
-    torque = tr.read(path, topics={"torque": {"sum": parts}}).series["torque"]
+    found = tr.read(path, topics={"torque": {"sum": parts}})
+    torque = found.series["torque"]
+    assert {f"torque: {side}/Trq is in kNm according to the file" for side in ("left", "right")} <= set(found.notes)
+    assert "torque: sum of the columns left/Trq, right/Trq" in found.notes
     np.testing.assert_allclose(torque.value, 15e3 * (torque.stamp_ns - torque.stamp_ns[0] + 1e8) / 1e9, rtol=1e-9)
     assert len(torque) == len(left) - 1  # before the first sample of the right one there is none
     with pytest.raises(InputError, match=r"2 columns Trq.*left/Trq, right/Trq"):

@@ -156,16 +156,15 @@ def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, no
     by_offset = binding.offset != 0.0 and of_file in (None, of_line)  # an offset alone, which may convert all there is: K
     if binding.converts or by_offset:
         if of_file != of_line:
-            notes.append(
-                f"{role}: {channel.name} is in {channel.unit} according to the file, but the topics file uses another conversion"
-            )
+            read = "but the topics file uses another conversion"
+            notes.append(f"{role}: {binding.column} is in {channel.unit} according to the file, {read}")
         return binding
     if of_file is None:
-        remedy = f"give its unit in the topics file: {role}: {{channel: {channel.name}, unit: {next(iter(UNITS[inside]))}}}"
-        raise InputError(f"{origin}: {role}: unit of {channel.name}", channel.unit, ", ".join(UNITS[inside]), remedy)
+        remedy = f"give its unit in the topics file: {role}: {{channel: {binding.column}, unit: {next(iter(UNITS[inside]))}}}"
+        raise InputError(f"{origin}: {role}: unit of {binding.column}", channel.unit, ", ".join(UNITS[inside]), remedy)
     unit = next(name for name, one in UNITS[inside].items() if one == of_file)
     if unit != inside:
-        notes.append(f"{role}: {channel.name} is in {unit} according to the file")
+        notes.append(f"{role}: {binding.column} is in {unit} according to the file")
     return replace(binding, scale=of_file.scale, offset=of_file.scale * binding.offset + of_file.offset, unit=unit)
 
 
