@@ -146,7 +146,8 @@ def text(report: dict[str, Any]) -> str:
     lines += [f"  status: {item['text']} ({number_of(item['steps'], 'step')})" for item in report["reasons"]]
     lines += [f"  ! {remark}" for remark in report["remarks"]]
     stood = not report["drive"]["under_way_s"] and set(report["counters"].get("speed", ())) - {"accepted"}
-    lines.append(taken_text(report["drive"]) + (" in the accepted samples" if stood else ""))
+    totals = taken_text(report["drive"]) + (" in the accepted samples" if stood else "")
+    lines.append(totals if report["duration_s"] else "The drive has no totals: no two rows without a long gap between them")
     lines.append(
         f"At the end, at {decimals(last['speed_mps'] * 3.6, 1)} km/h: resistance "
         f"{decimals(last['resistance_torque_nm'])} +- {decimals(last['resistance_std_nm'])} Nm ("
