@@ -183,6 +183,14 @@ def test_a_replay_of_refused_speeds_does_not_say_it_stood(folder, good):
         assert "The vehicle stood the whole time in the accepted samples" in text
 
 
+def test_a_drive_without_steps_has_no_totals(folder, good):
+    for rows in ("0,1\n", "0,1\n60,1\n120,1\n"):
+        (folder / "one.csv").write_text(f"time_s,speed_mps\n{rows}")
+        shown = good("replay", folder / "one.csv", "--vehicle", "husky", "-o", folder / "one_out.csv")
+        assert "The drive has no totals: no two rows without a long gap between them" in shown
+        assert "stood" not in shown
+
+
 def test_a_small_drive_has_two_figures_of_everything():
     of = {"distance_m": 4.2, "under_way_s": 21.0, "mean_resistance_nm": 0.31, "largest_resistance_nm": 9.4, "energy_mj": 0.00123}
     text = taken_text({**of, "kwh_per_km": 0.0813})

@@ -20,7 +20,9 @@ from trackres_ros.design.sweep import SweepRequest, Swept, draw, sweep
 from trackres_ros.design.values import Varied, meant, scalars, varied
 from trackres_ros.effects import Active, Effect, Parameter, Terms, catalogue
 from trackres_ros.engine import executor
+from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.fleet.task import _replayed
@@ -29,7 +31,7 @@ from trackres_ros.model.operating_point import explain
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.model.track import with_methods
 from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.offline.energy import RESISTANCE, energy_j, steps_of, summed, taken
+from trackres_ros.offline.energy import RESISTANCE, DriveTotals, StepTimes, energy_j, steps_of, summed, taken
 from trackres_ros.offline.simulate import by_column
 from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle import load
@@ -142,6 +144,43 @@ def test_totals_of_a_drive_do_not_depend_on_its_step(step_s):
     assert found["under_way_s"] == pytest.approx(60.0 - 2.0 * STANDSTILL_MPS / 0.5)
     assert found["energy_mj"] == pytest.approx(1e-6 * torque / radius * 400.0)
     assert found["mean_resistance_nm"] == pytest.approx(torque)
+
+
+@pytest.mark.parametrize("name", ["xgd24d", "mixed"])
+def test_totals_of_a_drive_do_not_depend_on_its_blocks(mixed, name):
+    vehicle, random = mixed if name == "mixed" else load(name), np.random.default_rng(1)
+    step, columns = np.r_[0.0, random.random(999)], Estimator(vehicle).columns
+    of = {column: random.normal(0.0, 1.0, 1000) for column in columns}
+    of["speed_mps"][[0, 300, 301, 999]] = np.nan
+    whole, parts = DriveTotals(vehicle), DriveTotals(vehicle)
+    whole.add(step, of)
+    for rows in np.split(np.arange(1000), [1, 2, 300, 301, 302, 999]):
+        parts.add(step[rows], {column: values[rows] for column, values in of.items()})
+    assert parts.as_dict() == whole.as_dict()
+
+
+def test_a_long_replay_has_the_totals_of_all_its_rows(tmp_path):
+    """Not of every second one, as drawn; gaps that the estimate bridges count, longer ones do not."""
+    time = np.r_[np.arange(0.0, 8_600.0), np.arange(8_612.0, 16_000.0), np.arange(17_000.0, 18_000.0)]
+    speed = np.where(time % 8 < 4, 2.0, 0.0)
+    np.savetxt(tmp_path / "long.csv", np.c_[time, speed], delimiter=",", header="time_s,speed_mps", comments="")
+    rows = tr.replay(tmp_path / "long.csv", "xgd24d")
+    step, found = steps_of(time, 30.0), rows.as_dict()["drive"]
+    assert step.sum() == rows.duration_s == 16_998.0 > 16_000.0
+    assert "1 long gap left out" in repr(rows).splitlines()[0]
+    assert found["distance_m"] == pytest.approx(summed(step, speed))
+    assert found["under_way_s"] < 0.7 * rows.duration_s
+    assert found["largest_resistance_nm"] == np.abs(rows["resistance_torque_nm"]).max()
+
+
+def test_where_stamps_jump_a_step_has_the_time_of_arrival():
+    arrival = np.arange(40) * 10**8
+    stamp = arrival + np.repeat([0, 259_200, -5_000, 20], 10) * 10**9
+    given = Steps(stamp, arrival, np.empty((40, 0)))
+    of_blocks = StepTimes(Settings())
+    blocks = (Steps(stamp[rows], arrival[rows], given.rows[rows]) for rows in (slice(25), slice(25, 40)))
+    assert np.concatenate([of_blocks.of(block) for block in blocks]) == pytest.approx([0.0] + [0.1] * 39)
+    assert StepTimes(Settings()).of(Steps(stamp, stamp, given.rows)).sum() == pytest.approx(3.6)
 
 
 def test_an_effect_may_cool_a_belt_below_the_air():

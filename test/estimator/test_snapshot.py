@@ -16,6 +16,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+import trackres_ros as tr
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import snapshot
 from trackres_ros.estimator.estimator import Estimator
@@ -56,6 +57,19 @@ def test_resumed_is_bit_equal_to_never_stopped(name, tmp_path):
     snapshot.save(first, tmp_path / "state.json", saved_at=1.0)
     after = snapshot.resume(estimator, tmp_path / "state.json").handle_block(*(part[1234:] for part in given_))
     assert np.array_equal(whole.rows, np.concatenate([before.rows, after.rows]), equal_nan=True)
+
+
+def test_a_resumed_replay_reports_its_own_messages_alone(tmp_path):
+    lines = [f"{t},{60.0 if t % 3 else 5.0}" for t in range(90)]
+    for name, rows in (("bad", lines), ("good", [f"{t},5.0" for t in range(90, 120)])):
+        (tmp_path / f"{name}.csv").write_text("\n".join(["time_s,speed_mps", *rows]))
+    first = tr.replay(tmp_path / "bad.csv", "xgd24d", save_state=tmp_path / "state.json").as_dict()
+    after = tr.replay(tmp_path / "good.csv", "xgd24d", resume=tmp_path / "state.json").as_dict()
+    assert first["remarks"]
+    assert sum(first["counters"]["speed"].values()) >= first["messages"] == 90
+    assert after["counters"]["speed"]["accepted"] == after["messages"] == 30
+    assert not after["remarks"]
+    assert max(reason["steps"] for reason in after["reasons"]) == after["steps"] == 30
 
 
 def test_time_off_cools_the_belt(reference, tmp_path):

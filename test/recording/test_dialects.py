@@ -180,9 +180,9 @@ def test_a_time_is_read_as_written_or_refused(tmp_path_factory, begin, steps, fo
 @pytest.mark.parametrize(
     ("rows", "says"),
     [
-        (["2026-11-23T10:00:00Z;1", "2026-11-23T10:00:01;1"], "a time as in the rows before"),
-        (["2026-02-29T10:00:00;1"], "a time as in the rows before"),
-        (["2026-11-23T24:00:01;1"], "a time as in the rows before"),
+        (["2026-11-23T10:00:00Z;1", "2026-11-23T10:00:01;1"], "an existing date and time, as in the other rows"),
+        (["2026-02-29T10:00:00;1"], "an existing date and time, as in the other rows"),
+        (["2026-11-23T24:00:01;1"], "an existing date and time, as in the other rows"),
         (["13/11/2026 10:00;1", "11/14/2026 10:00;1"], "dates in one order"),
         (["0;1", "1;1"], "timestamp: given 'numbers of an unknown unit'"),
         (["2026-11-23T10:00:00;1", ";1"], "a time in seconds"),
@@ -275,7 +275,7 @@ def test_no_torque_names_what_may_hold_it(tmp_path, trackres):
     assert f"no torque channel is in use; candidates: {likely}" in tr.read(path).notes
     done = trackres("diagnose", path, "--vehicle", "xgd24d", "-o", tmp_path / "report")
     assert done.returncode == 2
-    assert f"it may be in {likely}: give it in a topics file: torque: {{column: NAME, scale: 1.0}}" in done.stderr
+    assert f"it may be in {likely}: give it in a topics file: torque: {{column: NAME, unit: Nm}}" in done.stderr
     assert "sum of left and right" in done.stderr
 
 

@@ -114,6 +114,20 @@ def test_every_unit_of_a_role_is_known_in_any_spelling():
         assert conversion(wrong, inside) is None
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_line_that_a_source_would_not_use_is_refused(files, kind):
+    path, topics = files[kind]
+    other = files["CSV" if kind == "bag" else "bag"][1]["load"]
+    strange = {"load": replace(topics, bindings=MappingProxyType({**topics.bindings, "load": other}))}
+    if kind in ("bag", "MF4", "BLF", "ASC"):
+        strange["time"] = replace(topics, time=files["CSV"][1]["speed"])
+    if not topics.dbc:
+        strange["dbc"] = topics.with_databases([path])
+    for line, given_ in strange.items():
+        with pytest.raises(InputError, match=rf": {line}: given .*a topics file for each kind of source"):
+            open_source([path], given_)
+
+
 def test_the_topics_file_wins_over_the_unit_of_the_file(files):
     path, _ = files["MF4"]
     by_file = tr.read(path, topics={"speed": {"channel": "VehicleSpeed"}})
@@ -192,7 +206,10 @@ def test_parts_with_other_times_are_added_between_samples(tmp_path):
         mdf.append([Signal(5.0 * right, right, name="Trq", unit="kNm")], acq_name="right")
         mdf.save(path)
     parts = [{"channel": "left/Trq"}, {"channel": "right/Trq"}]
-    torque = tr.read(path, topics={"torque": {"sum": parts}}).series["torque"]
+    found = tr.read(path, topics={"torque": {"sum": parts}})
+    torque = found.series["torque"]
+    assert {f"torque: {side}/Trq is in kNm according to the file" for side in ("left", "right")} <= set(found.notes)
+    assert "torque: sum of the columns left/Trq, right/Trq" in found.notes
     np.testing.assert_allclose(torque.value, 15e3 * (torque.stamp_ns - torque.stamp_ns[0] + 1e8) / 1e9, rtol=1e-9)
     assert len(torque) == len(left) - 1  # before the first sample of the right one there is none
     with pytest.raises(InputError, match=r"2 columns Trq.*left/Trq, right/Trq"):

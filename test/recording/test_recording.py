@@ -5,13 +5,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import trackres_ros as tr
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import ROLES, base_role
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock
@@ -79,6 +82,7 @@ def test_nothing_is_found_in_a_clean_series() -> None:
         (lambda t, v: (t, np.where(np.isin(np.arange(len(t)), [20, 40]), 0.0, v)), "dropout", 2, 2.0, "exactly 0"),
         (lambda t, v: (t, v * np.nan), "empty", 2000, np.nan, "none of 2000"),
         (lambda t, v: (t[:0], v[:0]), "empty", 0, np.nan, "no sample at all"),
+        (lambda t, v: (np.where(np.arange(len(t)) >= 50, t + 3 * 86400, t), v, t), "stamp_jump", 1, 4.9, "by up to 3 days"),
         (lambda t, v: (t, v, t + 61.2 * 86400), "stamp_offset", 2000, 0.0, "61.2 days before log time"),
     ],
 )
@@ -88,6 +92,34 @@ def test_each_kind_is_found_where_it_is(change: object, kind: str, count: int, f
     assert finding.count == count
     assert finding.first_time_s == pytest.approx(first, abs=1e-6, nan_ok=True)
     assert says in finding.text
+
+
+def test_a_jump_of_the_stamps_is_no_gap() -> None:
+    time, speed = smooth(100)
+    paused = time + np.where(np.arange(100) >= 50, 7.0, 0.0)
+    jumped = paused + np.where(np.arange(100) >= 50, 3 * 86400.0, 0.0)
+    assert "gap" not in found(recorded(speed=(jumped, speed, time)))
+    assert "the longest 7.1 s" in found(recorded(speed=(jumped, speed, paused)))["gap"].text
+    assert "stamp_jump" not in found(recorded(speed=(paused, speed, paused + 0.2)))
+
+
+def test_findings_have_the_time_of_the_output() -> None:
+    """Which begins at the first speed, though the clock is set back later."""
+    time, speed = smooth(400)
+    speed[[100, 350]] = 0.0
+    set_back = np.where(np.arange(400) >= 300, time - 50.0, time)
+    assert found(recorded(speed=(set_back, speed, time)))["dropout"].first_time_s == pytest.approx(10.0)
+    assert found(recorded(speed=(set_back, speed, time)))["backward_stamp"].first_time_s == pytest.approx(-20.0)
+
+
+@pytest.mark.parametrize("delay_s", [0.1, 5.0])
+def test_a_delay_of_the_torque_is_no_defect(tmp_path: Path, delay_s: float) -> None:
+    rows = "".join(f"{t / 10},{5 + math.sin(t)},{1000 + t}\n" for t in range(100))
+    (tmp_path / "drive.csv").write_text(f"time_s,speed_mps,torque_nm\n{rows}")
+    result = tr.replay(tmp_path / "drive.csv", "xgd24d", topics={"torque": {"column": "torque_nm", "delay_s": delay_s}})
+    read = tr.read(tmp_path / "drive.csv", topics={"torque": {"column": "torque_nm", "delay_s": delay_s}})
+    assert list(result.findings) == list(read.findings) == []
+    assert result.as_dict()["counters"]["torque"] == {"accepted": 100}
 
 
 def test_what_is_normal_is_not_found() -> None:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -124,7 +125,12 @@ def test_live_adds_as_a_bag_does(tmp_path_factory, steps):
 
 def test_a_bag_without_torque_names_the_topics_that_may_hold_it(tmp_path, trackres):
     path = write(tmp_path / "run.mcap", [("/left", START, {"s": 1.0}), ("/right", START, {"s": 1.0})])
-    assert "no torque channel is in use; candidates: /left, /right" in tr.read(path, topics={"speed": SPEED}).notes
+    found = tr.read(path, topics={"speed": SPEED})
+    assert "no torque channel is in use; candidates: /left, /right" in found.notes
+    with pytest.raises(tr.InputError, match=r"/left, /right: .*: torque: \{topic: NAME, type: TYPE.*\[\{topic: \.\.\."):
+        tr.diagnose(found, "agri3t")
+    with pytest.raises(tr.InputError, match=r"topics file: torque: \{topic: NAME, type: TYPE, field: FIELD\}$"):
+        tr.diagnose(replace(found, torque_candidates=()), "agri3t")
     done = trackres("diagnose", path, "--vehicle", "xgd24d", "-o", tmp_path / "report")
     assert done.returncode == 2
     assert "it may be in /left, /right: give it in a topics file: torque: {topic: NAME, type: TYPE, field: FIELD}" in done.stderr

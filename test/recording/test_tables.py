@@ -104,10 +104,12 @@ def test_every_column_by_name(tmp_path: Path, reader: str) -> None:
         ("", ["empty file"]),
         ("\n1,2\n", ["empty file or first line"]),
         ("speed_mps,grade\n1,2\n", ["speed_mps, grade", "a column time_s"]),
-        ("tine_s,speed_mps\n1,2\n", ["a column time_s", "time: {column: NAME, scale: 1.0}"]),
+        ("tine_s,speed_mps\n1,2\n", ["a column time_s", "time: {column: NAME, unit: ms}"]),
         ("time_ms,speed_mps\n1,2\n", ["a column time_s", "time: {channel: time_ms, unit: ms}"]),
         ("Time_s,speed_mps\n1,2\n", ["a column time_s", "time: {channel: Time_s, unit: s}"]),
         ("Time [min],speed_mps\n1,2\n", ["a column time_s", "time: {channel: 'Time [min]', unit: min}"]),
+        ("time_s,speed_mph\n1,2\n", ["topics file: speed: {channel: speed_mph, unit: mph}"]),
+        ("time_s,v\n1,2\n", ["topics file: speed: {channel: NAME, unit: km/h}"]),
         ("time_s,grade\n1,2\n", ["time_s, grade", "speed_mps or speed_kmh", "topics file"]),
         ("time_s,speed_mps,speed_kmh\n1,2,3\n", ["speed_mps and speed_kmh", "one column for speed"]),
         ("time_s,speed_mps,speed_mps\n1,2,3\n", ["2 columns speed_mps"]),
@@ -139,13 +141,7 @@ def test_a_bad_cell_far_down(tmp_path: Path, reader: str) -> None:
 def test_a_topics_file_names_other_columns(tmp_path: Path, reader: str) -> None:
     path = tmp_path / "run.csv"
     path.write_bytes("time_s;Geschwindigkeit [km/h];Öl;ambient_degc\n0;36;1;15\n".encode("latin-1"))
-    topics = Topics.parse(
-        {
-            "speed": {"column": "Geschwindigkeit [km/h]", "scale": 1 / 3.6, "offset": 1.0},
-            "load": {"topic": "/load", "type": "std_msgs/msg/Float64", "field": "data"},
-        },
-        "t.yaml",
-    )
+    topics = Topics.parse({"speed": {"column": "Geschwindigkeit [km/h]", "scale": 1 / 3.6, "offset": 1.0}}, "t.yaml")
     assert read(path, topics) == [("ambient", 0.0, 15.0), ("speed", 0.0, 11.0)]
     assert any("Latin-1" in note for note in open_source([path], topics).notes)
     with pytest.raises(InputError, match=r"t\.yaml: speed: column: given 'Geschwindigkeit'.*did you mean"):

@@ -449,13 +449,16 @@ class Session:
             raise InputError("channel, stamp_ns, arrival_ns, value", given, "arrays of one length, shape (messages,)")
         return found
 
-    def counts(self) -> Iterator[tuple[str, at.Count, int]]:
-        """All counters that are not zero: channel, counter, number."""
+    def counts(self, before: IntArray | int = 0) -> Iterator[tuple[str, at.Count, int]]:
+        """All counters that are not zero: channel, counter, number; since `before`, a copy of them."""
+        numbers = self.memory.counters - before
         for i, name in enumerate(self.estimator.channels):
             for count in at.Count:
-                if self.memory.counters[i, count]:
-                    yield name, count, int(self.memory.counters[i, count])
+                if numbers[i, count]:
+                    yield name, count, int(numbers[i, count])
 
-    def reason_counts(self) -> dict[at.Reason, int]:
-        """Each reason that occurred, and its number of steps."""
-        return {reason: int(number) for reason, number in zip(at.REASON_TEXT, self.memory.reasons, strict=True) if number}
+    def reason_counts(self, before: IntArray | int = 0) -> dict[at.Reason, int]:
+        """Each reason that occurred, and its number of steps; since `before`, a copy of these numbers."""
+        return {
+            reason: int(number) for reason, number in zip(at.REASON_TEXT, self.memory.reasons - before, strict=True) if number
+        }

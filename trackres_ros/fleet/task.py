@@ -131,14 +131,14 @@ def _vehicle(file: Path, _sha: str, topics: Path | None, _topics_sha: str) -> tu
 def _replayed(recording: Any, vehicle: Any) -> dict[str, Any]:
     """Distance, energies and, if there are belts, the warmest temperature, as from the live node."""
     import trackres_ros as tr
-    from trackres_ros.offline.energy import energy_j, steps_of, summed
+    from trackres_ros.offline.energy import energy_j, steps_of
 
     result = tr.replay(recording, vehicle)
-    step, speed = steps_of(result.time_s), result["speed_mps"]
+    step = steps_of(result.time_s, result.estimator.settings.bridge_s)
     energies = {f"{part}_mj": MEGA * energy_j(vehicle, step, result, _column(part)) for part in ENERGIES}
     belts = [float(np.nanmax(result[name])) for name in result.columns if name.startswith("belt_degc/")]
     return {
-        "distance_m": summed(step, np.abs(speed)),
+        "distance_m": result.as_dict()["drive"]["distance_m"],
         "messages": result.messages,
         **({"warmest_degc": max(belts)} if belts else {}),
         **energies,

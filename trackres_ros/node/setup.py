@@ -69,9 +69,8 @@ def changed_parameters(before: Parameters, given: Mapping[str, object], topics: 
 
 def _check_live(topics: Topics) -> None:
     """Refuse topics that a live node cannot use: a column of a table, a name that ROS does not allow, or no speed among them."""
+    topics.check_used(of_topics=True)
     for role in topics:
-        if not topics[role].of_topics:
-            raise InputError(f"{topics.origin}: {role}", "a column of a table", "a topic with type and field")
         for source in topics[role].sources:
             if not TOPIC_NAME.fullmatch(source.topic):
                 allowed = "a path such as /left/speed: letters, digits and underscores, no part beginning with a digit"

@@ -3,31 +3,51 @@
 
 """Computes distance, time, resistance, energy and belt temperatures of a drive from rows of results.
 
-As in the step, the speed is linear between rows.
+As in the step, the speed is linear between rows, also over a gap that the estimate bridges.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from trackres_ros.arrays import Array
+from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.settings import Settings
 from trackres_ros.model.resistance import at_first_radius
 from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.output.preview import longest_step
 from trackres_ros.text.numbers import decimals, figures
-from trackres_ros.units import STANDSTILL_MPS
+from trackres_ros.units import NANOSECOND, SECOND_NS, STANDSTILL_MPS
 from trackres_ros.vehicle import AnyVehicle, Vehicle
 
 RESISTANCE = "resistance_torque_nm"
 MEGA, MJ_PER_KWH = 1e6, 3.6
 
 
-def steps_of(time_s: Array) -> Array:
-    """Time from the row before to each row [s]; 0 for the first, after a gap, and where time does not rise."""
+def steps_of(time_s: Array, longest_s: float = math.inf) -> Array:
+    """Time from the row before to each row [s]; 0 for the first, after a longer step, and where time does not rise."""
     step = np.diff(time_s, prepend=time_s[:1])
-    return np.where((step > 0.0) & (step <= longest_step(time_s)), step, 0.0)
+    return np.where((step > 0.0) & (step <= longest_s), step, 0.0)
+
+
+class StepTimes:
+    """Times of the steps of a replay as the guards have them: by the stamps, or by arrival where the stamps jumped."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._jump_ns, self._bridge_s = round(settings.clock_jump_s * SECOND_NS), settings.bridge_s
+        self._last: tuple[int, int] | None = None
+
+    def of(self, steps: Steps) -> Array:
+        """Time of each step of the next block [s]; 0 for the first of all, for one back, and over a gap too long to bridge."""
+        stamp, arrival = steps.stamp_ns, steps.arrival_ns
+        last_stamp, last_arrival = self._last or (int(stamp[0]), int(arrival[0]))
+        self._last = int(stamp[-1]), int(arrival[-1])
+        forward, waited = np.diff(stamp, prepend=last_stamp), np.diff(arrival, prepend=last_arrival)
+        jumped = (forward < 0) | ((forward > self._jump_ns) & (np.abs(forward - waited) > self._jump_ns))
+        step = np.where(jumped, np.maximum(waited, 0), forward) * NANOSECOND
+        return np.where(step <= self._bridge_s, step, 0.0)
 
 
 def summed(step_s: Array, rate: Array) -> float:
@@ -35,9 +55,13 @@ def summed(step_s: Array, rate: Array) -> float:
 
     Where one end is unknown the other counts; a step with two unknown ends adds nothing.
     """
+    return float(np.nansum(_parts(step_s, rate)))
+
+
+def _parts(step_s: Array, rate: Array) -> Array:
     before = np.concatenate([rate[:1], rate[:-1]])
     first, last = np.where(np.isnan(before), rate, before), np.where(np.isnan(rate), before, rate)
-    return float(np.nansum(step_s * 0.5 * (first + last)))
+    return np.asarray(step_s * 0.5 * (first + last))
 
 
 def under_way_s(step_s: Array, speed: Array) -> Array:
@@ -56,10 +80,13 @@ def energy_j(vehicle: AnyVehicle, step_s: Array, of: Mapping[str, Array], name: 
     `step_s`: see `steps_of`; `of`: the columns of a vehicle's results, shape (rows,); `name`: the torque's. Unknown values add
     nothing.
     """
-    torque = of[name]
+    return summed(step_s, of["speed_mps"] * _at_first_radius(vehicle, of, name)) / vehicle_constants(vehicle).radius
+
+
+def _at_first_radius(vehicle: AnyVehicle, of: Mapping[str, Array], name: str) -> Array:
     if isinstance(vehicle, Vehicle):
-        torque = at_first_radius(torque, _of_assemblies(vehicle, of, name), vehicle.sprocket_radii)
-    return summed(step_s, of["speed_mps"] * torque) / vehicle_constants(vehicle).radius
+        return at_first_radius(of[name], _of_assemblies(vehicle, of, name), vehicle.sprocket_radii)
+    return of[name]
 
 
 def _of_assemblies(vehicle: Vehicle, of: Mapping[str, Array], name: str) -> Iterator[Array]:
@@ -78,28 +105,64 @@ def _of_assemblies(vehicle: Vehicle, of: Mapping[str, Array], name: str) -> Iter
             yield of[name] * (arm / sum(arms))
 
 
+class DriveTotals:
+    """Distance, time, resistance, energy and belt temperatures of a drive, added up block by block.
+
+    The totals are the same to the bit, however the rows are divided into blocks.
+    """
+
+    def __init__(self, vehicle: AnyVehicle) -> None:
+        self._vehicle = vehicle
+        self._sums = np.zeros(5)
+        self._rates = np.empty((4, 0))  # of the last row
+        self._largest = self._coldest = self._warmest = math.nan
+        self.largest_nm = math.nan  # of the resistance with its sign
+
+    @property
+    def duration_s(self) -> float:
+        """Time of all steps [s]."""
+        return round(float(self._sums[0]), 6)
+
+    def add(self, step_s: Array, of: Mapping[str, Array]) -> None:
+        """Add rows: the time from the row before to each [s], shape (rows,), and their columns, each of that shape."""
+        speed, torque = of["speed_mps"], of[RESISTANCE]
+        moving = np.where(np.abs(speed) > STANDSTILL_MPS, np.abs(torque), np.nan)
+        rates = np.stack([speed, np.abs(speed), moving, speed * _at_first_radius(self._vehicle, of, RESISTANCE)])
+        rates = np.concatenate([self._rates if self._rates.size else rates[:, :1], rates], axis=1)
+        self._rates, step = rates[:, -1:], np.concatenate([[0.0], step_s])
+        under_way = under_way_s(step, rates[0])
+        parts = [step, under_way, _parts(step, rates[1]), _parts(under_way, rates[2]), _parts(step, rates[3])]
+        self._sums = np.cumsum(np.column_stack([self._sums, np.nan_to_num(parts)]), axis=1)[:, -1]
+        self.largest_nm = float(np.fmax(self.largest_nm, np.fmax.reduce(torque)))
+        self._largest = float(np.fmax(self._largest, np.fmax.reduce(np.abs(torque))))
+        for belt in (values for name, values in of.items() if name.startswith("belt_degc/")):
+            self._coldest = float(np.fmin(self._coldest, np.fmin.reduce(belt)))
+            self._warmest = float(np.fmax(self._warmest, np.fmax.reduce(belt)))
+
+    def as_dict(self) -> dict[str, float]:
+        """The totals; those of the belts if there are any."""
+        _, under_way, driven, resisted, energy = self._sums.tolist()
+        energy_mj = energy / vehicle_constants(self._vehicle).radius / MEGA
+        belts = {"coldest_belt_degc": self._coldest, "warmest_belt_degc": self._warmest} if self._vehicle.assemblies else {}
+        return {
+            "distance_m": driven,
+            "under_way_s": under_way,
+            "mean_resistance_nm": resisted / max(under_way, 1e-9),
+            "largest_resistance_nm": self._largest,
+            "energy_mj": energy_mj,
+            "kwh_per_km": energy_mj / MJ_PER_KWH / max(driven / 1000.0, 1e-9) if driven > 0.0 else 0.0,
+            **belts,
+        }
+
+
 def taken(vehicle: AnyVehicle, time_s: Array, of: Mapping[str, Array]) -> dict[str, float]:
-    """Summary of a drive: distance, time, resistance, energy and temperatures, of the belts if there are any.
+    """Totals of a drive without gaps; see `DriveTotals`.
 
     `time_s`: shape (rows,) [s]; `of`: the columns of the vehicle's results, each of that shape.
     """
-    step, speed, torque = steps_of(time_s), of["speed_mps"], of[RESISTANCE]
-    belts_degc = [values for name, values in of.items() if name.startswith("belt_degc/")]
-    under_way, torque_there = under_way_s(step, speed), np.where(np.abs(speed) > STANDSTILL_MPS, np.abs(torque), np.nan)
-    energy_mj = energy_j(vehicle, step, of) / MEGA
-    driven = summed(step, np.abs(speed))
-    belts = {}
-    if belts_degc:
-        belts = {"coldest_belt_degc": float(np.nanmin(belts_degc)), "warmest_belt_degc": float(np.nanmax(belts_degc))}
-    return {
-        "distance_m": driven,
-        "under_way_s": float(under_way.sum()),
-        "mean_resistance_nm": summed(under_way, torque_there) / max(float(under_way.sum()), 1e-9),
-        "largest_resistance_nm": float(np.nanmax(np.abs(torque))),
-        "energy_mj": energy_mj,
-        "kwh_per_km": energy_mj / MJ_PER_KWH / max(driven / 1000.0, 1e-9) if driven > 0.0 else 0.0,
-        **belts,
-    }
+    totals = DriveTotals(vehicle)
+    totals.add(steps_of(time_s), of)
+    return totals.as_dict()
 
 
 def taken_text(of: Mapping[str, float]) -> str:

@@ -7,7 +7,7 @@ live.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,6 +27,8 @@ from trackres_ros.learning.columns import LearningColumns, column_names
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.vehicle_file import LearnedFile
 from trackres_ros.offline.disturbance import DisturbanceColumns
+from trackres_ros.offline.energy import DriveTotals, StepTimes
+from trackres_ros.offline.simulate import by_column
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.preview import ResultPreview
 from trackres_ros.output.table import TableWriter
@@ -39,12 +41,14 @@ BLOCK_ROWS = 8192  # results of so many messages stay in the cache and in memory
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """Result of a replay: the session with its counters, and the data of the picture and the report."""
+    """Result of a replay: the session at the end, and the data of the picture and the report."""
 
     session: Session
     messages: int
     steps: int
-    duration_s: float
+    totals: DriveTotals
+    counts: tuple[tuple[str, at.Count, int], ...]  # of these messages alone, as `Session.counts`
+    reasons: Mapping[at.Reason, int]  # of these steps
     picture: Array  # (samples, 1 + columns): time [s] and results, thinned
     last: Array  # last row of results
     learner: Learner | None = None
@@ -98,13 +102,20 @@ def replay(
     channel_of = channel_indices(session, source.roles, learner is not None)
     not_needed = bool((channel_of < 0).any())
     names = () if learner is None else column_names(learner.learnables)
-    seen = ResultPreview(len(estimator.columns) + len(names))
+    seen, totals = ResultPreview(len(estimator.columns) + len(names)), DriveTotals(estimator.vehicle)
+    times = StepTimes(estimator.settings)
+    counters, reasons = session.memory.counters.copy(), session.memory.reasons.copy()  # of earlier recordings
     handle_block = session.handle_block if learner is None else LearningSteps(session, learner).handle_block
 
     def handle(channel: NDArray[np.int16], stamp_ns: NDArray[np.int64], arrival_ns: NDArray[np.int64], value: Array) -> Steps:
         if entries := finished():
             session.change_over(entries)
         return handle_block(channel, stamp_ns, arrival_ns, value)
+
+    def take(steps: Steps) -> None:
+        if len(steps):
+            totals.add(times.of(steps), by_column(estimator, steps.rows))
+        seen.take(steps, write)
 
     messages = 0
     with ThreadPoolExecutor(max_workers=1) as worker:  # the kernel releases the interpreter: reading continues meanwhile
@@ -118,20 +129,22 @@ def replay(
                 block = SampleBlock(block.role[rows], block.stamp_ns[rows], block.arrival_ns[rows], block.value[rows])
             before, running = running, worker.submit(handle, channel, block.stamp_ns, block.arrival_ns, block.value)
             if before:
-                seen.take(before.result(), write)
+                take(before.result())
             if progress:
                 progress(len(block))
         if running:
-            seen.take(running.result(), write)
+            take(running.result())
+    counts = tuple(session.counts(counters))
     if not seen.steps:
-        refused = ", ".join(f"{name} {count.name.lower()} {number}" for name, count, number in session.counts())
+        refused = ", ".join(f"{name} {count.name.lower()} {number}" for name, count, number in counts)
         raise InputError(
             source.name,
             f"{messages} messages, but no usable speed ({refused or 'no message'})",
             "at least one finite, plausible speed",
             "check topic, field, scale and unit of the speed",
         )
-    return Replayed(session, messages, seen.steps, seen.covered_ns * NANOSECOND, seen.kept, seen.last, learner)
+    found = session.reason_counts(reasons)
+    return Replayed(session, messages, seen.steps, totals, counts, found, seen.kept, seen.last, learner)
 
 
 class LearningSteps:

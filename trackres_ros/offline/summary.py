@@ -9,8 +9,6 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import numpy as np
-
 from trackres_ros.arrays import Array
 from trackres_ros.errors import one_line
 from trackres_ros.estimator import columns as at
@@ -20,7 +18,7 @@ from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.vehicle_file import LearnedFile
 from trackres_ros.model.coverage import beyond_data, beyond_loads
 from trackres_ros.model.resistance import resistance_parts
-from trackres_ros.offline.energy import taken, taken_text
+from trackres_ros.offline.energy import taken_text
 from trackres_ros.offline.replay import Replayed
 from trackres_ros.recording.recording import defects_of
 from trackres_ros.recording.samples import Finding, SampleBlock, Source
@@ -72,7 +70,7 @@ class KeptSource:
 
     def all_findings(self) -> tuple[Finding, ...]:
         """Defects of the samples; only those of reading if the blocks were not kept."""
-        return (*self.findings, *defects_of(self._kept, self)) if self._keep else self.findings
+        return (*self.findings, *defects_of(self._kept, self._source)) if self._keep else self.findings
 
 
 def picture_columns(columns: Sequence[str], picture: Array) -> dict[str, Array]:
@@ -85,9 +83,10 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
     estimator = result.session.estimator
     last = {name: _finite(float(result.last[i])) for i, name in enumerate(estimator.columns) if name != "reasons"}
     learned = {} if result.learner is None else {"learning": {**_learned(result.learner), **_saved(result.learned_file)}}
-    torque = result.picture[:, HEAD + at.Results.resistance_torque_nm]
+    torque = at.Results.resistance_torque_nm
+    first_nm, last_nm = float(result.picture[0, HEAD + torque]), float(result.last[torque])
     counters: dict[str, dict[str, int]] = {}
-    for channel, count, number in result.session.counts():
+    for channel, count, number in result.counts:
         counters.setdefault(channel, {})[count.name.lower()] = number
     return {
         "vehicle": estimator.vehicle.name,
@@ -99,25 +98,18 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
         ],
         "messages": result.messages,
         "steps": result.steps,
-        "duration_s": result.duration_s,
+        "duration_s": result.totals.duration_s,
         "counters": counters,
         "reasons": [
             {"reason": (reason.name or "").lower(), "text": at.REASON_TEXT[reason], "steps": number}
-            for reason, number in sorted(result.session.reason_counts().items())
+            for reason, number in sorted(result.reasons.items())
         ],
         "remarks": _remarks(result),
-        "drive": drive(result),
-        "resistance_torque_nm": {"first": float(torque[0]), "largest": float(np.max(torque)), "last": float(torque[-1])},
+        "drive": result.totals.as_dict(),
+        "resistance_torque_nm": {"first": first_nm, "largest": result.totals.largest_nm, "last": last_nm},
         "last": last,
         **learned,
     }
-
-
-def drive(result: Replayed) -> dict[str, float]:
-    """Energy and other totals of the drive, from the samples of the picture; see `energy.taken`."""
-    estimator = result.session.estimator
-    columns = picture_columns(estimator.columns, result.picture)
-    return taken(estimator.vehicle, result.picture[:, 0], columns)
 
 
 def _remarks(result: Replayed) -> list[str]:
@@ -130,7 +122,7 @@ def _remarks(result: Replayed) -> list[str]:
 
 
 def _too_fast(result: Replayed) -> Iterator[str]:
-    counts = {count: number for channel, count, number in result.session.counts() if channel == "speed"}
+    counts = {count: number for channel, count, number in result.counts if channel == "speed"}
     refused = sum(counts.get(count, 0) for count in (at.Count.OUT_OF_RANGE, at.Count.IMPLAUSIBLE))
     every = sum(counts.get(count, 0) for count in (at.Count.ACCEPTED, *at.REFUSALS))
     if refused > MANY_REFUSED * every:
@@ -141,9 +133,10 @@ def text(report: dict[str, Any]) -> str:
     """The report for people."""
     last = report["last"]
     belts = {name.partition("/")[2]: value for name, value in last.items() if name.startswith("belt_degc/")}
-    lines = [
-        f"{number_of(report['messages'], 'message')}, {number_of(report['steps'], 'step')} over {report['duration_s']:.1f} s"
-    ]
+    long_gaps = sum(item["steps"] for item in report["reasons"] if item["reason"] == "gap_unknown")
+    left_out = f"; {number_of(long_gaps, 'long gap')} left out" if long_gaps else ""
+    over = f"{number_of(report['steps'], 'step')} over {report['duration_s']:.1f} s{left_out}"
+    lines = [f"{number_of(report['messages'], 'message')}, {over}"]
     lines += [f"  note: {note}" for note in report["notes"]]
     lines += [f"  found: {item['role'] and item['role'] + ': '}{item['text']}" for item in report["findings"]]
     for channel, counts in report["counters"].items():
@@ -153,7 +146,8 @@ def text(report: dict[str, Any]) -> str:
     lines += [f"  status: {item['text']} ({number_of(item['steps'], 'step')})" for item in report["reasons"]]
     lines += [f"  ! {remark}" for remark in report["remarks"]]
     stood = not report["drive"]["under_way_s"] and set(report["counters"].get("speed", ())) - {"accepted"}
-    lines.append(taken_text(report["drive"]) + (" in the accepted samples" if stood else ""))
+    totals = taken_text(report["drive"]) + (" in the accepted samples" if stood else "")
+    lines.append(totals if report["duration_s"] else "The drive has no totals: no two rows without a long gap between them")
     lines.append(
         f"At the end, at {decimals(last['speed_mps'] * 3.6, 1)} km/h: resistance "
         f"{decimals(last['resistance_torque_nm'])} +- {decimals(last['resistance_std_nm'])} Nm ("

@@ -27,8 +27,7 @@ class ResultPreview:
     """
 
     def __init__(self, columns: int) -> None:
-        self.steps, self.first_ns, self.last_ns = 0, 0, 0
-        self.covered_ns = 0  # from the first row to the last, without steps back
+        self.steps, self.first_ns = 0, 0
         self.last = np.empty(0)
         self.kept = np.empty((0, 1 + columns))
         self._stride = 1
@@ -39,14 +38,13 @@ class ResultPreview:
         if not number:
             return
         if not self.steps:
-            self.first_ns = self.last_ns = int(steps.stamp_ns[0])
+            self.first_ns = int(steps.stamp_ns[0])
         chosen = np.arange(-self.steps % self._stride, number, self._stride)
         time_s = (steps.stamp_ns[chosen] - self.first_ns) * NANOSECOND
         self.kept = np.concatenate([self.kept, np.column_stack([time_s, steps.rows[chosen]])])
         while len(self.kept) > 2 * PICTURE_SAMPLES:
             self.kept, self._stride = self.kept[::2], 2 * self._stride
-        self.covered_ns += int(np.maximum(np.diff(steps.stamp_ns, prepend=self.last_ns), 0).sum())
         self.steps += number
-        self.last_ns, self.last = int(steps.stamp_ns[-1]), steps.rows[-1].copy()
+        self.last = steps.rows[-1].copy()
         if write:
             write(steps)

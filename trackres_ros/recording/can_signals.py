@@ -85,6 +85,8 @@ class CanSignals(ChannelFile):
     `topics`: the topics file, which names the databases. Raises InputError for no database, or one that cannot be read.
     """
 
+    has_frames = True
+
     def __init__(self, name: str, frames: Callable[[Counter[str]], Iterator[Frame]], topics: Topics | None) -> None:
         self.name, self._frames = name, frames
         files = topics.dbc if topics else ()

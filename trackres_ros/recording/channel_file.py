@@ -80,6 +80,8 @@ class ChannelFile:
         Findings of the last reading.
     has_times : bool
         Whether channels have their own times; in a table a column is the time.
+    has_frames : bool
+        Whether they are signals in frames of a bus, which a database describes.
     """
 
     name: str
@@ -88,6 +90,7 @@ class ChannelFile:
     notes: Sequence[str] = ()
     findings: Sequence[Finding] = ()
     has_times = True
+    has_frames = False
 
     def is_number(self, place: int) -> bool:  # noqa: ARG002
         """Whether a channel holds numbers."""
@@ -143,7 +146,7 @@ def check_dates(time: ChosenChannel, name: str, are_dates: bool, first: str = ""
         remedy = "write date and time in one column as 2026-11-23T10:00:00, or seconds in a column time_s"
         raise InputError(where, first, allowed if time.dates_only else f"numbers, or {allowed}", remedy)
     if not are_dates and time.dates_only:
-        remedy = f"give the unit in a topics file: time: {{column: {time.name}, scale: 1.0}}, or name the column time_s"
+        remedy = f"give the unit in a topics file: time: {{column: {time.name}, unit: ms}}, or name the column time_s"
         raise InputError(where, "numbers of an unknown unit", "dates with times", remedy)
     if are_dates and time.binding.scale != 1.0:
         raise InputError(where, f"scale {time.binding.scale:g}", "no scale for dates with times")

@@ -56,6 +56,8 @@ class ChannelSource:
             check_file(path)
         with self._reading():
             files = read(path, self.name, topics)
+        if topics:
+            topics.check_used(False, any(not one.has_times for one in files), any(one.has_frames for one in files))
         self._file, choice, others = _first_that_fits(files, topics)
         self._time, channels = choice.time, sorted(choice.channels, key=lambda one: one.role == "speed")
         self.roles = tuple(dict.fromkeys(one.role for one in channels))
@@ -71,7 +73,7 @@ class ChannelSource:
         with self._reading():
             self._file.settle(self._time, list(itertools.chain(*self._columns)))
             self.torque_candidates = tuple(one for place, one in ignored if one in like and self._file.is_number(place))
-        said = [_note_of(of) for of in of_role if of[0].role not in choice.guessed]
+        said = [self._note_of(of) for of in of_role if of[0].role not in choice.guessed]
         notes = [*others, *self._file.notes, *choice.notes, *said, *self._sums().notes]
         if ignored:
             notes.append(f"ignored columns: {listed_names([name for _, name in ignored])}")
@@ -99,6 +101,14 @@ class ChannelSource:
     def _part(self, one: ChosenChannel) -> TopicBinding:
         """A part of a sum; its topic is the group, as `Sums` treats parts with the same times as one message."""
         return replace(one.binding, topic=self._file.channels[one.place].group)
+
+    def _note_of(self, columns: Sequence[ChosenChannel]) -> str:
+        """Which column feeds a role, or which are added."""
+        role = columns[0].role
+        if len(columns) == 1:
+            return f"{role}: {'the change of ' if columns[0].binding.derivative else ''}column {columns[0].name}"
+        in_rows = "" if self._of_sums_apart[role].parts else ", where a row has them all"
+        return f"{role}: sum of the columns {', '.join(column.name for column in columns)}{in_rows}"
 
     def _sums(self) -> Sums:
         return Sums(self._readings, self._of_sums_apart)
@@ -146,7 +156,9 @@ class ChannelSource:
                 stamps, found = stamp_ns[rows], values[rows, column]
                 for place, binding in modes.items():
                     found[column == place] = binding.meant(found[column == place])
-                yield SampleBlock(column.astype(np.int16), stamps - delay_ns[column], stamps, found)
+                at_ns = stamps - delay_ns[column]
+                at_ns[(at_ns == 0) & (stamps != 0)] = 1  # 0 would mean that it was never set
+                yield SampleBlock(column.astype(np.int16), at_ns, stamps, found)
         if not done:
             if self._file.has_times:
                 why = "; ".join(finding.text for finding in self._file.findings)
@@ -268,11 +280,3 @@ def _derived(blocks: Iterator[SampleBlock], place: int) -> Iterator[SampleBlock]
         whole = block.value.copy()
         whole[rows] = part
         yield replace(block, value=whole)
-
-
-def _note_of(columns: Sequence[ChosenChannel]) -> str:
-    """Which column feeds a role, or which are added."""
-    if len(columns) == 1:
-        change = "the change of " if columns[0].binding.derivative else ""
-        return f"{columns[0].role}: {change}column {columns[0].name}"
-    return f"{columns[0].role}: sum of the columns {', '.join(column.name for column in columns)}, where a row has them all"

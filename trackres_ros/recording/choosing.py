@@ -48,9 +48,7 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     listed = topics.bindings.items() if topics else ()
     origin = topics.origin if topics else file.name
     notes = _left_out(file)
-    of_file = [
-        names.chosen(role, part, origin, notes) for role, binding in listed if not binding.of_topics for part in binding.sources
-    ]
+    of_file = [names.chosen(role, part, origin, notes) for role, binding in listed for part in binding.sources]
     known = _known(file, frozenset(one.role for one in of_file), names, notes)
     time = None if file.has_times else _time(file, topics, names, notes)
     if topics:
@@ -66,18 +64,20 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
         for role, some in parts.items():
             notes.append(note_of_parts(role, [names.chosen(role, one, origin, []).binding for one in some]))
     if not any(one.role == "speed" for one in chosen):
-        allowed = "a column speed_mps or speed_kmh"
-        remedy = "or give it in a topics file: speed: {column: NAME, scale: 1.0}"
-        if file.has_times:
-            allowed, remedy = (
-                f"{allowed}, or a speed with a unit whose name a single group has",
-                "or give it in a topics file: speed: {channel: NAME, unit: km/h}",
-            )
+        own = ", or a speed with a unit whose name a single group has" if file.has_times else ""
         given = "; ".join([f"columns {names.listed or 'none'}", *_left_out(file)])
-        raise InputError(file.name, given, allowed, remedy)
+        remedy = f"or give it in a topics file: {_speed_line(file)}"
+        raise InputError(file.name, given, f"a column speed_mps or speed_kmh{own}", remedy)
     for name in ((time.name,) if time else ()) + tuple(one.name for one in chosen):
         names.check_single(name)
     return Choice(time, chosen, notes, frozenset(guessed))
+
+
+def _speed_line(file: ChannelFile) -> str:
+    """A line of a topics file for a channel named as a speed in a unit, such as speed_mph; else an example."""
+    bare = [one for one in file.channels if not one.unit]
+    found = guess_channels(bare, ROLES.keys() - {"speed"}).bindings
+    return topics_line("speed", found["speed"]) if found else "speed: {channel: NAME, unit: km/h}"
 
 
 def _left_out(file: ChannelFile) -> list[str]:
@@ -156,16 +156,15 @@ def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, no
     by_offset = binding.offset != 0.0 and of_file in (None, of_line)  # an offset alone, which may convert all there is: K
     if binding.converts or by_offset:
         if of_file != of_line:
-            notes.append(
-                f"{role}: {channel.name} is in {channel.unit} according to the file, but the topics file uses another conversion"
-            )
+            read = "but the topics file uses another conversion"
+            notes.append(f"{role}: {binding.column} is in {channel.unit} according to the file, {read}")
         return binding
     if of_file is None:
-        remedy = f"give its unit in the topics file: {role}: {{channel: {channel.name}, unit: {next(iter(UNITS[inside]))}}}"
-        raise InputError(f"{origin}: {role}: unit of {channel.name}", channel.unit, ", ".join(UNITS[inside]), remedy)
+        remedy = f"give its unit in the topics file: {role}: {{channel: {binding.column}, unit: {next(iter(UNITS[inside]))}}}"
+        raise InputError(f"{origin}: {role}: unit of {binding.column}", channel.unit, ", ".join(UNITS[inside]), remedy)
     unit = next(name for name, one in UNITS[inside].items() if one == of_file)
     if unit != inside:
-        notes.append(f"{role}: {channel.name} is in {unit} according to the file")
+        notes.append(f"{role}: {binding.column} is in {unit} according to the file")
     return replace(binding, scale=of_file.scale, offset=of_file.scale * binding.offset + of_file.offset, unit=unit)
 
 
@@ -238,7 +237,7 @@ def _time(file: ChannelFile, topics: Topics | None, names: _Names, notes: list[s
         chosen = names.chosen(TIME, TopicBinding(column=name), file.name, notes)
         return replace(chosen, dates_only=not conversion(file.channels[place].unit or "?", "s"))
     allowed = f"a column {TIME_S}, in seconds, or timestamp, of dates with times"
-    line = next(_time_lines(names.all), "time: {column: NAME, scale: 1.0}")
+    line = next(_time_lines(names.all), "time: {column: NAME, unit: ms}")
     raise InputError(file.name, f"columns {listed_names(names.all)}", allowed, f"or give it in a topics file: {line}")
 
 

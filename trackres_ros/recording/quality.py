@@ -30,7 +30,7 @@ GRID_TOLERANCE = 1e-3
 
 def findings_of(role: str, samples: Series, start_ns: int, zero_is_unset: bool = True) -> list[Finding]:
     """Find the defects of one role: kinds ``empty``, ``non_finite``, ``zero_stamp``, ``duplicate_stamp``, ``backward_stamp``,
-    ``stamp_offset``, ``gap``, ``quantised``, ``stuck``, ``dropout``.
+    ``stamp_jump``, ``stamp_offset``, ``gap``, ``quantised``, ``stuck``, ``dropout``.
 
     `role`: the unit and the normal range depend on it; `samples`: in log order; `start_ns`: of the recording;
     `zero_is_unset`: whether stamp 0 means "never set".
@@ -74,7 +74,9 @@ class _Note(Protocol):
 
 
 def _look_at_stamps(samples: Series, rows: NDArray[np.intp], note: _Note) -> None:
-    """Note duplicate and backward stamps, gaps, and an offset from log time; `rows` are those whose stamp was set."""
+    """Note duplicate and backward stamps, gaps, jumps ahead of log time, and an offset from it; `rows` are those whose stamp was
+    set.
+    """
     if not rows.size:
         return
     stamp = samples.stamp_ns[rows]
@@ -92,9 +94,16 @@ def _look_at_stamps(samples: Series, rows: NDArray[np.intp], note: _Note) -> Non
     forward = step[step > 0]
     if forward.size:
         limit = max(GAP_NS, GAP_FACTOR * int(np.median(forward)))
-        gaps = np.flatnonzero(step > limit)
+        waited = np.diff(samples.arrival_ns[rows])
+        ahead = step - waited
+        jumps = np.flatnonzero((step > limit) & (ahead > limit))
+        if jumps.size:
+            jumping, most = number_of(jumps.size, "stamp jumps", "stamps jump"), _span(int(ahead[jumps].max()))
+            note("stamp_jump", rows[jumps], f"{jumping} ahead of log time, by up to {most}")
+        paused = np.where(ahead > limit, waited, step)
+        gaps = np.flatnonzero((step > limit) & (paused > limit))
         if gaps.size:
-            text = f"{number_of(gaps.size, 'gap')} longer than {_span(limit)}, the longest {_span(int(step[gaps].max()))}"
+            text = f"{number_of(gaps.size, 'gap')} longer than {_span(limit)}, the longest {_span(int(paused[gaps].max()))}"
             note("gap", rows[gaps], text)
 
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -211,9 +211,21 @@ def defects_of(blocks: Sequence[SampleBlock], source: Source) -> tuple[Finding, 
 
 
 def _defects(series: Callable[[str], Series], source: Source) -> Iterator[Finding]:
-    start_ns = _start_ns(series, source)
+    """Defects by role, of the stamps as recorded, without a `delay_s`.
+
+    Their times begin at the first valid stamp, as ``time_s`` of a replay does; it may not be the earliest.
+    """
+    first_ns, bindings = 0, getattr(source, "bindings", {})
+    for role in sorted(source.roles, key=lambda role: role == "speed"):
+        samples = series(role)
+        valid = np.isfinite(samples.value) & ((samples.stamp_ns != 0) | (not source.zero_is_unset))
+        first_ns = int(samples.stamp_ns[np.argmax(valid)]) if valid.any() else first_ns
     for role in source.roles:
-        yield from findings_of(role, series(role), start_ns, source.zero_is_unset)
+        samples = series(role)
+        if role in bindings and bindings[role].delay_ns:
+            unset = source.zero_is_unset & (samples.stamp_ns == 0)
+            samples = replace(samples, stamp_ns=np.where(unset, 0, samples.stamp_ns + bindings[role].delay_ns))
+        yield from findings_of(role, samples, first_ns, source.zero_is_unset)
 
 
 def _start_ns(series: Callable[[str], Series], source: Source) -> int:

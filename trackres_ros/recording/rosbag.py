@@ -108,7 +108,8 @@ class BagSource:
         if topics is None:
             filled = {one.topic: one.msgtype for _, ones in found for one in ones if one.msgcount}
             topics, guesses = guess(filled)
-        bindings = self.bindings = {role: topics[role] for role in topics if topics[role].of_topics}
+        topics.check_used(of_topics=True)
+        bindings = self.bindings = {role: topics[role] for role in topics}
         if "speed" not in bindings:
             raise InputError(f"{topics.origin}: speed", "no topic", "a topic for speed", "add a line for it")
         self.roles = tuple(sorted(bindings, key=lambda role: role == "speed"))
@@ -271,7 +272,10 @@ class BagSource:
                 block.role[to] = role
                 block.arrival_ns[to] = arrived
                 stamps = np.where(decoded.malformed, arrived, decoded.stamp_ns) if header else arrived
-                block.stamp_ns[to] = np.where(stamps != 0, stamps - binding.delay_ns, 0) if binding.delay_ns else stamps
+                if binding.delay_ns:  # 0 stays, as it means never set, and no other stamp becomes it
+                    at_ns = stamps - binding.delay_ns
+                    stamps = np.where(stamps == 0, 0, np.where(at_ns == 0, 1, at_ns))
+                block.stamp_ns[to] = stamps
                 block.value[to] = binding.meant(binding.scale * decoded.value[:, slot] + binding.offset)
                 keep[to] = ~decoded.absent[:, slot]
                 for kind, rows_of in (("malformed", decoded.malformed), ("absent", decoded.absent[:, slot])):

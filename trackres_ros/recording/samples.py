@@ -38,7 +38,7 @@ class Finding:
     role: str
     kind: str
     count: int  # number of samples
-    first_time_s: float  # its first occurrence, from the start of the recording [s]; NaN without a place
+    first_time_s: float  # its first occurrence, from the first valid speed [s], as time_s of a replay; NaN without a place
     text: str  # one sentence for the user
 
 

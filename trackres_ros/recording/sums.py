@@ -174,7 +174,7 @@ class Sum:
                 self.alone += 1
                 continue
             value = self._binding.scale * (total + sum(values)) + self._binding.offset
-            done.append((stamp_ns - self._binding.delay_ns if stamp_ns else 0, value))
+            done.append((stamp_ns and (stamp_ns - self._binding.delay_ns or 1), value))
         return done
 
 

@@ -19,7 +19,6 @@ FIELDS: Mapping[str, str] = {
     **dict.fromkeys(SCALARS, "data"),
 }
 """Types of messages that may hold a torque, and the field; of plain numbers if the topic sounds like one."""
-NAME_IT = "give it in a topics file: torque: {column: NAME, scale: 1.0}"
 
 
 def of_columns(names: Iterable[str]) -> list[str]:
@@ -43,16 +42,15 @@ def note_of(candidates: Sequence[str], roles: Iterable[str]) -> list[str]:
     return [f"no torque channel is in use; candidates: {listed_names(candidates)}"]
 
 
-def remedy_of(candidates: Sequence[str]) -> str:
-    """Remedy for a recording without a torque."""
-    if not candidates:
-        return NAME_IT
-    if candidates[0].startswith("/"):
+def remedy_of(candidates: Sequence[str], of_topics: bool) -> str:
+    """Remedy for a recording without a torque; `of_topics`: whether it is a bag."""
+    if of_topics:
         line, more = "torque: {topic: NAME, type: TYPE, field: FIELD}", "{topic: ...}, {topic: ...}"
     else:
-        line, more = "torque: {column: NAME, scale: 1.0}", "{column: ...}, {column: ...}"
+        line, more = "torque: {column: NAME, unit: Nm}", "{column: ...}, {column: ...}"
     several = f", or the sum of left and right: torque: {{sum: [{more}]}}" if len(candidates) > 1 else ""
-    return f"it may be in {listed_names(candidates)}: give it in a topics file: {line}{several}"
+    where = f"it may be in {listed_names(candidates)}: " if candidates else ""
+    return f"{where}give it in a topics file: {line}{several}"
 
 
 def _sounds_like_torque(name: str) -> bool:

@@ -43,9 +43,9 @@ class ReplayResult(SeriesResult):
     notes, findings
         Assumptions of the reader, and defects of the recording.
     messages, steps, duration_s
-        Number of messages and of rows, and time from the first row to the last without steps back [s].
+        Number of messages and of rows, and time of all steps [s]: without steps back, and without gaps too long to bridge.
     session
-        The estimator's session at the end, with its counters.
+        The estimator's session at the end; its counters include those of a resumed state.
     output
         The file written during the replay; its rows are then not in memory.
     written
@@ -65,7 +65,7 @@ class ReplayResult(SeriesResult):
     ) -> None:
         self.title, self.name, self.notes, self.findings, self.output = title, name, tuple(notes), tuple(findings), output
         self.session: Session = replayed.session
-        self.messages, self.steps, self.duration_s = replayed.messages, replayed.steps, replayed.duration_s
+        self.messages, self.steps, self.duration_s = replayed.messages, replayed.steps, replayed.totals.duration_s
         self.written: tuple[Path, ...] = ()
         self._replayed, self._kept, self._inputs = replayed, kept, inputs
 

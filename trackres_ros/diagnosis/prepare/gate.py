@@ -132,9 +132,9 @@ def _admitted(recording: Recording, hide: Sequence[str], settings: GateSettings)
     shown = {role: s for role, s in recording.series.items() if role not in hide and base_role(role) not in hide}
     recording = replace(recording, series=shown)
     shortest_s = SHORTEST_S * pace(step_for([recording], slowest_speed=settings.slowest))
-    check_compared(recording.name, recording.series, shortest_s, recording.torque_candidates)
+    check_compared(recording, shortest_s=shortest_s)
     recording, notes = on_one_clock(recording)
-    check_compared(recording.name, recording.series, shortest_s, recording.torque_candidates)
+    check_compared(recording, shortest_s=shortest_s)
     return _Admitted(recording, _stood(recording), notes)
 
 

@@ -132,16 +132,15 @@ def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
                 notes.append(f"{name}, {other}: their clocks overlap by {both:.0f} s; treated as consecutive")
 
 
-def check_compared(
-    name: str, series: Mapping[str, Series], shortest_s: float = SHORTEST_S, candidates: Sequence[str] = ()
-) -> None:
-    """Refuse a recording without a torque, without a speed, or too short; `candidates` may hold its torque."""
+def check_compared(recording: Recording, series: Mapping[str, Series] | None = None, shortest_s: float = SHORTEST_S) -> None:
+    """Refuse a recording without a torque, without a speed, or too short; `series`: its samples, if they were changed."""
+    name, series = recording.name, recording.series if series is None else series
     if not any(role.partition("/")[0] == "torque" and np.isfinite(s.value).any() for role, s in series.items()):
         raise InputError(
             name,
             f"no torque; roles: {', '.join(series) or 'none'}",
             "a measured torque: without it there is nothing to compare",
-            remedy_of(candidates),
+            remedy_of(recording.torque_candidates, of_topics=recording.zero_is_unset),
         )
     if "speed" not in series or not np.isfinite(series["speed"].value).any():
         raise InputError(name, "no finite speed", "a speed")

@@ -159,7 +159,7 @@ def resample(
         No torque, no speed, shorter than `shortest_s`, or another unit.
     """
     series = recording.series
-    check_compared(recording.name, series, shortest_s, recording.torque_candidates)
+    check_compared(recording, series, shortest_s)
     edges = np.arange(0.0, ordered(series["speed"], recording.start_ns)[0][-1] + 1e-9, step)
     notes += check_units(recording.name, series, settings.weight)
     grid = _Grid(recording.name, series, recording.start_ns, edges, step, settings, notes, set())

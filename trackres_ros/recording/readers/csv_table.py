@@ -249,7 +249,8 @@ class CsvTable(TableFile):
                 text = row[place]
                 numbers.append(number_of(text, mark) if dates is None else dates.ns(text) if text.strip() else None)
             except ValueError:
-                allowed = f"a time as in the rows before ({dates.text})" if dates else "a number, or an empty cell"
+                of_dates = f"an existing date and time, as in the other rows ({dates.text})" if dates else ""
+                allowed = of_dates or "a number, or an empty cell"
                 raise InputError(where, row[place], allowed) from None
         return numbers
 

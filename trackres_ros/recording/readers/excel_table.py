@@ -162,7 +162,7 @@ class ExcelTable(TableFile):
             return None if value is None else dates.ns(str(value))
         except ValueError:
             where = f"{self.name}: row {row}, {self._columns[0].name}"
-            raise InputError(where, str(value), f"a time as in the rows before ({dates.text})") from None
+            raise InputError(where, str(value), f"an existing date and time, as in the other rows ({dates.text})") from None
 
 
 @contextmanager
