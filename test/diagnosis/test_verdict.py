@@ -307,6 +307,17 @@ def test_names_that_cannot_be_told_apart_are_one_of_a_class():
     assert said([found(), found("payne")]).status == "named"
 
 
+def test_a_recorded_distance_speaks_on_an_error_of_the_speed():
+    class_of = found("torque_gain", members=("torque_gain", "speed_scale"))
+    sentence = said([class_of], distance_off=-0.048).sentence
+    implied = "The recorded distance implies speed_scale with an error of -4.8 %."
+    assert f"The torque cannot tell them apart. {implied}" in sentence
+    others = found(members=("scrub", "cornering"))
+    for silent in (said([class_of]), said([class_of], distance_off=0.004), said([others], distance_off=-0.048)):
+        assert "These recordings cannot tell them apart." in silent.sentence
+        assert "distance" not in silent.sentence
+
+
 def test_a_suspected_term_never_hides_a_confirmed_one():
     verdict = said([found(), found("payne", improvement=UNSURE)])
     assert (verdict.status, verdict.grade) == ("named", CONFIRMED)

@@ -27,7 +27,7 @@ from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.diagnosis.report.series import stages
-from trackres_ros.errors import MissingExtraError
+from trackres_ros.errors import MissingExtraError, one_line
 from trackres_ros.files.output_files import not_an_input, output_folder
 from trackres_ros.files.own_files import write
 from trackres_ros.recording.binding import TopicBinding
@@ -45,6 +45,7 @@ REPLAYED = {
     "heading": "no heading",
 }  # fmt: skip
 """What a replay computes of the channels that a diagnosis computes."""
+MOST_WARNINGS = 10  # in the text for a terminal
 DATA_FILES = (REPORT_FILE, VEHICLE_FILE, SURROUNDINGS_FILE)
 
 
@@ -102,6 +103,11 @@ class DiagnosisResult:
     def described(self) -> tuple[UnnamedTerm, ...]:
         """Found terms without a name, each with `described`, `intervals` and `graded`."""
         return self.diagnosis.described
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Notes on the recordings to act on: a recording or a channel is not used, or two inputs contradict each other."""
+        return tuple(map(one_line, self.diagnosis.gated.warnings))
 
     @property
     def to_do(self) -> tuple[str, ...]:
@@ -188,7 +194,10 @@ class DiagnosisResult:
 
     def __repr__(self) -> str:
         why = self.diagnosis.kept.text
-        return "\n".join([self.sentence, f"{why[0].upper()}{why[1:]}.", *self._worse_in_replay(), *self.to_do])
+        warned = [f"Warning: {text}" for text in self.warnings[:MOST_WARNINGS]]
+        if len(self.warnings) > MOST_WARNINGS:
+            warned.append(f"{len(self.warnings) - MOST_WARNINGS} more warnings are in {REPORT_FILE}.")
+        return "\n".join([self.sentence, f"{why[0].upper()}{why[1:]}.", *self._worse_in_replay(), *warned, *self.to_do])
 
     def _worse_in_replay(self) -> list[str]:
         """Sentence on the inputs that the diagnosis computes from others, but a replay does not."""
@@ -221,6 +230,7 @@ class DiagnosisResult:
             paragraph(self.sentence),
             table(("effect", "parameter", "value", "95 % interval", "unit", "hold-out laps"), rows),
             table(("on hold-out laps", "mean error", "bias"), errors, ("", "Nm", "Nm")),
+            listed("Warnings", self.warnings),
             listed("Next step", self.to_do),
             self._picture(),
         )

@@ -85,6 +85,7 @@ class Findings:
     spread: Described | None = None  # the regime with larger oscillations
     sensor: str = ""  # sentence about errors that the fit assumes of the torque sensor, if they matter
     unusable: str = ""  # why no command would accept a file with the re-fit; empty if one would
+    distance_off: float = 0.0  # recorded distance over that by the speed, minus one; zero without a recorded one
     later: tuple[float, float] | None = None  # errors on the fitted and the hold-out laps [Nm], see `locate.only_later`
 
     @cached_property
@@ -177,7 +178,8 @@ def _confirmed(f: Findings) -> Verdict:
         return Verdict("unexplained", SUSPECTED, joined([seen, partly, *after]), f.listed, seen)
     named = [t for t in f.sure if isinstance(t, NamedEffect)]
     status = "described" if not named else "named" if all(len(t.step.members) <= 1 for t in named) else "one_of"
-    return Verdict(status, CONFIRMED, joined([*confirmed_terms(f.sure, f.held_out, f.listed), *after, *f.rest]), f.listed)
+    lines = [*confirmed_terms(f.sure, f.held_out, f.listed, f.distance_off), *after, *f.rest]
+    return Verdict(status, CONFIRMED, joined(lines), f.listed)
 
 
 def _far_from_file(f: Findings) -> Verdict:

@@ -13,10 +13,12 @@ from trackres_ros.diagnosis.base.instrument import PRIOR_STDS
 from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.findings.locate import SlowResidual, in_nm
 from trackres_ros.diagnosis.findings.residual_bins import Bin
+from trackres_ros.diagnosis.prepare.unit_checks import SPEED_OFF
 from trackres_ros.diagnosis.selection.confirm import Graded
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_SHARE, HeldOut
 from trackres_ros.diagnosis.selection.naming import Candidate
 from trackres_ros.effects.effect import Active
+from trackres_ros.effects.sensor.speed_scale import SpeedScale
 from trackres_ros.text.numbers import figures, on_scale
 
 MOST_CERTAIN = 20.0  # in log-likelihood: upper limit of a stated certainty
@@ -58,10 +60,12 @@ def is_small(t: NamedEffect | UnnamedTerm) -> bool:
     return i.before - i.after < SMALL_SHARE * i.before
 
 
-def confirmed_terms(terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOut, listed: Possible) -> list[str]:
+def confirmed_terms(
+    terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOut, listed: Possible, distance_off: float = 0.0
+) -> list[str]:
     """Sentences of the confirmed terms: the large ones, their common improvement, then the small ones.
 
-    A rival among the `listed` possibilities has its probability there.
+    A rival among the `listed` possibilities has its probability there. `distance_off`: see `verdict.Findings`.
     """
     large = [t for t in terms if not is_small(t)]
     small = [t for t in terms if is_small(t)]
@@ -69,17 +73,18 @@ def confirmed_terms(terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOu
     by_chance = " and ".join(short(t) for t in terms if isinstance(t, UnnamedTerm) and not t.described.predictable)
     live = f"The model cannot predict {by_chance}: that error holds only while a live estimate tracks it" if by_chance else ""
     if not large:
-        return ["The missing physics is small", worth, live, *(line for t in small for line in _of(t, listed))]
+        lines = (line for t in small for line in _of(t, listed, distance_off))
+        return ["The missing physics is small", worth, live, *lines]
     gains = [(t, t.graded.improvement.before - t.graded.improvement.after) for t in small]
     return [
-        *(line for t in large for line in _of(t, listed)),
+        *(line for t in large for line in _of(t, listed, distance_off)),
         worth,
         live,
         *(f"{short(t)} is confirmed but small: it reduces that error by {figures(max(g, 0.0), 2)} Nm" for t, g in gains),
     ]
 
 
-def _of(t: NamedEffect | UnnamedTerm, listed: Possible) -> list[str]:
+def _of(t: NamedEffect | UnnamedTerm, listed: Possible, distance_off: float) -> list[str]:
     """Sentences of one term: place and size, cause, values."""
     if isinstance(t, UnnamedTerm):
         named = f"{upper(t.instead)} would explain it too, but the hold-out laps do not decide for it" if t.instead else NO_NAME
@@ -87,7 +92,11 @@ def _of(t: NamedEffect | UnnamedTerm, listed: Possible) -> list[str]:
     members = t.step.members
     if len(members) > 1:
         options = either([f"{name} ({_percent(t.step.weights[name])})" for name in members])
-        return [seen(t), f"The cause is {options}", "These recordings cannot tell them apart"]
+        apart = ["These recordings cannot tell them apart"]
+        if SpeedScale.name in members and abs(distance_off) > SPEED_OFF:
+            implied = f"{SpeedScale.name} with an error of {100.0 * distance_off:+.1f} %"
+            apart = ["The torque cannot tell them apart", f"The recorded distance implies {implied}"]
+        return [seen(t), f"The cause is {options}", *apart]
     values = f"Its values with 95 % intervals: {t.values_text}" if t.values else ""
     return [seen(t), f"The cause is {t.name}", upper(t.text), values, _rival(t, listed)]
 

@@ -83,6 +83,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
         "residual_sources": _sources(d.final),
         "split": d.split.text,
         "notes": d.gated.notes,
+        "warnings": d.gated.warnings,
         "inputs": inputs(d),
         "kept": kept,
         "topics_lines": lines,
