@@ -23,6 +23,7 @@ from browser import BROWSER, IN_A_BROWSER, opened
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.report.content import inputs
 from trackres_ros.diagnosis.report.interactive import _nm, _places
@@ -162,7 +163,7 @@ def test_a_suspected_effect_is_listed_and_never_the_headline():
     """Whatever else the report holds: the headline begins with the difference, and names follow as what it may be."""
     may_be = [{"name": "rain", "share": 0.4}, {"name": "air_drag", "share": None}, {"name": "none of these", "share": 0.35}]
     r = report_of("unexplained", "suspected", [["rain"]])
-    seen = "At speed 1 to 2 m/s the measured torque is 70 Nm below the model"
+    seen = "At speed 1 to 2 m/s the vehicle needs 70 Nm less than the model"
     r["effects"] = [graded(r["effects"][0], "suspected", 149.0, 120.0)]
     r["verdict"] |= {"seen": seen, "may_be": may_be}
     assert headline(r) == f"{seen}. It may be: rain (40 %), air drag, none of these (35 %)."
@@ -256,7 +257,8 @@ def test_bars_of_all_stages_are_over_the_same_steps(diagnosed):
                     g.valid & within(b.variable, b.low, b.high, s, p)
                     for s, p, g in zip(d.sessions, d.refitted.predicted, d.refitted.problem.segments, strict=False)
                 ]
-                off = [(s.torque - t)[m] for s, t, m in zip(d.sessions, of.stage.torques, inside, strict=True)]
+                off = [s.torque - t for s, t in zip(d.sessions, of.stage.torques, strict=True)]
+                off = [x[m] for x, m in zip(against_travel(d.sessions, off), inside, strict=True)]
                 laps = np.concatenate([s.block[m] for s, m in zip(d.sessions, inside, strict=True)])
                 assert len(laps) == b.samples
                 assert b.mean_residual == pytest.approx(np.concatenate(off).mean())

@@ -215,9 +215,9 @@ def test_a_hint_is_told_where_nothing_was_named_only():
 def test_a_residual_without_a_name_is_unexplained_at_its_largest():
     verdict = said(at_end=regimes(30.0, -70.0))
     assert (verdict.status, verdict.grade) == ("unexplained", SUSPECTED)
-    assert verdict.sentence.startswith("At speed 1 to 2 m/s the measured torque is 70 Nm below the model.")
-    assert verdict.seen == "At speed 1 to 2 m/s the measured torque is 70 Nm below the model"
-    assert "At speed 0 to 1 m/s the measured torque is 30 Nm above the model." in said(at_end=regimes(30.0, -7.0)).sentence
+    assert verdict.sentence.startswith("At speed 1 to 2 m/s the vehicle needs 70 Nm less than the model.")
+    assert verdict.seen == "At speed 1 to 2 m/s the vehicle needs 70 Nm less than the model"
+    assert "At speed 0 to 1 m/s the vehicle needs 30 Nm more than the model." in said(at_end=regimes(30.0, -7.0)).sentence
     assert said(at_end=regimes(30.0, p=0.011)).status == "none"
     assert said(at_end=regimes(30.0, p=0.0099)).status == "unexplained"
 
@@ -333,7 +333,7 @@ def test_a_suspected_effect_is_never_the_headline():
     """Where nothing is confirmed: where and by how much it differs, then what it may be."""
     for improvement in (UNSURE, replace(UNSURE, after=99.9)):
         alone = said([found(improvement=improvement)], at_end=regimes(-70.0))
-        assert alone.sentence.startswith("At speed 0 to 1 m/s the measured torque is 70 Nm below the model. It may be: scrub.")
+        assert alone.sentence.startswith("At speed 0 to 1 m/s the vehicle needs 70 Nm less than the model. It may be: scrub.")
         assert (alone.status, alone.grade, alone.names) == ("unexplained", SUSPECTED, False)
     members = said([found(members=("scrub", "cornering"), improvement=UNSURE)])
     assert members.sentence.startswith(f"T{SEEN[1:]}. It may be: scrub (50 %), cornering (50 %).")

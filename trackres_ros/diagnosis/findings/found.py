@@ -35,7 +35,7 @@ class NamedEffect:
     values: Mapping[str, float]  # of its parameters
     intervals: Mapping[str, Interval]  # 95 %, of its parameters
     adds: list[Array]  # predicted torque of each session [Nm]
-    resists: list[Array]  # the same, positive against travel in both directions; of a sensor effect as shown
+    resists: list[Array]  # the same, positive against travel in both directions
     where: Sequence[Span]  # times at which it acts most
     location: Location  # its main variable, and the range of that
     regime: Sequence[Bin]  # residual of the base where it acts

@@ -289,8 +289,8 @@ def largest_of(left: Sequence[Bin]) -> Bin:
 def unexplained(left: Sequence[Bin]) -> str:
     """Location and size of the largest difference between measured torque and model."""
     first = largest_of(left)
-    side = "above" if first.mean_residual > 0 else "below"
-    return f"{upper(range_of(first))} the measured torque is {in_nm(abs(first.mean_residual))} Nm {side} the model"
+    way = "more" if first.mean_residual > 0 else "less"
+    return f"{upper(range_of(first))} the vehicle needs {in_nm(abs(first.mean_residual))} Nm {way} than the model"
 
 
 def slow(s: SlowResidual) -> list[str]:

@@ -158,11 +158,11 @@ def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
         if not chosen.is_named(effect.name):
             continue
         adds = final.contribution(effect.name)
-        resists = against_travel(sessions, adds) if effect.acts_on != "sensor" else adds
+        resists = against_travel(sessions, adds)
         where = locate(final, resists)
         if isinstance(effect, ByPlace):
             where = replace(where, low=where.least, high=where.most)  # limits by place only
-        regime = regime_of(base.refitted, base.at_base, where, effect.acts_on != "sensor")
+        regime = regime_of(base.refitted, base.at_base, where)
         found.append(
             NamedEffect(
                 effect.name, effect.text, effect.acts_on, effect.parameters, chosen.steps[effect.name], active.values,
