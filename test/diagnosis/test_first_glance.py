@@ -39,6 +39,7 @@ from trackres_ros.diagnosis.report.series import (
     within,
 )
 from trackres_ros.diagnosis.report.tiles import MOST_WORDS, by_file, headline, lights, stage_of, tiles
+from trackres_ros.vehicle.writing.sensor_lines import REPLACED
 
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftoppm"), reason="no chromium or pdftoppm on this machine")
 HALF = 0.5
@@ -76,6 +77,14 @@ def test_a_gain_by_an_assumed_sensor_alone_is_no_better_file():
     r = report_of("none", "confirmed", [])
     r["heldout"] = {"mae": {"nominal": 49.0, "refitted": 39.9, "with_effects": 39.9}, "without_sensor_error": 48.8}
     assert (tiles(r)[2].answer, tiles(r)[3].answer) == ("Nothing to gain", "Nothing to do")
+
+
+def test_the_tile_on_a_sensor_replaces_lines_like_the_terminal():
+    lines = {"torque": "torque: {column: t, delay_s: 0.4}", "speed": "speed: {column: v, scale: 0.98}"}
+    last = tiles(report_of("named", "confirmed", [["delay"]], topics_lines=lines))[-1]
+    assert last.answer == "Correct the sensor"
+    assert last.detail == f"{REPLACED} {lines['torque']} and {lines['speed']}"
+    assert "add" not in last.detail
 
 
 words = st.text("abcdefgh _", min_size=1, max_size=30).filter(str.strip)

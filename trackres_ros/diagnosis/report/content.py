@@ -30,7 +30,7 @@ from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.vehicle.writing.changes import Interval
-from trackres_ros.vehicle.writing.sensor_lines import sensor_lines
+from trackres_ros.vehicle.writing.sensor_lines import REPLACED, sensor_lines
 from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
 
 SCHEMA = 1
@@ -185,7 +185,7 @@ def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
             "where it applies."
         )
     if lines:
-        steps.append(f"A sensor causes {sensors}. No file corrects that: in the topics file, replace the line of the role with:")
+        steps.append(f"A sensor causes {sensors}. No file corrects that: {REPLACED}:")
     return steps
 
 

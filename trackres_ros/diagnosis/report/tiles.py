@@ -16,6 +16,7 @@ from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
 from trackres_ros.diagnosis.findings.wording import form_words, upper
 from trackres_ros.diagnosis.selection.held_out import SMALL_SHARE
 from trackres_ros.text.numbers import alike, decimals, figures
+from trackres_ros.vehicle.writing.sensor_lines import REPLACED
 
 MOST_WORDS = 40  # upper limit for the sentence
 STANDS_OUT_P = 0.05
@@ -204,7 +205,7 @@ def _next(r: dict[str, Any]) -> Tile:
         if lead is None or lead.get("name") in a["separates"]:
             return Tile(name, "Drive once more", f"{upper(a['manoeuvre'])} ({figures(a['minutes'], 2)} min)")
     if r.get("topics_lines"):
-        return Tile(name, "Correct the sensor", f"add to the topics file: {', '.join(r['topics_lines'])}")
+        return Tile(name, "Correct the sensor", f"{REPLACED} {' and '.join(r['topics_lines'].values())}")
     written = r.get("written") or {"base": False, "effects": []}
     if r["effects"] and written["effects"]:
         here, elsewhere = (" and ".join(map(_plain, names)) for names in by_file(r))
