@@ -63,6 +63,13 @@ def report_of(status, grade, names=(), **more):
     return {**content, **more}
 
 
+def test_no_percent_counts_an_assumed_error_of_the_sensor():
+    for names in ([], [["scrub"]]):
+        r = report_of("named" if names else "none", "confirmed", names)
+        r["heldout"]["without_sensor_error"] = 0.5 * 67.1
+        assert tiles(r)[2].answer == "50 % less error"
+
+
 def test_the_error_without_an_assumed_sensor_is_shown_too():
     for names in ([], [["scrub"]]):
         r = report_of("named" if names else "none", "confirmed", names)

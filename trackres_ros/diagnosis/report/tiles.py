@@ -250,7 +250,7 @@ def _share(r: dict[str, Any]) -> float:
     mae, followed = r["heldout"]["mae"], _followed(r)
     before, after = mae["nominal"], mae[stage_of(r)] if followed is None else followed
     without = r["heldout"].get("without_sensor_error")
-    if followed is None and without is not None and stage_of(r) == "refitted":
+    if followed is None and without is not None:
         after = without  # no file holds an error of the sensor
     return 0.0 if not before or after is None else float((before - after) / before)
 

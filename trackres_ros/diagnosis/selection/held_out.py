@@ -113,7 +113,7 @@ class HeldOut:
     by_lap: dict[str, dict[str, Array]]  # each of them by stage and lap, shape (laps,)
     of_refit: Improvement  # of the re-fitted base over the vehicle file; without assumed sensor errors, as a file is used
     of_effects: Improvement  # and of the effects over the re-fitted base
-    without_sensor: float | None = None  # mean absolute error without the assumed sensor errors [Nm], if much larger
+    without_sensor: float | None = None  # mean error of the last fit without its assumed sensor errors [Nm], if much larger
 
 
 def held_out(laps: HeldOutLaps, expected: Mapping[str, Sequence[Array]], as_file: Sequence[Array]) -> HeldOut:
