@@ -144,7 +144,7 @@ def test_an_unpredictable_term_is_worth_the_error_it_removes():
 def test_the_tiles_say_what_the_report_does():
     where, what, better, following = tiles(report_of("named", "confirmed", [["turning_scrub"]]))
     assert where.answer == "In curves tighter than 100 m"
-    assert (what.answer, what.detail) == ("turning scrub", "the hold-out laps confirm it")
+    assert (what.answer, what.detail) == ("turning scrub", "laps left out of the fit confirm it")
     assert better.answer == "66 % less error"
     assert "67.1 Nm with the file, 62.6 re-fitted, 22.6 with it" in better.detail  # what the re-fit did is not the effect's
     assert following.answer == "Use vehicle.yaml"

@@ -29,6 +29,7 @@ from trackres_ros.effects.effect import Active, Parameter
 from trackres_ros.effects.learned import ALWAYS, BY_BRAKING, DRIVING_TORQUE, LEFT, OPEN, BuildUp, Curve
 
 BETTER = Improvement(100.0, 80.0, 15.0, 25.0)
+LESS_LIKELY = Improvement(326.0, 310.0, 4.9, 27.0, likelier=-30.0, gained=-2.0)  # confirmed but for its level score
 UNSURE = Improvement(100.0, 95.0, -5.0, 15.0)
 WORSE = Improvement(100.0, 120.0, -30.0, -10.0)
 EVERYWHERE = Location("speed", "m/s", 0.0, 10.0, 0.0, 10.0, 0.0, 100.0, 1.0)
@@ -236,7 +237,7 @@ def test_a_refuted_term_is_named_and_the_unexplained_is_refuted(left):
     refuted = [Graded("payne", WORSE, ())]
     verdict = said(refuted=refuted, **left)
     assert (verdict.status, verdict.grade) == ("unexplained", REFUTED)
-    assert "The hold-out laps reject payne: it raises their mean error from 100 to 120 Nm." in verdict.sentence
+    assert "Laps left out in turn reject payne: it raises their mean error from 100 to 120 Nm." in verdict.sentence
     assert "payne (" not in said(refuted=refuted, shares={"payne": 0.6, "none of these": 0.4}, **left).sentence
     none = said(refuted=refuted)
     assert (none.status, none.grade) == ("none", CONFIRMED)
@@ -253,8 +254,12 @@ def test_a_dropped_term_is_reported_with_the_value_it_displaces():
     ("graded", "why"),
     [
         (Graded("payne", UNSURE, ()), "do not confirm payne: their mean error goes from 100 to 95 Nm"),
+        (
+            Graded("payne", LESS_LIKELY, ()),
+            "payne: their mean error falls from 326 to 310 Nm, but their likelihood falls too.",
+        ),
         (Graded("payne", BETTER, ("height",)), "payne is at the limit of its plausible range (height)"),
-        (Graded("payne", BETTER, (), cancels=True), "payne reduces the hold-out error far less than its size suggests"),
+        (Graded("payne", BETTER, (), cancels=True), "less than its size suggests: from 100 to 80 Nm on laps left out"),
     ],
 )
 def test_an_unconfirmed_term_is_dropped_for_its_own_reason(graded, why):
@@ -324,7 +329,7 @@ def test_a_suspected_term_never_hides_a_confirmed_one():
     sure, _, unsure = verdict.sentence.partition("It may also be: ")
     assert "The cause is scrub" in sure
     assert "payne" not in sure
-    assert unsure.startswith("payne. The hold-out laps do not confirm payne: their mean error goes from 100 to 95 Nm")
+    assert unsure.startswith("payne. Laps left out in turn do not confirm payne: their mean error goes from 100 to 95 Nm")
     assert "do not confirm scrub" not in verdict.sentence
     assert verdict.may_be == (("payne", None),)
 
@@ -348,7 +353,7 @@ def test_a_suspected_term_that_removes_little_is_only_listed():
     little = Improvement(100.0, 99.5, -5.0, 15.0)
     verdict = said([found(improvement=little)], changed=(BEARING,))
     assert (verdict.status, verdict.grade) == ("none", CONFIRMED)
-    assert verdict.sentence.startswith("The hold-out laps confirm no missing physics, but values of the vehicle file were off.")
+    assert verdict.sentence.startswith("Laps left out in turn confirm no missing physics, but values of the vehicle file were")
     assert "It may also be: scrub." in verdict.sentence
 
 
@@ -365,10 +370,10 @@ def test_name_probabilities_are_listed_with_none_of_these_last():
 def test_a_confirmed_term_that_removes_little_is_last_and_small():
     little = Improvement(80.0, 79.0, 0.5, 1.5)
     verdict = said([found("payne", improvement=little), found()])
-    assert verdict.sentence.endswith("payne is confirmed but small: it reduces that error by 1 Nm.")
+    assert verdict.sentence.endswith("payne is confirmed but small: 1 Nm less error on laps left out in turn.")
     assert "The cause is payne" not in verdict.sentence
     unnamed = said([found()], terms=[term(improvement=little)])
-    assert unnamed.sentence.endswith("A curve of the speed is confirmed but small: it reduces that error by 1 Nm.")
+    assert unnamed.sentence.endswith("A curve of the speed is confirmed but small: 1 Nm less error on laps left out in turn.")
     alone = said([found("payne", improvement=little)], held=worth(with_effects=79.0))
     assert (alone.status, alone.grade) == ("named", CONFIRMED)
     assert alone.sentence.startswith("The missing physics is small. The mean error on hold-out laps falls from 80 to 79 Nm.")
@@ -445,9 +450,9 @@ def test_the_next_best_is_told_with_how_much_less_likely_it_is():
 
 def test_a_rival_with_as_much_evidence_lost_on_the_unused_laps():
     rival = candidate("delay", worth=19.5)
-    assert "Delay fits as well, but the hold-out laps do not confirm it." in said([found(rivals=(rival,))]).sentence
+    assert "Delay fits as well, but laps left out in turn do not confirm it." in said([found(rivals=(rival,))]).sentence
     beaten = found(rivals=(rival,), worse=("delay",))
-    assert "Delay fits as well, but predicts the hold-out laps significantly worse." in said([beaten]).sentence
+    assert "Delay fits as well, but predicts laps left out in turn significantly worse." in said([beaten]).sentence
 
 
 def test_a_form_with_as_much_evidence_predicts_no_worse():
@@ -457,7 +462,7 @@ def test_a_form_with_as_much_evidence_predicts_no_worse():
 
 
 def test_a_rival_has_one_probability():
-    """A listed one has that of the hold-out laps, not that of the evidence as well."""
+    """A listed one has that of laps left out, not that of the evidence as well."""
     rivals = (candidate("payne", 8.0), candidate("mullins", 9.0))
     for share, odds in ((0.04, True), (0.4, False)):
         sentence = said([found(rivals=rivals)], shares={"scrub": 1.0 - share, "mullins": share}).sentence

@@ -91,7 +91,7 @@ class DiagnosisResult:
 
     @property
     def grade(self) -> str:
-        """Grade by the hold-out laps: ``confirmed``, ``suspected`` or ``refuted``."""
+        """Grade by laps left out of the fit: ``confirmed``, ``suspected`` or ``refuted``."""
         return self.diagnosis.verdict.grade
 
     @property
@@ -116,7 +116,7 @@ class DiagnosisResult:
 
     @cached_property
     def vehicle(self) -> AnyVehicle | OwnModel:
-        """The vehicle with the effects that the hold-out laps confirm; on these laps never worse than the given one.
+        """The vehicle with the confirmed effects; on the hold-out laps never worse than the given one.
 
         It is the vehicle file that `report` writes, in the given surroundings. Findings on site, weather and ground are
         excluded: `report` writes them to a separate file. Its `source` is a file that exists while the
@@ -228,7 +228,7 @@ class DiagnosisResult:
         return panel(
             f"Diagnosis of {self._loaded.title}",
             paragraph(self.sentence),
-            table(("effect", "parameter", "value", "95 % interval", "unit", "hold-out laps"), rows),
+            table(("effect", "parameter", "value", "95 % interval", "unit", "laps left out"), rows),
             table(("on hold-out laps", "mean error", "bias"), errors, ("", "Nm", "Nm")),
             listed("Warnings", self.warnings),
             listed("Next step", self.to_do),

@@ -40,7 +40,7 @@ class NamedEffect:
     location: Location  # its main variable, and the range of that
     regime: Sequence[Bin]  # residual of the base where it acts
     seen: str  # residual of the re-fitted base where it acts, in words, see `locate.Location.residual`
-    graded: Graded  # hold-out grade (`graded.grade`)
+    graded: Graded  # by laps left out in turn (`graded.grade`)
 
     @property
     def values_text(self) -> str:

@@ -17,6 +17,7 @@ from trackres_ros.diagnosis.findings.found import Changed, NamedEffect, UnnamedT
 from trackres_ros.diagnosis.findings.locate import SlowResidual
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.wording import (
+    LEFT_OUT,
     NO_NAME,
     Possible,
     confirmed_terms,
@@ -223,7 +224,7 @@ def _nothing_missing(f: Findings) -> Verdict:
     refit = held_out.of_refit
     worth = mean_error(refit.before, refit.after)
     if refit.grade == CONFIRMED and refit.after < (1.0 - LEAST_GAIN) * refit.before:
-        missing = "The hold-out laps confirm no missing physics" if listed else "No physics is missing"
+        missing = f"{upper(LEFT_OUT)} confirm no missing physics" if listed else "No physics is missing"
         which = "values of the vehicle file were off" if changed else "several values of the vehicle file were off together"
         off = [c.text for c in changed[:MOST_CHANGED]]
         text = joined([f"{missing}, but {which}", *off, worth, *after])

@@ -23,7 +23,7 @@ STANDS_OUT_P = 0.05
 FEW = 3  # most names in a sentence
 AVERAGED = "Averaged"  # first word of a slow residual's description
 LEAST_SHARE = 0.01  # of the mean error: least gain for a new file
-SURE = "the hold-out laps confirm it"
+SURE = "laps left out of the fit confirm it"
 SURE_OF_SPREAD = "a test over laps confirms it"
 SURE_OF_NONE = {
     "confirmed": "the hold-out laps confirm it",
@@ -218,7 +218,7 @@ def _next(r: dict[str, Any]) -> Tile:
     if lead is not None and _is_sure(lead, r) and r["verdict"]["status"] != "unexplained":
         return Tile(name, "Keep your vehicle file", "the result is not written; the full verdict has the reason")
     if lead is not None:
-        return Tile(name, "Record more laps", "the hold-out laps do not confirm the result")
+        return Tile(name, "Record more laps", "laps left out of the fit do not confirm the result")
     if r["verdict"]["status"] == "unexplained":
         return Tile(name, "Investigate where the error is largest", "record more channels there: slope, wind, load, brakes")
     if written["base"] and _share(r) >= LEAST_SHARE:
