@@ -225,9 +225,10 @@ def _nothing_missing(f: Findings) -> Verdict:
     worth = mean_error(refit.before, refit.after)
     if refit.grade == CONFIRMED and refit.after < (1.0 - LEAST_GAIN) * refit.before:
         missing = f"{upper(LEFT_OUT)} confirm no missing physics" if listed else "No physics is missing"
-        which = "values of the vehicle file were off" if changed else "several values of the vehicle file were off together"
-        off = [c.text for c in changed[:MOST_CHANGED]]
-        text = joined([f"{missing}, but {which}", *off, worth, *after])
+        off = [f"{missing}, but values of the vehicle file were off", *(c.text for c in changed[:MOST_CHANGED])]
+        if not changed:
+            off = [missing, "No value of the vehicle file is surely off, but a re-fit of all of them predicts better"]
+        text = joined([*off, worth, *after])
         return Verdict("none", CONFIRMED, text, listed, changed=tuple(changed))
     if out_of_range:
         values = ", ".join(moved(q, value) for q, value in out_of_range)
