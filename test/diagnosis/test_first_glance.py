@@ -23,6 +23,7 @@ from browser import BROWSER, IN_A_BROWSER, opened
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.report.content import inputs
 from trackres_ros.diagnosis.report.interactive import _nm, _places
@@ -38,6 +39,7 @@ from trackres_ros.diagnosis.report.series import (
     within,
 )
 from trackres_ros.diagnosis.report.tiles import MOST_WORDS, by_file, headline, lights, stage_of, tiles
+from trackres_ros.vehicle.writing.sensor_lines import REPLACED
 
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftoppm"), reason="no chromium or pdftoppm on this machine")
 HALF = 0.5
@@ -61,6 +63,13 @@ def report_of(status, grade, names=(), **more):
     return {**content, **more}
 
 
+def test_no_percent_counts_an_assumed_error_of_the_sensor():
+    for names in ([], [["scrub"]]):
+        r = report_of("named" if names else "none", "confirmed", names)
+        r["heldout"]["without_sensor_error"] = 0.5 * 67.1
+        assert tiles(r)[2].answer == "50 % less error"
+
+
 def test_the_error_without_an_assumed_sensor_is_shown_too():
     for names in ([], [["scrub"]]):
         r = report_of("named" if names else "none", "confirmed", names)
@@ -75,6 +84,14 @@ def test_a_gain_by_an_assumed_sensor_alone_is_no_better_file():
     r = report_of("none", "confirmed", [])
     r["heldout"] = {"mae": {"nominal": 49.0, "refitted": 39.9, "with_effects": 39.9}, "without_sensor_error": 48.8}
     assert (tiles(r)[2].answer, tiles(r)[3].answer) == ("Nothing to gain", "Nothing to do")
+
+
+def test_the_tile_on_a_sensor_replaces_lines_like_the_terminal():
+    lines = {"torque": "torque: {column: t, delay_s: 0.4}", "speed": "speed: {column: v, scale: 0.98}"}
+    last = tiles(report_of("named", "confirmed", [["delay"]], topics_lines=lines))[-1]
+    assert last.answer == "Correct the sensor"
+    assert last.detail == f"{REPLACED} {lines['torque']} and {lines['speed']}"
+    assert "add" not in last.detail
 
 
 words = st.text("abcdefgh _", min_size=1, max_size=30).filter(str.strip)
@@ -127,7 +144,7 @@ def test_an_unpredictable_term_is_worth_the_error_it_removes():
 def test_the_tiles_say_what_the_report_does():
     where, what, better, following = tiles(report_of("named", "confirmed", [["turning_scrub"]]))
     assert where.answer == "In curves tighter than 100 m"
-    assert (what.answer, what.detail) == ("turning scrub", "the hold-out laps confirm it")
+    assert (what.answer, what.detail) == ("turning scrub", "laps left out of the fit confirm it")
     assert better.answer == "66 % less error"
     assert "67.1 Nm with the file, 62.6 re-fitted, 22.6 with it" in better.detail  # what the re-fit did is not the effect's
     assert following.answer == "Use vehicle.yaml"
@@ -162,7 +179,7 @@ def test_a_suspected_effect_is_listed_and_never_the_headline():
     """Whatever else the report holds: the headline begins with the difference, and names follow as what it may be."""
     may_be = [{"name": "rain", "share": 0.4}, {"name": "air_drag", "share": None}, {"name": "none of these", "share": 0.35}]
     r = report_of("unexplained", "suspected", [["rain"]])
-    seen = "At speed 1 to 2 m/s the measured torque is 70 Nm below the model"
+    seen = "At speed 1 to 2 m/s the vehicle needs 70 Nm less than the model"
     r["effects"] = [graded(r["effects"][0], "suspected", 149.0, 120.0)]
     r["verdict"] |= {"seen": seen, "may_be": may_be}
     assert headline(r) == f"{seen}. It may be: rain (40 %), air drag, none of these (35 %)."
@@ -256,7 +273,8 @@ def test_bars_of_all_stages_are_over_the_same_steps(diagnosed):
                     g.valid & within(b.variable, b.low, b.high, s, p)
                     for s, p, g in zip(d.sessions, d.refitted.predicted, d.refitted.problem.segments, strict=False)
                 ]
-                off = [(s.torque - t)[m] for s, t, m in zip(d.sessions, of.stage.torques, inside, strict=True)]
+                off = [s.torque - t for s, t in zip(d.sessions, of.stage.torques, strict=True)]
+                off = [x[m] for x, m in zip(against_travel(d.sessions, off), inside, strict=True)]
                 laps = np.concatenate([s.block[m] for s, m in zip(d.sessions, inside, strict=True)])
                 assert len(laps) == b.samples
                 assert b.mean_residual == pytest.approx(np.concatenate(off).mean())

@@ -15,6 +15,7 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.loading import load_base
+from trackres_ros.diagnosis.prepare.notes import WarningNote
 from trackres_ros.files.resources import shipped_road_vehicles
 from trackres_ros.vehicle import RoadVehicle
 from trackres_ros.vehicle.writing.changes import FileChanges
@@ -126,6 +127,18 @@ def test_a_notebook_shows_sentence_values_and_a_picture(found):
     assert "friction" in page
     assert "data:image/png;base64," in page
     assert "nan" not in page.split("<img")[0]
+
+
+def test_the_terminal_shows_the_warnings_alone(found):
+    notes = ("an assumption", *(WarningNote(f"{n}.csv: not used") for n in range(12)))
+    noted = replace(found.diagnosis, gated=replace(found.diagnosis.gated, notes=notes))
+    result = tr.DiagnosisResult(noted, found._loaded, found.recordings, {})
+    assert result.warnings == notes[1:]
+    assert json.loads(json.dumps(result.as_dict()))["warnings"] == list(notes[1:])
+    assert repr(result).count("Warning: ") == 10
+    assert "\n2 more warnings are in report.json." in repr(result)
+    assert "an assumption" not in repr(result)
+    assert "Warning" not in repr(found)
 
 
 def test_where_nothing_is_kept_the_vehicle_is_the_one_given(found, vehicle):

@@ -326,6 +326,26 @@ def test_a_short_recording_among_others_is_left_out_with_a_note(recorded, loaded
         judged([short], loaded)
 
 
+def off_odometer(columns):
+    columns["distance_m"] = np.cumsum(columns["speed_mps"]) * 0.19
+
+
+@pytest.mark.parametrize(
+    ("change", "warning"),
+    [
+        (lambda _: None, None),
+        (lambda columns: columns.update({name: of[:400] for name, of in columns.items()}), "not used: "),
+        (off_odometer, "than the recorded distance implies"),
+        (lambda columns: columns.update(yaw_rate_radps=0.0 * columns["yaw_rate_radps"]), "yaw_rate never changes"),
+        (lambda columns: columns.update(ambient_degc=0.0 * columns["ambient_degc"] + 45.0), "air of 45 degC is unusual"),
+    ],
+)
+def test_only_notes_to_act_on_are_warnings(with_first, change, warning):
+    found, _ = with_first(change)
+    assert len(found.notes) > len(found.warnings) == (warning is not None)
+    assert all(warning in note for note in found.warnings), found.warnings
+
+
 def test_start_of_a_recording_that_counts_from_zero():
     class Table:
         name, roles, notes, findings, zero_is_unset, torque_candidates = "t", ("speed",), (), (), False, ()

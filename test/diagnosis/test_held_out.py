@@ -34,6 +34,12 @@ def test_what_laps_say_of_an_improvement(after, low, high, likelier, grade):
     assert Improvement(100.0, after, low, high, likelier).grade == grade
 
 
+@given(st.floats(-50.0, 50.0), st.floats(0.0, 40.0), st.floats(-9.0, 9.0), st.floats(0.1, 9.0))
+def test_a_falling_score_is_the_reason_where_a_rising_confirms(low, fall, gained, wide):
+    laps, other = (Improvement(100.0, 100.0 - fall, low, low + wide, -99.0, g) for g in (gained, 1.0))
+    assert laps.less_likely == (laps.grade == SUSPECTED != other.grade)
+
+
 def session(laps, lap_s=60, torque=None, name="drive", first=0):
     time = np.arange(laps * lap_s, dtype=float)
     none = np.zeros(len(time))

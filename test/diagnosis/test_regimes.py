@@ -19,7 +19,7 @@ DRAWS = 400
 def fitted(residual, speed=None, yaw_rate=0.0, heading=0.0, white=None, belt=None, split=1):
     """A fit whose torque residual is given, of sessions of equal length; belts are nowhere."""
     n = len(residual)
-    speed = np.zeros(n) if speed is None else speed
+    speed = np.ones(n) if speed is None else speed
     sessions, whites, predicted = [], [], []
     for i, part in enumerate(np.array_split(np.arange(n), split)):
         none = np.zeros(len(part))
@@ -113,6 +113,15 @@ def test_headings_wrap_once_around_and_turns_have_both_signs():
     assert max(b.high for b in headings) <= np.pi
     assert min(b.low for b in found.bins if b.variable == "yaw rate") >= 0.0
     assert min(b.low for b in found.bins if b.variable == "yaw rate to the left") < -1.0
+
+
+def test_a_bin_does_not_depend_on_the_direction_of_travel():
+    speed, residual, turns = speeds(), noise() + 0.8, noise(3)
+    back = np.where(np.arange(N) % 400 < 200, -1.0, 1.0)
+    ahead, both = (mapped(s * residual, speed=s * speed, yaw_rate=turns) for s in (1.0, back))
+    of_turns = [[(b.mean_residual, b.p) for b in found.bins if b.variable == "yaw rate"] for found in (ahead, both)]
+    assert [mean for mean, _ in of_turns[1]] == pytest.approx([mean for mean, _ in of_turns[0]])
+    assert all(p < 0.05 for of in of_turns for _, p in of)
 
 
 def test_rows_without_a_known_past_and_belt_rows_are_not_counted():

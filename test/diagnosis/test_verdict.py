@@ -29,6 +29,7 @@ from trackres_ros.effects.effect import Active, Parameter
 from trackres_ros.effects.learned import ALWAYS, BY_BRAKING, DRIVING_TORQUE, LEFT, OPEN, BuildUp, Curve
 
 BETTER = Improvement(100.0, 80.0, 15.0, 25.0)
+LESS_LIKELY = Improvement(326.0, 310.0, 4.9, 27.0, likelier=-30.0, gained=-2.0)  # confirmed but for its level score
 UNSURE = Improvement(100.0, 95.0, -5.0, 15.0)
 WORSE = Improvement(100.0, 120.0, -30.0, -10.0)
 EVERYWHERE = Location("speed", "m/s", 0.0, 10.0, 0.0, 10.0, 0.0, 100.0, 1.0)
@@ -117,7 +118,7 @@ def test_nothing_beyond_noise():
 
 @pytest.mark.parametrize(
     ("improvement", "grade", "word"),
-    [(BETTER, CONFIRMED, "were off"), (UNSURE, SUSPECTED, "do not confirm"), (WORSE, REFUTED, "reject")],
+    [(BETTER, CONFIRMED, "a re-fit of all"), (UNSURE, SUSPECTED, "do not confirm"), (WORSE, REFUTED, "reject")],
 )
 def test_moved_parameters_are_no_physics_and_graded_by_the_refit(improvement, grade, word):
     verdict = said(base=refitted(2.0, 1.0), held=worth(improvement))
@@ -139,7 +140,8 @@ def test_a_refit_that_gains_names_the_changed_values():
     assert "bearing_friction is 14% higher, 0.01140 [0.01110, 0.01170] instead of 0.01000" in verdict.sentence
     assert "grade is 0.002 lower" in verdict.sentence
     assert "falls from 100 to 80 Nm" in verdict.sentence
-    assert "several values of the vehicle file were off together" in said().sentence
+    assert said().sentence.startswith("No physics is missing. No value of the vehicle file is surely off, but a re-fit")
+    assert "were off" not in said().sentence
     at_end = said(changed=(replace(BEARING, at_bound=True),)).sentence
     assert "bearing_friction is at the high end of its range, 0.01140 instead of 0.01000." in at_end
 
@@ -215,9 +217,9 @@ def test_a_hint_is_told_where_nothing_was_named_only():
 def test_a_residual_without_a_name_is_unexplained_at_its_largest():
     verdict = said(at_end=regimes(30.0, -70.0))
     assert (verdict.status, verdict.grade) == ("unexplained", SUSPECTED)
-    assert verdict.sentence.startswith("At speed 1 to 2 m/s the measured torque is 70 Nm below the model.")
-    assert verdict.seen == "At speed 1 to 2 m/s the measured torque is 70 Nm below the model"
-    assert "At speed 0 to 1 m/s the measured torque is 30 Nm above the model." in said(at_end=regimes(30.0, -7.0)).sentence
+    assert verdict.sentence.startswith("At speed 1 to 2 m/s the vehicle needs 70 Nm less than the model.")
+    assert verdict.seen == "At speed 1 to 2 m/s the vehicle needs 70 Nm less than the model"
+    assert "At speed 0 to 1 m/s the vehicle needs 30 Nm more than the model." in said(at_end=regimes(30.0, -7.0)).sentence
     assert said(at_end=regimes(30.0, p=0.011)).status == "none"
     assert said(at_end=regimes(30.0, p=0.0099)).status == "unexplained"
 
@@ -236,7 +238,7 @@ def test_a_refuted_term_is_named_and_the_unexplained_is_refuted(left):
     refuted = [Graded("payne", WORSE, ())]
     verdict = said(refuted=refuted, **left)
     assert (verdict.status, verdict.grade) == ("unexplained", REFUTED)
-    assert "The hold-out laps reject payne: it raises their mean error from 100 to 120 Nm." in verdict.sentence
+    assert "Laps left out in turn reject payne: it raises their mean error from 100 to 120 Nm." in verdict.sentence
     assert "payne (" not in said(refuted=refuted, shares={"payne": 0.6, "none of these": 0.4}, **left).sentence
     none = said(refuted=refuted)
     assert (none.status, none.grade) == ("none", CONFIRMED)
@@ -253,8 +255,12 @@ def test_a_dropped_term_is_reported_with_the_value_it_displaces():
     ("graded", "why"),
     [
         (Graded("payne", UNSURE, ()), "do not confirm payne: their mean error goes from 100 to 95 Nm"),
+        (
+            Graded("payne", LESS_LIKELY, ()),
+            "payne: their mean error falls from 326 to 310 Nm, but their likelihood falls too.",
+        ),
         (Graded("payne", BETTER, ("height",)), "payne is at the limit of its plausible range (height)"),
-        (Graded("payne", BETTER, (), cancels=True), "payne reduces the hold-out error far less than its size suggests"),
+        (Graded("payne", BETTER, (), cancels=True), "less than its size suggests: from 100 to 80 Nm on laps left out"),
     ],
 )
 def test_an_unconfirmed_term_is_dropped_for_its_own_reason(graded, why):
@@ -307,13 +313,24 @@ def test_names_that_cannot_be_told_apart_are_one_of_a_class():
     assert said([found(), found("payne")]).status == "named"
 
 
+def test_a_recorded_distance_speaks_on_an_error_of_the_speed():
+    class_of = found("torque_gain", members=("torque_gain", "speed_scale"))
+    sentence = said([class_of], distance_off=-0.048).sentence
+    implied = "The recorded distance implies speed_scale with an error of -4.8 %."
+    assert f"The torque cannot tell them apart. {implied}" in sentence
+    others = found(members=("scrub", "cornering"))
+    for silent in (said([class_of]), said([class_of], distance_off=0.004), said([others], distance_off=-0.048)):
+        assert "These recordings cannot tell them apart." in silent.sentence
+        assert "distance" not in silent.sentence
+
+
 def test_a_suspected_term_never_hides_a_confirmed_one():
     verdict = said([found(), found("payne", improvement=UNSURE)])
     assert (verdict.status, verdict.grade) == ("named", CONFIRMED)
     sure, _, unsure = verdict.sentence.partition("It may also be: ")
     assert "The cause is scrub" in sure
     assert "payne" not in sure
-    assert unsure.startswith("payne. The hold-out laps do not confirm payne: their mean error goes from 100 to 95 Nm")
+    assert unsure.startswith("payne. Laps left out in turn do not confirm payne: their mean error goes from 100 to 95 Nm")
     assert "do not confirm scrub" not in verdict.sentence
     assert verdict.may_be == (("payne", None),)
 
@@ -322,7 +339,7 @@ def test_a_suspected_effect_is_never_the_headline():
     """Where nothing is confirmed: where and by how much it differs, then what it may be."""
     for improvement in (UNSURE, replace(UNSURE, after=99.9)):
         alone = said([found(improvement=improvement)], at_end=regimes(-70.0))
-        assert alone.sentence.startswith("At speed 0 to 1 m/s the measured torque is 70 Nm below the model. It may be: scrub.")
+        assert alone.sentence.startswith("At speed 0 to 1 m/s the vehicle needs 70 Nm less than the model. It may be: scrub.")
         assert (alone.status, alone.grade, alone.names) == ("unexplained", SUSPECTED, False)
     members = said([found(members=("scrub", "cornering"), improvement=UNSURE)])
     assert members.sentence.startswith(f"T{SEEN[1:]}. It may be: scrub (50 %), cornering (50 %).")
@@ -337,7 +354,7 @@ def test_a_suspected_term_that_removes_little_is_only_listed():
     little = Improvement(100.0, 99.5, -5.0, 15.0)
     verdict = said([found(improvement=little)], changed=(BEARING,))
     assert (verdict.status, verdict.grade) == ("none", CONFIRMED)
-    assert verdict.sentence.startswith("The hold-out laps confirm no missing physics, but values of the vehicle file were off.")
+    assert verdict.sentence.startswith("Laps left out in turn confirm no missing physics, but values of the vehicle file were")
     assert "It may also be: scrub." in verdict.sentence
 
 
@@ -354,10 +371,10 @@ def test_name_probabilities_are_listed_with_none_of_these_last():
 def test_a_confirmed_term_that_removes_little_is_last_and_small():
     little = Improvement(80.0, 79.0, 0.5, 1.5)
     verdict = said([found("payne", improvement=little), found()])
-    assert verdict.sentence.endswith("payne is confirmed but small: it reduces that error by 1 Nm.")
+    assert verdict.sentence.endswith("payne is confirmed but small: 1 Nm less error on laps left out in turn.")
     assert "The cause is payne" not in verdict.sentence
     unnamed = said([found()], terms=[term(improvement=little)])
-    assert unnamed.sentence.endswith("A curve of the speed is confirmed but small: it reduces that error by 1 Nm.")
+    assert unnamed.sentence.endswith("A curve of the speed is confirmed but small: 1 Nm less error on laps left out in turn.")
     alone = said([found("payne", improvement=little)], held=worth(with_effects=79.0))
     assert (alone.status, alone.grade) == ("named", CONFIRMED)
     assert alone.sentence.startswith("The missing physics is small. The mean error on hold-out laps falls from 80 to 79 Nm.")
@@ -434,9 +451,9 @@ def test_the_next_best_is_told_with_how_much_less_likely_it_is():
 
 def test_a_rival_with_as_much_evidence_lost_on_the_unused_laps():
     rival = candidate("delay", worth=19.5)
-    assert "Delay fits as well, but the hold-out laps do not confirm it." in said([found(rivals=(rival,))]).sentence
+    assert "Delay fits as well, but laps left out in turn do not confirm it." in said([found(rivals=(rival,))]).sentence
     beaten = found(rivals=(rival,), worse=("delay",))
-    assert "Delay fits as well, but predicts the hold-out laps significantly worse." in said([beaten]).sentence
+    assert "Delay fits as well, but predicts laps left out in turn significantly worse." in said([beaten]).sentence
 
 
 def test_a_form_with_as_much_evidence_predicts_no_worse():
@@ -446,7 +463,7 @@ def test_a_form_with_as_much_evidence_predicts_no_worse():
 
 
 def test_a_rival_has_one_probability():
-    """A listed one has that of the hold-out laps, not that of the evidence as well."""
+    """A listed one has that of laps left out, not that of the evidence as well."""
     rivals = (candidate("payne", 8.0), candidate("mullins", 9.0))
     for share, odds in ((0.04, True), (0.4, False)):
         sentence = said([found(rivals=rivals)], shares={"scrub": 1.0 - share, "mullins": share}).sentence

@@ -72,7 +72,7 @@ def diagnose(
     quick
         Fewer draws for thresholds.
     keep_suspected
-        Also keep effects that fit but that the hold-out laps do not confirm.
+        Also keep effects that fit but that laps left out do not confirm.
     effects
         Folder with your own effects, one Python file each.
     on_stage

@@ -27,7 +27,7 @@ from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.diagnosis.report.series import stages
-from trackres_ros.errors import MissingExtraError
+from trackres_ros.errors import MissingExtraError, one_line
 from trackres_ros.files.output_files import not_an_input, output_folder
 from trackres_ros.files.own_files import write
 from trackres_ros.recording.binding import TopicBinding
@@ -45,6 +45,7 @@ REPLAYED = {
     "heading": "no heading",
 }  # fmt: skip
 """What a replay computes of the channels that a diagnosis computes."""
+MOST_WARNINGS = 10  # in the text for a terminal
 DATA_FILES = (REPORT_FILE, VEHICLE_FILE, SURROUNDINGS_FILE)
 
 
@@ -90,7 +91,7 @@ class DiagnosisResult:
 
     @property
     def grade(self) -> str:
-        """Grade by the hold-out laps: ``confirmed``, ``suspected`` or ``refuted``."""
+        """Grade by laps left out of the fit: ``confirmed``, ``suspected`` or ``refuted``."""
         return self.diagnosis.verdict.grade
 
     @property
@@ -104,13 +105,18 @@ class DiagnosisResult:
         return self.diagnosis.described
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """Notes on the recordings to act on: a recording or a channel is not used, or two inputs contradict each other."""
+        return tuple(map(one_line, self.diagnosis.gated.warnings))
+
+    @property
     def to_do(self) -> tuple[str, ...]:
         """Next steps: use of the surroundings, and lines for the topics file if a sensor is wrong."""
         return (*self._content["to_do"], *self._content["topics_lines"].values())
 
     @cached_property
     def vehicle(self) -> AnyVehicle | OwnModel:
-        """The vehicle with the effects that the hold-out laps confirm; on these laps never worse than the given one.
+        """The vehicle with the confirmed effects; on the hold-out laps never worse than the given one.
 
         It is the vehicle file that `report` writes, in the given surroundings. Findings on site, weather and ground are
         excluded: `report` writes them to a separate file. Its `source` is a file that exists while the
@@ -188,7 +194,10 @@ class DiagnosisResult:
 
     def __repr__(self) -> str:
         why = self.diagnosis.kept.text
-        return "\n".join([self.sentence, f"{why[0].upper()}{why[1:]}.", *self._worse_in_replay(), *self.to_do])
+        warned = [f"Warning: {text}" for text in self.warnings[:MOST_WARNINGS]]
+        if len(self.warnings) > MOST_WARNINGS:
+            warned.append(f"{len(self.warnings) - MOST_WARNINGS} more warnings are in {REPORT_FILE}.")
+        return "\n".join([self.sentence, f"{why[0].upper()}{why[1:]}.", *self._worse_in_replay(), *warned, *self.to_do])
 
     def _worse_in_replay(self) -> list[str]:
         """Sentence on the inputs that the diagnosis computes from others, but a replay does not."""
@@ -219,8 +228,9 @@ class DiagnosisResult:
         return panel(
             f"Diagnosis of {self._loaded.title}",
             paragraph(self.sentence),
-            table(("effect", "parameter", "value", "95 % interval", "unit", "hold-out laps"), rows),
+            table(("effect", "parameter", "value", "95 % interval", "unit", "laps left out"), rows),
             table(("on hold-out laps", "mean error", "bias"), errors, ("", "Nm", "Nm")),
+            listed("Warnings", self.warnings),
             listed("Next step", self.to_do),
             self._picture(),
         )

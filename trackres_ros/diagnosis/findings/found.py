@@ -35,12 +35,12 @@ class NamedEffect:
     values: Mapping[str, float]  # of its parameters
     intervals: Mapping[str, Interval]  # 95 %, of its parameters
     adds: list[Array]  # predicted torque of each session [Nm]
-    resists: list[Array]  # the same, positive against travel in both directions; of a sensor effect as shown
+    resists: list[Array]  # the same, positive against travel in both directions
     where: Sequence[Span]  # times at which it acts most
     location: Location  # its main variable, and the range of that
     regime: Sequence[Bin]  # residual of the base where it acts
     seen: str  # residual of the re-fitted base where it acts, in words, see `locate.Location.residual`
-    graded: Graded  # hold-out grade (`graded.grade`)
+    graded: Graded  # by laps left out in turn (`graded.grade`)
 
     @property
     def values_text(self) -> str:

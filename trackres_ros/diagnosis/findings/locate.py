@@ -231,12 +231,12 @@ def only_later(refitted: Fit, unused: float) -> tuple[float, float] | None:
     return (error, unused) if unused > max(LATER * error, error + LATER_SHARE * torque) else None
 
 
-def regime_of(refitted: Fit, at_base: RegimeMap, where: Location, resists: bool = False) -> tuple[Bin, ...]:
-    """Residual of the base where an effect acts, against travel if it `resists`, and its other significant bins."""
+def regime_of(refitted: Fit, at_base: RegimeMap, where: Location) -> tuple[Bin, ...]:
+    """Residual of the base against travel where an effect acts, and its other significant bins."""
     sessions, residuals = refitted.problem.sessions, torque_residuals(refitted)
     x = np.concatenate([BY_NAME[where.variable].of(s, p) for s, p in zip(sessions, refitted.predicted, strict=True)])
     inside = (x >= where.low) & (x <= where.high) & np.concatenate(refitted.problem.masks)
-    within = np.concatenate(against_travel(sessions, residuals) if resists else residuals)[inside]
+    within = np.concatenate(against_travel(sessions, residuals))[inside]
     p = at_base.likeliest(where.variable, where.low, where.high)
     mean = float(within.mean()) if len(within) else 0.0
     here = Bin(where.variable, where.low, where.high, mean, where.unit, len(within), p)

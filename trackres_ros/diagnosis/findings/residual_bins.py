@@ -16,7 +16,7 @@ from scipy.special import kolmogorov
 
 from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.base.variables import BY_NAME, varying
-from trackres_ros.diagnosis.empirical.torque import torque_residuals
+from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array
 
@@ -28,7 +28,9 @@ REPLICATES = 4000  # determines a probability of 0.01 to a sixth of its value
 
 @dataclass(frozen=True, slots=True)
 class Bin:
-    """A range of a variable, the mean residual there [Nm], and the probability that noise alone reaches it in any bin."""
+    """A range of a variable, the mean residual against travel there [Nm], and the probability that noise alone reaches it in
+    any bin.
+    """
 
     variable: str
     low: float
@@ -66,15 +68,16 @@ def regime_map(
 
     Notes
     -----
-    The mean is of the plain residual [Nm]. Its significance is tested on the whitened one, against the
+    The mean is of the plain residual against travel [Nm]. Its significance is tested on the whitened one, against the
     largest over all bins with random sign flips of whole pieces (max-T).
     """
-    rows = fit.white[: len(fit.problem.sessions)]
+    sessions = fit.problem.sessions
+    rows = fit.white[: len(sessions)]
     valid = np.isfinite(np.concatenate(rows))
-    e, plain = np.concatenate(rows)[valid], np.concatenate(torque_residuals(fit))[valid]
+    e, plain = (np.concatenate(against_travel(sessions, of))[valid] for of in (rows, torque_residuals(fit)))
     pieces = _pieces(rows)[valid]
     members, bins = [], []
-    for name, series in varying(fit.problem.sessions, predicted or fit.predicted).items():
+    for name, series in varying(sessions, predicted or fit.predicted).items():
         of = series[valid]
         for low, high in _edges(of):
             inside = (of >= low) & (of <= high)

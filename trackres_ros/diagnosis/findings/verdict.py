@@ -17,6 +17,7 @@ from trackres_ros.diagnosis.findings.found import Changed, NamedEffect, UnnamedT
 from trackres_ros.diagnosis.findings.locate import SlowResidual
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.wording import (
+    LEFT_OUT,
     NO_NAME,
     Possible,
     confirmed_terms,
@@ -85,6 +86,7 @@ class Findings:
     spread: Described | None = None  # the regime with larger oscillations
     sensor: str = ""  # sentence about errors that the fit assumes of the torque sensor, if they matter
     unusable: str = ""  # why no command would accept a file with the re-fit; empty if one would
+    distance_off: float = 0.0  # recorded distance over that by the speed, minus one; zero without a recorded one
     later: tuple[float, float] | None = None  # errors on the fitted and the hold-out laps [Nm], see `locate.only_later`
 
     @cached_property
@@ -177,7 +179,8 @@ def _confirmed(f: Findings) -> Verdict:
         return Verdict("unexplained", SUSPECTED, joined([seen, partly, *after]), f.listed, seen)
     named = [t for t in f.sure if isinstance(t, NamedEffect)]
     status = "described" if not named else "named" if all(len(t.step.members) <= 1 for t in named) else "one_of"
-    return Verdict(status, CONFIRMED, joined([*confirmed_terms(f.sure, f.held_out, f.listed), *after, *f.rest]), f.listed)
+    lines = [*confirmed_terms(f.sure, f.held_out, f.listed, f.distance_off), *after, *f.rest]
+    return Verdict(status, CONFIRMED, joined(lines), f.listed)
 
 
 def _far_from_file(f: Findings) -> Verdict:
@@ -221,10 +224,11 @@ def _nothing_missing(f: Findings) -> Verdict:
     refit = held_out.of_refit
     worth = mean_error(refit.before, refit.after)
     if refit.grade == CONFIRMED and refit.after < (1.0 - LEAST_GAIN) * refit.before:
-        missing = "The hold-out laps confirm no missing physics" if listed else "No physics is missing"
-        which = "values of the vehicle file were off" if changed else "several values of the vehicle file were off together"
-        off = [c.text for c in changed[:MOST_CHANGED]]
-        text = joined([f"{missing}, but {which}", *off, worth, *after])
+        missing = f"{upper(LEFT_OUT)} confirm no missing physics" if listed else "No physics is missing"
+        off = [f"{missing}, but values of the vehicle file were off", *(c.text for c in changed[:MOST_CHANGED])]
+        if not changed:
+            off = [missing, "No value of the vehicle file is surely off, but a re-fit of all of them predicts better"]
+        text = joined([*off, worth, *after])
         return Verdict("none", CONFIRMED, text, listed, changed=tuple(changed))
     if out_of_range:
         values = ", ".join(moved(q, value) for q, value in out_of_range)

@@ -13,16 +13,19 @@ from trackres_ros.diagnosis.base.instrument import PRIOR_STDS
 from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.findings.locate import SlowResidual, in_nm
 from trackres_ros.diagnosis.findings.residual_bins import Bin
+from trackres_ros.diagnosis.prepare.unit_checks import SPEED_OFF
 from trackres_ros.diagnosis.selection.confirm import Graded
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_SHARE, HeldOut
 from trackres_ros.diagnosis.selection.naming import Candidate
 from trackres_ros.effects.effect import Active
+from trackres_ros.effects.sensor.speed_scale import SpeedScale
 from trackres_ros.text.numbers import figures, on_scale
 
 MOST_CERTAIN = 20.0  # in log-likelihood: upper limit of a stated certainty
 LEAST_SHARE = 0.05  # of the probability: less likely options are not listed
 MOST_LISTED = 5
-NOT_CONFIRMED = "the hold-out laps do not confirm it"
+LEFT_OUT = "laps left out in turn"  # the held-out laps, and each fold of the fitted laps: see `search.cross_validation`
+NOT_CONFIRMED = f"{LEFT_OUT} do not confirm it"
 LEAST_AHEAD = 1.0  # in log-evidence: a rival with a smaller disadvantage fits as well
 MOST_WORDS = 25  # of a sentence
 NONE_OF_THESE = "none of these"
@@ -58,10 +61,12 @@ def is_small(t: NamedEffect | UnnamedTerm) -> bool:
     return i.before - i.after < SMALL_SHARE * i.before
 
 
-def confirmed_terms(terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOut, listed: Possible) -> list[str]:
+def confirmed_terms(
+    terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOut, listed: Possible, distance_off: float = 0.0
+) -> list[str]:
     """Sentences of the confirmed terms: the large ones, their common improvement, then the small ones.
 
-    A rival among the `listed` possibilities has its probability there.
+    A rival among the `listed` possibilities has its probability there. `distance_off`: see `verdict.Findings`.
     """
     large = [t for t in terms if not is_small(t)]
     small = [t for t in terms if is_small(t)]
@@ -69,25 +74,30 @@ def confirmed_terms(terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOu
     by_chance = " and ".join(short(t) for t in terms if isinstance(t, UnnamedTerm) and not t.described.predictable)
     live = f"The model cannot predict {by_chance}: that error holds only while a live estimate tracks it" if by_chance else ""
     if not large:
-        return ["The missing physics is small", worth, live, *(line for t in small for line in _of(t, listed))]
+        lines = (line for t in small for line in _of(t, listed, distance_off))
+        return ["The missing physics is small", worth, live, *lines]
     gains = [(t, t.graded.improvement.before - t.graded.improvement.after) for t in small]
     return [
-        *(line for t in large for line in _of(t, listed)),
+        *(line for t in large for line in _of(t, listed, distance_off)),
         worth,
         live,
-        *(f"{short(t)} is confirmed but small: it reduces that error by {figures(max(g, 0.0), 2)} Nm" for t, g in gains),
+        *(f"{short(t)} is confirmed but small: {figures(max(g, 0.0), 2)} Nm less error on {LEFT_OUT}" for t, g in gains),
     ]
 
 
-def _of(t: NamedEffect | UnnamedTerm, listed: Possible) -> list[str]:
+def _of(t: NamedEffect | UnnamedTerm, listed: Possible, distance_off: float) -> list[str]:
     """Sentences of one term: place and size, cause, values."""
     if isinstance(t, UnnamedTerm):
-        named = f"{upper(t.instead)} would explain it too, but the hold-out laps do not decide for it" if t.instead else NO_NAME
+        named = f"{upper(t.instead)} would explain it too, but {LEFT_OUT} do not decide for it" if t.instead else NO_NAME
         return [t.described.sentence, named, look_for(t.described.mechanisms)]
     members = t.step.members
     if len(members) > 1:
         options = either([f"{name} ({_percent(t.step.weights[name])})" for name in members])
-        return [seen(t), f"The cause is {options}", "These recordings cannot tell them apart"]
+        apart = ["These recordings cannot tell them apart"]
+        if SpeedScale.name in members and abs(distance_off) > SPEED_OFF:
+            implied = f"{SpeedScale.name} with an error of {100.0 * distance_off:+.1f} %"
+            apart = ["The torque cannot tell them apart", f"The recorded distance implies {implied}"]
+        return [seen(t), f"The cause is {options}", *apart]
     values = f"Its values with 95 % intervals: {t.values_text}" if t.values else ""
     return [seen(t), f"The cause is {t.name}", upper(t.text), values, _rival(t, listed)]
 
@@ -193,25 +203,28 @@ def doubts(unsure: Sequence[Graded]) -> list[str]:
     for graded in unsure:
         i = graded.improvement
         gain = f"gain {figures(i.low, 2)} to {figures(i.high, 2)} Nm, 95 %"
-        error = f"from {figures(i.before)} to {figures(i.after)} Nm ({gain})"
+        error = f"from {figures(i.before)} to {figures(i.after)} Nm"
+        denied = f"{upper(LEFT_OUT)} do not confirm {graded.name}: their mean error"
         if i.grade == CONFIRMED and graded.on_bounds:
             found.append(f"{graded.name} is at the limit of its plausible range ({', '.join(graded.on_bounds)})")
         elif i.grade == CONFIRMED and graded.cancels:
-            found.append(f"{graded.name} reduces the hold-out error far less than its size suggests: {error}")
+            found.append(f"{graded.name} reduces the error far less than its size suggests: {error} on {LEFT_OUT}")
         elif i.grade == CONFIRMED and graded.by_others:
-            found.append(f"{graded.name} reduces the hold-out error far more than its size explains: {error}")
+            found.append(f"{graded.name} reduces the error far more than its size explains: {error} on {LEFT_OUT}")
         elif i.grade == CONFIRMED and graded.of_unconfirmed:
-            found.append("The hold-out laps do not confirm these terms together")
+            found.append(f"{upper(LEFT_OUT)} do not confirm these terms together")
+        elif i.less_likely:
+            found.append(f"{denied} falls {error}, but their likelihood falls too")
         else:
-            found.append(f"The hold-out laps do not confirm {graded.name}: their mean error goes {error}")
+            found.append(f"{denied} goes {error} ({gain})")
     return list(dict.fromkeys(found))
 
 
 def rejected(refuted: Sequence[Graded]) -> list[str]:
-    """Terms rejected or not confirmed on hold-out laps, and terms that displace a value of the file."""
+    """Terms rejected or not confirmed on laps left out in turn, and terms that displace a value of the file."""
     return [
         *(
-            f"The hold-out laps reject {g.name}: it raises their mean error from {figures(g.improvement.before)} to "
+            f"{upper(LEFT_OUT)} reject {g.name}: it raises their mean error from {figures(g.improvement.before)} to "
             f"{figures(g.improvement.after)} Nm"
             for g in refuted
             if g.grade == REFUTED and not g.displaces
@@ -255,7 +268,7 @@ def _rival(f: NamedEffect, listed: Possible) -> str:
     if f.step.chosen.net_evidence - next_best.net_evidence < LEAST_AHEAD:
         if not next_best.is_name:
             return f"{upper(next_best.name)} fits as well, but is a form: it bends to the data"
-        on_laps = "predicts the hold-out laps significantly worse" if next_best.name in f.step.worse else NOT_CONFIRMED
+        on_laps = f"predicts {LEFT_OUT} significantly worse" if next_best.name in f.step.worse else NOT_CONFIRMED
         return f"{upper(next_best.name)} fits as well, but {on_laps}"
     return f"The next best explanation, {next_best.name}, is {likelier(f.step.chosen, next_best)} times less likely"
 
@@ -280,8 +293,8 @@ def largest_of(left: Sequence[Bin]) -> Bin:
 def unexplained(left: Sequence[Bin]) -> str:
     """Location and size of the largest difference between measured torque and model."""
     first = largest_of(left)
-    side = "above" if first.mean_residual > 0 else "below"
-    return f"{upper(range_of(first))} the measured torque is {in_nm(abs(first.mean_residual))} Nm {side} the model"
+    way = "more" if first.mean_residual > 0 else "less"
+    return f"{upper(range_of(first))} the vehicle needs {in_nm(abs(first.mean_residual))} Nm {way} than the model"
 
 
 def slow(s: SlowResidual) -> list[str]:

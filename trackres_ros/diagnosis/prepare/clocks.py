@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackres_ros.diagnosis.prepare.notes import WarningNote
 from trackres_ros.diagnosis.prepare.sampling import means, ordered
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S
@@ -74,11 +75,11 @@ def on_one_clock(recording: Recording) -> tuple[Recording, list[str]]:
         elif off is None or role in torques or abs(off.seconds - ZONE_S * (round(off.seconds / ZONE_S) or 1)) > BOTH_ENDS_S:
             notes.append(f"{where} is {given}; only the common part is compared")
         elif base_role(role) in SLOW_ROLES:
-            notes.append(f"{where} is {given}: its clock seems to be {off.seconds:+d} s off; it is used uncorrected")
+            notes.append(WarningNote(f"{where} is {given}: its clock seems to be {off.seconds:+d} s off; it is used uncorrected"))
         else:
             del series[role]
             used = "it is not used; correct its times to use it"
-            notes.append(f"{where} is {given}: its clock seems to be {off.seconds:+d} s off; {used}")
+            notes.append(WarningNote(f"{where} is {given}: its clock seems to be {off.seconds:+d} s off; {used}"))
     return replace(recording, series=series), notes
 
 

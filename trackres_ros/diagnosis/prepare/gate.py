@@ -15,6 +15,7 @@ import numpy as np
 from trackres_ros.diagnosis.prepare.altitude import with_slope
 from trackres_ros.diagnosis.prepare.brakes import motor_brakes_alone, near
 from trackres_ros.diagnosis.prepare.clocks import on_one_clock
+from trackres_ros.diagnosis.prepare.notes import WarningNote
 from trackres_ros.diagnosis.prepare.refuse import (
     EARLIEST_CLOCK_S,
     SHORTEST_S,
@@ -56,6 +57,11 @@ class Gated:
     excluded: Mapping[str, int]  # time [s], by reason
     notes: tuple[str, ...]  # assumptions, one sentence each
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The notes on which the user should act."""
+        return tuple(note for note in self.notes if isinstance(note, WarningNote))
+
 
 def gate(
     recordings: Sequence[Recording], settings: GateSettings, hide: Sequence[str] = (), refused: Sequence[Refusal] = ()
@@ -90,7 +96,7 @@ def gate(
     excluded = sum((one.excluded for one in checked), Counter[str]())
     unused = [r for r in given if r.name in {one.name for one in refused}]
     excluded[UNUSED] = sum(int(duration_s(r.series)) for r in unused)
-    notes = [f"{one.name}: not used: {one.reason}" for one in refused] + overlaps
+    notes: list[str] = [*(WarningNote(f"{one.name}: not used: {one.reason}") for one in refused), *overlaps]
     if step < STEP_S:
         notes.append(
             f"the speed changes quickly, so torques are compared as means over {step:g} s instead of {STEP_S:g} s; pieces, "

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.gate import Gated
+from trackres_ros.diagnosis.prepare.notes import WarningNote
 from trackres_ros.diagnosis.prepare.resample import MOST_UNKNOWN
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Way
 from trackres_ros.route.learned import SLOPE, RouteMap
@@ -29,7 +30,7 @@ def on_route(gated: Gated, route: Sequence[RouteMap]) -> Gated:
             known = np.isfinite(found)
             notes.append(f"{session.name}: {known.mean():.0%} of it is on the route with known {one.kind}s")
             if known.mean() <= MOST_UNKNOWN:
-                notes[-1] += "; they are not used"
+                notes[-1] = WarningNote(f"{notes[-1]}; they are not used")
                 continue
             found = np.where(known, found, 0.0)
             session = replace(session, used=session.used & known)

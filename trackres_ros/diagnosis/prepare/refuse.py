@@ -14,6 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from trackres_ros.diagnosis.prepare.notes import WarningNote
 from trackres_ros.diagnosis.prepare.same_drive import Course, common_roles, same_drive
 from trackres_ros.diagnosis.prepare.session import MOST_LAGS, DriveSession
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, SLOWEST_SHARE, STEP_S
@@ -129,7 +130,8 @@ def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
                     "give one of them, or join their channels; if the drives differ, correct the wrong clock",
                 )
             if both > STEP_S:
-                notes.append(f"{name}, {other}: their clocks overlap by {both:.0f} s; treated as consecutive")
+                text = f"{name}, {other}: their clocks overlap by {both:.0f} s; treated as consecutive"
+                notes.append(WarningNote(text))
 
 
 def check_compared(recording: Recording, series: Mapping[str, Series] | None = None, shortest_s: float = SHORTEST_S) -> None:

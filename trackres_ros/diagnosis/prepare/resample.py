@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.gaps import filled_steps, steps_without_value
+from trackres_ros.diagnosis.prepare.notes import WarningNote
 from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, SHORTEST_S, check_compared
 from trackres_ros.diagnosis.prepare.sampling import (
     LONGEST_HOLD_S,
@@ -283,7 +284,7 @@ def _turning(grid: _Grid, speed: _Speed) -> tuple[Array, Array]:
     heading, yaw_rate = grid.held("heading", np.nan), grid.nan
     if "yaw_rate" in grid.given and not np.ptp(series["yaw_rate"].value[np.isfinite(series["yaw_rate"].value)]):
         grid.given.remove("yaw_rate")  # a gyroscope is never exactly still
-        grid.notes.append(f"{grid.name}: yaw_rate never changes; treated as not recorded")
+        grid.notes.append(WarningNote(f"{grid.name}: yaw_rate never changes; treated as not recorded"))
     if "yaw_rate" in grid.given:
         yaw_rate = means(*grid.samples("yaw_rate"), edges)[0]
     elif made := turning(series, grid.start, edges, speed.mean, settings.slowest, settings.track_width):
@@ -303,7 +304,8 @@ def _slope(grid: _Grid) -> Mask:
     """Steps without a slope; if these are the majority, the slope is treated as not recorded."""
     unknown = steps_without_value(grid.samples("grade")[0], grid.edges) if "grade" in grid.given else grid.nowhere
     if unknown.mean() > MOST_UNKNOWN:
-        grid.notes.append(f"{grid.name}: the slope is unknown for {unknown.mean():.0%} of the time; treated as not recorded")
+        text = f"{grid.name}: the slope is unknown for {unknown.mean():.0%} of the time; treated as not recorded"
+        grid.notes.append(WarningNote(text))
         grid.given.remove("grade")
         return grid.nowhere
     return unknown

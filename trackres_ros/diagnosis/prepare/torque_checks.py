@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.prepare.notes import WarningNote
 from trackres_ros.diagnosis.prepare.refuse import Refusal, each_usable
 from trackres_ros.diagnosis.prepare.session import Array, Cumulative, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, GateSettings
@@ -172,8 +173,10 @@ def inconsistent_scale_notes(sessions: Sequence[DriveSession], expected: Sequenc
     shares = [float(m @ e) / max(float(e @ e), 1e-12) for m, e in used]
     middle = float(np.median(shares)) if len(shares) > 2 else max(shares)
     return [
-        f"{s.name}: its torque is {share:.2g} times the expected one, but {middle:.2g} times in other recordings: is it the "
-        "same vehicle?"
+        WarningNote(
+            f"{s.name}: its torque is {share:.2g} times the expected one, but {middle:.2g} times in other recordings: is it the "
+            "same vehicle?"
+        )
         for s, share in zip(sessions, shares, strict=True)
         if s.used.sum() > 60 and not 1.0 / UNLIKE < share / middle < UNLIKE
     ]

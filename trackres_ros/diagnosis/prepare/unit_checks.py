@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from trackres_ros.diagnosis.prepare.notes import WarningNote
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import PLAUSIBLE
@@ -76,7 +77,8 @@ def check_speed_unit(name: str, speed: Array, accel: Array, recorded_accel: Arra
         off = 1.0 / ratio - 1.0
         if abs(off) > SPEED_OFF:
             more = "more" if off > 0.0 else "less"
-            return [f"{name}: the speed is {abs(off):.1%} {more} than the recorded distance implies: one of them is wrong"]
+            text = f"the speed is {abs(off):.1%} {more} than the recorded distance implies: one of them is wrong"
+            return [WarningNote(f"{name}: {text}")]
     return []
 
 
@@ -98,7 +100,8 @@ def _temperature(where: str, role: str, middle: float, hottest: float) -> list[s
     if not low <= middle <= hottest:
         raise InputError(where, f"{middle:.4g} degC (median)", f"{low:g} to {hottest:g} degC", "is the sensor connected?")
     if base_role(role) == "ambient" and middle > UNUSUAL_AIR_DEGC:
-        return [f"{where}: air of {middle:.0f} degC is unusual; if it is in degF, {_others(role)['degF'].line(role)}"]
+        text = f"air of {middle:.0f} degC is unusual; if it is in degF, {_others(role)['degF'].line(role)}"
+        return [WarningNote(f"{where}: {text}")]
     return []
 
 
@@ -118,7 +121,7 @@ def _weight(name: str, series: Mapping[str, Series], weight: float) -> list[str]
         remedy = "give the weight of the whole vehicle; for a payload, add the empty weight as offset in the topics file"
         raise InputError(where, given, f"{low:g} to {high:g} of it", remedy)
     if not USUAL_WEIGHTS[0] <= share <= USUAL_WEIGHTS[1]:
-        return [f"{where}: {given}: is each part of the load recorded exactly once?"]
+        return [WarningNote(f"{where}: {given}: is each part of the load recorded exactly once?")]
     return []
 
 

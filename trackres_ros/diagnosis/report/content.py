@@ -21,7 +21,7 @@ from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.findings.found import NamedEffect
 from trackres_ros.diagnosis.findings.locate import residual_sources
 from trackres_ros.diagnosis.findings.residual_bins import Bin
-from trackres_ros.diagnosis.findings.wording import LEAST_AHEAD, NOT_CONFIRMED, joined, likelier, rejected
+from trackres_ros.diagnosis.findings.wording import LEAST_AHEAD, LEFT_OUT, NOT_CONFIRMED, joined, likelier, rejected
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, Improvement
@@ -30,7 +30,7 @@ from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.vehicle.writing.changes import Interval
-from trackres_ros.vehicle.writing.sensor_lines import sensor_lines
+from trackres_ros.vehicle.writing.sensor_lines import REPLACED, sensor_lines
 from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
 
 SCHEMA = 1
@@ -83,6 +83,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
         "residual_sources": _sources(d.final),
         "split": d.split.text,
         "notes": d.gated.notes,
+        "warnings": d.gated.warnings,
         "inputs": inputs(d),
         "kept": kept,
         "topics_lines": lines,
@@ -184,7 +185,7 @@ def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
             "where it applies."
         )
     if lines:
-        steps.append(f"A sensor causes {sensors}. No file corrects that: in the topics file, replace the line of the role with:")
+        steps.append(f"A sensor causes {sensors}. No file corrects that: {REPLACED}:")
     return steps
 
 
@@ -206,7 +207,7 @@ def _why(c: Candidate, step: Step) -> str:
     if c.net_evidence > step.chosen.net_evidence - LEAST_AHEAD:
         if step.chosen.is_name and not c.is_name:
             return f"fits as well as {step.chosen.name}, but is a form: it bends to the data"
-        on_laps = f"hold-out laps decide for {step.chosen.name}" if c.name in step.worse else NOT_CONFIRMED
+        on_laps = f"{LEFT_OUT} decide for {step.chosen.name}" if c.name in step.worse else NOT_CONFIRMED
         return f"fits as well as {step.chosen.name}, but {on_laps}"
     return f"{likelier(step.chosen, c)} times less likely than {step.chosen.name}"
 
@@ -266,7 +267,7 @@ def _described(d: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _term(of: Described, improvement: Improvement | None, grade: str) -> dict[str, Any]:
-    """An unnamed term, with its improvement of the hold-out laps."""
+    """An unnamed term, with its improvement of laps left out."""
     return {
         "form": of.form,
         "name": of.name or None,

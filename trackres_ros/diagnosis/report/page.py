@@ -36,9 +36,9 @@ VERDICTS = {
     "unexplained": "Unexplained",
 }
 GRADES = {
-    "confirmed": "confirmed on hold-out laps",
-    "suspected": "suspected: it fits, hold-out laps do not confirm it",
-    "refuted": "refuted: hold-out laps get worse with it",
+    "confirmed": "confirmed by laps left out of the fit",
+    "suspected": "suspected: it fits, laps left out of the fit do not confirm it",
+    "refuted": "refuted: laps left out of the fit get worse with it",
 }
 
 

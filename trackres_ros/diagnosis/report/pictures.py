@@ -162,7 +162,7 @@ def draw_regimes(d: Diagnosis, path: Path) -> Picture:
         if not variables:
             axes[0].set_visible(True)
             axes[0].text(0.5, 0.5, "nothing varies enough to locate the residual", ha="center", transform=axes[0].transAxes)
-        body.supylabel("mean residual [Nm]", fontsize=9)
+        body.supylabel("mean residual against travel [Nm]", fontsize=9)
     texts = []
     for b in d.at_base.significant[:5]:
         low, high = alike((b.low, b.high), b.high - b.low)
@@ -170,8 +170,8 @@ def draw_regimes(d: Diagnosis, path: Path) -> Picture:
             f"{'+' if b.mean_residual > 0.0 else ''}{figures(b.mean_residual)} Nm at {b.variable} {low} to {high} {b.unit}"
         )
     text = (
-        "Mean residual by bins of each variable, each with as many samples; the numbers are the edges of the bins, lines "
-        "are 95 % intervals over laps, and a star marks bins beyond noise. With the base re-fitted: "
+        "Mean residual against travel by bins of each variable, each with as many samples; the numbers are the edges of the "
+        "bins, lines are 95 % intervals over laps, and a star marks bins beyond noise. With the base re-fitted: "
         f"{'; '.join(texts) or 'no bin exceeds the noise'}."
     )
     return Picture(path, "Where: by regime", text)

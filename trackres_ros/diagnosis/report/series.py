@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.base.variables import BY_NAME
+from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.findings.found import NamedEffect
 from trackres_ros.diagnosis.findings.residual_bins import Bin, regime_map
 from trackres_ros.diagnosis.inference.levels import for_tests
@@ -125,11 +126,12 @@ def _letters(length: int, inside: Sequence[Mask]) -> str:
 
 
 def uncertainty(d: Diagnosis, b: Bin, expected: Sequence[Array]) -> float:
-    """Half of the 95 % interval of the mean residual of a bin [Nm], over fitted laps; nan if it is in one lap only."""
+    """Half of the 95 % interval of the mean residual against travel of a bin [Nm], over fitted laps; nan if all is in one lap."""
     off, laps = [], []
     for i, (session, segment) in enumerate(zip(d.sessions, d.refitted.problem.segments, strict=False)):  # torques come first
         inside = segment.valid & within(b.variable, b.low, b.high, session, d.refitted.predicted[i])
-        off.append((session.torque - expected[i])[inside])
+        (against,) = against_travel([session], [session.torque - expected[i]])
+        off.append(against[inside])
         laps.append(session.block[inside])
     return half_interval(np.concatenate(off), np.concatenate(laps))
 

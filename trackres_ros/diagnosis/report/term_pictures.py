@@ -35,9 +35,7 @@ PERCENT = 100.0
 
 def draw_effect(d: Diagnosis, found: NamedEffect, path: Path) -> Picture:
     """The residual without the effect, and the effect's torque, over its main variable."""
-    left_over = torque_residuals(d.final)
-    if found.acts_on != "sensor":
-        left_over = against_travel(d.sessions, left_over)
+    left_over = against_travel(d.sessions, torque_residuals(d.final))
     variable = BY_NAME[found.location.variable]
     course = [variable.of(s, p) for s, p in zip(d.sessions, d.final.predicted, strict=True)]
     label, title = f"{variable.name} [{variable.unit}]", f"{found.name}: {found.text}"

@@ -16,13 +16,14 @@ from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
 from trackres_ros.diagnosis.findings.wording import form_words, upper
 from trackres_ros.diagnosis.selection.held_out import SMALL_SHARE
 from trackres_ros.text.numbers import alike, decimals, figures
+from trackres_ros.vehicle.writing.sensor_lines import REPLACED
 
 MOST_WORDS = 40  # upper limit for the sentence
 STANDS_OUT_P = 0.05
 FEW = 3  # most names in a sentence
 AVERAGED = "Averaged"  # first word of a slow residual's description
 LEAST_SHARE = 0.01  # of the mean error: least gain for a new file
-SURE = "the hold-out laps confirm it"
+SURE = "laps left out of the fit confirm it"
 SURE_OF_SPREAD = "a test over laps confirms it"
 SURE_OF_NONE = {
     "confirmed": "the hold-out laps confirm it",
@@ -204,7 +205,7 @@ def _next(r: dict[str, Any]) -> Tile:
         if lead is None or lead.get("name") in a["separates"]:
             return Tile(name, "Drive once more", f"{upper(a['manoeuvre'])} ({figures(a['minutes'], 2)} min)")
     if r.get("topics_lines"):
-        return Tile(name, "Correct the sensor", f"add to the topics file: {', '.join(r['topics_lines'])}")
+        return Tile(name, "Correct the sensor", f"{REPLACED} {' and '.join(r['topics_lines'].values())}")
     written = r.get("written") or {"base": False, "effects": []}
     if r["effects"] and written["effects"]:
         here, elsewhere = (" and ".join(map(_plain, names)) for names in by_file(r))
@@ -217,7 +218,7 @@ def _next(r: dict[str, Any]) -> Tile:
     if lead is not None and _is_sure(lead, r) and r["verdict"]["status"] != "unexplained":
         return Tile(name, "Keep your vehicle file", "the result is not written; the full verdict has the reason")
     if lead is not None:
-        return Tile(name, "Record more laps", "the hold-out laps do not confirm the result")
+        return Tile(name, "Record more laps", "laps left out of the fit do not confirm the result")
     if r["verdict"]["status"] == "unexplained":
         return Tile(name, "Investigate where the error is largest", "record more channels there: slope, wind, load, brakes")
     if written["base"] and _share(r) >= LEAST_SHARE:
@@ -249,7 +250,7 @@ def _share(r: dict[str, Any]) -> float:
     mae, followed = r["heldout"]["mae"], _followed(r)
     before, after = mae["nominal"], mae[stage_of(r)] if followed is None else followed
     without = r["heldout"].get("without_sensor_error")
-    if followed is None and without is not None and stage_of(r) == "refitted":
+    if followed is None and without is not None:
         after = without  # no file holds an error of the sensor
     return 0.0 if not before or after is None else float((before - after) / before)
 

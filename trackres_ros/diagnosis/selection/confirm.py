@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Grades each effect by the hold-out laps."""
+"""Grades each effect by laps left out in turn."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FAR = 5.0  # such standard deviations
 
 @dataclass(frozen=True, slots=True)
 class Graded:
-    """Hold-out grade of an effect.
+    """Grade of an effect by laps left out in turn.
 
     Base parameters that it displaces are on a bound far from the file's value with the effect, but not without it, although the
     hold-out error hardly improves. The effect replaces a part of the base, as a sensor offset replaces rolling resistance.
@@ -49,7 +49,7 @@ class Graded:
 
     @property
     def confirmed(self) -> bool:
-        """Whether hold-out laps confirm it."""
+        """Whether these laps confirm it."""
         return self.grade == CONFIRMED
 
 

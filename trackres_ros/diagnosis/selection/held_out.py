@@ -45,14 +45,25 @@ class Improvement:
     def grade(self) -> str:
         """Grade by the hold-out laps.
 
-        `refuted` if the error grows, significantly or by over 1 %. `confirmed` if it does not grow and the likelihood gain
-        is significant, or if it falls significantly, with likelihoods by at least `SMALL_SHARE`. Else `suspected`.
+        `refuted` if the error grows, significantly or by over 1 %. `confirmed` if it does not grow and the level score is
+        significantly above zero, or if it falls significantly: with level scores by at least `SMALL_SHARE`, and with a score
+        above zero. Else `suspected`.
         """
         if self.after > NO_WORSE * self.before or self.high < 0.0:
             return REFUTED
+        surely = self.likelier > 0.0 or (self._falls and not self.gained <= 0.0)
+        return CONFIRMED if self.after <= self.before and surely else SUSPECTED
+
+    @property
+    def less_likely(self) -> bool:
+        """Whether the laps do not confirm it for their level score alone, which falls although the mean error surely falls."""
+        return self._falls and self.gained <= 0.0
+
+    @property
+    def _falls(self) -> bool:
+        """Whether the mean error falls significantly, with level scores by at least `SMALL_SHARE`."""
         least = 0.0 if np.isinf(self.likelier) else SMALL_SHARE * self.before
-        falls = self.low > 0.0 and self.before - self.after >= least and not self.gained <= 0.0
-        return CONFIRMED if self.after <= self.before and (falls or self.likelier > 0.0) else SUSPECTED
+        return self.low > 0.0 and self.before - self.after >= least
 
     @property
     def confirmed(self) -> bool:
@@ -113,7 +124,7 @@ class HeldOut:
     by_lap: dict[str, dict[str, Array]]  # each of them by stage and lap, shape (laps,)
     of_refit: Improvement  # of the re-fitted base over the vehicle file; without assumed sensor errors, as a file is used
     of_effects: Improvement  # and of the effects over the re-fitted base
-    without_sensor: float | None = None  # mean absolute error without the assumed sensor errors [Nm], if much larger
+    without_sensor: float | None = None  # mean error of the last fit without its assumed sensor errors [Nm], if much larger
 
 
 def held_out(laps: HeldOutLaps, expected: Mapping[str, Sequence[Array]], as_file: Sequence[Array]) -> HeldOut:

@@ -34,7 +34,7 @@ from trackres_ros.diagnosis.findings.verdict import judge as verdict_of
 from trackres_ros.diagnosis.findings.wording import assumed_sensor
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
-from trackres_ros.diagnosis.prepare.session import Array
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.diagnosis.prepare.torque_checks import inconsistent_scale_notes, nothing_to_conclude
 from trackres_ros.diagnosis.search.choice import Chosen
 from trackres_ros.diagnosis.selection.as_used import Bounds
@@ -98,12 +98,20 @@ def judge(
             changed=changed,
             shares=chosen.shares,
             spread=None if spread is None else spread.described,
+            distance_off=_distance_off(prepared.sessions),
             later=later,
             sensor=assumed_sensor(final.instrument, worth.without_sensor, None if final.effects else worth.mae["with_effects"]),
             unusable=unusable,
         )
     )
     return Judgement(tuple(found), tuple(terms), drift, tracked, spread, worth, tested_end, at_end, bounds, verdict)
+
+
+def _distance_off(sessions: Sequence[DriveSession]) -> float:
+    """Recorded distance over that by the speed, minus one; zero without a recorded one."""
+    recorded = sum(float(s.distance[-1] - s.distance[0]) for s in sessions)
+    by_speed = sum(float(np.abs(np.nan_to_num(s.speed[1:])).sum()) * s.step for s in sessions)
+    return recorded / by_speed - 1.0 if by_speed > 0.0 else 0.0
 
 
 def _as_file(base: Refitted, final: Fit) -> tuple[Sequence[Array], str]:
@@ -150,11 +158,11 @@ def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
         if not chosen.is_named(effect.name):
             continue
         adds = final.contribution(effect.name)
-        resists = against_travel(sessions, adds) if effect.acts_on != "sensor" else adds
+        resists = against_travel(sessions, adds)
         where = locate(final, resists)
         if isinstance(effect, ByPlace):
             where = replace(where, low=where.least, high=where.most)  # limits by place only
-        regime = regime_of(base.refitted, base.at_base, where, effect.acts_on != "sensor")
+        regime = regime_of(base.refitted, base.at_base, where)
         found.append(
             NamedEffect(
                 effect.name, effect.text, effect.acts_on, effect.parameters, chosen.steps[effect.name], active.values,

@@ -15,6 +15,7 @@ from trackres_ros.recording.roles import base_role
 from trackres_ros.vehicle.writing.yaml_edit import flow
 
 FIGURES = 6
+REPLACED = "in the topics file, replace the line of the role with"
 NOTHING_KNOWN = conditions(VehicleConstants(1.0, 1.0, 0.0, 0.0, 1.0, 1, 0.0, 0.0))  # a sensor's error is independent of the drive
 
 
