@@ -87,6 +87,9 @@ def test_different_loads_identify_a_slope_on_one_way_streets(base):
     _, route = found_in(base, session, 4)
     assert route is not None
     assert route.is_slope
+    learned, final = route.effect.route, route.candidate.fit
+    assert abs(np.nanmean(learned.value[:, 0])) < 0.002  # a closed loop has no rise
+    assert abs(final.base_values["rolling_coefficient"] - base.nominal["rolling_coefficient"]) < 0.002
 
 
 def test_soft_ground_on_streets_passed_both_ways_is_no_slope(base):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import STEEPEST, ByPlace, SlopeByPlace, TorqueByPlace
-from trackres_ros.diagnosis.empirical.by_place import PlaceColumns, PlaceValues, StreetGraph, gains, learn
+from trackres_ros.diagnosis.empirical.by_place import BaseColumns, PlaceColumns, PlaceValues, StreetGraph, gains, learn
 from trackres_ros.diagnosis.empirical.payload import JointValues, loads, may_differ
 from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
@@ -129,7 +129,7 @@ def roads_of(sessions: Sequence[DriveSession]) -> Roads | None:
     whole = matched(places, tracks)
     within = tuple(m.at(t.nearest(w.driven)) for m, t, w in zip(whole, tracks, ways, strict=True))
     at = tuple(m.middles(len(m.number) // len(s)) for m, s in zip(within, sessions, strict=True))
-    return Roads(frame, places, StreetGraph.of(neighbours(whole), places.table), at, within)
+    return Roads(frame, places, StreetGraph.of(neighbours(whole), places.table, whole), at, within)
 
 
 def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQUE)) -> Route | None:
@@ -189,7 +189,7 @@ def _slope_or_torque(
         TORQUE: PlaceColumns.of_torque(roads.within, [scale * way for way in ways], roads.streets),
     }
     typical = {SLOPE: spread / (problem.base.facts.weight * radius), TORQUE: spread / scale}
-    base = _base_and_loads(current)
+    base = _base_and_loads(fitted)
     learned = {kind: learn(c, residuals, masks, noise, typical[kind], base) for kind, c in columns.items()}
     slope_gain = learned[SLOPE].evidence - learned[TORQUE].evidence
     kind = SLOPE if slope_gain > SURE_OF_KIND else TORQUE
@@ -204,16 +204,17 @@ def _slope_or_torque(
     return _ByPlace(kind, columns[kind], learned[kind], shape.expected(learned[kind]), slope_gain)
 
 
-def _base_and_loads(current: Fit) -> list[Array]:
+def _base_and_loads(fitted: Fit) -> BaseColumns:
     """Torque changes of each session for one standard deviation of each base parameter, and of the mass of each
     stretch if masses may differ. Otherwise a load would be learned as a slope where a vehicle accelerates.
     """
-    own = [i for i, f in enumerate(current.free) if f.key[0] not in current.effect_names]
-    columns = base_columns(current) * np.array([f.std if np.isfinite(f.std) else f.scale for f in current.free])
-    of_base = current.problem.split(columns[:, own])[: len(current.problem.sessions)]
-    if not may_differ(current):
-        return of_base
-    return [np.column_stack(both) for both in zip(of_base, loads(current), strict=True)]
+    own = [i for i, f in enumerate(fitted.free) if f.key[0] not in fitted.effect_names]
+    columns = base_columns(fitted) * np.array([f.std if np.isfinite(f.std) else f.scale for f in fitted.free])
+    of = fitted.problem.split(columns[:, own])[: len(fitted.problem.sessions)]
+    off = np.array([(x - f.nominal) / f.std for f, x in zip(fitted.free, fitted.point, strict=True)])[own]
+    if may_differ(fitted):
+        of = [np.column_stack(both) for both in zip(of, loads(fitted), strict=True)]
+    return BaseColumns(of, np.concatenate([off, np.zeros(of[0].shape[1] - len(off))]))
 
 
 def _shows_on_others(
