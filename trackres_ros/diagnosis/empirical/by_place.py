@@ -117,14 +117,14 @@ class PlaceColumns:
 
     @classmethod
     def of_slope(cls, tracks: Sequence[Matched], forces: Sequence[Array], streets: StreetGraph) -> PlaceColumns:
-        """For the sine of a slope, rising in a place's direction; forces are weight times radius, along travel [Nm]. A track has
+        """For the sine of a slope, rising in a place's direction; forces are the torque per sine along travel [Nm]. A track has
         the same number of points in each sample of a session.
         """
         return cls(tuple(_column(t, t.place, t.sign, f, streets.count) for t, f in zip(tracks, forces, strict=True)), streets)
 
     @classmethod
     def of_torque(cls, tracks: Sequence[Matched], against: Sequence[Array], streets: StreetGraph) -> PlaceColumns:
-        """For a torque against travel, one per direction; `against` is the direction of travel at each sample."""
+        """For a torque against travel, one per direction; `against` is what a sensor shows of it at each sample."""
         both = streets.both_ways()
         place = [np.where(t.place >= 0, 2 * t.place + (t.sign < 0.0), -1) for t in tracks]
         every = zip(tracks, place, against, strict=True)
@@ -172,6 +172,11 @@ class PlaceValues:
             unit[of[some], np.arange(len(some))] = 1.0
             found[some] = self._solve.solve(unit)[of[some], np.arange(len(some))]
         return np.sqrt(np.maximum(found, 0.0))
+
+    def std_of_mean(self, of: NDArray[np.int64]) -> float:
+        """Standard deviation of the mean of the values of some places."""
+        share = np.bincount(of, minlength=self._solve.shape[0]) / len(of)
+        return math.sqrt(max(float(share @ self._solve.solve(share)), 0.0))
 
 
 @dataclass(frozen=True, eq=False)

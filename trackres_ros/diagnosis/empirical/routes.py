@@ -38,7 +38,9 @@ LEAST_AGAIN_M = 500.0  # on repeated streets of the fitted laps
 TURNS = 5  # of fitting the base and the term by place
 SETTLED = 0.05  # of its size: a smaller change means convergence
 MOVED, NEAREST_MOVED = 39, 0.125  # shifted places for comparison, and the least shift in shares of all places
+MORE = 1e-4  # of weight times radius, for the derivative
 OWN = 2.0  # times the gain at shifted places: a slow drift fits many by chance
+COMMON = 0.1  # of the slopes' size: a larger standard deviation of their mean is told
 UNLEARNED = 0.9  # of its size: a place with such a standard deviation is not learned, such as an undriven direction
 
 
@@ -94,6 +96,13 @@ class _ByPlace:
             return math.inf
         now, then = (np.concatenate([x[m] for x, m in zip(of.expected, masks, strict=True)]) for of in (self, before))
         return float(np.sqrt(np.mean((now - then) ** 2) / max(float(np.mean(now**2)), 1e-30)))
+
+    def torques(self, fitted: Fit, effect: ByPlace) -> list[Array]:
+        """Torque of each session in a fit, to first order about that fit, as its values are learned."""
+        share = fitted.at[effect.name, effect.parameters[0].name] / effect.typical
+        along = [way if self.kind == SLOPE else np.ones_like(way) for way in _ways(fitted.problem.sessions)]
+        each = zip(_torque_per(fitted)[self.kind], along, self.expected, strict=True)
+        return [share * per * way * x for per, way, x in each]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +168,7 @@ def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQ
         left = torque_residuals(fitted)
         noise = estimate_noise(left, masks, SHORT_ROOT)
         noise = replace(noise, scale=noise.scale / best.learned.shrinks)
-        residuals = [r + x for r, x in zip(left, fitted.contribution(effect.name), strict=True)]
+        residuals = [r + x for r, x in zip(left, best.torques(fitted, effect), strict=True)]
         if before is not None and best.moved(before, masks) < SETTLED:
             break
     assert best is not None
@@ -178,30 +187,46 @@ def _slope_or_torque(
     current: Fit, fitted: Fit, roads: Roads, residuals: Sequence[Array], noise: Noise, kinds: Collection[str]
 ) -> _ByPlace | None:
     """A slope or a torque, with the base fitted too; None if other passes do not show it, or it is of no requested kind."""
-    problem, masks = current.problem, current.problem.masks
-    scale = fitted.base_values.get("torque_scale", problem.base.torque_scale)
-    radius = scale * problem.base.facts.radius
-    ways = [np.where(s.speed < 0.0, -1.0, 1.0) for s in problem.sessions]
-    force = [s.weight * radius * way for s, way in zip(problem.sessions, ways, strict=True)]
+    problem, masks, per = current.problem, current.problem.masks, _torque_per(fitted)
     spread = float(np.std(np.concatenate([r[m] for r, m in zip(residuals, masks, strict=True)])))
     columns = {
-        SLOPE: PlaceColumns.of_slope(roads.within, force, roads.streets),
-        TORQUE: PlaceColumns.of_torque(roads.within, [scale * way for way in ways], roads.streets),
+        SLOPE: PlaceColumns.of_slope(roads.within, per[SLOPE], roads.streets),
+        TORQUE: PlaceColumns.of_torque(roads.within, per[TORQUE], roads.streets),
     }
-    typical = {SLOPE: spread / (problem.base.facts.weight * radius), TORQUE: spread / scale}
+    scale = fitted.base_values.get("torque_scale", problem.base.torque_scale)
+    typical = {SLOPE: spread / (problem.base.facts.weight * problem.base.facts.radius * scale), TORQUE: spread / scale}
     base = _base_and_loads(fitted)
-    learned = {kind: learn(c, residuals, masks, noise, typical[kind], base) for kind, c in columns.items()}
+    at_places = [m & t.known for m, t in zip(masks, roads.at, strict=True)]  # elsewhere the base alone would take a slope
+    learned = {kind: learn(c, residuals, at_places, noise, typical[kind], base) for kind, c in columns.items()}
     slope_gain = learned[SLOPE].evidence - learned[TORQUE].evidence
     kind = SLOPE if slope_gain > SURE_OF_KIND else TORQUE
     if kind not in kinds or (len(kinds) == 1 and abs(slope_gain) <= SURE_OF_KIND):
         return None
     if learned[kind].evidence < SURE or not _shows_on_others(columns[kind], learned[kind], roads, residuals, masks):
         return None
+    ways = _ways(problem.sessions)
     if kind == SLOPE:
         shape = PlaceColumns.of_slope(roads.within, ways, roads.streets)
     else:
         shape = PlaceColumns.of_torque(roads.within, [np.ones(len(way)) for way in ways], roads.streets)
     return _ByPlace(kind, columns[kind], learned[kind], shape.expected(learned[kind]), slope_gain)
+
+
+def _ways(sessions: Sequence[DriveSession]) -> list[Array]:
+    """1 forwards, -1 backwards."""
+    return [np.where(s.speed < 0.0, -1.0, 1.0) for s in sessions]
+
+
+def _torque_per(fitted: Fit) -> dict[str, list[Array]]:
+    """Torque as the sensor shows it, per sine of a slope along travel and per torque against travel: gears take a share of it
+    while driving, and give a share less while braking.
+    """
+    problem, facts = fitted.problem, fitted.problem.base.facts
+    more = MORE * facts.weight * facts.radius
+    loaded = [replace(s, torque_by_place=s.torque_by_place + more) for s in problem.sessions]
+    expected = problem.base.predict(loaded, *fitted.model_at(fitted.point))
+    per = [(e.torque - p.torque) / more for e, p in zip(expected, fitted.predicted, strict=True)]
+    return {SLOPE: [s.weight * facts.radius * x for s, x in zip(problem.sessions, per, strict=True)], TORQUE: per}
 
 
 def _base_and_loads(fitted: Fit) -> BaseColumns:
@@ -244,7 +269,8 @@ def _effect(current: Fit, roads: Roads, best: _ByPlace, passes: NDArray[np.int64
     used = np.concatenate([x[m] for x, m in zip(shape, masks, strict=True)])
     typical = max(float(np.sqrt(np.mean(used**2))), 1e-9)
     make = SlopeByPlace if best.kind == SLOPE else TorqueByPlace
-    return make(BY_PLACE[best.kind], _text(route), [x / typical for x in shape], facts.weight * facts.radius, route, typical)
+    text = _text(route, best.learned.std_of_mean(np.flatnonzero(passes > 0)))
+    return make(BY_PLACE[best.kind], text, [x / typical for x in shape], facts.weight * facts.radius, route, typical)
 
 
 def _fitted_with(current: Fit, effect: ByPlace, begin: Fit, largest_root: float = LARGEST_ROOT) -> Fit:
@@ -271,8 +297,12 @@ def _map(roads: Roads, kind: str, learned: PlaceValues, passes: NDArray[np.int64
     return RouteMap(kind, latitude, longitude, np.arctan2(north, east), value, std, passes[seen])
 
 
-def _text(route: RouteMap) -> str:
+def _text(route: RouteMap, of_mean: float) -> str:
+    """Sentence for a map with this standard deviation of its mean."""
     low, high = (float(q) for q in np.nanquantile(route.value, (0.025, 0.975)))
-    if route.kind == SLOPE:
-        return f"the road has slopes of up to {max(-low, high):.1%}, the same on each pass"
-    return f"the vehicle needs {figures(low, 2)} to {figures(high, 2)} Nm more depending on the place, the same on each pass"
+    if route.kind == TORQUE:
+        return f"the vehicle needs {figures(low, 2)} to {figures(high, 2)} Nm more depending on the place, the same on each pass"
+    text = f"the road has slopes of up to {max(-low, high):.1%}, the same on each pass"
+    if of_mean > COMMON * float(np.sqrt(np.nanmean(route.value**2))):
+        text += f"; as rolling resistance looks like a mean slope on a road driven one way, all may be {2.0 * of_mean:.1%} off"
+    return text
