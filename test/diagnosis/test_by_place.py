@@ -118,20 +118,20 @@ def along_with_rolling(off, fitted=0.0, closes=True):
     return found.value, (found.value[seen] - true)[known], found.std(seen)[known]
 
 
-def test_one_way_round_a_loop_slopes_have_no_mean_whatever_rolls():
+def test_one_way_round_a_loop_slopes_have_no_mean():
     for off in (-1.5, 1.5):
         _, error, std = along_with_rolling(off)
         assert abs(error.mean()) < 0.001
         assert np.sqrt(np.mean((error / std) ** 2)) < 2.0
 
 
-def test_one_way_on_an_open_road_the_std_has_the_unknown_mean():
+def test_one_way_on_an_open_road_the_std_has_the_mean():
     _, error, std = along_with_rolling(1.0, closes=False)
     assert error.mean() > 0.002
     assert np.sqrt(np.mean((error / std) ** 2)) < 2.0
 
 
-def test_slopes_do_not_depend_on_where_the_last_fit_left_the_base():
+def test_slopes_do_not_depend_on_the_last_fitted_base():
     for closes in (True, False):
         here, there = (along_with_rolling(0.5, fitted, closes)[0] for fitted in (0.0, 2.0))
         np.testing.assert_allclose(there, here, atol=1e-4)

@@ -93,7 +93,7 @@ def test_different_loads_identify_a_slope_on_one_way_streets(base):
     assert abs(final.base_values["rolling_coefficient"] - base.nominal["rolling_coefficient"]) < 0.002
 
 
-def test_on_an_open_one_way_road_the_std_has_the_unknown_mean_slope(base):
+def test_on_an_open_one_way_road_the_std_has_the_unknown_mean(base):
     """And no sample without a known place teaches a mean that the road has not."""
     session, one = session_of(base, 7, (1, 1, 1), slope=1.0, loads=LOADS)
     current, roads = fit(Problem(base, (session,), (session.used,))), roads_of((session,))
