@@ -97,13 +97,6 @@ class _ByPlace:
         now, then = (np.concatenate([x[m] for x, m in zip(of.expected, masks, strict=True)]) for of in (self, before))
         return float(np.sqrt(np.mean((now - then) ** 2) / max(float(np.mean(now**2)), 1e-30)))
 
-    def torques(self, fitted: Fit, effect: ByPlace) -> list[Array]:
-        """Torque of each session in a fit, to first order about that fit, as its values are learned."""
-        share = fitted.at[effect.name, effect.parameters[0].name] / effect.typical
-        along = [way if self.kind == SLOPE else np.ones_like(way) for way in _ways(fitted.problem.sessions)]
-        each = zip(_torque_per(fitted)[self.kind], along, self.expected, strict=True)
-        return [share * per * way * x for per, way, x in each]
-
 
 @dataclass(frozen=True, eq=False)
 class Roads:
@@ -168,7 +161,7 @@ def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQ
         left = torque_residuals(fitted)
         noise = estimate_noise(left, masks, SHORT_ROOT)
         noise = replace(noise, scale=noise.scale / best.learned.shrinks)
-        residuals = [r + x for r, x in zip(left, best.torques(fitted, effect), strict=True)]
+        residuals = [r + x for r, x in zip(left, fitted.contribution(effect.name), strict=True)]
         if before is not None and best.moved(before, masks) < SETTLED:
             break
     assert best is not None
@@ -187,7 +180,7 @@ def _slope_or_torque(
     current: Fit, fitted: Fit, roads: Roads, residuals: Sequence[Array], noise: Noise, kinds: Collection[str]
 ) -> _ByPlace | None:
     """A slope or a torque, with the base fitted too; None if other passes do not show it, or it is of no requested kind."""
-    problem, masks, per = current.problem, current.problem.masks, _torque_per(fitted)
+    problem, masks, per = current.problem, current.problem.masks, _torque_per(current)
     spread = float(np.std(np.concatenate([r[m] for r, m in zip(residuals, masks, strict=True)])))
     columns = {
         SLOPE: PlaceColumns.of_slope(roads.within, per[SLOPE], roads.streets),
@@ -195,7 +188,7 @@ def _slope_or_torque(
     }
     scale = fitted.base_values.get("torque_scale", problem.base.torque_scale)
     typical = {SLOPE: spread / (problem.base.facts.weight * problem.base.facts.radius * scale), TORQUE: spread / scale}
-    base = _base_and_loads(fitted)
+    base = _base_and_loads(current, fitted)
     at_places = [m & t.known for m, t in zip(masks, roads.at, strict=True)]  # elsewhere the base alone would take a slope
     learned = {kind: learn(c, residuals, at_places, noise, typical[kind], base) for kind, c in columns.items()}
     slope_gain = learned[SLOPE].evidence - learned[TORQUE].evidence
@@ -204,7 +197,7 @@ def _slope_or_torque(
         return None
     if learned[kind].evidence < SURE or not _shows_on_others(columns[kind], learned[kind], roads, residuals, masks):
         return None
-    ways = _ways(problem.sessions)
+    ways = [np.where(s.speed < 0.0, -1.0, 1.0) for s in problem.sessions]
     if kind == SLOPE:
         shape = PlaceColumns.of_slope(roads.within, ways, roads.streets)
     else:
@@ -212,33 +205,29 @@ def _slope_or_torque(
     return _ByPlace(kind, columns[kind], learned[kind], shape.expected(learned[kind]), slope_gain)
 
 
-def _ways(sessions: Sequence[DriveSession]) -> list[Array]:
-    """1 forwards, -1 backwards."""
-    return [np.where(s.speed < 0.0, -1.0, 1.0) for s in sessions]
-
-
-def _torque_per(fitted: Fit) -> dict[str, list[Array]]:
-    """Torque as the sensor shows it, per sine of a slope along travel and per torque against travel: gears take a share of it
-    while driving, and give a share less while braking.
+def _torque_per(current: Fit) -> dict[str, list[Array]]:
+    """Torque as the sensor shows it, per sine of a slope along travel and per torque against travel. Gears add to it while
+    driving and take from it while braking, as of rolling resistance: else the two would differ, and a mean slope be told.
     """
-    problem, facts = fitted.problem, fitted.problem.base.facts
+    problem, facts = current.problem, current.problem.base.facts
     more = MORE * facts.weight * facts.radius
     loaded = [replace(s, torque_by_place=s.torque_by_place + more) for s in problem.sessions]
-    expected = problem.base.predict(loaded, *fitted.model_at(fitted.point))
-    per = [(e.torque - p.torque) / more for e, p in zip(expected, fitted.predicted, strict=True)]
+    expected = problem.base.predict(loaded, *current.model_at(current.point))
+    per = [(e.torque - p.torque) / more for e, p in zip(expected, current.predicted, strict=True)]
     return {SLOPE: [s.weight * facts.radius * x for s, x in zip(problem.sessions, per, strict=True)], TORQUE: per}
 
 
-def _base_and_loads(fitted: Fit) -> BaseColumns:
+def _base_and_loads(current: Fit, fitted: Fit) -> BaseColumns:
     """Torque changes of each session for one standard deviation of each base parameter, and of the mass of each
-    stretch if masses may differ. Otherwise a load would be learned as a slope where a vehicle accelerates.
+    stretch if masses may differ. Otherwise a load would be learned as a slope where a vehicle accelerates. The values are those
+    of a later fit; about that fit, a mass would change the slopes' torque, and explain it.
     """
-    own = [i for i, f in enumerate(fitted.free) if f.key[0] not in fitted.effect_names]
-    columns = base_columns(fitted) * np.array([f.std if np.isfinite(f.std) else f.scale for f in fitted.free])
-    of = fitted.problem.split(columns[:, own])[: len(fitted.problem.sessions)]
-    off = np.array([(x - f.nominal) / f.std for f, x in zip(fitted.free, fitted.point, strict=True)])[own]
-    if may_differ(fitted):
-        of = [np.column_stack(both) for both in zip(of, loads(fitted), strict=True)]
+    own = [i for i, f in enumerate(current.free) if f.key[0] not in current.effect_names]
+    columns = base_columns(current) * np.array([f.std if np.isfinite(f.std) else f.scale for f in current.free])
+    of = current.problem.split(columns[:, own])[: len(current.problem.sessions)]
+    off = np.array([(fitted.at[f.key] - f.nominal) / f.std for f in (current.free[i] for i in own)])
+    if may_differ(current):
+        of = [np.column_stack(both) for both in zip(of, loads(current), strict=True)]
     return BaseColumns(of, np.concatenate([off, np.zeros(of[0].shape[1] - len(off))]))
 
 
