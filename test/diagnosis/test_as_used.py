@@ -311,6 +311,14 @@ def test_stops_held_on_a_slope_hide_no_other_stops(loaded, effects):
     assert not seconds_without_torque(stopped[1:], 15.0)
 
 
+def test_one_torque_at_all_stops_is_told_with_its_line(loaded, effects):
+    (session,) = drives(loaded.base, 10.0, 1, 6.0, np.random.default_rng(1), step=1.0)
+    for readings, told in (((60.0, 64.0, 56.0), True), ((60.0,), False), ((60.0, -60.0, 150.0), False), ((5.0, 4.0, 6.0), False)):
+        gated = Gated(tuple(resting(session, reading, 100.0) for reading in readings), (), ())
+        notes = " ".join(without_an_offset(gated, loaded.base, effects)[0].notes)
+        assert ("torque: {..., offset: -60}" in notes and "a brake" in notes) == told, readings
+
+
 def test_without_torque_at_rest_the_offset_is_unknown(loaded):
     (session,) = drives(loaded.base, 10.0, 1, 6.0, np.random.default_rng(1), step=1.0)
     stood = resting(session, 0.0, 200.0)

@@ -3,13 +3,15 @@
 
 """A slope by place is learned from passes, with its uncertainty, and distinguished from a torque by its sign and by the load."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from streets import autoregression, drive, slope_at
+from streets import LAP_M, autoregression, drive, slope_at
 
-from trackres_ros.diagnosis.empirical.by_place import PlaceColumns, StreetGraph, gains, learn
+from trackres_ros.diagnosis.empirical.by_place import BaseColumns, PlaceColumns, StreetGraph, gains, learn
 from trackres_ros.diagnosis.inference.noise import estimate_noise
-from trackres_ros.route.matching import matched, neighbours, places_of
+from trackres_ros.route.matching import Matched, matched, neighbours, places_of
 from trackres_ros.route.track import track_of
 
 WEIGHT_RADIUS_NM = 60_000.0
@@ -21,7 +23,7 @@ def made(seed, rounds, size=1.0, loads=(1.0,)):
     track = track_of(one.distance, one.x, one.y)
     places = places_of([track])
     whole = matched(places, [track])
-    streets = StreetGraph.of(neighbours(whole), places.table)
+    streets = StreetGraph.of(neighbours(whole), places.table, whole)
     at = whole[0].at(track.nearest(one.distance))
     load = np.array(loads)[np.arange(len(one.speed)) * len(loads) // len(one.speed)]
     force = WEIGHT_RADIUS_NM * load
@@ -98,3 +100,45 @@ def test_places_that_were_not_driven_are_as_unsure_as_before():
     assert np.median(found.std(far)) > 0.5 * found.size
     assert np.median(found.std(near)) < 0.4 * found.size
     assert np.abs(found.value[far]).max() < found.size
+
+
+def along_with_rolling(off, fitted=0.0, closes=True):
+    """Slopes of a hill driven round one way, with a rolling coefficient that is `off` the file's, of which the residual has
+    `fitted`, in standard deviations: the values, and of the driven places their errors and standard deviations.
+    """
+    one, at, residual, mask, slope, _ = made(6, (1, 1, 1), size=0.0)
+    true, rolling = 0.03 * np.sin(2.0 * np.pi * one.way / LAP_M), np.full((len(mask), 1), 0.004 * WEIGHT_RADIUS_NM)
+    if not closes:
+        slope = replace(slope, streets=replace(slope.streets, closed=slope.streets.closed[:0]))
+    shown = residual + WEIGHT_RADIUS_NM * true + (off - fitted) * rolling[:, 0]
+    found = learn(slope, [shown], [mask], noise_of(residual, mask), 0.03, BaseColumns([rolling], np.array([fitted])))
+    seen = np.unique(at.place[mask & at.known])
+    true = np.array([np.median((true * at.sign[:, 0])[at.place[:, 0] == p]) for p in seen])
+    known = np.isfinite(true)
+    return found.value, (found.value[seen] - true)[known], found.std(seen)[known]
+
+
+def test_one_way_round_a_loop_slopes_have_no_mean():
+    for off in (-1.5, 1.5):
+        _, error, std = along_with_rolling(off)
+        assert abs(error.mean()) < 0.001
+        assert np.sqrt(np.mean((error / std) ** 2)) < 2.0
+
+
+def test_one_way_on_an_open_road_the_std_has_the_mean():
+    _, error, std = along_with_rolling(1.0, closes=False)
+    assert error.mean() > 0.002
+    assert np.sqrt(np.mean((error / std) ** 2)) < 2.0
+
+
+def test_slopes_do_not_depend_on_the_last_fitted_base():
+    for closes in (True, False):
+        here, there = (along_with_rolling(0.5, fitted, closes)[0] for fitted in (0.0, 2.0))
+        np.testing.assert_allclose(there, here, atol=1e-4)
+
+
+def test_a_street_driven_both_ways_closes_no_loop_of_its_own():
+    place = np.concatenate([np.arange(60), np.arange(60)[::-1]])
+    sign = np.repeat([1.0, -1.0], 60)
+    one = Matched(np.stack([place, place], axis=1), np.tile([1.0, 0.0], (120, 1)), np.stack([sign, sign], axis=1), place, place)
+    assert StreetGraph.of(neighbours([one]), np.zeros((60, 4)), [one]).closed.shape == (0, 60)

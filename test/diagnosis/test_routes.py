@@ -87,6 +87,26 @@ def test_different_loads_identify_a_slope_on_one_way_streets(base):
     _, route = found_in(base, session, 4)
     assert route is not None
     assert route.is_slope
+    assert "one way" not in route.effect.text
+    learned, final = route.effect.route, route.candidate.fit
+    assert abs(np.nanmean(learned.value[:, 0])) < 0.002  # a closed loop has no rise
+    assert abs(final.base_values["rolling_coefficient"] - base.nominal["rolling_coefficient"]) < 0.002
+
+
+def test_on_an_open_one_way_road_the_std_has_the_unknown_mean(base):
+    """And no sample without a known place teaches a mean that the road has not."""
+    session, one = session_of(base, 7, (1, 1, 1), slope=1.0, loads=LOADS)
+    current, roads = fit(Problem(base, (session,), (session.used,))), roads_of((session,))
+    roads = replace(roads, streets=replace(roads.streets, closed=roads.streets.closed[:0]))
+    effect = find_route(current, roads).effect
+    learned = effect.route
+    at, way = learned.frame.metres(learned.latitude, learned.longitude), learned.frame.metres(*position_of(one))
+    near = np.argmin(np.hypot(*(np.subtract.outer(x, of) for x, of in zip(at, way, strict=True))), axis=1)
+    error, std = learned.value[:, 0] - slope_at(one.way[near]), learned.std[:, 0]
+    assert abs(np.nanmean(error)) < np.nanmedian(std)
+    assert 0.0015 < np.nanmedian(std) < 0.004  # as of the rolling coefficient in the vehicle file
+    assert np.sqrt(np.nanmean((error / std) ** 2)) < 2.0
+    assert effect.text.endswith("on a road driven one way, all may be 0.6% off")
 
 
 def test_soft_ground_on_streets_passed_both_ways_is_no_slope(base):

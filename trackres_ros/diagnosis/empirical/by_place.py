@@ -25,6 +25,7 @@ from trackres_ros.diagnosis.inference.noise import Noise, autoregression
 from trackres_ros.diagnosis.prepare.session import Array, Mask, whole_past
 from trackres_ros.route.lookup import SPACING_M
 from trackres_ros.route.matching import Matched
+from trackres_ros.route.track import STEP_M
 
 LENGTHS_M = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0)  # candidate correlation lengths
 SIZES = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)  # candidate sizes of the values, relative to the residual's spread
@@ -35,6 +36,9 @@ LEAST_LEFT = 0.1  # least share of the samples left as degrees of freedom
 LONGEST_RESPONSE = 1000  # samples, after which the response to a shock is negligible
 NEAREST_M = 0.25 * SPACING_M  # least distance between two places
 FLOOR = 1e-9  # of the prior's precision, for places without a neighbour
+LEAST_LOOP_M = 500.0  # a shorter one says little about a mean slope
+CLOSED_M = 1.0  # standard deviation of the rise round a loop: its ends may lie 25 m aside of each other
+SAME_LOOP = 0.5  # share of common places
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +50,17 @@ class StreetGraph:
     sign: Array  # 1 where a rise along one is a rise along the other, else -1
     away: Array  # distance between them [m]
     count: int  # of places
+    closed: sparse.csr_matrix  # (loops, places): times slopes, the rise round each closed loop [m], which is zero
 
     @classmethod
-    def of(cls, pairs: Mapping[tuple[int, int], float], table: Array) -> StreetGraph:
-        """From neighbours and whether they point the same way, and the places' table; see `route.matching`."""
+    def of(cls, pairs: Mapping[tuple[int, int], float], table: Array, tracks: Sequence[Matched] = ()) -> StreetGraph:
+        """From neighbours and whether they point the same way, and the places' table, see `route.matching`; and tracks that may
+        go round closed loops.
+        """
         ends = np.array(list(pairs), dtype=np.int64).reshape(-1, 2)
         away = np.hypot(*(table[ends[:, 0], :2] - table[ends[:, 1], :2]).T)
-        return cls(ends[:, 0], ends[:, 1], np.array(list(pairs.values()), dtype=float), np.maximum(away, NEAREST_M), len(table))
+        sign, away = np.array(list(pairs.values()), dtype=float), np.maximum(away, NEAREST_M)
+        return cls(ends[:, 0], ends[:, 1], sign, away, len(table), _closed(tracks, len(table)))
 
     def both_ways(self) -> StreetGraph:
         """Graph with two nodes per place, one for each direction of passing."""
@@ -63,6 +71,7 @@ class StreetGraph:
             np.ones(2 * len(self.sign)),
             np.tile(self.away, 2),
             2 * self.count,
+            sparse.csr_matrix((0, 2 * self.count)),  # a torque has a mean
         )
 
     def precision(self, length_m: float, size: float) -> sparse.csc_matrix:
@@ -77,6 +86,28 @@ class StreetGraph:
         return ((mass + laplace) * (0.5 * length_m / size**2) + sparse.identity(n) * (FLOOR / size**2)).tocsc()
 
 
+def _closed(tracks: Sequence[Matched], count: int) -> sparse.csr_matrix:
+    """Loops that a track goes round without a gap, back to a place in the same direction; each loop once."""
+    rows, known = [], list[set[int]]()
+    for track in tracks:
+        nearer = np.arange(len(track.number)), np.argmax(track.share, axis=1)
+        begun = dict[tuple[int, float], int]()
+        for i, here in enumerate(zip(track.place[nearer].tolist(), track.sign[nearer].tolist(), strict=True)):
+            if here[0] < 0:
+                begun.clear()
+                continue
+            begin = begun.setdefault(here, i)
+            if (i - begin) * STEP_M < LEAST_LOOP_M:
+                continue
+            begun = {here: i}
+            place, rise = track.place[begin:i], STEP_M * (track.share * track.sign)[begin:i]
+            loop = set(place.ravel().tolist())
+            if all(len(loop & one) < SAME_LOOP * len(loop | one) for one in known):
+                known.append(loop)
+                rows.append(np.bincount(place.ravel(), rise.ravel(), count))
+    return sparse.csr_matrix(np.reshape(rows, (len(rows), count)))
+
+
 @dataclass(frozen=True, eq=False)
 class PlaceColumns:
     """Torque of each session per value of each place, shape (samples, values), and the graph of the values."""
@@ -86,14 +117,14 @@ class PlaceColumns:
 
     @classmethod
     def of_slope(cls, tracks: Sequence[Matched], forces: Sequence[Array], streets: StreetGraph) -> PlaceColumns:
-        """For the sine of a slope, rising in a place's direction; forces are weight times radius, along travel [Nm]. A track has
+        """For the sine of a slope, rising in a place's direction; forces are the torque per sine along travel [Nm]. A track has
         the same number of points in each sample of a session.
         """
         return cls(tuple(_column(t, t.place, t.sign, f, streets.count) for t, f in zip(tracks, forces, strict=True)), streets)
 
     @classmethod
     def of_torque(cls, tracks: Sequence[Matched], against: Sequence[Array], streets: StreetGraph) -> PlaceColumns:
-        """For a torque against travel, one per direction; `against` is the direction of travel at each sample."""
+        """For a torque against travel, one per direction; `against` is what a sensor shows of it at each sample."""
         both = streets.both_ways()
         place = [np.where(t.place >= 0, 2 * t.place + (t.sign < 0.0), -1) for t in tracks]
         every = zip(tracks, place, against, strict=True)
@@ -131,7 +162,7 @@ class PlaceValues:
     def relearned(self, columns: PlaceColumns, residuals: Sequence[Array], masks: Sequence[Mask]) -> Array:
         """Values from other samples, with this length, size and noise, and a fixed base."""
         rows = WhitenedRows.of(columns.of, residuals, masks, self.noise)
-        return _learned(rows, columns.streets, 0, self.length_m, self.size).value
+        return _learned(rows, columns.streets, np.empty(0), self.length_m, self.size).value
 
     def std(self, of: NDArray[np.int64]) -> Array:
         """Standard deviation of the values of some places."""
@@ -142,6 +173,19 @@ class PlaceValues:
             found[some] = self._solve.solve(unit)[of[some], np.arange(len(some))]
         return np.sqrt(np.maximum(found, 0.0))
 
+    def std_of_mean(self, of: NDArray[np.int64]) -> float:
+        """Standard deviation of the mean of the values of some places."""
+        share = np.bincount(of, minlength=self._solve.shape[0]) / len(of)
+        return math.sqrt(max(float(share @ self._solve.solve(share)), 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class BaseColumns:
+    """Parameters to fit along with the values of places."""
+
+    of: Sequence[Array]  # torque of each session for one standard deviation of each, shape (samples, parameters)
+    off: Array  # (parameters,), their values in the residuals less those of the vehicle file, in standard deviations
+
 
 def learn(
     columns: PlaceColumns,
@@ -149,7 +193,7 @@ def learn(
     masks: Sequence[Mask],
     noise: Noise,
     typical: float,
-    base: Sequence[Array] | None = None,
+    base: BaseColumns | None = None,
 ) -> PlaceValues:
     """Most likely values, with the length and size of the most evidence.
 
@@ -162,18 +206,18 @@ def learn(
     typical
         A value with a torque as large as the residual.
     base
-        Parameters to fit along: torque of each session for one standard deviation of each, shape (samples, parameters).
+        Parameters to fit along. Their prior is about the values of the file, whatever the last fit found: a mean slope on
+        one-way streets is the same column as a resistance, so both would walk away from turn to turn.
     """
-    base_count, of = 0, list(columns.of)
+    off, of = np.empty(0), list(columns.of)
     if base is not None:
-        base_count = base[0].shape[1]
-        of = [sparse.hstack([z, sparse.csr_matrix(b)]).tocsr() for z, b in zip(of, base, strict=True)]
+        off, of = base.off, [sparse.hstack([z, sparse.csr_matrix(b)]).tocsr() for z, b in zip(of, base.of, strict=True)]
     rows = WhitenedRows.of(of, residuals, masks, noise)
     tried: dict[tuple[int, int], PlaceValues] = {}
 
     def at(i: int, j: int) -> PlaceValues:
         if (i, j) not in tried:
-            tried[i, j] = _learned(rows, columns.streets, base_count, LENGTHS_M[i], SIZES[j] * typical)
+            tried[i, j] = _learned(rows, columns.streets, off, LENGTHS_M[i], SIZES[j] * typical)
         return tried[i, j]
 
     i, j = len(LENGTHS_M) // 2, len(SIZES) // 2
@@ -185,7 +229,7 @@ def learn(
             break
         i, j = best
     choices = math.log(len(LENGTHS_M) * len(SIZES))
-    found, (gain, cost) = tried[i, j], _of_base(rows, base_count)
+    found, (gain, cost) = tried[i, j], _of_base(rows, off)
     return replace(found, evidence=found.evidence - (gain - cost) - choices, cost=found.cost - cost + choices)
 
 
@@ -231,29 +275,39 @@ def _growth(phi: Array) -> float:
     return float(np.sqrt(np.sum(response**2)))
 
 
-def _of_base(rows: WhitenedRows, base_count: int) -> tuple[float, float]:
+def _of_base(rows: WhitenedRows, off: Array) -> tuple[float, float]:
     """Gain in log-likelihood of the base columns without terms by place, and its cost."""
-    columns, noise, weight = rows.columns[:, rows.columns.shape[1] - base_count :].toarray(), rows.noise, np.ones(len(rows.white))
+    columns, noise, weight = rows.columns[:, rows.columns.shape[1] - len(off) :].toarray(), rows.noise, np.ones(len(rows.white))
     for _ in range(TURNS):
-        normal = (columns.T * weight) @ columns + np.eye(base_count)
-        value = np.linalg.solve(normal, (columns.T * weight) @ rows.white)
+        normal = (columns.T * weight) @ columns + np.eye(len(off))
+        value = np.linalg.solve(normal, (columns.T * weight) @ rows.white - off)
         weight = noise.weights(rows.white - columns @ value)
     gain = float((noise.log_density(rows.white - columns @ value) - noise.log_density(rows.white)).sum())
-    return gain, 0.5 * float(value @ value) + 0.5 * float(np.linalg.slogdet(normal)[1])
+    whole = value + off
+    return gain, 0.5 * float(whole @ whole) + 0.5 * float(np.linalg.slogdet(normal)[1])
 
 
-def _learned(rows: WhitenedRows, streets: StreetGraph, base_count: int, length_m: float, size: float) -> PlaceValues:
-    prior = sparse.block_diag([streets.precision(length_m, size), sparse.identity(base_count)]).tocsc()
+def _learned(rows: WhitenedRows, streets: StreetGraph, off: Array, length_m: float, size: float) -> PlaceValues:
+    """Values with this prior. Loops close where the base is free: else a wrong base has a mean slope as its only way out."""
+    closed = streets.closed if len(off) else streets.closed[:0]
+    loops, other = closed.shape[0], len(off)
+    prior = sparse.block_diag([streets.precision(length_m, size), sparse.identity(other)])
+    closed = sparse.hstack([closed, sparse.csr_matrix((loops, other))])
+    # Multipliers of the loops keep the matrix sparse; its inverse and its quadratic form are those without them.
+    prior = sparse.bmat([[prior, closed.T], [closed, -(CLOSED_M**2) * sparse.identity(loops)]]).tocsc()
+    columns = sparse.hstack([rows.columns, sparse.csr_matrix((len(rows.white), loops))]).tocsr()
+    moved = np.concatenate([np.zeros(streets.count), off, np.zeros(loops)])
     noise, weight = rows.noise, np.ones(len(rows.white))  # without values, steep places would look like outliers
     for _ in range(TURNS):
-        weighted = rows.columns.multiply(weight[:, np.newaxis]).tocsr()
-        solve = _factored((rows.columns.T @ weighted + prior).tocsc())
-        value = solve.solve(weighted.T @ rows.white)
-        weight = noise.weights(rows.white - rows.columns @ value)
-    cost = 0.5 * float(value @ (prior @ value)) + 0.5 * (_log_determinant(solve) - _log_determinant(_factored(prior)))
-    gain = float((noise.log_density(rows.white - rows.columns @ value) - noise.log_density(rows.white)).sum())
+        weighted = columns.multiply(weight[:, np.newaxis]).tocsr()
+        solve = _factored((columns.T @ weighted + prior).tocsc())
+        value = solve.solve(weighted.T @ rows.white - moved)
+        weight = noise.weights(rows.white - columns @ value)
+    whole = value + moved
+    cost = 0.5 * float(whole @ (prior @ whole)) + 0.5 * (_log_determinant(solve) - _log_determinant(_factored(prior)))
+    gain = float((noise.log_density(rows.white - columns @ value) - noise.log_density(rows.white)).sum())
     probes = np.random.default_rng(0).choice((-1.0, 1.0), (len(value), PROBES))
-    settled = float(np.mean((probes * solve.solve(rows.columns.T @ (weighted @ probes))).sum(axis=0)))  # values set by the data
+    settled = float(np.mean((probes * solve.solve(columns.T @ (weighted @ probes))).sum(axis=0)))  # values set by the data
     shrinks = math.sqrt(max(1.0 - settled / len(rows.white), LEAST_LEFT))
     return PlaceValues(value[: streets.count], length_m, size, gain - cost, cost, noise, shrinks, solve)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import STEEPEST, ByPlace, SlopeByPlace, TorqueByPlace
-from trackres_ros.diagnosis.empirical.by_place import PlaceColumns, PlaceValues, StreetGraph, gains, learn
+from trackres_ros.diagnosis.empirical.by_place import BaseColumns, PlaceColumns, PlaceValues, StreetGraph, gains, learn
 from trackres_ros.diagnosis.empirical.payload import JointValues, loads, may_differ
 from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
@@ -38,7 +38,9 @@ LEAST_AGAIN_M = 500.0  # on repeated streets of the fitted laps
 TURNS = 5  # of fitting the base and the term by place
 SETTLED = 0.05  # of its size: a smaller change means convergence
 MOVED, NEAREST_MOVED = 39, 0.125  # shifted places for comparison, and the least shift in shares of all places
+MORE = 1e-4  # of weight times radius, for the derivative
 OWN = 2.0  # times the gain at shifted places: a slow drift fits many by chance
+COMMON = 0.1  # of the slopes' size: a larger standard deviation of their mean is told
 UNLEARNED = 0.9  # of its size: a place with such a standard deviation is not learned, such as an undriven direction
 
 
@@ -129,7 +131,7 @@ def roads_of(sessions: Sequence[DriveSession]) -> Roads | None:
     whole = matched(places, tracks)
     within = tuple(m.at(t.nearest(w.driven)) for m, t, w in zip(whole, tracks, ways, strict=True))
     at = tuple(m.middles(len(m.number) // len(s)) for m, s in zip(within, sessions, strict=True))
-    return Roads(frame, places, StreetGraph.of(neighbours(whole), places.table), at, within)
+    return Roads(frame, places, StreetGraph.of(neighbours(whole), places.table, whole), at, within)
 
 
 def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQUE)) -> Route | None:
@@ -178,25 +180,24 @@ def _slope_or_torque(
     current: Fit, fitted: Fit, roads: Roads, residuals: Sequence[Array], noise: Noise, kinds: Collection[str]
 ) -> _ByPlace | None:
     """A slope or a torque, with the base fitted too; None if other passes do not show it, or it is of no requested kind."""
-    problem, masks = current.problem, current.problem.masks
-    scale = fitted.base_values.get("torque_scale", problem.base.torque_scale)
-    radius = scale * problem.base.facts.radius
-    ways = [np.where(s.speed < 0.0, -1.0, 1.0) for s in problem.sessions]
-    force = [s.weight * radius * way for s, way in zip(problem.sessions, ways, strict=True)]
+    problem, masks, per = current.problem, current.problem.masks, _torque_per(current)
     spread = float(np.std(np.concatenate([r[m] for r, m in zip(residuals, masks, strict=True)])))
     columns = {
-        SLOPE: PlaceColumns.of_slope(roads.within, force, roads.streets),
-        TORQUE: PlaceColumns.of_torque(roads.within, [scale * way for way in ways], roads.streets),
+        SLOPE: PlaceColumns.of_slope(roads.within, per[SLOPE], roads.streets),
+        TORQUE: PlaceColumns.of_torque(roads.within, per[TORQUE], roads.streets),
     }
-    typical = {SLOPE: spread / (problem.base.facts.weight * radius), TORQUE: spread / scale}
-    base = _base_and_loads(current)
-    learned = {kind: learn(c, residuals, masks, noise, typical[kind], base) for kind, c in columns.items()}
+    scale = fitted.base_values.get("torque_scale", problem.base.torque_scale)
+    typical = {SLOPE: spread / (problem.base.facts.weight * problem.base.facts.radius * scale), TORQUE: spread / scale}
+    base = _base_and_loads(current, fitted)
+    at_places = [m & t.known for m, t in zip(masks, roads.at, strict=True)]  # elsewhere the base alone would take a slope
+    learned = {kind: learn(c, residuals, at_places, noise, typical[kind], base) for kind, c in columns.items()}
     slope_gain = learned[SLOPE].evidence - learned[TORQUE].evidence
     kind = SLOPE if slope_gain > SURE_OF_KIND else TORQUE
     if kind not in kinds or (len(kinds) == 1 and abs(slope_gain) <= SURE_OF_KIND):
         return None
     if learned[kind].evidence < SURE or not _shows_on_others(columns[kind], learned[kind], roads, residuals, masks):
         return None
+    ways = [np.where(s.speed < 0.0, -1.0, 1.0) for s in problem.sessions]
     if kind == SLOPE:
         shape = PlaceColumns.of_slope(roads.within, ways, roads.streets)
     else:
@@ -204,16 +205,30 @@ def _slope_or_torque(
     return _ByPlace(kind, columns[kind], learned[kind], shape.expected(learned[kind]), slope_gain)
 
 
-def _base_and_loads(current: Fit) -> list[Array]:
+def _torque_per(current: Fit) -> dict[str, list[Array]]:
+    """Torque as the sensor shows it, per sine of a slope along travel and per torque against travel. Gears add to it while
+    driving and take from it while braking, as of rolling resistance: else the two would differ, and a mean slope be told.
+    """
+    problem, facts = current.problem, current.problem.base.facts
+    more = MORE * facts.weight * facts.radius
+    loaded = [replace(s, torque_by_place=s.torque_by_place + more) for s in problem.sessions]
+    expected = problem.base.predict(loaded, *current.model_at(current.point))
+    per = [(e.torque - p.torque) / more for e, p in zip(expected, current.predicted, strict=True)]
+    return {SLOPE: [s.weight * facts.radius * x for s, x in zip(problem.sessions, per, strict=True)], TORQUE: per}
+
+
+def _base_and_loads(current: Fit, fitted: Fit) -> BaseColumns:
     """Torque changes of each session for one standard deviation of each base parameter, and of the mass of each
-    stretch if masses may differ. Otherwise a load would be learned as a slope where a vehicle accelerates.
+    stretch if masses may differ. Otherwise a load would be learned as a slope where a vehicle accelerates. The values are those
+    of a later fit; about that fit, a mass would change the slopes' torque, and explain it.
     """
     own = [i for i, f in enumerate(current.free) if f.key[0] not in current.effect_names]
     columns = base_columns(current) * np.array([f.std if np.isfinite(f.std) else f.scale for f in current.free])
-    of_base = current.problem.split(columns[:, own])[: len(current.problem.sessions)]
-    if not may_differ(current):
-        return of_base
-    return [np.column_stack(both) for both in zip(of_base, loads(current), strict=True)]
+    of = current.problem.split(columns[:, own])[: len(current.problem.sessions)]
+    off = np.array([(fitted.at[f.key] - f.nominal) / f.std for f in (current.free[i] for i in own)])
+    if may_differ(current):
+        of = [np.column_stack(both) for both in zip(of, loads(current), strict=True)]
+    return BaseColumns(of, np.concatenate([off, np.zeros(of[0].shape[1] - len(off))]))
 
 
 def _shows_on_others(
@@ -243,7 +258,8 @@ def _effect(current: Fit, roads: Roads, best: _ByPlace, passes: NDArray[np.int64
     used = np.concatenate([x[m] for x, m in zip(shape, masks, strict=True)])
     typical = max(float(np.sqrt(np.mean(used**2))), 1e-9)
     make = SlopeByPlace if best.kind == SLOPE else TorqueByPlace
-    return make(BY_PLACE[best.kind], _text(route), [x / typical for x in shape], facts.weight * facts.radius, route, typical)
+    text = _text(route, best.learned.std_of_mean(np.flatnonzero(passes > 0)))
+    return make(BY_PLACE[best.kind], text, [x / typical for x in shape], facts.weight * facts.radius, route, typical)
 
 
 def _fitted_with(current: Fit, effect: ByPlace, begin: Fit, largest_root: float = LARGEST_ROOT) -> Fit:
@@ -270,8 +286,12 @@ def _map(roads: Roads, kind: str, learned: PlaceValues, passes: NDArray[np.int64
     return RouteMap(kind, latitude, longitude, np.arctan2(north, east), value, std, passes[seen])
 
 
-def _text(route: RouteMap) -> str:
+def _text(route: RouteMap, of_mean: float) -> str:
+    """Sentence for a map with this standard deviation of its mean."""
     low, high = (float(q) for q in np.nanquantile(route.value, (0.025, 0.975)))
-    if route.kind == SLOPE:
-        return f"the road has slopes of up to {max(-low, high):.1%}, the same on each pass"
-    return f"the vehicle needs {figures(low, 2)} to {figures(high, 2)} Nm more depending on the place, the same on each pass"
+    if route.kind == TORQUE:
+        return f"the vehicle needs {figures(low, 2)} to {figures(high, 2)} Nm more depending on the place, the same on each pass"
+    text = f"the road has slopes of up to {max(-low, high):.1%}, the same on each pass"
+    if of_mean > COMMON * float(np.sqrt(np.nanmean(route.value**2))):
+        text += f"; as rolling resistance looks like a mean slope on a road driven one way, all may be {2.0 * of_mean:.1%} off"
+    return text

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -26,11 +27,13 @@ from trackres_ros.effects.effect import Effect
 from trackres_ros.effects.sensor.torque_offset import TorqueOffset
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
 from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.role_units import Conversion
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import STANDSTILL_MPS
 
-LEAST_S = 60.0  # of stops with a reading of zero
+LEAST_S = 60.0  # of stops with a reading of zero, or of one other value
+FEWEST_STOPS, ALIKE = 2.0, 0.25  # with one other value, as many as equally long ones; and their spread over it
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +76,13 @@ def prepare(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diagn
 
 def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -> tuple[Gated, Base, dict[str, Effect]]:
     """Remove a sensor offset from the candidate effects, and from the base's instrument, if the torque sensor reads zero at rest
-    for long; with a note.
+    for long; with a note. If it reads one other value at all stops, only a note tells it.
     """
     none = usual_offset(base)
     seconds = seconds_without_torque(gated.sessions, none)
     if not seconds or TorqueOffset.name not in effects:
-        return gated, base, dict(effects)
+        told = "" if seconds else _offset_at_rest(gated.sessions, none)
+        return replace(gated, notes=(*gated.notes, *filter(None, [told]))), base, dict(effects)
     note = f"the torque is 0 Nm at rest, within {figures(none)} Nm over {seconds:.0f} s: the sensor has no offset"
     known = copy.copy(base)
     known.includes = (*base.includes, TorqueOffset.name)  # so no fit adds one
@@ -88,17 +92,39 @@ def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -
 def seconds_without_torque(sessions: Sequence[DriveSession], most: float) -> float:
     """Total time at rest with a measured torque of at most `most` [Nm], thus zero [s]; 0 where too short to decide.
 
-    A stop is included if the median of its readings is zero: at others a slope may hold a torque, or a start is near.
+    At other stops a slope may hold a torque, or a start is near.
     """
-    seconds = 0.0
+    seconds = sum(seconds for seconds, torque in _stops(sessions) if abs(torque) <= most)
+    return seconds if seconds >= LEAST_S else 0.0
+
+
+def _offset_at_rest(sessions: Sequence[DriveSession], most: float) -> str:
+    """Note on a torque of more than `most` [Nm] at which all stops agree, with the line that corrects it; empty without one."""
+    stops = np.array(_stops(sessions)).reshape(-1, 2)
+    seconds, torque = stops.T
+    if seconds.sum() < LEAST_S or seconds.sum() ** 2 < FEWEST_STOPS * (seconds**2).sum():
+        return ""
+    mean = float(np.average(torque, weights=seconds))
+    spread = math.sqrt(float(np.average((torque - mean) ** 2, weights=seconds)))
+    if abs(mean) <= most or spread > ALIKE * abs(mean):
+        return ""
+    line = Conversion(offset=-float(figures(mean))).line("torque")
+    return (
+        f"the torque is {figures(mean)} Nm at rest, alike in {len(stops)} stops of {seconds.sum():.0f} s together: if neither a "
+        f"slope nor a brake holds the vehicle, the sensor has an offset; {line}"
+    )
+
+
+def _stops(sessions: Sequence[DriveSession]) -> list[tuple[float, float]]:
+    """Time of each stop with a measured torque [s], and the median of its readings [Nm]."""
+    found = []
     for session in sessions:
         slow = np.abs(session.speed) < STANDSTILL_MPS
         rests = slow & np.roll(slow, 1) & np.roll(slow, -1) & _measured(session)  # no part of a start within the step
         rests[[0, -1]] = False
         for begin, end in runs_of(rests):
-            if abs(float(np.median(session.torque[begin:end]))) <= most:
-                seconds += session.step * (end - begin)
-    return seconds if seconds >= LEAST_S else 0.0
+            found.append((session.step * (end - begin), float(np.median(session.torque[begin:end]))))
+    return found
 
 
 def _measured(session: DriveSession) -> Mask:
