@@ -16,6 +16,7 @@ from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.instrument import usual_offset
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.prepare.gate import Gated, gate
+from trackres_ros.diagnosis.prepare.notes import WarningNote
 from trackres_ros.diagnosis.prepare.on_route import on_route
 from trackres_ros.diagnosis.prepare.refuse import Refusal
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask, Split
@@ -76,7 +77,7 @@ def prepare(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diagn
 
 def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -> tuple[Gated, Base, dict[str, Effect]]:
     """Remove a sensor offset from the candidate effects, and from the base's instrument, if the torque sensor reads zero at rest
-    for long; with a note. If it reads one other value at all stops, only a note tells it.
+    for long; with a note. If it reads one other value at all stops, only a warning tells it.
     """
     none = usual_offset(base)
     seconds = seconds_without_torque(gated.sessions, none)
@@ -109,7 +110,7 @@ def _offset_at_rest(sessions: Sequence[DriveSession], most: float) -> str:
     if abs(mean) <= most or spread > ALIKE * abs(mean):
         return ""
     line = Conversion(offset=-float(figures(mean))).line("torque")
-    return (
+    return WarningNote(
         f"the torque is {figures(mean)} Nm at rest, alike in {len(stops)} stops of {seconds.sum():.0f} s together: if neither a "
         f"slope nor a brake holds the vehicle, the sensor has an offset; {line}"
     )
