@@ -141,7 +141,13 @@ def test_a_bad_cell_far_down(tmp_path: Path, reader: str) -> None:
 def test_a_topics_file_names_other_columns(tmp_path: Path, reader: str) -> None:
     path = tmp_path / "run.csv"
     path.write_bytes("time_s;Geschwindigkeit [km/h];Öl;ambient_degc\n0;36;1;15\n".encode("latin-1"))
-    topics = Topics.parse({"speed": {"column": "Geschwindigkeit [km/h]", "scale": 1 / 3.6, "offset": 1.0}}, "t.yaml")
+    topics = Topics.parse(
+        {
+            "speed": {"column": "Geschwindigkeit [km/h]", "scale": 1 / 3.6, "offset": 1.0},
+            "load": {"topic": "/load", "type": "std_msgs/msg/Float64", "field": "data"},
+        },
+        "t.yaml",
+    )
     assert read(path, topics) == [("ambient", 0.0, 15.0), ("speed", 0.0, 11.0)]
     assert any("Latin-1" in note for note in open_source([path], topics).notes)
     with pytest.raises(InputError, match=r"t\.yaml: speed: column: given 'Geschwindigkeit'.*did you mean"):

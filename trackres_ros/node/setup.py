@@ -69,7 +69,8 @@ def changed_parameters(before: Parameters, given: Mapping[str, object], topics: 
 
 def _check_live(topics: Topics) -> None:
     """Refuse topics that a live node cannot use: a column of a table, a name that ROS does not allow, or no speed among them."""
-    topics.check_used(of_topics=True)
+    for where, given, _ in topics.unused(of_topics=True):
+        raise InputError(where, given, "a topic with type and field", "use a topics file for each kind of source")
     for role in topics:
         for source in topics[role].sources:
             if not TOPIC_NAME.fullmatch(source.topic):

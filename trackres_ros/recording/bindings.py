@@ -48,7 +48,6 @@ PART = re.compile(r"[A-Za-z0-9_\-]+")
 MOST_DELAY_S = 10.0
 MOST_KG_EACH = 500.0  # with luggage
 LARGEST = 1e300  # an integer may be larger than any float
-OTHER_SOURCE = "use a topics file for each kind of source"
 EXAMPLE = "speed: {topic: /vehicle/speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}"
 
 
@@ -74,23 +73,25 @@ class Topics:
         """The same with other databases, of whatever bus."""
         return replace(self, dbc=tuple((None, file) for file in files))
 
-    def check_used(self, of_topics: bool, time: bool = False, dbc: bool = False) -> None:
-        """Refuse lines that a source would not use.
+    def unused(self, of_topics: bool, time: bool = False, dbc: bool = False) -> Iterator[tuple[str, str, str]]:
+        """Lines that a source would not use: their place, what they name, and what the source has instead.
 
         `of_topics`: whether it has topics, else columns; `time`: whether a column is its time; `dbc`: whether it has frames of a
-        CAN bus. Raises InputError, which names the line.
+        CAN bus.
         """
+        other = ("a column of a table", "topics") if of_topics else ("a topic", "columns or channels")
         for role, binding in self.bindings.items():
-            if of_topics and not binding.of_topics:
-                raise InputError(f"{self.origin}: {role}", "a column of a table", "a topic with type and field", OTHER_SOURCE)
-            if not of_topics and binding.of_topics:
-                raise InputError(f"{self.origin}: {role}", "a topic", "a column or channel of this file", OTHER_SOURCE)
+            if binding.of_topics != of_topics:
+                yield f"{self.origin}: {role}", *other
         if self.time and not time:
-            given = f"column {self.time.column}"
-            raise InputError(f"{self.origin}: {TIME}", given, "no such line: the source has its own times", OTHER_SOURCE)
+            yield f"{self.origin}: {TIME}", f"column {self.time.column}", "times of its own"
         if self.dbc and not dbc:
-            files = ", ".join(str(file) for _, file in self.dbc)
-            raise InputError(f"{self.origin}: {DBC}", files, "no database: the source has no CAN frames", OTHER_SOURCE)
+            yield f"{self.origin}: {DBC}", ", ".join(str(file) for _, file in self.dbc), "no CAN frames"
+
+    def unused_notes(self, of_topics: bool, time: bool = False, dbc: bool = False) -> list[str]:
+        """The same as notes: one topics file may serve recordings of several kinds."""
+        found = self.unused(of_topics, time, dbc)
+        return [f"{where}: {given} is not used, as this source has {instead}" for where, given, instead in found]
 
     @classmethod
     def load(cls, path_or_name: str | PathLike[str]) -> Topics:

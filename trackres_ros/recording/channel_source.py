@@ -56,8 +56,6 @@ class ChannelSource:
             check_file(path)
         with self._reading():
             files = read(path, self.name, topics)
-        if topics:
-            topics.check_used(False, any(not one.has_times for one in files), any(one.has_frames for one in files))
         self._file, choice, others = _first_that_fits(files, topics)
         self._time, channels = choice.time, sorted(choice.channels, key=lambda one: one.role == "speed")
         self.roles = tuple(dict.fromkeys(one.role for one in channels))
@@ -74,7 +72,9 @@ class ChannelSource:
             self._file.settle(self._time, list(itertools.chain(*self._columns)))
             self.torque_candidates = tuple(one for place, one in ignored if one in like and self._file.is_number(place))
         said = [self._note_of(of) for of in of_role if of[0].role not in choice.guessed]
-        notes = [*others, *self._file.notes, *choice.notes, *said, *self._sums().notes]
+        of_rows, of_frames = any(not one.has_times for one in files), any(one.has_frames for one in files)
+        unused = topics.unused_notes(False, of_rows, of_frames) if topics else []
+        notes = [*unused, *others, *self._file.notes, *choice.notes, *said, *self._sums().notes]
         if ignored:
             notes.append(f"ignored columns: {listed_names([name for _, name in ignored])}")
         notes += note_of(self.torque_candidates, self.roles)

@@ -48,7 +48,9 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     listed = topics.bindings.items() if topics else ()
     origin = topics.origin if topics else file.name
     notes = _left_out(file)
-    of_file = [names.chosen(role, part, origin, notes) for role, binding in listed for part in binding.sources]
+    of_file = [
+        names.chosen(role, part, origin, notes) for role, binding in listed if not binding.of_topics for part in binding.sources
+    ]
     known = _known(file, frozenset(one.role for one in of_file), names, notes)
     time = None if file.has_times else _time(file, topics, names, notes)
     if topics:

@@ -104,12 +104,12 @@ class BagSource:
             if path not in self._kept:
                 reader.close()
         self.torque_candidates = tuple(of_topics({one.topic: one.msgtype for _, ones in found for one in ones}))
-        guesses: list[str] = []
+        said: list[str] = []
         if topics is None:
             filled = {one.topic: one.msgtype for _, ones in found for one in ones if one.msgcount}
-            topics, guesses = guess(filled)
-        topics.check_used(of_topics=True)
-        bindings = self.bindings = {role: topics[role] for role in topics}
+            topics, said = guess(filled)
+        said += topics.unused_notes(of_topics=True)
+        bindings = self.bindings = {role: topics[role] for role in topics if topics[role].of_topics}
         if "speed" not in bindings:
             raise InputError(f"{topics.origin}: speed", "no topic", "a topic for speed", "add a line for it")
         self.roles = tuple(sorted(bindings, key=lambda role: role == "speed"))
@@ -118,7 +118,7 @@ class BagSource:
         self._topics = self._bound(found)
         self._position = PositionUnits(bindings)
         candidates = note_of(self.torque_candidates, self.roles)
-        self._notes = tuple(map(one_line, (*guesses, *self._stamp_notes(), *Sums(self._readings, bindings).notes, *candidates)))
+        self._notes = tuple(map(one_line, (*said, *self._stamp_notes(), *Sums(self._readings, bindings).notes, *candidates)))
         self.findings: tuple[Finding, ...] = ()
 
     def _bound(self, found: Sequence[tuple[Path, list[Connection]]]) -> dict[tuple[Path, str], _Topic]:
@@ -177,7 +177,7 @@ class BagSource:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on guesses, the stamps in use, and, after reading, the assumed unit of a position."""
+        """Notes on guesses and unused lines, the stamps in use, and, after reading, the assumed unit of a position."""
         return (*self._notes, *self._position.notes)
 
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:

@@ -69,11 +69,13 @@ def regime_map(
     Notes
     -----
     The mean is of the plain residual against travel [Nm]. Its significance is tested on the whitened one, against the
-    largest over all bins with random sign flips of whole pieces (max-T).
+    largest over all bins with random sign flips of whole pieces (max-T). Steps in which the vehicle turns back are left out:
+    they have no direction of travel.
     """
     sessions = fit.problem.sessions
     rows = fit.white[: len(sessions)]
-    valid = np.isfinite(np.concatenate(rows))
+    turns_back = np.concatenate([np.abs(s.speed) < 0.5 * s.step * np.abs(s.accel) for s in sessions])
+    valid = np.isfinite(np.concatenate(rows)) & ~turns_back
     e, plain = (np.concatenate(against_travel(sessions, of))[valid] for of in (rows, torque_residuals(fit)))
     pieces = _pieces(rows)[valid]
     members, bins = [], []

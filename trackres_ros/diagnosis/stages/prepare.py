@@ -111,7 +111,7 @@ def _offset_at_rest(sessions: Sequence[DriveSession], most: float) -> str:
         return ""
     line = Conversion(offset=-float(figures(mean))).line("torque")
     return WarningNote(
-        f"the torque is {figures(mean)} Nm at rest, alike in {len(stops)} stops of {seconds.sum():.0f} s together: if neither a "
+        f"the torque is {figures(mean)} Nm at rest, alike in {len(stops)} stops of {seconds.sum():.0f} s together; if neither a "
         f"slope nor a brake holds the vehicle, the sensor has an offset; {line}"
     )
 
