@@ -103,8 +103,9 @@ def test_places_that_were_not_driven_are_as_unsure_as_before():
 
 
 def along_with_rolling(off, fitted=0.0, closes=True):
-    """Slopes of a hill driven round one way, with a rolling coefficient that is `off` the file's, of which the residual has
-    `fitted`, in standard deviations: the values, and of the driven places their errors and standard deviations.
+    """Slopes of a hill driven round one way: the values, and the errors and standard deviations at the driven places.
+
+    The rolling coefficient differs from the file's by `off` standard deviations; a fit before has found `fitted` of them.
     """
     one, at, residual, mask, slope, _ = made(6, (1, 1, 1), size=0.0)
     true, rolling = 0.03 * np.sin(2.0 * np.pi * one.way / LAP_M), np.full((len(mask), 1), 0.004 * WEIGHT_RADIUS_NM)

@@ -73,7 +73,7 @@ class InputReader:
                 self.stamped |= stamp != 0 and channel in TOGETHER
             else:  # one stamp for all parts of a sum in this message
                 stamp = own_ns[channel] = own_ns.get(channel) or self._own_stamp(channel, arrival_ns)
-            stamp = stamp and (stamp - binding.delay_ns or 1)  # 0 means never set
+            stamp = binding.less_delay(stamp)
             if not is_usable(stamp):
                 bad_stamp.add(channel)
             elif total is None or part is None:

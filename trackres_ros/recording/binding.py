@@ -95,6 +95,10 @@ class TopicBinding:
         """The delay [ns]."""
         return round(self.delay_s * 1e9)
 
+    def less_delay(self, stamp_ns: int) -> int:
+        """A stamp less the delay [ns]. 0 stays, as it means never set, and no other stamp becomes it."""
+        return stamp_ns and (stamp_ns - self.delay_ns or 1)
+
     @property
     def steps(self) -> tuple[FieldStep, ...]:
         """The steps of the field path."""

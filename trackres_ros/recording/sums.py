@@ -174,7 +174,7 @@ class Sum:
                 self.alone += 1
                 continue
             value = self._binding.scale * (total + sum(values)) + self._binding.offset
-            done.append((stamp_ns and (stamp_ns - self._binding.delay_ns or 1), value))
+            done.append((self._binding.less_delay(stamp_ns), value))
         return done
 
 
