@@ -12,8 +12,9 @@ from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import load_base
 from trackres_ros.diagnosis.empirical.finders import PAYLOAD, find_terms, residuals_without
-from trackres_ros.diagnosis.empirical.payload import STOP_S, JointValues, find_payload, stretch_numbers
+from trackres_ros.diagnosis.empirical.payload import STOP_S, JointValues, find_payload, mass_of, stretch_numbers
 from trackres_ros.diagnosis.empirical.statements import describe
+from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.effects import catalogue
 from trackres_ros.evaluation.synthetic import drives
@@ -91,6 +92,14 @@ def test_masses_are_found_as_sure_as_is_said(car, carried):
         assert "kg less and" in told.sentence
 
 
+def test_masses_do_not_depend_on_where_the_last_fit_ended(carried):
+    found = carried[0]
+    point = found.point + [0.01 * (f.key[0] == "torque_gain") for f in found.free]
+    moved = replace(found, point=point, predicted=found.problem.predict(*found.model_at(point)))
+    mean, moved_mean = (np.mean([s.mass for s in find_payload(f, torque_residuals(f)).stretches]) for f in (found, moved))
+    assert moved_mean == pytest.approx(mean, abs=0.001 * mass_of(found))
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_a_vehicle_that_weighs_the_same_has_no_payload(car, seed):
     assert looked_for(fitted(car, 0.0, seed)[0]) is None
@@ -138,7 +147,7 @@ def test_mass_errors_match_their_std_with_learned_slopes(car, carried):
         np.add.at(total, place[mask], residual[mask] / (session.weight[mask] * radius))
         np.add.at(count, place[mask], 1.0)
     adds = tuple(z @ (total / np.maximum(count, 1.0)) for z in columns)
-    slopes = JointValues(adds, columns, (sparse.identity(places) / SLOPE**2).tocsc())
+    slopes = JointValues(adds, columns, (sparse.identity(places) / SLOPE**2).tocsc(), np.zeros(places))
     payload = find_payload(found, [r - x for r, x in zip(left, adds, strict=True)], slopes)
     check_masses(payload.stretches, masses)
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.empirical.level_changes import LevelChange, find_change, piece_s, sharpened
-from trackres_ros.diagnosis.empirical.payload import Payload, find_payload
+from trackres_ros.diagnosis.empirical.payload import PAYLOAD, Payload, find_payload
 from trackres_ros.diagnosis.empirical.places import Place, find_place
 from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads, Route, find_route
 from trackres_ros.diagnosis.empirical.spells import (
@@ -40,8 +40,10 @@ from trackres_ros.estimator.disturbance import BLOCK_S, later_there, seen_there
 from trackres_ros.progress import counted
 from trackres_ros.vehicle.writing.changes import BY_PLACE
 
-Search = Callable[[Fit, Sequence[Array]], "Term | None"]
-"""Searches the torque residual of each session [Nm] for a term of the clock alone, in addition to a fit."""
+Search = Callable[[Fit, Sequence[Array], Fit], "Term | None"]
+"""Searches the torque residual of each session [Nm] for a term of the clock alone, in addition to a fit. The residual is that of
+another fit, with the term as found before.
+"""
 
 SURE = 10.0  # in log-likelihood: spells over a drift, a drift over none, a term over none
 FEWEST_SPELLS = 2  # with one, it is a level change
@@ -49,7 +51,7 @@ LEAST_DRIFT_S = 60.0  # a faster drift is noise that the autoregression includes
 LEAST_DRIFT = 0.01  # of the torque
 BETWEEN = 0.7  # of the slow variance: share between recordings
 PHASE_COST = 1.0  # in log-likelihood: gain by noise of the phase and size fitted to each stretch
-SPELLS, WAVE, LEVEL_CHANGE, PLACE, PAYLOAD = "spells", "wave", "level_change", "place", "payload"
+SPELLS, WAVE, LEVEL_CHANGE, PLACE = "spells", "wave", "level_change", "place"
 LIKELY = 0.5  # probability of an active spell
 FEWEST_TURNS = 2.0  # of a session, least for a circuit
 
@@ -71,12 +73,13 @@ def _search_twice(current: Fit, name: str, search: Search) -> Term | None:
     """Find a term of the clock alone; a second search uses the base fitted together with the first result."""
     if name in current.effect_names:
         return None
-    residuals, found = torque_residuals(current), None
+    residuals, last, found = torque_residuals(current), current, None
     for _ in range(2):
-        term = search(current, residuals)
+        term = search(current, residuals, last)
         if term is None:
             return found
-        found, residuals = term, residuals_without(term.candidate.fit, name)
+        found, last = term, term.candidate.fit
+        residuals = residuals_without(last, name)
     return found
 
 
@@ -111,7 +114,7 @@ def residuals_without(current: Fit, name: str) -> list[Array]:
     return [r + x for r, x in zip(torque_residuals(current), current.contribution(name), strict=True)]
 
 
-def _spells(current: Fit, residuals: Sequence[Array]) -> Term | None:
+def _spells(current: Fit, residuals: Sequence[Array], _: Fit) -> Term | None:
     """Spells, if two levels are more likely than a drift."""
     b = torque_blocks(current, residuals)
     chain, there, _ = find_chain(b)
@@ -170,7 +173,7 @@ def beginnings(b: Blocks, there: Array, backwards: bool = False) -> Mask:
     return np.asarray(on & ~np.concatenate((goes_on, [False]) if backwards else ([False], goes_on)))
 
 
-def _wave(current: Fit, residuals: Sequence[Array]) -> Term | None:
+def _wave(current: Fit, residuals: Sequence[Array], _: Fit) -> Term | None:
     """A wave in driven distance; on hold-out laps from earlier measurements."""
     wave = find_wave(current)
     if wave is None:
@@ -182,7 +185,7 @@ def _wave(current: Fit, residuals: Sequence[Array]) -> Term | None:
     return Term(candidate, wave=wave) if candidate.net_evidence > SURE and candidate.matters else None
 
 
-def _level_change(current: Fit, residuals: Sequence[Array]) -> Term | None:
+def _level_change(current: Fit, residuals: Sequence[Array], _: Fit) -> Term | None:
     """A lasting level change; on hold-out laps known from their time alone."""
     sessions, masks = current.problem.sessions, current.problem.masks
     step = sessions[0].step
@@ -197,7 +200,7 @@ def _level_change(current: Fit, residuals: Sequence[Array]) -> Term | None:
     return Term(candidate, change=change) if _counts(candidate, current) else None
 
 
-def _place(current: Fit, residuals: Sequence[Array]) -> Term | None:
+def _place(current: Fit, residuals: Sequence[Array], _: Fit) -> Term | None:
     """A torque at the same place on each pass; on hold-out laps known from the driven distance alone."""
     sessions, masks = current.problem.sessions, current.problem.masks
     mean = float(np.mean(np.concatenate([s.weight[m] for s, m in zip(sessions, masks, strict=True)])))
@@ -223,9 +226,9 @@ def driven_along(sessions: Sequence[DriveSession]) -> list[Array]:
     return [-d if on_laps and turn * d[-1] < 0.0 else d for d, turn in zip(driven, turns, strict=True)]
 
 
-def _payload(current: Fit, residuals: Sequence[Array], route: Route | None) -> Term | None:
+def _payload(current: Fit, residuals: Sequence[Array], last: Fit, route: Route | None) -> Term | None:
     """A mass for each stretch between stops, in addition to terms by place; on hold-out laps from earlier measurements."""
-    payload = find_payload(current, residuals, None if route is None else route.joint_values(current))
+    payload = find_payload(last, residuals, None if route is None else route.joint_values(last))
     if payload is None:
         return None
     text = "another mass on each stretch between stops"

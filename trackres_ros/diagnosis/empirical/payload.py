@@ -30,6 +30,7 @@ from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 
 Indices = NDArray[np.int64]
 
+PAYLOAD = "payload"
 STOP_S = 5.0  # a shorter stop changes no load
 FEWEST_STRETCHES = 6
 SIZES = tuple(np.geomspace(0.003, 0.3, 9))  # standard deviation of the payload, over the vehicle's mass
@@ -74,17 +75,21 @@ class JointValues:
     adds: tuple[Array, ...]  # torque of each session [Nm]
     columns: tuple[sparse.csr_matrix, ...]  # torque of each session per value
     precision: sparse.csc_matrix  # of the values' prior
+    pull: Array  # of the prior towards the values of the file, whatever the last fit found: a scale of all torques is like a mass
 
     @classmethod
     def values_of(cls, current: Fit) -> JointValues:
-        """The values of a fit, with their priors and the information of other measurements than the torque."""
-        problem, scale = current.problem, np.array([f.scale for f in current.free])
-        parts, torques = problem.split(base_columns(current) * scale), len(problem.sessions)
+        """The values of a fit but its payload, with their priors and the information of other measurements than the torque."""
+        own = [i for i, f in enumerate(current.free) if f.key[0] != PAYLOAD]
+        free, problem = [current.free[i] for i in own], current.problem
+        columns = base_columns(current)[:, own] * [f.scale for f in free]
+        parts, torques = problem.split(columns), len(problem.sessions)
         others = problem.white(parts, current.noises)[torques:]
-        known = np.diag([LEAST_KNOWN + (f.scale / f.std) ** 2 for f in current.free])
-        known = known + sum(w.T @ w for w in map(np.nan_to_num, others))
-        columns = tuple(sparse.csr_matrix(np.nan_to_num(x)) for x in parts[:torques])
-        return cls(tuple(np.zeros(x.shape[0]) for x in columns), columns, sparse.csc_matrix(known))
+        prior = np.array([(f.scale / f.std) ** 2 for f in free])
+        known = np.diag(LEAST_KNOWN + prior) + sum(w.T @ w for w in map(np.nan_to_num, others))
+        torque = tuple(sparse.csr_matrix(np.nan_to_num(x)) for x in parts[:torques])
+        pull = prior * [(f.nominal - current.at[f.key]) / f.scale for f in free]
+        return cls(tuple(np.zeros(x.shape[0]) for x in torque), torque, sparse.csc_matrix(known), pull)
 
     def together_with(self, other: JointValues | None) -> JointValues:
         """Both sets of values."""
@@ -92,7 +97,8 @@ class JointValues:
             return self
         columns = tuple(sparse.hstack(both).tocsr() for both in zip(self.columns, other.columns, strict=True))
         adds = tuple(x + y for x, y in zip(self.adds, other.adds, strict=True))
-        return JointValues(adds, columns, sparse.block_diag((self.precision, other.precision)).tocsc())
+        precision = sparse.block_diag((self.precision, other.precision)).tocsc()
+        return JointValues(adds, columns, precision, np.concatenate([self.pull, other.pull]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +157,7 @@ def may_differ(current: Fit) -> bool:
 def find_payload(current: Fit, residuals: Sequence[Array], joint: JointValues | None = None) -> Payload | None:
     """The mass of each stretch; None with recorded loads or passengers, or too few stretches.
 
-    `residuals` are those of the torque of each session [Nm], without the terms in `joint`.
+    `residuals` are those of the torque of each session in the fit [Nm], without a payload and the terms in `joint`.
     """
     if not may_differ(current):
         return None
@@ -198,7 +204,7 @@ def _most_likely(
     for _ in range(TURNS):  # with the payload in it, the noise would be as large and hide the payload
         rows = WhitenedRows.of(both, whole, masks, noise)
         weights = noise.weights(WhitenedRows.of(both, left, masks, noise).white)
-        normal, others, settled = _normal(rows, weights, session, joint.precision)
+        normal, others, settled = _normal(rows, weights, session, joint)
         tried = (normal.solved(size * mass, alike, MEAN * mass) for size in SIZES for alike in ALIKE)
         best = max(tried, key=lambda one: one.evidence)
         values = np.concatenate(best.masses)
@@ -212,15 +218,15 @@ def _most_likely(
 
 
 def _normal(
-    rows: WhitenedRows, weights: Array, session: Indices, precision: sparse.csc_matrix
+    rows: WhitenedRows, weights: Array, session: Indices, joint: JointValues
 ) -> tuple[_Normal, Callable[[Array], Array], float]:
     """Normal equations of the masses, a function for the other values, and the number of those that the samples determine."""
     count = len(session)
     weighted = rows.columns.multiply(weights[:, np.newaxis]).tocsr()
     matrix, right = (rows.columns.T @ weighted).tocsc(), np.asarray(weighted.T @ rows.white)
     of_masses, across = matrix[:count, :count].toarray(), matrix[count:, :count].toarray()
-    solve = splu((matrix[count:, count:] + precision).tocsc()).solve
-    taken, of_others = solve(across), solve(right[count:])
+    solve = splu((matrix[count:, count:] + joint.precision).tocsc()).solve
+    taken, of_others = solve(across), solve(right[count:] + joint.pull)
     normal = _Normal(of_masses - across.T @ taken, right[:count] - across.T @ of_others, session)
     probes = np.random.default_rng(0).choice((-1.0, 1.0), (len(across), PROBES))
     settled = float(np.mean((probes * solve(matrix[count:, count:] @ probes)).sum(axis=0)))

@@ -77,7 +77,7 @@ class Route:
     def joint_values(self, current: Fit) -> JointValues:
         """Its torque in a fit, and its prior."""
         prior = self.places.streets.precision(self.values.length_m, self.values.size)
-        return JointValues(tuple(current.contribution(self.candidate.name)), self.places.of, prior)
+        return JointValues(tuple(current.contribution(self.candidate.name)), self.places.of, prior, np.zeros(prior.shape[0]))
 
 
 @dataclass(frozen=True, eq=False)

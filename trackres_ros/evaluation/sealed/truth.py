@@ -201,12 +201,13 @@ def _resistance(sheet: DataSheet, build: Build, hidden: Hidden, at: Journey, for
     drive, radius = at.drive, sheet["track.sprocket_radius"]
     weight = drive.weight
     drag = 0.5 * sheet["chassis.air_density"] * build.drag * sheet["chassis.drag_coefficient"] * sheet["chassis.frontal_area"]
-    inertia = sheet["chassis.rotating_mass_factor"] + hidden.get("rotating_inertia", {}).get("more", 0.0)
+    turning = sheet["chassis.rotating_mass_factor"] - 1.0 + hidden.get("rotating_inertia", {}).get("more", 0.0)
+    turns = sheet["weight"] if street.LOAD in hidden else weight  # people and goods do not turn with the wheels
     total = radius * (
         sheet.assemblies * force * at.direction
         + build.bearing * sheet["chassis.bearing_friction"] * weight * at.direction
         + drag * at.speed * at.travel
-        + inertia * weight / G * drive.accel
+        + (weight + turning * turns) / G * drive.accel
         + (0.0 if drive.slope is None else weight * np.sin(np.arctan(drive.slope)))
     )
     for name, adds in PHENOMENA.items():
