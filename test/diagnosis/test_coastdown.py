@@ -168,7 +168,7 @@ def test_values_that_no_file_may_hold_are_not_written(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("scale", [0.0, 1e-3])
 def test_a_torque_that_does_not_drive_is_not_used(tmp_path, scale):
-    loaded = load_base(cart(tmp_path / "car.yaml", CAR_KG), None, None, None, None)
+    loaded = load_base(cart(tmp_path / "car.yaml", CAR_KG))
 
     def rolled(name, table, columns="time_s,speed_mps,torque_nm"):
         return rollouts([tr.read(written(tmp_path / name, table, columns))], loaded.known, 0.4, 1.0)

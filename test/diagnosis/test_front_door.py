@@ -203,3 +203,14 @@ def test_matrices_are_computed_by_one_thread(recorded):
             tr.diagnose(recorded(), "xgd24d", on_stage=at_the_first_stage)
         assert used == [{1}]
         assert threads() == before
+
+
+@pytest.mark.parametrize("command", [tr.diagnose, tr.coastdown])
+@pytest.mark.parametrize("used", [True, False])
+def test_only_lines_in_use_give_settings(tmp_path, command, used):
+    (tmp_path / "drive.csv").write_text("time_s,speed_mps,a\n0,1,20\n1,2,20\n")
+    source = {"column": "a"} if used else {"topic": "/a", "type": "a/msg/A", "field": "a"}
+    topics = {f"belt/{side}_left": {**source, "sensor": sensor} for side, sensor in (("front", "mean"), ("rear", "surface"))}
+    with pytest.raises(tr.InputError) as refused:  # the recording is too short too
+        command(tmp_path / "drive.csv", "xgd24d", topics=topics)
+    assert ("one sensor and std_k for all belts" in str(refused.value)) == used

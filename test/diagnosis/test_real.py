@@ -90,7 +90,7 @@ def test_the_car_is_refitted_to_values_of_a_car(winter):
 def bus():
     """The trolley bus, read with its topics file, and its vehicle file."""
     recording = tr.read(BUS, topics=config_dir() / "topics" / "ztbus.yaml")
-    return recording, load_base("ztbus_hess19", topics=recording.topics)
+    return recording, load_base("ztbus_hess19").with_topics(recording.topics)
 
 
 @needs_bus

@@ -36,7 +36,7 @@ def test_a_route_driven_twice_repeats_residuals_but_not_as_slope(tmp_path):
 def test_without_altitude_a_bus_diagnosis_names_only_the_slope():
     topics = Topics.load(TOPICS)
     recordings = read_recordings(missions(DATA), topics)
-    found = diagnose(recordings, load_base(VEHICLE, topics=topics), DiagnosisOptions(hide=["altitude"], quick=True))
+    found = diagnose(recordings, load_base(VEHICLE).with_topics(topics), DiagnosisOptions(hide=["altitude"], quick=True))
     assert found.verdict.status == "named"
     assert [f.name for f in found.found] == ["grade"]
     assert not found.described

@@ -130,6 +130,8 @@ def test_a_replay_with_enable_gives_the_numbers_of_live(desk, tmp_path):
     assert replayed["feedforward_torque_nm"][150] > 3000.0
     assert replayed["feedforward_torque_nm"][[0, 249, 299]].tolist() == [0.0] * 3
     assert {item["reason"] for item in replayed.as_dict()["reasons"]} >= {"disabled", "enable_old"}
+    named = tr.replay(tmp_path / "drive.csv", "xgd24d", topics={"enable": {"column": "enable"}})
+    np.testing.assert_array_equal(named["feedforward_torque_nm"], replayed["feedforward_torque_nm"])
 
 
 def test_a_mode_in_a_table_is_read_by_its_values(tmp_path):

@@ -30,7 +30,7 @@ from trackres_ros.recording.channel_source import _in_order
 from trackres_ros.recording.choosing import COLUMNS, TIME_S, choose
 from trackres_ros.recording.guess import guess_channels
 from trackres_ros.recording.opening import open_source, shipped_kinds, suffixes
-from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.recording import Recording, topics_in_use
 from trackres_ros.recording.role_units import UNITS, conversion
 from trackres_ros.recording.roles import ROLES
 
@@ -44,7 +44,11 @@ LONGEST = 12
 def files(tmp_path_factory):
     """Path and topics of the drive by kind."""
     folder = tmp_path_factory.mktemp("drives")
-    return {kind: write(kind, folder) for kind in KINDS}
+    known = folder / "known.csv"
+    rows = [[*row, None if row[3] is None else 40.0] for row in Drive().rows()]
+    lines = [",".join("" if cell is None else repr(cell) for cell in row) for row in rows]
+    known.write_text("\n".join(["time_s,speed_kmh,weight_n,ambient_degc,torque_nm,belt_degc/rear_left", *lines, ""]))
+    return {kind: write(kind, folder) for kind in KINDS} | {"known names": (known, Topics({}))}
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "CSV"])
@@ -114,18 +118,37 @@ def test_every_unit_of_a_role_is_known_in_any_spelling():
         assert conversion(wrong, inside) is None
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_line_that_a_source_does_not_use_is_noted(files, kind):
+SETTINGS = {
+    "load": {},
+    "torque": {"max_age_s": 0.05},
+    "belt/rear_left": {"std_k": 0.5},
+    "enable": {},
+    "passengers": {"kg_each": 1},
+}
+
+
+@pytest.mark.parametrize("kept", [{"speed", "ambient"}, set()], ids=["some lines are used", "no line is used"])
+@pytest.mark.parametrize("kind", [*KINDS, "known names"])
+def test_an_unused_line_is_noted_and_changes_nothing(files, kind, kept):
     path, topics = files[kind]
-    other = files["CSV" if kind == "bag" else "bag"][1]["load"]
-    strange = {"load": replace(topics, bindings=MappingProxyType({**topics.bindings, "load": other}))}
-    if kind in ("bag", "MF4", "BLF", "ASC"):
-        strange["time"] = replace(topics, time=files["CSV"][1]["speed"])
-    if not topics.dbc:
-        strange["dbc"] = topics.with_databases([path])
-    for line, given_ in strange.items():
-        notes = open_source([path], given_).notes
-        assert any(re.search(rf": {line}: .* is not used, as this source has ", note) for note in notes), (line, notes)
+    if not kept and kind not in ("bag", "MF4", "BLF", "known names"):
+        return  # of the others no speed is guessed
+    used = {role: topics[role] for role in topics if role in kept}
+    source = {"sum": [{"column": "a"}, {"column": "b"}]} if kind == "bag" else {"topic": "/a", "type": "a/msg/A", "field": "a"}
+    other = Topics.parse({role: {**source, **line} for role, line in SETTINGS.items()}).bindings
+    plain = replace(topics, bindings=used)
+    strange = replace(plain, bindings={**used, **other})
+    lines = {*other, *([] if topics.dbc else ["dbc"]), *(["time"] if kind in ("bag", "MF4", "BLF", "ASC") else [])}
+    strange = replace(strange, time=files["CSV"][1]["speed"]) if "time" in lines else strange
+    strange = strange.with_databases([path]) if "dbc" in lines else strange
+    wanted, found = (tr.replay(path, "xgd24d", topics=one if one.bindings or one.dbc else None) for one in (plain, strange))
+    noted = [note for note in found.notes if " is not used, as this source has " in note]
+    assert {note.split(": ")[1] for note in noted} == lines
+    assert not any(" is not used" in note for note in wanted.notes)
+    for name in wanted.columns:
+        np.testing.assert_array_equal(found[name], wanted[name], err_msg=name)
+    read = tr.read(path, topics=strange)
+    assert topics_in_use([read, tr.read(path)] if kind == "known names" else [read]).bindings == used
 
 
 def test_the_topics_file_wins_over_the_unit_of_the_file(files):
@@ -154,9 +177,11 @@ SAID = st.fixed_dictionaries(
 )
 
 
-@given(role=st.sampled_from(["speed", "ambient", "time"]), said=SAID, data=st.data())
+@given(role=st.sampled_from(["speed", "distance", "ambient", "time"]), said=SAID, data=st.data())
 def test_a_value_is_scale_and_offset_then_the_unit(role, said, data):
     inside = "s" if role == "time" else ROLES[role].unit
+    if role == "distance":  # whose change is the speed
+        role, said = "speed", {"derivative": True, **said}
     of_file, of_line = (data.draw(st.sampled_from(list(UNITS[inside]))) for _ in range(2))
     line = {"column": "X", **said} | ({"unit": of_line} if "unit" in said else {})
     file = _Channels(Channel("X", of_file), *([] if role == "speed" else [Channel("speed_mps")]))
@@ -164,7 +189,7 @@ def test_a_value_is_scale_and_offset_then_the_unit(role, said, data):
     choice = choose(file, Topics.parse({role: line}))
     binding = next(one for one in (choice.time, *choice.channels) if one and one.role == role).binding
     unit = UNITS[inside][line.get("unit", inside if "scale" in line else of_file)]
-    if line.keys() == {"column", "offset"} and line["offset"] == unit.offset:
+    if line.keys() - {"derivative"} == {"column", "offset"} and line["offset"] == unit.offset:
         unit = UNITS[inside][inside]  # it is the conversion of kelvin
     value = unit.scale * (line.get("scale", 1.0) * 7.0 + line.get("offset", 0.0)) + unit.offset
     assert binding.scale * 7.0 + binding.offset == pytest.approx(value)
@@ -497,7 +522,8 @@ def test_all_of_a_matlab_file_is_read_or_named(tmp_path, version):
     assert named["not read (no vectors)"] == {f"run.{name}" for name in others}
     assert found.series["stood"].value[0] == 600.0
     assert set(tr.replay(path, "xgd24d")["weight_n"]) == {340e3}
-    by_topics = tr.read(path, topics={"passengers": {"channel": "run.wheel_count"}})
+    by_topics = tr.read(path, topics={"passengers": {"channel": "run.wheel_count"}, "time": {"channel": "run.time_s"}})
+    assert not any("is not used" in note for note in by_topics.notes)
     assert set(by_topics.series["passengers"].value) == {7.0}
 
 

@@ -76,6 +76,7 @@ torque: {column: "Torque [kNm]", scale: 1000}
         ("speed: {column: v, delay_s: 0.1}", ["delay_s", "only for torque"]),
         ("torque: {column: m, delay_s: -0.1}", ["delay_s", "0 to 10"]),
         ("belt: {column: a, std_k: -1}", ["belt: std_k", "positive"]),
+        ("speed: {column: a, derivative: true, unit: km/h}", ["speed: unit", "km/h", "m, km, cm"]),
         ("speed: 3", ["speed", "a mapping"]),
         ("[speed]", ["a mapping with one line per role"]),
         ("", ["a mapping with one line per role"]),
@@ -231,18 +232,66 @@ def test_all_guesses_are_of_one_vehicle(vehicles: list[str], torques: list[str],
 
 
 WANTED = ("TrqReq", "torque_request", "requested_torque", "DrvTrqDmd", "torque_demand", "demandedTorque", "TrqSoll", "cmd/torque")
-OF_A_PART = ("EngTrq", "MotTrq", "eMotTrq", "emot1_torque", "engine/torque", "ENG_TRQ", "vehicle/mot/torque")
+OF_A_PART = ("EngTrq", "MotTrq", "eMotTrq", "emot1_torque", "engine/torque", "ENG_TRQ", "vehicle/mot/torque", "BrakeTorque",
+             "BremsTrq", "SteeringTorque", "RetarderTrq")  # fmt: skip
 RIGHT = ("torque", "DrvTrq", "TrqSprocket", "drive/torque", "torque_frequency_domain", "trq_engaged", "TrqMotion")
+OF_LOAD = ("PayloadWeight", "pay_load", "Cargo_load", "CargoWeight", "TrailerWeight", "EmptyWeight", "tare/weight", "EngLoad")
+OF_AIR = ("AirInletTemp", "EngIntakeAirTemp", "charge_air_temperature", "cabin/air_temperature", "CargoAmbientTemperature")
+WRONG = [
+    *(("torque", one) for one in (*WANTED, *OF_A_PART)),
+    *(("load", one) for one in OF_LOAD),
+    *(("ambient", one) for one in OF_AIR),
+]
+RIGHT_OF = {
+    "torque": RIGHT,
+    "load": ("load", "GrossVehicleWeight", "weight_total"),
+    "ambient": ("AmbientAirTemperature", "air_temp"),
+}
 
 
-@pytest.mark.parametrize("wrong", [*WANTED, *OF_A_PART])
-@pytest.mark.parametrize("right", [None, *RIGHT])
-def test_no_torque_wanted_or_of_a_motor_is_guessed(wrong: str, right: str | None) -> None:
-    names = [wrong, *([right] if right else [])]
-    by_unit, *_ = guess_channels([Channel(name, "Nm") for name in names], ())
-    by_type, _ = guess({"/speed": SPEED["type"], **{f"/{name}": NUMBER for name in names}})
-    assert (by_unit["torque"].column if "torque" in by_unit else None) == right
-    assert (by_type["torque"].topic if "torque" in by_type else None) == (right and f"/{right}")
+@pytest.mark.parametrize(("role", "wrong"), WRONG)
+def test_nothing_wanted_or_of_another_part_is_guessed(role: str, wrong: str) -> None:
+    for right in (None, *RIGHT_OF[role]):
+        names = [wrong, *([right] if right else [])]
+        by_unit, *_ = guess_channels([Channel(name, ROLES[role].unit) for name in names], ())
+        kind = "sensor_msgs/msg/Temperature" if role == "ambient" else NUMBER
+        by_type, _ = guess({"/speed": SPEED["type"], **{f"/{name}": kind for name in names}})
+        assert (by_unit[role].column if role in by_unit else None) == right
+        assert (by_type[role].topic if role in by_type else None) == (right and f"/{right}")
+
+
+J1939 = {
+    "km/h": "WheelBasedVehicleSpeed CruiseControlSetSpeed AdaptiveCruiseControlSetSpeed SpeedOfForwardVehicle FrontAxleSpeed "
+    "RelativeSpeedFrontAxleLeftWheel MaximumVehicleSpeedLimit CruiseControlHighSetLimitSpeed",
+    "rpm": "EngineSpeed TransmissionOutputShaftSpeed TachographOutputShaftSpeed EnginesDesiredOperatingSpeed",
+    "Nm": "EngineReferenceTorque ReferenceRetarderTorque EngineMaximumContinuousTorque",
+    "%": "ActualEnginePercentTorque EnginePercentLoadAtCurrentSpeed ActualRetarderPercentTorque BrakePedalPosition",
+    "kg": "AxleWeight TrailerWeight CargoWeight PoweredVehicleWeight GrossCombinationVehicleWeight",
+    "deg C": "CabInteriorTemperature AmbientAirTemperature AirInletTemperature EngineAirInletTemperature CargoAmbientTemperature "
+    "EngineIntakeManifold1AirTemperature EngineChargeAirCoolerOutletTemperature EngineTurbocharger1CompressorIntakeTemperature "
+    "RoadSurfaceTemperature TireTemperature EngineExhaustGasTemperature TransmissionOilTemperature1",
+    "kPa": "ServiceBrakeCircuit1AirPressure BrakePrimaryPressure ParkingAndOrTrailerAirPressure BarometricPressure",
+    "m": "HighResolutionTotalVehicleDistance DistanceToForwardVehicle Altitude",
+    "rad": "SteeringWheelAngle",
+    "rad/s": "YawRate",
+    "m/s2": "LateralAcceleration LongitudinalAcceleration",
+}
+"""Names of SAE J1939-71, by unit."""
+OF_J1939 = {
+    "speed": "WheelBasedVehicleSpeed", "load": "PoweredVehicleWeight", "ambient": "AmbientAirTemperature", "yaw_rate": "YawRate",
+    "altitude": "Altitude",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("missing", [None, *OF_J1939])
+def test_of_a_truck_bus_only_the_right_signals_are_guessed(missing: str | None) -> None:
+    wanted = OF_J1939 | ({missing: {"speed": "FrontAxleSpeed"}.get(missing)} if missing else {})
+    there = [Channel(name, unit) for unit, names in J1939.items() for name in names.split()]
+    found, others, _ = guess_channels([one for one in there if not missing or one.name != OF_J1939[missing]], ())
+    assert {role: one.column for role, one in found.items()} == {role: name for role, name in wanted.items() if name}
+    assert {role: names for role, names in others.items() if names} == (
+        {} if missing == "speed" else {"speed": ["FrontAxleSpeed"]}
+    )
 
 
 @pytest.mark.parametrize("measured", ["torque_measured", "ActualDriveTorque", "DrvTrqAct", "TrqIst"])
@@ -251,6 +300,13 @@ def test_a_torque_that_says_measured_is_preferred(measured: str, other: str) -> 
     by_unit, others, _ = guess_channels([Channel(name, "Nm") for name in (other, measured)], ())
     by_type, _ = guess({"/speed": SPEED["type"], f"/{other}": NUMBER, f"/{measured}": NUMBER})
     assert (by_unit["torque"].column, others["torque"], by_type["torque"].topic) == (measured, [other], f"/{measured}")
+
+
+def test_an_ambient_temperature_is_preferred_to_one_of_air() -> None:
+    names, kind = ("air", "ambient_temperature"), "sensor_msgs/msg/Temperature"
+    by_unit, others, _ = guess_channels([Channel(name, "degC") for name in names], ())
+    by_type, _ = guess({"/speed": SPEED["type"], **{f"/{name}": kind for name in names}})
+    assert (by_unit["ambient"].column, others["ambient"], by_type["ambient"].topic) == (names[1], [names[0]], f"/{names[1]}")
 
 
 @pytest.mark.parametrize("name", ["VehicleSpeed", "VehSpd_Eng", "mot/vehicle_speed", "speed_actual", "emotion/speed"])

@@ -105,7 +105,7 @@ def diagnose(
     from trackres_ros.diagnosis.prepare.gate import in_order
     from trackres_ros.diagnosis.prepare.refuse import Refusal, each_usable
     from trackres_ros.recording.reading import check_there
-    from trackres_ros.recording.recording import Recording
+    from trackres_ros.recording.recording import Recording, topics_in_use
     from trackres_ros.recording.roles import ROLES, base_role
     from trackres_ros.results.diagnosis import DiagnosisResult
 
@@ -124,13 +124,14 @@ def diagnose(
     folder = None if effects is None else checks.path(effects, "effects")
     listed = as_recordings(recordings)
     mapping = as_topics(topics)
-    if mapping is None:  # belt temperatures are those of the vehicle: one recording decides for all
+    if mapping is None:
         mapping = next((r.topics for r in listed if isinstance(r, Recording) and r.topics), None)
-    loaded = load_base(vehicle, method, thermal, mapping, surroundings)
+    loaded = load_base(vehicle, method, thermal, surroundings)
     for path in (path for r in listed if not isinstance(r, Recording) for path in as_paths(r)):
         check_there(path)
     refused: list[Refusal] = []
     sessions = in_order(each_usable(listed, lambda r: r if isinstance(r, Recording) else read(r, topics=mapping), refused, _name))
+    loaded = loaded.with_topics(topics_in_use(sessions))
     options = DiagnosisOptions(hidden, holdout, seed, quick, folder, keep_suspected, on_stage, refused)
     found = diagnose(sessions, loaded, options)
     used = {session.name for session in found.sessions}

@@ -110,7 +110,7 @@ def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None =
     paths, mapping = as_paths(recording), as_topics(topics)
     source = open_source(paths, mapping)
     found = Recording.from_source(source)
-    return replace(found, paths=tuple(paths), bindings=source.bindings, topics=mapping)
+    return replace(found, paths=tuple(paths), bindings=source.bindings, topics=source.topics)
 
 
 def recover(recording: StrPath, *, output: StrPath) -> Recovered:

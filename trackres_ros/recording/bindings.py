@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -73,24 +73,27 @@ class Topics:
         """The same with other databases, of whatever bus."""
         return replace(self, dbc=tuple((None, file) for file in files))
 
-    def unused(self, of_topics: bool, time: bool = False, dbc: bool = False) -> Iterator[tuple[str, str, str]]:
-        """Lines that a source would not use: their place, what they name, and what the source has instead.
+    def used(self, of_topics: bool) -> Topics:
+        """The same without the roles that a source does not use. `of_topics`: whether it has topics, else columns."""
+        used = {role: binding for role, binding in self.bindings.items() if binding.of_topics == of_topics}
+        return replace(self, bindings=MappingProxyType(used))
 
-        `of_topics`: whether it has topics, else columns; `time`: whether a column is its time; `dbc`: whether it has frames of a
-        CAN bus.
+    def unused(self, of_topics: bool, lines: Collection[str] = ()) -> Iterator[tuple[str, str, str]]:
+        """Lines that a source does not use: their place, what they name, and what the source has instead.
+
+        `of_topics`: whether it has topics, else columns; `lines`: which it uses of `TIME` and `DBC`.
         """
         other = ("a column of a table", "topics") if of_topics else ("a topic", "columns or channels")
-        for role, binding in self.bindings.items():
-            if binding.of_topics != of_topics:
-                yield f"{self.origin}: {role}", *other
-        if self.time and not time:
+        for role in self.used(not of_topics):
+            yield f"{self.origin}: {role}", *other
+        if self.time and TIME not in lines:
             yield f"{self.origin}: {TIME}", f"column {self.time.column}", "times of its own"
-        if self.dbc and not dbc:
+        if self.dbc and DBC not in lines:
             yield f"{self.origin}: {DBC}", ", ".join(str(file) for _, file in self.dbc), "no CAN frames"
 
-    def unused_notes(self, of_topics: bool, time: bool = False, dbc: bool = False) -> list[str]:
+    def unused_notes(self, of_topics: bool, lines: Collection[str] = ()) -> list[str]:
         """The same as notes: one topics file may serve recordings of several kinds."""
-        found = self.unused(of_topics, time, dbc)
+        found = self.unused(of_topics, lines)
         return [f"{where}: {given} is not used, as this source has {instead}" for where, given, instead in found]
 
     @classmethod
@@ -122,6 +125,13 @@ class Topics:
         time = _time(content[TIME], f"{origin}: {TIME}") if TIME in content else None
         dbc = _databases(content[DBC], f"{origin}: {DBC}", folder) if DBC in content else ()
         return cls(MappingProxyType(bindings), origin, time, dbc)
+
+
+def inside_unit(role: str, derivative: bool = False) -> str:
+    """The unit inside the program of what a line reads: m where the rate of its values is the speed, s of the time."""
+    if derivative:
+        return "m"
+    return "s" if role == TIME else ROLES[base_role(role)].unit
 
 
 def _check_role(role: object, origin: str) -> None:
@@ -156,9 +166,9 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
     parts = _parts(role, line["sum"], f"{where}: sum") if "sum" in line else ()
     texts = dict.fromkeys(("topic", "type", "field", "column"), "") if parts else _source(line, where)
     max_age_s = _number(line, "max_age_s", 0.0, where) if "max_age_s" in line else None
-    inside = ROLES[base_role(role)].unit
+    derivative = _yes(line, "derivative", where)
     default = "deg" if role in POSITION and texts["type"] == IN_DEGREES else ""
-    unit, by_unit = _unit(line, inside, default, where)
+    unit, by_unit = _unit(line, inside_unit(role, derivative), default, where)
     binding = TopicBinding(
         topic=texts["topic"],
         type=texts["type"],
@@ -177,7 +187,7 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         threshold=_number(line, "threshold", 0.0, where) if "threshold" in line else None,
         values=_values(line["values"], f"{where}: values") if "values" in line else (),
         decimal=_choice(line, "decimal", (".", ","), "", where),
-        derivative=_yes(line, "derivative", where),
+        derivative=derivative,
         parts=parts,
     )
     if binding.scale == 0.0:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.bindings import DBC, Topics
 from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelFile, ChannelRows, ChosenChannel
 from trackres_ros.recording.j1939_transport import Frame, is_transport, with_joined
 from trackres_ros.recording.reading import check_there, reading
@@ -85,7 +85,7 @@ class CanSignals(ChannelFile):
     `topics`: the topics file, which names the databases. Raises InputError for no database, or one that cannot be read.
     """
 
-    has_frames = True
+    uses = (DBC,)
 
     def __init__(self, name: str, frames: Callable[[Counter[str]], Iterator[Frame]], topics: Topics | None) -> None:
         self.name, self._frames = name, frames

@@ -3,7 +3,7 @@
 
 """Defines the interface of a reader: the channels of a file with their units, and their samples in blocks."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.bindings import TIME
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray
 
 CHUNK_ROWS = 8192
@@ -80,8 +81,8 @@ class ChannelFile:
         Findings of the last reading.
     has_times : bool
         Whether channels have their own times; in a table a column is the time.
-    has_frames : bool
-        Whether they are signals in frames of a bus, which a database describes.
+    uses : collection of str
+        The lines of the topics file other than roles that the reader uses: `time`, `dbc`.
     """
 
     name: str
@@ -90,7 +91,7 @@ class ChannelFile:
     notes: Sequence[str] = ()
     findings: Sequence[Finding] = ()
     has_times = True
-    has_frames = False
+    uses: Collection[str] = ()
 
     def is_number(self, place: int) -> bool:  # noqa: ARG002
         """Whether a channel holds numbers."""
@@ -111,7 +112,7 @@ class ChannelFile:
 class TableFile(ChannelFile):
     """A table, in which one column is the time of all others."""
 
-    has_times = False
+    has_times, uses = False, (TIME,)
 
 
 def rows_at(seconds: FloatArray, cells: FloatArray, start_ns: int = 0) -> ChannelRows:

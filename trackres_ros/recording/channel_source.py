@@ -54,6 +54,8 @@ class ChannelSource:
         self.findings: tuple[Finding, ...] = ()
         if checked:
             check_file(path)
+        given = topics
+        topics = self.topics = given and given.used(of_topics=False)
         with self._reading():
             files = read(path, self.name, topics)
         self._file, choice, others = _first_that_fits(files, topics)
@@ -72,8 +74,7 @@ class ChannelSource:
             self._file.settle(self._time, list(itertools.chain(*self._columns)))
             self.torque_candidates = tuple(one for place, one in ignored if one in like and self._file.is_number(place))
         said = [self._note_of(of) for of in of_role if of[0].role not in choice.guessed]
-        of_rows, of_frames = any(not one.has_times for one in files), any(one.has_frames for one in files)
-        unused = topics.unused_notes(False, of_rows, of_frames) if topics else []
+        unused = given.unused_notes(False, {line for one in files for line in one.uses}) if given else []
         notes = [*unused, *others, *self._file.notes, *choice.notes, *said, *self._sums().notes]
         if ignored:
             notes.append(f"ignored columns: {listed_names([name for _, name in ignored])}")

@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.bindings import TIME, Topics
+from trackres_ros.recording.bindings import TIME, Topics, inside_unit
 from trackres_ros.recording.channel_file import Channel, ChannelFile, ChosenChannel
 from trackres_ros.recording.guess import guess_channels, note_of_parts, topics_line, words
 from trackres_ros.recording.role_units import UNITS, conversion, is_quantity
@@ -142,15 +142,11 @@ class _Names:
         return self._places[name][0] if name in self._places else None
 
 
-def _unit_inside(role: str) -> str:
-    return "s" if role == TIME else ROLES[base_role(role)].unit
-
-
 def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> TopicBinding:
     """The binding with the unit of the file, if the line gives neither unit nor scale."""
     if not channel.unit or binding.values:
         return binding
-    inside = _unit_inside(role)
+    inside = inside_unit(role, binding.derivative)
     of_file = conversion(channel.unit, inside)
     if role == TIME and of_file is None:  # dates have none
         return binding
@@ -162,7 +158,8 @@ def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, no
             notes.append(f"{role}: {binding.column} is in {channel.unit} according to the file, {read}")
         return binding
     if of_file is None:
-        remedy = f"give its unit in the topics file: {role}: {{channel: {binding.column}, unit: {next(iter(UNITS[inside]))}}}"
+        keys = f"channel: {binding.column}, unit: {next(iter(UNITS[inside]))}{', derivative: true' * binding.derivative}"
+        remedy = f"give its unit in the topics file: {role}: {{{keys}}}"
         raise InputError(f"{origin}: {role}: unit of {binding.column}", channel.unit, ", ".join(UNITS[inside]), remedy)
     unit = next(name for name, one in UNITS[inside].items() if one == of_file)
     if unit != inside:
@@ -178,7 +175,7 @@ def _units_in_names(file: ChannelFile, topics: Topics, chosen: Sequence[ChosenCh
         given = file.channels[one.place].unit or line.converts or one.binding.converts or line.values
         if not found or given or one.role in POSITION:  # the values of a position decide
             continue
-        inside = "m" if line.derivative else _unit_inside(one.role)
+        inside = inside_unit(one.role, line.derivative)
         of_name = conversion(found[1], inside)
         foreign = of_name is None and found.re is UNIT_IN_BRACKETS and is_quantity(found[1])
         if foreign or of_name not in (None, (1.0, 0.0), (one.binding.scale, one.binding.offset)):
@@ -209,7 +206,7 @@ def _by_name(channel: Channel, role: str, unit: str, origin: str, notes: list[st
 
     Raises InputError if the file gives another unit; a text that is no known unit is only noted.
     """
-    inside = _unit_inside(role)
+    inside = inside_unit(role)
     by_name, of_file, share = (conversion(*one) for one in ((unit, inside), (channel.unit, inside), (channel.unit, "1")))
     assert by_name is not None
     binding = TopicBinding(column=channel.name, scale=by_name.scale, unit=unit)

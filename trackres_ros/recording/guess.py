@@ -13,18 +13,21 @@ import yaml
 
 from trackres_ros.errors import InputError
 from trackres_ros.recording.binding import IN_DEGREES, TopicBinding
-from trackres_ros.recording.bindings import EXAMPLE, TIME, Topics
+from trackres_ros.recording.bindings import EXAMPLE, Topics, inside_unit
 from trackres_ros.recording.channel_file import Channel
 from trackres_ros.recording.role_units import UNITS, Conversion, conversion
-from trackres_ros.recording.roles import POSITION, ROLES, Role, base_role
+from trackres_ros.recording.roles import POSITION, ROLES, Role
 
 NOT_MEASURED = re.compile(
     r"\b(cmd|commands?|commanded|req|requests?|requested|demands?|demanded|dmd|target|desired|set ?point|soll|reference|ref|goal|"
     r"limit|max|min|estimated?|feed ?forward|resistance|trackres|error|variance)\b"
 )
 """Words in the name of a topic that was not measured on the vehicle; nothing is guessed from it."""
-MEASURED = re.compile(r"\b(measured|meas|actual|act|ist)\b")
-"""Words in the name of a torque that was measured; it is preferred."""
+PREFERRED = {
+    "torque": re.compile(r"\b(measured|meas|actual|act|ist)\b"),
+    "ambient": re.compile(r"\b(ambient|outside|outdoor)\b"),
+}
+"""By role: words of the preferred names."""
 WHEEL = re.compile(r"\bwheels?\b(?! based vehicle)")
 """Of a channel: a wheel speed is not that of the vehicle; the wheel-based vehicle speed of J1939 is."""
 ADDED = ("load", "torque")
@@ -185,22 +188,22 @@ class _Doubts(NamedTuple):
 
     other_vehicle: bool
     of_a_part: bool
-    not_said_measured: bool
+    not_preferred: bool
 
 
 def _doubts(role: str, topic: str, of_vehicle: str) -> _Doubts:
-    return _Doubts(not topic.startswith(of_vehicle), _is_part(role, topic), not _says_measured(role, words(topic)))
+    return _Doubts(not topic.startswith(of_vehicle), _is_part(role, topic), not _is_preferred(role, words(topic)))
 
 
 def _rank(role: str, name: str) -> tuple[bool, bool, int, str]:
     """Key that sorts the candidates for a role, the best one first."""
     spoken = words(name)
-    return "vehicle" not in spoken, not _says_measured(role, spoken), len(name), name
+    return "vehicle" not in spoken, not _is_preferred(role, spoken), len(name), name
 
 
-def _says_measured(role: str, words: str) -> bool:
-    """Whether the name of a torque says that it was measured; true for other roles, whose names need not say so."""
-    return role != "torque" or bool(MEASURED.search(words))
+def _is_preferred(role: str, words: str) -> bool:
+    """Whether the name has one of the words that are preferred for its role; true for roles without any."""
+    return role not in PREFERRED or bool(PREFERRED[role].search(words))
 
 
 def _may_be(channel: Channel, role: str, about: Role) -> bool:
@@ -214,7 +217,7 @@ def _may_be(channel: Channel, role: str, about: Role) -> bool:
 
 def topics_line(role: str, binding: TopicBinding) -> str:
     """The line of a topics file for the source of a role or the time, in the unit of the raw numbers if known."""
-    inside = "s" if role == TIME else ROLES[base_role(role)].unit
+    inside = inside_unit(role)
     keys = ("topic", "type", "field") if binding.topic else ("column",)
     line: dict[str, object] = {"channel" if key == "column" else key: getattr(binding, key) for key in keys}
     unit = next((name for name, one in UNITS[inside].items() if one == (binding.scale, binding.offset)), "")

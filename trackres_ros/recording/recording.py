@@ -49,7 +49,7 @@ class Recording:
     bindings : mapping of role to TopicBinding
         Topic or column of each role.
     topics : Topics, optional
-        The given topics file.
+        The lines of the topics file that it uses.
     torque_candidates : tuple of str
         Unused columns or topics that may hold a torque.
     """
@@ -190,6 +190,13 @@ class Recording:
         if self.findings:
             lines.append("Found")
         return [*lines, *(f"  {role}: {text}" if role else f"  {text}" for role, text in self._findings())]
+
+
+def topics_in_use(recordings: Sequence[Recording]) -> Topics | None:
+    """The lines of topics files that recordings use; a role has the line of the first one that names it."""
+    given = [recording.topics for recording in recordings if recording.topics]
+    lines = {role: line for topics in reversed(given) for role, line in topics.bindings.items()}
+    return replace(given[0], bindings=MappingProxyType(lines)) if given else None
 
 
 def _series_of(blocks: Sequence[SampleBlock], index: int) -> Series:

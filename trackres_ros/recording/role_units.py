@@ -40,7 +40,7 @@ _NUMBERS: dict[str, dict[str, tuple[float, ...]]] = {
     "1": {"1": (1.0,), "%": (0.01,)},
     "rad/s": {"rad/s": (1.0,), "deg/s": (DEGREE,)},
     "rad": {"rad": (1.0,), "deg": (DEGREE,)},
-    "m": {"m": (1.0,), "km": (1e3,), "cm": (1e-2,), "mm": (1e-3,), "ft": (FOOT_M,)},
+    "m": {"m": (1.0,), "km": (1e3,), "cm": (1e-2,), "mm": (1e-3,), "ft": (FOOT_M,), "mi": (MILE_M,)},
     "s": {"s": (1.0,), "ms": (1e-3,), "us": (1e-6,), "ns": (1e-9,), "min": (60.0,), "h": (3600.0,)},
     "Pa": {"Pa": (1.0,), "kPa": (1e3,), "MPa": (1e6,), "bar": (1e5,), "mbar": (1e2,), "psi": (PSI_PA,)},
 }  # fmt: skip
@@ -52,7 +52,7 @@ SPELLINGS = {
     "kph": "km/h", "kmh": "km/h", "kmph": "km/h", "mps": "m/s", "c": "degC", "celsius": "degC", "f": "degF", "kelvin": "K",
     "m/s/s": "m/s2", "bool": "1", "ftlb": "lbfft", "lbft": "lbfft", "ftlbf": "lbfft", "degree": "deg",
     "degrees": "deg", "kgf": "kg", "ton": "t", "lb": "lbf", "lbs": "lbf", "percent": "%", "hpa": "mbar", "knot": "knots",
-    "kt": "knots", "kts": "knots", "kn": "knots",
+    "kt": "knots", "kts": "knots", "kn": "knots", "mile": "mi", "miles": "mi",
 }  # fmt: skip
 """Other spellings, as `_plain` simplifies them, in lower case."""
 

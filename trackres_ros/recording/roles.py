@@ -28,17 +28,24 @@ NOT_VEHICLE = (
 )
 """Words for a speed, load or torque that is not that of the vehicle at its tracks."""
 AMBIENT = r"\b(ambient|outside|outdoor|air)\b"
+NOT_AMBIENT = (
+    r"inlet|intake|outlet|manifold|charge|compress|cooler|exhaust|condition|interior|inside|indoor|cargo|"
+    r"\b(cab(in)?|eng(ine)?)\d*\b"
+)
+"""Words for the air in a part of the vehicle."""
 
 ROLES: Mapping[str, Role] = MappingProxyType(
     {
         "speed": Role("m/s", "forward speed of the vehicle",
             lively=True, columns={"speed_mps": "m/s", "speed_kmh": "km/h"}, words=r"speed|velocity|\bspd\b",
-            not_words=NOT_VEHICLE),
+            not_words=NOT_VEHICLE + r"|\bcruise\b|\bset ?(speed|spd)\b|\bforward veh|\b(relative|preceding)\b"),
         "load": Role("N", "weight carried by the tracks, total or of an axle or assembly",
-            parts=True, columns={"weight_n": "N", "weight_kn": "kN"}, words=r"\bload\b|weight", not_words=NOT_VEHICLE),
+            parts=True, columns={"weight_n": "N", "weight_kn": "kN"}, words=r"\bload\b|weight",
+            not_words=NOT_VEHICLE + r"|pay ?load|cargo|trailer|combination|\b(empty|tare|unladen|kerb|curb)\b"),
         "torque": Role("Nm", "measured torque at the sprockets, of the whole vehicle or of an assembly",
-            parts=True, lively=True, columns={"torque_nm": "Nm"}, words=r"torque|\btrq\b", not_words=NOT_VEHICLE),
-        "ambient": Role("degC", "temperature of the air", columns={"ambient_degc": "degC"}, words=AMBIENT),
+            parts=True, lively=True, columns={"torque_nm": "Nm"}, words=r"torque|\btrq\b",
+            not_words=NOT_VEHICLE + r"|brak|brems|steer|lenk|retard|clutch|\bpto\b"),
+        "ambient": Role("degC", "temperature of the air", columns={"ambient_degc": "degC"}, words=AMBIENT, not_words=NOT_AMBIENT),
         "belt": Role("degC", "measured temperature of the rubber belt",
             parts=True, columns={"belt_degc": "degC"}, words=r"\b(belt|track|rubber)\b", not_words=AMBIENT),
         "accel": Role("m/s2", "acceleration along the track, without gravity", lively=True, columns={"accel_mps2": "m/s2"}),

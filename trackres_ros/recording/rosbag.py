@@ -104,12 +104,13 @@ class BagSource:
             if path not in self._kept:
                 reader.close()
         self.torque_candidates = tuple(of_topics({one.topic: one.msgtype for _, ones in found for one in ones}))
-        said: list[str] = []
-        if topics is None:
+        said = topics.unused_notes(of_topics=True) if topics else []
+        topics = self.topics = topics and topics.used(of_topics=True)
+        if not (topics and topics.bindings):
             filled = {one.topic: one.msgtype for _, ones in found for one in ones if one.msgcount}
-            topics, said = guess(filled)
-        said += topics.unused_notes(of_topics=True)
-        bindings = self.bindings = {role: topics[role] for role in topics if topics[role].of_topics}
+            topics, guesses = guess(filled)
+            said += guesses
+        bindings = self.bindings = topics.bindings
         if "speed" not in bindings:
             raise InputError(f"{topics.origin}: speed", "no topic", "a topic for speed", "add a line for it")
         self.roles = tuple(sorted(bindings, key=lambda role: role == "speed"))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.bindings import Topics
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -74,7 +75,11 @@ class Source(Protocol):
 
 
 class BoundSource(Source, Protocol):
-    """A source with the origin of each of its roles."""
+    """A source with the origin of each of its roles, and the lines of the topics file that it uses."""
+
+    @property
+    def topics(self) -> Topics | None:
+        """The topics file without the lines of roles that the source does not use."""
 
     @property
     def bindings(self) -> Mapping[str, TopicBinding]:

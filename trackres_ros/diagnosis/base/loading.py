@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
@@ -35,17 +35,27 @@ class LoadedBase:
     route: tuple[RouteMap, ...] = ()
     source: Path | None = None
 
+    def with_topics(self, topics: Topics | None) -> LoadedBase:
+        """The same with the belt sensor and the mass of a passenger of a topics file, except for a model of the user's own.
+
+        Raises InputError as `settings_for`.
+        """
+        if isinstance(self.base, OwnBase):
+            return self
+        given = settings_for(Settings(), topics)
+        shows_surface = self.known.has_belt and given.belt_sensor == "surface"
+        return replace(self, known=replace(self.known, belt_shows_surface=shows_surface, passenger_kg=given.passenger_kg))
+
 
 def load_base(
     vehicle: str | PathLike[str] | Vehicle | RoadVehicle | OwnModel,
     hysteresis: str | None = None,
     thermal: str | None = None,
-    topics: Topics | None = None,
     surroundings: str | PathLike[str] | None = None,
 ) -> LoadedBase:
     """Base model of a vehicle: `road_load` where its file has that section, else `track`; or a user model.
 
-    A topics file states whether a measured belt temperature is of the surface; `surroundings` is the file of the site.
+    `surroundings` is the file of the site.
 
     Raises
     ------
@@ -57,29 +67,26 @@ def load_base(
             if given is not None:
                 raise InputError(name, str(given), "none with a model of your own", "it is part of the model")
         return LoadedBase(OwnBase(vehicle), vehicle.name, vehicle.known)
-    settings = settings_for(Settings(), topics)
     if isinstance(vehicle, Vehicle):
         _check_as_in_its_file(vehicle)
     elif not isinstance(vehicle, RoadVehicle):
         vehicle = load_any(vehicle)
     vehicle = with_surroundings(with_methods(vehicle, hysteresis, thermal), surroundings)
     if isinstance(vehicle, RoadVehicle):
-        return _road(vehicle, settings)
+        return _road(vehicle)
     track = vehicle
     known = GateSettings(
         track.weight,
         track.chassis.max_speed,
         track.chassis.ambient,
         False,
-        settings.belt_sensor == "surface",
-        track.chassis.motor_ratio,
-        passenger_kg=settings.passenger_kg,
+        motor_ratio=track.chassis.motor_ratio,
         has_belt=True,
     )
     return LoadedBase(TrackBase(track), track.title, known, track.surroundings, track.route, track.source)
 
 
-def _road(road: RoadVehicle, settings: Settings) -> LoadedBase:
+def _road(road: RoadVehicle) -> LoadedBase:
     base = RoadBase(road)
     known = GateSettings(
         base.facts.weight,
@@ -87,7 +94,6 @@ def _road(road: RoadVehicle, settings: Settings) -> LoadedBase:
         road.values["ambient"],
         road.friction_brakes or (False if base.rolls else None),  # a sliding machine has none
         torque_scale=road.torque_shown,
-        passenger_kg=settings.passenger_kg,
         track_width=road.values.get("track_width"),
     )
     return LoadedBase(base, road.title, known, road.surroundings, road.route, road.source)

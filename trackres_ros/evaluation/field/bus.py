@@ -60,7 +60,7 @@ def try_bus(data: Path) -> list[FieldTrial]:
     topics = Topics.load(TOPICS)
 
     def without(*hide: str) -> Diagnosis:
-        return diagnose(read_recordings(paths, topics), load_base(VEHICLE, topics=topics), DiagnosisOptions(hide=hide))
+        return diagnose(read_recordings(paths, topics), load_base(VEHICLE).with_topics(topics), DiagnosisOptions(hide=hide))
 
     wanted = {
         "nothing": ((), UPHILL),

@@ -188,7 +188,7 @@ def of_bus(data: Path, folder: Path) -> Iterator[Taught]:
 def taught(what: str, vehicle: AnyVehicle, topics_name: str, first: Sequence[Path], other: Sequence[Path]) -> Taught:
     """Values learned from drives of a vehicle, for the others."""
     topics = Topics.load(topics_name)
-    estimator = Estimator(vehicle, settings_for(make_parameters({}).settings(), topics, ()))
+    estimator = Estimator(vehicle, settings_for(make_parameters({}).settings(), topics))
     learner = Learner(estimator, "on")
     for path in first:
         _left_learning(path, topics, estimator, learner)

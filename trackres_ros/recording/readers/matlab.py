@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackres_ros.errors import InputError, MissingExtraError
-from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.bindings import TIME, Topics
 from trackres_ros.recording.channel_file import Channel, ChannelFile, ChannelRows, rows_at
 from trackres_ros.recording.choosing import COLUMNS, listed_names
 from trackres_ros.recording.file_kind import FileKind
@@ -53,6 +53,8 @@ class _Content:
 
 class MatlabFile(ChannelFile):
     """The vectors of a MATLAB file that have times, and single numbers that hold for the whole recording."""
+
+    uses = (TIME,)
 
     def __init__(self, name: str, content: _Content, topics: Topics | None) -> None:
         self.name, vectors = name, content.vectors
