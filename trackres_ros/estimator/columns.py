@@ -43,7 +43,6 @@ class Assembly(Row):
     first_log_load = Real()  # of the table
     step_log_load = Real()
     kind = Real()
-    share_of_axle = Real()
     share_of_all = Real()
     # Rows of the factor Lambda of the covariance of ln F_h, ln U A_h, ln C and ln R_1.
     consider_loss = Reals(4)
