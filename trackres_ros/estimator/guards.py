@@ -142,7 +142,7 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
                 return -IMPLAUSIBLE, 0
             outcome = ACCEPTED_AFTER_DOUBT if in_doubt else outcome
     elif channel == at.DISTANCE:
-        odometer_came(tracked, value)
+        odometer_came(k, tracked, value, elapsed)
     paused = elapsed * NANOSECOND > k.number.bridge  # the values meanwhile are unknown
     if not times.seen or paused or value != memory.values[channel] or outcome != ACCEPTED_IN_ORDER:
         times.unchanged_since = stamp
@@ -293,7 +293,8 @@ def gather(
     reasons |= of_place(k, known, grade, slope, torque)
     unfed = not_enabled(k, memory, now)
     drive_on(k, tracked, speed, elapsed)
-    if disagrees(k, memory.times, memory.values, speed, stamp, now) or tracked.apart > 0.0:
+    silent = (now - memory.times[at.DISTANCE, LAST_ARRIVAL]) * NANOSECOND  # the odometer
+    if disagrees(k, memory.times, memory.values, speed, now) or (tracked.apart > 0.0 and silent <= k.number.bridge):
         unfed |= SPEED_DISAGREES
     return Inputs(
         speed,
