@@ -16,6 +16,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, feedforward, followed, rate_towards, towards
 from trackres_ros.estimator.motion_step import ROLLS_FROM
+from trackres_ros.estimator.records import Inputs
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.jit.compiled import interpreted
 from trackres_ros.vehicle import load
@@ -135,8 +136,9 @@ def test_feedforward_keeps_its_limit_whatever_is_no_number():
         limit = random.choice([LIMIT_NM, math.nan, math.inf])
         k = constants._replace(number=number._replace(feedforward_limit=limit), work=work)
         of_effects, share, dt = some(3)
+        inputs = Inputs(8.0, np.abs(some(4)), 15.0, 2.0, np.zeros(4), acceleration=0.1, grade=0.1, fed=share)
         with np.errstate(invalid="ignore", divide="ignore"):
-            moved, _ = interpreted(feedforward)(k, at.Motion(motion), at.Part(total), of_effects, True, True, share, abs(dt))
+            moved, _ = interpreted(feedforward)(k, at.Motion(motion), at.Part(total), of_effects, inputs, abs(dt))
         assert abs(moved) <= (math.inf if limit == math.inf else LIMIT_NM)
 
 

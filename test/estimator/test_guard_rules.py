@@ -3,6 +3,7 @@
 
 """The rules of the guards one by one, in plain Python: stamp, arrival and earlier messages decide on a message."""
 
+import itertools
 import math
 from types import SimpleNamespace
 
@@ -29,7 +30,7 @@ AXLES, ASSEMBLIES = 2, 4
 NAMED = {"axle": at.FIRST_AXLE, "assembly": at.FIRST_AXLE + AXLES, "belt": at.FIRST_AXLE + AXLES + ASSEMBLIES}
 WHEELS = at.FIRST_AXLE + AXLES + 2 * ASSEMBLIES
 CHANNELS = WHEELS + 1 + AXLES + ASSEMBLIES
-SHARES_OF_ALL, SHARES_OF_AXLE = (0.3, 0.3, 0.25, 0.15), (0.5, 0.5, 0.625, 0.375)
+SHARES_OF_ALL = (0.3, 0.3, 0.25, 0.15)
 
 admit, held = interpreted(guards.admit), interpreted(guards.held)
 gather, gather_loads = interpreted(guards.gather), interpreted(guards.gather_loads)
@@ -42,7 +43,7 @@ def k():
     assembly = np.zeros((ASSEMBLIES, at.CONSIDER_FACTOR + 16))
     assembly[:, at.Assembly.axle] = (0, 0, 1, 1)
     assembly[:, at.Assembly.nominal_load] = (60e3, 61e3, 62e3, 63e3)
-    assembly[:, at.Assembly.share_of_axle], assembly[:, at.Assembly.share_of_all] = SHARES_OF_AXLE, SHARES_OF_ALL
+    assembly[:, at.Assembly.share_of_all] = SHARES_OF_ALL
     limits = np.tile([-1e6, 1e6], (CHANNELS, 1))
     limits[at.SPEED] = (-20.0, 25.0)
     number = SimpleNamespace(
@@ -386,13 +387,24 @@ def test_a_load_has_the_passengers_in_it(guard):
     assert guard.loads.sum() == pytest.approx(200e3)
 
 
-def test_the_load_of_an_axle_goes_before_the_total(guard):
-    guard.send(0, 200e3, at.LOAD)
-    guard.send(0, 80e3, NAMED["axle"] + 1)
-    _, found = loads(guard)
-    assert found == pytest.approx([60e3, 60e3, 50e3, 30e3])
+@pytest.mark.parametrize("measured", list(itertools.product([False, True], repeat=AXLES + ASSEMBLIES)))
+def test_loads_add_up_to_each_measured_sum(guard, measured):
+    true = np.array([90e3, 40e3, 20e3, 70e3])
+    sums = [true[:2].sum(), true[2:].sum(), *true]
+    guard.send(0, true.sum(), at.LOAD)
+    for i in np.flatnonzero(measured):
+        guard.send(0, sums[i], at.FIRST_AXLE + i)
+    reasons, found = loads(guard)
+    shown = np.array([found[:2].sum(), found[2:].sum(), *found])
+    assert reasons == 0
+    assert found.sum() == pytest.approx(true.sum())
+    assert shown[list(measured)] == pytest.approx(np.array(sums)[list(measured)])
+
+
+def test_a_sum_below_its_measured_parts_leaves_the_least_load(guard):
+    guard.send(0, 100e3, at.LOAD)
     guard.send(0, 150e3, NAMED["axle"])
-    assert loads(guard)[1] == pytest.approx([75e3, 75e3, 50e3, 30e3])
+    assert loads(guard)[1] == pytest.approx([75e3, 75e3, 6.2e3, 6.3e3])
 
 
 def test_the_load_of_an_assembly_goes_before_that_of_its_axle(guard):
@@ -425,7 +437,7 @@ def test_an_old_load_is_held_with_a_reason_and_dropped_later(guard, channel):
         assert found[0] == pytest.approx(first)
         assert reasons == said
     reasons, found = loads(guard, LOAD_HOLD + 1)
-    assert found[0] == pytest.approx(60e3 if channel == at.LOAD else 90e3)
+    assert found[0] == pytest.approx(60e3 if channel == at.LOAD else 110e3)
     assert reasons == (Reason.LOAD_NOMINAL if channel == at.LOAD else 0)
 
 
@@ -664,7 +676,7 @@ def test_wheels_without_axles_take_only_the_vehicles_load(k):
     """The channels behind those of all vehicles are of wheel speeds then, not of loads or belts."""
     k.number.axles, k.number.first_wheel = 0, at.FIRST_AXLE
     k.assembly = k.assembly[:1]
-    k.assembly[0, [at.Assembly.nominal_load, at.Assembly.share_of_axle, at.Assembly.share_of_all]] = 60e3, 1.0, 1.0
+    k.assembly[0, [at.Assembly.nominal_load, at.Assembly.share_of_all]] = 60e3, 1.0
     memory, loads = guards.new_memory(at.FIRST_AXLE + 1), np.zeros(1)
     memory.times[at.FIRST_AXLE, [at.Times.seen, at.Times.last_arrival]] = 1, 5 * S
     memory.values[at.FIRST_AXLE] = 7.0  # a wheel speed

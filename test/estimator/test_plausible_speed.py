@@ -186,15 +186,16 @@ def test_a_speed_that_stays_is_accepted_in_the_end(messages, speed, every):
 # Wheels and odometer
 
 
-def with_wheels(speed, wheels, seconds=3.0, name="wheel_speed"):
+def with_wheels(speed, wheels, seconds=3.0, every=1):
     drive = Drive()
-    for _ in range(int(seconds * 50)):
-        for place, rim in wheels.items():
-            drive.send(rim, f"{name}/{place}", after=1)
+    for i in range(int(seconds * 50)):
+        for place, rim in wheels.items() if i % every == 0 else ():
+            drive.send(rim, f"wheel_speed/{place}", after=1)
         drive.send(speed)
     return drive
 
 
+@pytest.mark.parametrize("every", [1, 10, 50, 500])
 @pytest.mark.parametrize(
     ("speed", "wheels", "apart"),
     [
@@ -207,14 +208,15 @@ def with_wheels(speed, wheels, seconds=3.0, name="wheel_speed"):
         (0.7, {"front_left": 0.0}, False),
     ],
 )
-def test_a_speed_beyond_all_wheel_speeds_is_not_fed_forward(speed, wheels, apart):
-    drive = with_wheels(speed, wheels)
+def test_a_speed_beyond_all_wheel_speeds_is_not_fed_forward(speed, wheels, apart, every):
+    drive = with_wheels(speed, wheels, 3.0 + 0.04 * every, every)
     assert drive.held(Reason.SPEED_DISAGREES) == apart
     assert (drive.estimates[-1][1].feedforward_torque_nm == 0.0) == (apart or speed == 0.0)
     if apart:
         first = next(when for when, estimate in drive.estimates if estimate.reasons & Reason.SPEED_DISAGREES)
-        assert (first - START) * 1e-9 == pytest.approx(Settings().speed_max_age_s, abs=0.05)
-        drive.send(speed, after=2 * S)  # the wheel speeds are old by then
+        assert (first - START) * 1e-9 == pytest.approx(max(Settings().speed_max_age_s, 0.02 * every), abs=0.05)
+        assert all(estimate.reasons & Reason.SPEED_DISAGREES for when, estimate in drive.estimates if when > first)
+        drive.along([speed] * 32, after=S)  # no wheel speed for longer than a gap is bridged
         assert not drive.estimates[-1][1].reasons & Reason.SPEED_DISAGREES
 
 
@@ -231,15 +233,22 @@ def test_wheels_disagree_after_a_jump_of_the_clock_too():
 
 @pytest.mark.parametrize("resolution", [0.0, 1.0, 100.0])
 @pytest.mark.parametrize(("odometer", "apart"), [(8.0, False), (7.0, False), (0.5, True), (14.0, True)])
-def test_a_speed_against_the_odometer_is_not_fed_forward(resolution, odometer, apart):
-    drive = Drive()
-    for i in range(int(300 * 5)):
-        way = odometer * i * 0.2 + 12345.0
-        drive.send(math.floor(way / resolution) * resolution if resolution else way, "distance", after=1)
+@pytest.mark.parametrize(("pause_s", "began_m", "good_s"), [(0, 12345, 0), (20, 12345, 150), (60, 12345, 150), (1, 300, 150)])
+def test_a_speed_against_the_odometer_is_not_fed_forward(resolution, odometer, apart, pause_s, began_m, good_s):
+    """It agrees for some time, with a pause in it. One that began at 300 m has a reset then."""
+    drive, way = Drive(), float(began_m)
+    for i in range((good_s + 300) * 5):
+        way += 0.2 * (8.0 if i < good_s * 5 else odometer)
+        if i == 60 * 5 and began_m == 300:
+            way = 0.0
+        if not 0 <= i - 60 * 5 < pause_s * 5:
+            drive.send(math.floor(way / resolution) * resolution if resolution else way, "distance", after=1)
         drive.send(8.0, after=200 * MS)
     last = drive.estimates[-1][1]
-    assert bool(last.reasons & Reason.SPEED_DISAGREES) == apart
+    assert drive.held(Reason.SPEED_DISAGREES) == bool(last.reasons & Reason.SPEED_DISAGREES) == apart
     assert (last.feedforward_torque_nm == 0.0) == apart
+    drive.along([8.0] * 32, after=S)  # no odometer for longer than a gap is bridged
+    assert not drive.estimates[-1][1].reasons & Reason.SPEED_DISAGREES
 
 
 def test_an_odometer_that_counts_back_in_reverse_agrees():

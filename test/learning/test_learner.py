@@ -160,6 +160,12 @@ def test_what_is_wrong_with_the_torque_is_told_and_not_learned(driven_before, sh
     assert driven.learner.left_out == ""
 
 
+def test_a_yaw_rate_that_died_in_a_bend_stops_no_learning(road):
+    driven = road("watch")
+    driven.session.handle(at.YAW_RATE, 1, 1, 1.0)
+    assert driven.drive(2.0).learner.learned.seconds > 90.0
+
+
 def test_nothing_is_wrong_with_a_torque_while_it_stands(road):
     driven = road("watch").drive(2.0, lambda _torque, _i: 0.0, speed=lambda _t: 0.0, noise=0.0)
     assert driven.learner.left_out == ""

@@ -30,9 +30,9 @@ def watch(residual, dt=1.0, settings=None, speed=8.0, accel=0.0, detector=None, 
     """Feed a series; the detector and the times [s] at which it changed its mind."""
     detector = detector or MismatchDetector(settings or MismatchSettings())
     turned, parted = [], detector.verdict.parted
-    for i, value in enumerate(residual.tolist()):
+    for i, (value, now) in enumerate(zip(residual.tolist(), np.broadcast_to(speed, residual.shape).tolist(), strict=True)):
         time_s = start_s + i * dt
-        detector.take(START_NS + round(time_s * 1e9), value, DRIVE_NM, STD_NM, speed, accel)
+        detector.take(START_NS + round(time_s * 1e9), value, DRIVE_NM, STD_NM, now, accel)
         if detector.verdict.parted is not parted:
             parted = not parted
             turned.append(time_s)
@@ -134,9 +134,11 @@ def test_a_mismatch_ends_within_30_minutes_of_the_offset_ending():
     assert turned[1] - (1800 + 2 * 3600) < 1800.0
 
 
-def test_signs_are_alike():
+def test_signs_and_directions_of_travel_are_alike():
     residual = noise(2.0, 0.5, seed=9)
     residual[1800:] += 700.0
+    for ahead in (-1.0, np.where(np.arange(len(residual)) // 60 % 2, -1.0, 1.0)):
+        assert watch(residual * ahead, speed=8.0 * ahead)[0].verdict == watch(residual)[0].verdict
     up, down = watch(residual), watch(-residual)
     assert up[1] == down[1]
     assert up[0].verdict.mean_nm == -down[0].verdict.mean_nm

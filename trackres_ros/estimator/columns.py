@@ -43,7 +43,6 @@ class Assembly(Row):
     first_log_load = Real()  # of the table
     step_log_load = Real()
     kind = Real()
-    share_of_axle = Real()
     share_of_all = Real()
     # Rows of the factor Lambda of the covariance of ln F_h, ln U A_h, ln C and ln R_1.
     consider_loss = Reals(4)
@@ -166,6 +165,7 @@ class Tracked(Row):
     net = Real()  # m, the same with its sign
     step = Real()  # m, the largest step of the odometer
     apart = Real()  # whether the last comparison disagreed
+    change = Real()  # m, the last change of the odometer
 
 
 class Count(IntEnum):
@@ -223,7 +223,7 @@ class Reason(IntFlag):
     OFF_ROUTE = 1 << 17, "the surroundings file does not cover this place: the ground is assumed level and firm"
     PLACE_UNKNOWN = 1 << 18, "the place on the route is unknown: the position is missing or old, or has no course yet"
     SPEED_IMPLAUSIBLE = 1 << 19, "the speed changed faster than the vehicle can: samples were rejected until several agreed again"
-    SPEED_DISAGREES = 1 << 20, "the speed disagrees with all wheel speeds: the feed-forward fades to zero"
+    SPEED_DISAGREES = 1 << 20, "the speed disagrees with all wheel speeds, or with the odometer: the feed-forward fades to zero"
     DISABLED = 1 << 21, "the feed-forward is not enabled: it fades to zero"
     ENABLE_OLD = 1 << 22, "no recent enable message: the feed-forward fades to zero"
 

@@ -270,7 +270,6 @@ def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
         row.area = network.area
         row.film_offset, row.film_slope = network.film_offset, network.film_slope
         row.first_log_load, row.step_log_load = losses.first_log_load, losses.step_log_load
-        row.share_of_axle = load / loads[list(vehicle.assemblies_of(assembly.axle))].sum()
         row.share_of_all = load / loads.sum()
     factors = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
     causes = np.array([np.linalg.inv(spreads[a.track].factor[:3, :3]).ravel() for a in vehicle.assemblies])
@@ -299,7 +298,7 @@ def wheels(vehicle: RoadVehicle) -> Running:
     row = np.zeros((1, at.Assembly.columns))
     both = at.Assembly(row[0])
     both.nominal_load, both.radius = vehicle.weight, vehicle.values["wheel_radius"]
-    both.share_of_axle = both.share_of_all = 1.0
+    both.share_of_all = 1.0
     both.consider_radius[3] = relative_std(vehicle, "road_load.wheel_radius")
     nothing = np.zeros((1, 1, 2))
     return Running(

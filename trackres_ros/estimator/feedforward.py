@@ -9,8 +9,9 @@ import math
 
 from trackres_ros.effects.stepping import TERM_FED_GAIN, TERM_FED_INERTIA
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.columns import Motion, Part
+from trackres_ros.estimator.columns import Assembly, Motion, Part
 from trackres_ros.estimator.constants import Constants, Numbers
+from trackres_ros.estimator.records import Inputs
 from trackres_ros.jit.compiled import inlined
 
 FEEDFORWARD_STEP_S = 0.02  # between two outputs at the default rate: so far the feed-forward moves at once, the rest follows
@@ -71,17 +72,22 @@ def present_target(motion: Motion) -> float:
 
 
 @inlined
-def feedforward(
-    k: Constants, motion: Motion, total: Part, of_effects: float, given_grade: bool, given_accel: bool, fed: float, dt: float
-) -> tuple[float, int]:
+def feedforward(k: Constants, motion: Motion, total: Part, of_effects: float, inputs: Inputs, dt: float) -> tuple[float, int]:
     """Chosen parts [Nm], limited in size and rate, and the reasons for limits; store the target in `motion` (ours).
 
     It starts from the present output, which followed the last target and faded during a dropout of the speed. From there it
     moves at once by what the rate allows in `FEEDFORWARD_STEP_S`, or in a shorter `dt`. At standstill no rolling resistance is
-    fed forward; with `fed` 0 nothing is.
+    fed forward; with `inputs.fed` 0 nothing is. The limit is of the present weight, at most the nominal one. Where it falls, the
+    output follows at its rate.
     """
-    number, reasons = k.number, 0
-    wanted = number.feed_grade * total.grade if given_grade else 0.0  # a slope by place is of the surroundings
+    number, reasons, fed = k.number, 0, inputs.fed
+    nominal = present = 0.0
+    for i in range(inputs.load.shape[0]):
+        assembly = Assembly(k.assembly[i])
+        nominal += assembly.nominal_load * assembly.radius
+        present += inputs.load[i] * assembly.radius
+    limit = number.feedforward_limit * (present / nominal if present < nominal else 1.0)
+    wanted = number.feed_grade * total.grade if not math.isnan(inputs.grade) else 0.0  # a slope by place is of the surroundings
     if motion.rolls > 0.0:
         wanted += (
             number.feed_hysteresis * total.hysteresis
@@ -89,11 +95,11 @@ def feedforward(
             + number.feed_wind * total.wind
             + of_effects
         )
-    if given_accel:  # an acceleration filtered from the speed would feed the controller's own noise back to it
+    if not math.isnan(inputs.acceleration):  # one filtered from the speed would feed the controller's own noise back to it
         wanted += number.feed_inertia * (total.inertia + k.work[TERM_FED_INERTIA])
     wanted *= k.work[TERM_FED_GAIN] * fed
-    if not abs(wanted) <= number.feedforward_limit:
-        wanted = math.copysign(number.feedforward_limit, wanted) if abs(wanted) > number.feedforward_limit else 0.0
+    if not abs(wanted) <= limit:
+        wanted = math.copysign(limit, wanted) if abs(wanted) > limit else 0.0
         reasons |= CLAMPED
     last = followed(number, motion.feedforward, present_target(motion), dt - motion.turned)
     last *= fade(dt, number.speed_max_age, number.feedforward_fade)

@@ -18,7 +18,7 @@ from trackres_ros.arrays import Array, IntArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.by_place import ground_now, of_place
 from trackres_ros.estimator.columns import Assembly, Motion, Times, Tracked
-from trackres_ros.estimator.constants import Constants
+from trackres_ros.estimator.constants import LEAST_LOAD_SHARE, Constants
 from trackres_ros.estimator.plausible_speed import (
     NOTHING_TRACKED,
     disagrees,
@@ -142,7 +142,7 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
                 return -IMPLAUSIBLE, 0
             outcome = ACCEPTED_AFTER_DOUBT if in_doubt else outcome
     elif channel == at.DISTANCE:
-        odometer_came(tracked, value)
+        odometer_came(k, tracked, value, elapsed)
     paused = elapsed * NANOSECOND > k.number.bridge  # the values meanwhile are unknown
     if not times.seen or paused or value != memory.values[channel] or outcome != ACCEPTED_IN_ORDER:
         times.unchanged_since = stamp
@@ -201,37 +201,54 @@ def not_enabled(k: Constants, memory: Memory, now: int) -> int:
 
 
 @inlined
+def share_rest(k: Constants, memory: Memory, channel: int, axle: int, now: int, loads: Array) -> int:
+    """Share a load [N], less those already known, among the assemblies without one; return the reason to report, else 0.
+
+    It is the load of an axle, or with `axle` -1 of all. In proportion to nominal loads, and no less than a plausible load.
+    """
+    rest, share = held(memory, channel, now, k.number.load_hold_ns), 0.0
+    for i in range(loads.shape[0]):
+        assembly = Assembly(k.assembly[i])
+        if axle < 0 or int(assembly.axle) == axle:
+            if math.isnan(loads[i]):
+                share += assembly.share_of_all
+            else:
+                rest -= loads[i]
+    if math.isnan(rest) or share == 0.0:
+        return 0
+    for i in range(loads.shape[0]):
+        assembly = Assembly(k.assembly[i])
+        if math.isnan(loads[i]) and (axle < 0 or int(assembly.axle) == axle):
+            loads[i] = max(rest * (assembly.share_of_all / share), LEAST_LOAD_SHARE * assembly.nominal_load)
+    return LOAD_HELD if now - memory.times[channel, LAST_ARRIVAL] > FRESH_LOAD_NS else 0
+
+
+@inlined
 def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> int:
     """Load of each assembly [N] from the finest source available; fill `loads`, return the reasons to report.
 
-    A load of the assembly has priority over one of its axle, and that over the total; each is shared in proportion to nominal
-    loads. Without any, passengers add to the nominal loads.
+    A load of the assembly has priority over one of its axle, and that over the total. Without any, passengers add to the nominal
+    loads.
     """
-    first_axle = at.FIRST_AXLE
-    first_assembly = first_axle + k.number.axles
+    first_assembly = at.FIRST_AXLE + k.number.axles
     reasons = 0
-    total = held(memory, at.LOAD, now, k.number.load_hold_ns)
+    for i in range(loads.shape[0]):
+        loads[i] = math.nan
+        if k.number.axles > 0:
+            loads[i] = held(memory, first_assembly + i, now, k.number.load_hold_ns)
+            if not math.isnan(loads[i]) and now - memory.times[first_assembly + i, LAST_ARRIVAL] > FRESH_LOAD_NS:
+                reasons |= LOAD_HELD
+    for axle in range(k.number.axles):
+        reasons |= share_rest(k, memory, at.FIRST_AXLE + axle, axle, now, loads)
+    reasons |= share_rest(k, memory, at.LOAD, -1, now, loads)
     payload = held(memory, at.PASSENGERS, now, k.number.passengers_hold_ns) * k.number.passenger_weight
     for i in range(loads.shape[0]):
         assembly = Assembly(k.assembly[i])
-        source, value = at.LOAD, math.nan
-        if k.number.axles > 0:
-            source = first_assembly + i
-            value = held(memory, source, now, k.number.load_hold_ns)
-        if k.number.axles > 0 and math.isnan(value):
-            source = first_axle + int(assembly.axle)
-            value = held(memory, source, now, k.number.load_hold_ns) * assembly.share_of_axle
-        if math.isnan(value):
-            source, value = at.LOAD, total * assembly.share_of_all
-        if math.isnan(value) and not math.isnan(payload):
+        if math.isnan(loads[i]) and not math.isnan(payload):
             loads[i] = assembly.nominal_load + payload * assembly.share_of_all
-        elif math.isnan(value):
+        elif math.isnan(loads[i]):
             loads[i] = assembly.nominal_load
             reasons |= LOAD_NOMINAL
-        else:
-            loads[i] = value
-            if now - memory.times[source, LAST_ARRIVAL] > FRESH_LOAD_NS:
-                reasons |= LOAD_HELD
     return reasons
 
 
@@ -276,7 +293,8 @@ def gather(
     reasons |= of_place(k, known, grade, slope, torque)
     unfed = not_enabled(k, memory, now)
     drive_on(k, tracked, speed, elapsed)
-    if disagrees(k, memory.times, memory.values, speed, stamp, now) or tracked.apart > 0.0:
+    silent = (now - memory.times[at.DISTANCE, LAST_ARRIVAL]) * NANOSECOND  # the odometer
+    if disagrees(k, memory.times, memory.values, speed, now) or (tracked.apart > 0.0 and silent <= k.number.bridge):
         unfed |= SPEED_DISAGREES
     return Inputs(
         speed,

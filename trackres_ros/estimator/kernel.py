@@ -153,8 +153,7 @@ def advance(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array)
         reasons |= UNKNOWN
     elif dt > number.gap:
         reasons |= BRIDGED
-    given_accel = not math.isnan(inputs.acceleration)
-    accel = inputs.acceleration if given_accel else motion.filtered_accel
+    accel = motion.filtered_accel if math.isnan(inputs.acceleration) else inputs.acceleration
     weight = arm = belt_degc = 0.0
     for i in range(belts.shape[0]):
         belt_degc += belts[i, 0, TEMPERATURE] / belts.shape[0]
@@ -165,8 +164,7 @@ def advance(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array)
         arm += inputs.load[i] * k.assembly[i, RADIUS]
     arm /= weight
     air = inputs.ambient, inputs.ambient_std
-    given_grade = not math.isnan(inputs.grade)
-    grade = inputs.grade if given_grade else inputs.slope_by_place
+    grade = inputs.slope_by_place if math.isnan(inputs.grade) else inputs.grade
     road = road_now(k, last_speed, speed, accel, grade, weight, motion.last_drive, *air, dt)
     of_place = torque_of_place(inputs.torque_by_place, speed)
     others = of_place + arm * (road.bearing + road.wind + road.uphill + road.inertia)
@@ -192,7 +190,7 @@ def advance(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array)
     # Only resistance to motion is fed forward, so no effects at standstill: friction holds a standing vehicle by itself,
     # and any other torque of an effect at rest would push it.
     fed_effects = (work[TERM_FED] + lasting) * abs(direction(speed))
-    wanted, of_feedforward = feedforward(k, motion, total, fed_effects, given_grade, given_accel, inputs.fed, dt)
+    wanted, of_feedforward = feedforward(k, motion, total, fed_effects, inputs, dt)
     variance = torque_variance(k, total, learned, road, driving, inputs.torque_by_place_std)
     motion.feedforward, motion.last_speed = wanted, speed
     motion.last_drive, motion.last_others = driving, others

@@ -24,11 +24,11 @@ from trackres_ros.units import NANOSECOND
 
 LONGEST_RUN_NS = 2_000_000_000  # by then the feed-forward is zero: a longer wait is no safer
 SEEN, LAST_ARRIVAL = Times.seen, Times.last_arrival
-NOTHING_TRACKED = (math.nan, math.nan, math.nan, math.nan, 0.0, 0.0, 0.0, 0.0)
+NOTHING_TRACKED = (math.nan, math.nan, math.nan, math.nan, 0.0, 0.0, 0.0, 0.0, 0.0)
 SHARE = 0.25  # wheels slip, and their radii are nominal ones
 SLOW_MPS = 1.0  # pulses of a slow wheel are too rare: those of the ZTBus show nothing up to 0.6 m/s
 COMPARED_M, COMPARED_STEPS = 50.0, 8.0  # a comparison takes so far, and so many steps of the odometer
-FARTHEST_M = 1000.0  # a greater jump is a restarted odometer
+FARTHEST_M = 1000.0  # no odometer has larger steps
 
 
 @inlined
@@ -55,8 +55,6 @@ def move_clock(times: Times, by: int) -> None:
     times.last_stamp += by
     times.doubt_since += by
     times.doubt_stamp += by
-    if times.disagrees_since != 0:
-        times.disagrees_since += by
 
 
 @inlined
@@ -104,17 +102,22 @@ def forget_way(tracked: Tracked) -> None:
 
 
 @inlined
-def odometer_came(tracked: Tracked, distance: float) -> None:
-    """Process a distance [m]; compare it with the integrated speed where both are long enough."""
+def odometer_came(k: Constants, tracked: Tracked, distance: float, elapsed: int) -> None:
+    """Process a distance [m] some time [ns] after the last one; compare it with the integrated speed where both are long enough.
+
+    Of two changes in a row, the smaller one is a step of the odometer: a pause or a reset makes only one large change (ours).
+    """
     moved = abs(distance - tracked.last)
-    if moved > FARTHEST_M:
-        forget_way(tracked)
-    elif moved > tracked.step:
-        tracked.step = moved
+    if 0.0 < moved <= FARTHEST_M:
+        tracked.step = max(tracked.step, min(moved, tracked.change))
+        tracked.change = moved
     tracked.last = distance
-    if math.isnan(tracked.began):
+    if elapsed * NANOSECOND > k.number.bridge:
+        forget_way(tracked)
+    within = SHARE * max(COMPARED_M, COMPARED_STEPS * tracked.step) + tracked.step  # the tolerance of a comparison
+    if math.isnan(tracked.began) or moved > within:
         tracked.began, tracked.way, tracked.net = distance, 0.0, 0.0
-    by_odometer, step = abs(distance - tracked.began), tracked.step
+    by_odometer, step = abs(distance - tracked.began), tracked.step if tracked.step > 0.0 else tracked.change
     longest = max(by_odometer, tracked.way)
     if step > 0.0 and longest >= max(COMPARED_M, COMPARED_STEPS * step):
         off = min(abs(by_odometer - tracked.way), abs(by_odometer - abs(tracked.net)))
@@ -135,14 +138,23 @@ def drive_on(k: Constants, tracked: Tracked, speed: float, elapsed: int) -> None
 
 
 @inlined
-def disagrees(k: Constants, times: IntArray, values: Array, speed: float, stamp: int, now: int) -> bool:
-    """Whether the speed [m/s] has been outside the range of all fresh wheel speeds for longer than the longest pause."""
-    size, low, high = abs(speed), math.inf, 0.0
+def disagrees(k: Constants, times: IntArray, values: Array, speed: float, now: int) -> bool:
+    """Whether, at an arrival [ns], the speed [m/s] has contradicted all wheel speeds for longer than the speed may pause.
+
+    Only fresh wheel speeds are compared. Between them the verdict stays, but no longer than a gap is bridged (ours).
+    """
+    size, low, high, newest = abs(speed), math.inf, 0.0, 0
     for channel in range(k.number.first_wheel, times.shape[0]):
-        if times[channel, SEEN] and now - times[channel, LAST_ARRIVAL] <= k.number.motion_hold_ns:
-            low, high = min(low, abs(values[channel])), max(high, abs(values[channel]))
-    apart = low < math.inf and (size > (1.0 + SHARE) * high + SLOW_MPS or size < (1.0 - SHARE) * low - SLOW_MPS)
+        if times[channel, SEEN]:
+            newest = max(newest, times[channel, LAST_ARRIVAL])
+            if now - times[channel, LAST_ARRIVAL] <= k.number.motion_hold_ns:
+                low, high = min(low, abs(values[channel])), max(high, abs(values[channel]))
     of_speed = Times(times[SPEED])
-    if not apart or of_speed.disagrees_since == 0:
-        of_speed.disagrees_since = stamp if apart else 0
-    return apart and stamp - of_speed.disagrees_since > k.number.disagreeing_ns
+    compared = low < math.inf
+    apart = size > (1.0 + SHARE) * high + SLOW_MPS or size < (1.0 - SHARE) * low - SLOW_MPS
+    if (compared and not apart) or (not compared and (now - newest) * NANOSECOND > k.number.bridge):
+        of_speed.disagrees_since = 0
+    elif compared and of_speed.disagrees_since == 0:
+        of_speed.disagrees_since = now
+    until = min(now, newest + k.number.motion_hold_ns)
+    return of_speed.disagrees_since != 0 and until - of_speed.disagrees_since > k.number.disagreeing_ns

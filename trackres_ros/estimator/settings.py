@@ -42,7 +42,9 @@ class Settings:
     passengers_hold_s: float = setting(3600.0, "s", 1.0, 1e6, "longest age of the last passenger count; counts come at stops")
     passenger_kg: float = setting(PASSENGER_KG, "kg", 1.0, 500.0, "mass of a passenger, added to the vehicle file's loads")
     ambient_hold_s: float = setting(1800.0, "s", 1.0, 1e6, "longest age of the last ambient temperature")
-    motion_hold_s: float = setting(0.5, "s", 0.01, 60.0, "longest age of a given acceleration or grade")
+    motion_hold_s: float = setting(
+        0.5, "s", 0.01, 60.0, "longest age of an acceleration, grade, yaw rate, heading or wheel speed"
+    )
     torque_hold_s: float = setting(0.5, "s", 0.01, 60.0, "longest age of a measured torque")
     position_hold_s: float = setting(
         10.0, "s", 0.2, 600.0, "longest age of the last position, extrapolated by the speed, on a route of the surroundings"
@@ -60,7 +62,9 @@ class Settings:
     acceleration_std: float = setting(0.5, "m/s^2", 0.01, 20.0, "standard deviation of the vehicle's own acceleration")
     acceleration_time_s: float = setting(3.0, "s", 0.05, 600.0, "time constant of the vehicle's acceleration")
     feedforward_rate: float = setting(20000.0, "Nm/s", 1.0, 1e9, "largest change of the feed-forward torque")
-    feedforward_share: float = setting(0.10, "1", 0.001, 2.0, "largest feed-forward torque over weight x sprocket radius")
+    feedforward_share: float = setting(
+        0.10, "1", 0.001, 2.0, "largest feed-forward torque over weight (at most nominal) x sprocket radius"
+    )
     speed_max_age_s: float = setting(
         0.5, "s", 0.01, 60.0, "longest age of a trusted speed; then the feed-forward fades and the live status is stale"
     )

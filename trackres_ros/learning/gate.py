@@ -13,6 +13,7 @@ import numpy as np
 from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Session
+from trackres_ros.estimator.guards import held
 from trackres_ros.units import MAD_TO_STD, SECOND_NS, STANDSTILL_MPS
 
 Row = list[float]
@@ -142,7 +143,7 @@ class Gate:
             moved = learned[at.Learned.departures] * learned[at.Learned.sensitivities]
             lasting = float(learned[at.Learned.torque]) * math.tanh(row[at.Results.speed_mps] / STANDSTILL_MPS)
             residual += float(moved.sum()) + lasting
-        why = self._why_not(stamp_ns, row, residual, float(session.memory.values[at.YAW_RATE]))
+        why = self._why_not(stamp_ns, row, residual, _fresh(session, at.YAW_RATE))
         second = self.second
         if why != TAKEN:
             second.refused[why] += 1.0
@@ -155,7 +156,7 @@ class Gate:
         second.accel += row[at.Results.accel_mps2]
         second.weight += row[at.Results.weight_n]
         second.inertia += row[at.Results.inertia_nm]
-        second.felt += _felt(stamp_ns, session)
+        second.felt += _fresh(session, at.SPECIFIC_FORCE)  # IMU acceleration along the track
         belts = 0.0
         for column in self._belts:
             belts += row[column]
@@ -215,8 +216,7 @@ class Gate:
         return OUTLYING if outlying else TAKEN
 
 
-def _felt(stamp_ns: int, session: Session) -> float:
-    """IMU acceleration along the track [m/s^2]; nan without one, or if it is old."""
-    times, hold_ns = session.memory.times[at.SPECIFIC_FORCE], session.estimator.constants.number.motion_hold_ns
-    fresh = times[at.Times.seen] and abs(stamp_ns - times[at.Times.last_stamp]) <= hold_ns
-    return float(session.memory.values[at.SPECIFIC_FORCE]) if fresh else math.nan
+def _fresh(session: Session, channel: int) -> float:
+    """The value of a channel of motion at the last speed; nan without one, or if it is old."""
+    memory, hold_ns = session.memory, session.estimator.constants.number.motion_hold_ns
+    return held(memory, channel, int(memory.times[at.SPEED, at.Times.last_arrival]), hold_ns)

@@ -4,12 +4,12 @@
 """Detects a lasting difference between measured and expected torque, by a change detector on the whitened residual. It needs a
 few operations per message.
 
-The residual r is averaged over bins while the vehicle rolls steadily. Its noise is modelled as a first-order autoregression with
-coefficient phi and scale sigma, of the deviations from a running mean. That mean soon follows a lasting offset, so the offset
-does not enter the noise. Page's test (Biometrika 41, 1954, 100) sums the whitened residual (r - phi r_before) / sigma, less the
-tolerated offset's share, once for each sign. The sum of the n bins since it last was zero has the standard deviation sqrt(n). A
-mismatch is detected when the sum is `mismatch_evidence` (h) times as large and the offset has lasted for `mismatch_hold_s`
-(N bins). So a grade that recurs each lap causes none.
+The residual r, positive in the direction of travel, is averaged over bins while the vehicle rolls steadily. Its noise is
+modelled as a first-order autoregression with coefficient phi and scale sigma, of the deviations from a running mean. That mean
+soon follows a lasting offset, so the offset does not enter the noise. Page's test (Biometrika 41, 1954, 100) sums the whitened
+residual (r - phi r_before) / sigma, less the tolerated offset's share, once for each sign. The sum of the n bins since it last
+was zero has the standard deviation sqrt(n). A mismatch is detected when the sum is `mismatch_evidence` (h) times as large and
+the offset has lasted for `mismatch_hold_s` (N bins). So a grade that recurs each lap causes none.
 
 False alarms: standardised sums over at least N independent terms exceed h, with either sign, less often than h^3 exp(-h^2/2) /
 (2 N sqrt(2 pi)) per bin (Siegmund and Venkatraman, Annals of Statistics 23, 1995, 255, with windows no shorter than N).
@@ -73,7 +73,7 @@ class Mismatch:
     parted: bool  # whether there is a mismatch
     since_ns: int | None  # stamp of its beginning, estimated afterwards
     after_s: float  # driving time compared until then
-    mean_nm: float  # mean difference since then, measured less expected
+    mean_nm: float  # mean difference since then, measured less expected, in the direction of travel
     share: float  # the same relative to the mean size of the expected torque
     settled: bool  # whether there were enough data to judge
     text: str  # the same in a sentence
@@ -215,7 +215,7 @@ class MismatchDetector:
                 self._close_bin()
             self._begin_bin(stamp_ns)
         self._samples += 1
-        self._residual += residual_nm
+        self._residual += residual_nm if speed_mps >= 0.0 else -residual_nm  # in the direction of travel
         self._drive += abs(drive_torque_nm)
         self._std += std_nm
 

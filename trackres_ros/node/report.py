@@ -54,7 +54,7 @@ INPUT_KEYS = {
 COMPARISON_KEYS = {
     "parted": "true while measured and expected torque differ significantly",
     "after_s": "driving time with a measured torque until then [s]",
-    "mean_nm": "measured minus expected torque, mean since then [Nm]",
+    "mean_nm": "measured minus expected torque in the direction of travel, mean since then [Nm]",
     "share": "the same as a share of the expected torque",
     "settled": "true once there is enough data to judge",
 }
