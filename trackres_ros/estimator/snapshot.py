@@ -34,7 +34,7 @@ from trackres_ros.files.jsons import parse_json
 from trackres_ros.vehicle import Vehicle
 
 FORMAT = "trackres-state"
-VERSION = 12
+VERSION = 13
 HEAD = json.dumps({"format": FORMAT}).encode()[:-1]  # first bytes of each state file
 REMEDY = "give a state of this vehicle, or none"
 LARGEST = 4 << 20  # bytes; a vehicle with four assemblies has 10 thousand
