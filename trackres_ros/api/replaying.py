@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from trackres_ros.results.replay import ReplayResult
 
 AFTER_TIME_OFF = (
-    "its times begin before the end of the state: it goes on as after {:g} s off, which is its standing time (stood), or 0 s "
+    "its times begin before the end of the state, so it goes on as after {:g} s off. That is its standing time (stood), or 0 s "
     "without one"
 )
 
