@@ -3,12 +3,18 @@
 
 """The guards: every message is counted once, all outputs are finite, and each policy is followed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.estimator.columns import REFUSALS, Count, Reason
+from trackres_ros.effects import Active, catalogue
+from trackres_ros.effects.stepping import EACH
+from trackres_ros.estimator.columns import REFUSALS, Belt, Count, Reason
+from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.vehicle import load_any
 
 START = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -112,6 +118,56 @@ def test_ambient_and_belt_measurements_are_used_once(session):
     assert second.belt_degc()[0] < -19.0
     assert third.belt_degc()[2] == pytest.approx(second.belt_degc()[2], abs=0.1)
     assert not second.reasons & Reason.AMBIENT_NOMINAL
+
+
+def driven(estimator, restart, steps, ambient_at, change, speed):
+    """Belts' temperatures and an effect's state after so many steps; at one of them the nominal air turns out to be another."""
+    session = estimator.session()
+    if restart:
+        for i in range(-10, 0):
+            send(session, START + i * S // 2, speed)
+        restart(session)
+    for i in range(steps + 1):
+        if i == ambient_at:
+            send(session, START + i * S // 2, estimator.vehicle.chassis.ambient + change, "ambient")
+        send(session, START + i * S // 2, speed)
+    return np.append(session.belts[:, :, Belt.temperature], session.effects[-EACH])
+
+
+@pytest.fixture(scope="module")
+def warming(xgd24d, agri3t):
+    """Estimators with belts of one and two nodes, of another vehicle, and without belts, each with an effect that warms up."""
+    vehicles = {"one": xgd24d, "two": replace(xgd24d, thermal="core_surface"), "small": agri3t, "wheels": load_any("bmw_i3")}
+    tyres = catalogue()["roadwheel_tyres"]
+    return {name: Estimator(replace(one, effects=(Active(tyres, tyres.values()),))) for name, one in vehicles.items()}
+
+
+RESTARTS = {
+    "first": None,
+    "back": Session.start_anew,
+    "standing": lambda session: session.start_cold(driving=False),
+    "driving": lambda session: session.start_cold(driving=True),
+    "off": lambda session: session.begin(session.estimator.rest(session.state, session.estimator.vehicle.chassis.ambient, 600.0)),
+}
+
+
+@pytest.mark.parametrize(("steps", "speed", "change"), [(1, 2.0, -35.0), (1, 2.0, 20.0), (120, 0.0, -35.0), (600, 2.0, -1.0)])
+@pytest.mark.parametrize("restart", RESTARTS.values(), ids=RESTARTS)
+@pytest.mark.parametrize("name", ["one", "two", "small", "wheels"])
+def test_a_start_is_in_the_first_ambient_whenever_it_comes(warming, name, restart, steps, speed, change):
+    late, known, never = (driven(warming[name], restart, steps, i, change, speed) for i in (steps, 0, -1))
+    assert abs(known - never).max() > 0.3 * abs(change)
+    assert late == pytest.approx(known, abs=0.01 * abs(known - never).max())
+
+
+def test_a_rest_in_a_given_air_stays_in_it(warming):
+    session = warming["two"].session()
+    send(session, START)
+    session.begin(warming["two"].rest(session.state, 0.0, 600.0))
+    before = session.state.belts
+    send(session, START + S, -20.0, "ambient")
+    send(session, START + S)
+    assert session.belts == pytest.approx(before, abs=0.1)
 
 
 def test_blocks_equal_single_messages_bit_for_bit(reference):

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 import trackres_ros as tr
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import snapshot
+from trackres_ros.estimator.columns import Belt
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
 from trackres_ros.route.follower import NOTHING_YET
@@ -70,6 +71,21 @@ def test_a_resumed_replay_reports_its_own_messages_alone(tmp_path):
     assert after["counters"]["speed"]["accepted"] == after["messages"] == 30
     assert not after["remarks"]
     assert max(reason["steps"] for reason in after["reasons"]) == after["steps"] == 30
+
+
+@pytest.mark.parametrize(("stood", "off_s"), [("", 0.0), ("0", 0.0), ("1800", 1800.0)])
+def test_times_that_begin_anew_are_after_the_recorded_time_off(reference, tmp_path, stood, off_s):
+    state = tmp_path / "state.json"
+    rows = [f"{0.5 * i},8,15,{stood}" for i in range(2000)]
+    for name, part in (("first", rows), ("second", rows[:9]), ("on", [f"9{rows[-1]}"])):
+        (tmp_path / f"{name}.csv").write_text("\n".join(["time_s,speed_mps,ambient_degc,stood_s", *part]))
+    tr.replay(tmp_path / "first.csv", "xgd24d", save_state=state)
+    again = tr.replay(tmp_path / "second.csv", "xgd24d", resume=state)
+    off, _ = snapshot.after_time_off(reference, state, now=999.5 + off_s)
+    assert again["belt_degc/front_left"][0] == off.belts[0, 0, Belt.temperature] > 17.0
+    assert not again.as_dict()["remarks"]
+    assert f"after {off_s:g} s off" in again.notes[-1]
+    assert "s off" not in str(tr.replay(tmp_path / "on.csv", "xgd24d", resume=state).notes)
 
 
 def test_time_off_cools_the_belt(reference, tmp_path):

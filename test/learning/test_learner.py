@@ -220,6 +220,15 @@ def test_a_jump_of_the_clock_is_no_time_off(driven_before):
     assert driven.learner.learned.covariance[at.OF_LOSS, at.OF_LOSS] <= before * 1.001
 
 
+def test_belts_that_move_to_known_air_are_learned_anew(road):
+    late = road("on").drive(0.01)
+    for session, minutes in ((late.true, 15.0), (late.session, 2.0)):
+        now = int(session.memory.times[at.SPEED, at.Times.last_arrival])
+        session.handle(at.AMBIENT, now, now, -10.0)
+        late.drive(minutes)
+    assert late.errors(1.0)[0] < 0.03
+
+
 def rest(driven, how):
     """Two hours, with the node off or on."""
     driven.steps += 72_000

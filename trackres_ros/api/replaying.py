@@ -17,6 +17,11 @@ if TYPE_CHECKING:
     from trackres_ros.recording.recording import Recording
     from trackres_ros.results.replay import ReplayResult
 
+AFTER_TIME_OFF = (
+    "its times begin before the end of the state, so it goes on as after {:g} s off. That is its standing time (stood), or 0 s "
+    "without one"
+)
+
 
 def replay(
     recording: Recording | StrPath | Sequence[StrPath],
@@ -47,7 +52,8 @@ def replay(
     params
         Parameters of the estimator (docs/settings.md): a file, flat or as the live node reads it, or a mapping of name to value.
     resume, save_state
-        State files: to continue from, and to write at the end.
+        State files: to continue from, and to write at the end. A recording whose times begin before the end of the state
+        continues after time off: its standing time, or none.
     learning
         `off`; `watch` learns vehicle parameters from the measured torque without using them; `on` uses them, like the live
         node.
@@ -87,7 +93,6 @@ def replay(
     from trackres_ros.estimator.estimate import Steps
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.estimator.snapshot import read_learning, save, state_file
-    from trackres_ros.estimator.snapshot import resume as resumed
     from trackres_ros.estimator.topic_settings import settings_for
     from trackres_ros.estimator.warm_up import BLOCKS, LIVE, first_run
     from trackres_ros.files.output_files import BAG_SUFFIX, no_two_alike, not_an_input, output_file
@@ -96,7 +101,7 @@ def replay(
     from trackres_ros.learning.vehicle_file import write_learned
     from trackres_ros.node.parameters import make_parameters, read_parameters
     from trackres_ros.offline.replay import replay as run
-    from trackres_ros.offline.replay import result_writer
+    from trackres_ros.offline.replay import result_writer, resumed
     from trackres_ros.offline.summary import KeptSource
     from trackres_ros.recording.opening import open_source
     from trackres_ros.recording.recording import Recording
@@ -133,10 +138,10 @@ def replay(
         warm_up = stack.enter_context(first_run(LIVE if learns else BLOCKS, described))
         estimator = Estimator(described, settings, entries=warm_up.first)
         learner = Learner(estimator, learning) if learns else None
-        session, learned_before = None, None
+        session = learned_before = off_s = None
         if before is not None:
-            session, learned_before = resumed(estimator, before), read_learning(estimator, before)
-            go_on_from(before, session, learner, learned_before)
+            (session, off_s), learned_before = resumed(source, estimator, before), read_learning(estimator, before)
+            go_on_from(before, session, learner, learned_before, off_s)
         write = kept.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
         done = run(source, estimator, write, session, progress, learner, warm_up.finished)
     written = [one for one in (file, state) if one is not None]
@@ -150,6 +155,7 @@ def replay(
     title = one_line(f"{', '.join(path.name for path in paths) or source.name}: {estimator.vehicle.title}")
     findings = source.all_findings() if isinstance(source, KeptSource) else source.findings
     rows = kept if file is None else None
-    result = ReplayResult(done, rows, title, source.name, source.notes, findings, file, [*inputs, before])
+    notes = source.notes if off_s is None else (*source.notes, AFTER_TIME_OFF.format(off_s))
+    result = ReplayResult(done, rows, title, source.name, notes, findings, file, [*inputs, before])
     result.written = tuple(written)
     return result

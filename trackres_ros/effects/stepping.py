@@ -283,6 +283,24 @@ def pass_gap_of_effects(
         memory[first + OWN] = 0.5 * (rested + after(rows, values, work, row, state, dt))
 
 
+@compiled
+def move_effects(
+    rows: IntArray, values: Array, memory: Array, work: Array, speed: float, weight: float, before: float, ambient: float
+) -> None:
+    """Move the effects' own states by what their start gains from one ambient temperature [degC] to another."""
+    looked_at, answer = work[TERMS : TERMS + LOOKED_AT], work[TERMS + LOOKED_AT :]
+    for row in range(rows.shape[0]):
+        own = memory[FIRST_OWN + EACH * rows[row, STATE] :]
+        if rows[row, KIND] >= SHIFTED or rows[row, LAG_AT] == 0 or math.isnan(own[OWN]):
+            continue
+        for sign in (-1.0, 1.0):
+            look(work, speed, 0.0, weight, ambient if sign > 0.0 else before, math.nan, math.nan, math.nan, 0.0, math.nan)
+            looked_at[AT_OWN] = 0.0
+            if is_known(rows[row, NEEDS], looked_at) and call_lag(rows[row, LAG_AT], looked_at, values[row], answer):
+                own[OWN] += sign * answer[2]
+                own[TARGET] += sign * answer[0]
+
+
 @inlined
 def own_state(address: int, values: Array, looked_at: Array, answer: Array, own: Array, dt: float) -> bool:
     """Advance an effect's own state by a step and write it for the effect; return whether it is usable."""

@@ -113,6 +113,7 @@ class Motion(Row):
     last_others = Real()  # Nm, last drive torque without belts and effects
     turned = Real()  # s, age of the speed at that turn; the change of this time is in the value
     unfed = Real()  # 1 while the feed-forward is on its way to zero instead of its target, else 0
+    air_std = Real()  # K, of the nominal air in which the belts began; 0 once an ambient temperature came
 
 
 # What can be learned of a vehicle while it drives, as departures from its file: of the loss, the cooling and the heat capacity of

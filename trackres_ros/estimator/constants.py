@@ -47,6 +47,7 @@ PLAUSIBLE = {
 }
 LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
+LEAST_AIR_STD_K = 1e-3  # of the nominal air, so that a belt's departure due to it is known
 LATEST_S = 0.1  # a speed may show a value this old: buses repeat values, and stamps are inexact
 
 
@@ -202,7 +203,7 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
         initial_belt_std=settings.initial_belt_std_k,
         process_noise=settings.process_noise_k,
         ambient_std=settings.ambient_std_k,
-        ambient_unknown_std=settings.ambient_unknown_std_k,
+        ambient_unknown_std=max(settings.ambient_unknown_std_k, LEAST_AIR_STD_K),
         belt_measured_variance=settings.belt_measured_std_k**2,
         gap=settings.gap_s,
         bridge=settings.bridge_s,

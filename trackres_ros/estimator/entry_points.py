@@ -22,8 +22,8 @@ from trackres_ros.estimator.between_steps import turn
 from trackres_ros.estimator.by_place import follow_along, of_place, position_came
 from trackres_ros.estimator.columns import Assembly, Motion, Results, Times
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.estimator.guards import ACCEPTED_AFTER_RESET, GAP, Memory, admit, forget_others, gather
-from trackres_ros.estimator.kernel import advance, predict, start
+from trackres_ros.estimator.guards import ACCEPTED_AFTER_RESET, AMBIENT_NOMINAL, GAP, Memory, admit, forget_others, gather
+from trackres_ros.estimator.kernel import advance, know_air, predict, start
 from trackres_ros.estimator.records import LARGEST, DriveSeries, Inputs, State
 from trackres_ros.jit.compiled import HAVE_NUMBA, entry, inlined, interpreted
 from trackres_ros.units import NANOSECOND
@@ -64,8 +64,12 @@ def feed(
         turn(k, memory, motion, arrival)
         return False
     inputs = gather(k, memory, outcome, elapsed, motion, loads, belt_measured)
+    nominal_air = inputs.reasons & AMBIENT_NOMINAL != 0
     if motion.started <= 0.0:
         start(k, carried, inputs.ambient, inputs.ambient_std)
+        motion.air_std = inputs.ambient_std if nominal_air else 0.0
+    elif motion.air_std > 0.0 and not nominal_air:
+        know_air(k, carried, inputs)
     dt = elapsed * NANOSECOND
     if dt > k.number.gap:
         memory.counters[channel, GAP] += 1
@@ -161,6 +165,8 @@ def rest(k: Constants, carried: State, ambient: float, ambient_std: float, secon
     motion.turned = motion.unfed = 0.0
     if motion.started > 0.0:
         motion.started = at.RESTS
+    if ambient != k.number.nominal_ambient:
+        motion.air_std = 0.0  # not in the nominal air alone any more
     rest_effects(k.effects, k.effect_values, carried.effects, k.work, ambient, seconds)
     for i in range(carried.belts.shape[0]):
         roll(k, Assembly(k.assembly[i]), carried.belts[i], 0.0, 0.0, SLOWEST_LOG_SPEED, 0.0, 0.0, ambient, ambient_std, seconds)

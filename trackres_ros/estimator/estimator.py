@@ -397,8 +397,9 @@ class Session:
         """
         k, memory = self.estimator.constants, self.memory
         if self.started and driving:
-            ambient, std, _ = ambient_now(k, memory, int(memory.times[at.SPEED, at.Times.last_arrival]))
+            ambient, std, nominal = ambient_now(k, memory, int(memory.times[at.SPEED, at.Times.last_arrival]))
             start(k, State(self.belts, self.motion.copy(), self.effects, self.learned), ambient, std)
+            self.motion[at.Motion.air_std] = std if nominal else 0.0
         elif self.started:  # otherwise it starts cold anyway
             memory.times[at.SPEED, at.Times.seen], memory.values[at.SPEED] = 0, math.nan
             self.motion[at.Motion.started] = 0.0

@@ -38,8 +38,8 @@ def towards(here: float, there: float, room: float) -> float:
 
 @inlined
 def rate_towards(number: Numbers, target: float) -> float:
-    """Largest change of the feed-forward [Nm/s] on its way to a target: zero is reached within the time of a fade, as nothing may
-    push a vehicle that stands or is not enabled (ours).
+    """Largest change of the feed-forward [Nm/s] on its way to a target: from its limit, zero is reached within the time of a
+    fade, as nothing may push a vehicle that stands or is not enabled (ours).
     """
     rate = number.feedforward_rate
     return max(rate, number.feedforward_limit / number.feedforward_fade) if target == 0.0 else rate

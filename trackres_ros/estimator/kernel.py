@@ -24,6 +24,7 @@ from trackres_ros.effects.stepping import (
     TERM_VARIANCE,
     TERMS,
     look,
+    move_effects,
     pass_gap_of_effects,
     step_effects,
 )
@@ -84,6 +85,28 @@ def start(k: Constants, carried: State, ambient: float, ambient_std: float) -> N
     Motion(motion).quantum = 1e9
     for place in range(FIRST_OWN, effects.shape[0]):  # as after a long rest; the distance driven stays
         effects[place] = math.nan
+
+
+@inlined
+def know_air(k: Constants, carried: State, inputs: Inputs) -> None:
+    """At the first ambient temperature after a start in the nominal air: as if belts and effects had begun in it (ours).
+
+    Notes
+    -----
+    A belt moves by its departure due to the air over the standard deviation of the air: at first by the whole difference, later
+    by what remains of it, to first order.
+    """
+    motion, nominal = Motion(carried.motion), k.number.nominal_ambient
+    weight = 0.0
+    for i in range(inputs.load.shape[0]):
+        weight += inputs.load[i]
+    for i in range(carried.belts.shape[0]):
+        for node in range(2):
+            belt = Belt(carried.belts[i, node])
+            belt.temperature += min(belt.consider_ambient / motion.air_std, 1.0) * (inputs.ambient - nominal)
+            belt.consider_ambient *= inputs.ambient_std / motion.air_std
+    move_effects(k.effects, k.effect_values, carried.effects, k.work, inputs.speed, weight, nominal, inputs.ambient)
+    motion.air_std = 0.0
 
 
 @inlined

@@ -28,7 +28,6 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.plausible_state import check_effects, check_learned, check_memory, check_state
-from trackres_ros.estimator.records import State
 from trackres_ros.files import own_files
 from trackres_ros.files.jsons import parse_json
 from trackres_ros.vehicle import Vehicle
@@ -197,15 +196,19 @@ def after_time_off(estimator: Estimator, path: Path, now: float, ambient: float 
     InputError
         As `resume`.
     """
-    before, session = estimator.session(), estimator.session()
+    before = estimator.session()
     saved_at = _take(before, path)
-    if not before.started:
-        return session, 0.0
-    since = now - saved_at
-    ambient = estimator.vehicle.chassis.ambient if ambient is None else ambient
-    off = min(max(0.0, since), LONGEST_OFF)
-    session.begin(estimator.rest(State(before.belts, before.motion, before.effects, before.learned), ambient, off))
-    return session, since
+    since = now - saved_at if before.started else 0.0
+    return rested(before, since, ambient), since
+
+
+def rested(before: Session, seconds: float, ambient: float | None = None) -> Session:
+    """A new session with the belts of another, cooled for some time [s] as in `after_time_off`."""
+    estimator, session = before.estimator, before.estimator.session()
+    if before.started:
+        there = estimator.vehicle.chassis.ambient if ambient is None else ambient
+        session.begin(estimator.rest(before.state, there, min(max(0.0, seconds), LONGEST_OFF)))
+    return session
 
 
 def _arrays(session: Session) -> dict[str, NDArray[Any]]:

@@ -120,9 +120,11 @@ class Learner:
     def take(self, stamp_ns: int, row: Row, session: Session) -> None:
         """Take a step of the session; once a second learn from those before it, and let that act from the next step on."""
         reasons = int(row[at.Results.reasons])
-        if reasons & TIME_RESET:
+        nominal_air = bool(session.motion[at.Motion.air_std] > 0.0)
+        if reasons & TIME_RESET or self.gate.samples.nominal_air > nominal_air:  # the air is known now: the belts have moved
             self.restart()
             correction.use_file(session.learned)
+        self.gate.samples.nominal_air = nominal_air
         memory = session.memory
         self.delay.take(
             stamp_ns,

@@ -7,6 +7,7 @@ live.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -22,6 +23,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.entry_points import Entries
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.estimator.snapshot import rested, resume
 from trackres_ros.files.output_files import BAG_SUFFIX
 from trackres_ros.learning.columns import LearningColumns, column_names
 from trackres_ros.learning.learner import Learner
@@ -33,7 +35,7 @@ from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.preview import ResultPreview
 from trackres_ros.output.table import TableWriter
 from trackres_ros.recording.roles import GROUND, POSITION, base_role
-from trackres_ros.recording.samples import SampleBlock, Source
+from trackres_ros.recording.samples import SampleBlock, Source, standing_time
 from trackres_ros.units import NANOSECOND
 
 BLOCK_ROWS = 8192  # results of so many messages stay in the cache and in memory already had
@@ -67,6 +69,31 @@ def channel_indices(session: Session, roles: Sequence[str], learns: bool = False
     idle = {*(() if session.estimator.vehicle.route else POSITION), *(() if learns else GROUND)}
     needed = [role in channels and role not in idle for role in roles]
     return np.array([session.channel(r) if n else -1 for r, n in zip(roles, needed, strict=True)], dtype=np.int16)
+
+
+def resumed(source: Source, estimator: Estimator, path: Path) -> tuple[Session, float | None]:
+    """Go on from a state file: in the same stream, or after time off where the times of a source begin before its end.
+
+    Returns
+    -------
+    session, off_s
+        The time off [s] is the source's standing time, 0 if it has none; None in the same stream.
+
+    Raises
+    ------
+    InputError
+        As `snapshot.resume`; if the source cannot be read, or its standing time is negative.
+    """
+    session, first = resume(estimator, path), next(source.blocks(BLOCK_ROWS), None)
+    last, jump = at.Times(session.memory.times[at.SPEED]), estimator.constants.number.clock_jump_ns
+    if first is None or not last.seen:
+        return session, None
+    if min(last.last_stamp - first.stamp_ns[0], last.last_arrival - first.arrival_ns[0]) <= jump:
+        return session, None
+    of_stood = [role == "stood" for role in source.roles]
+    off = standing_time(first.value[np.array(of_stood)[first.role]], source.name)
+    off = 0.0 if math.isnan(off) else off
+    return rested(session, off), off
 
 
 def replay(

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.errors import InputError
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
 
@@ -29,6 +30,17 @@ class SampleBlock:
 
     def __len__(self) -> int:
         return len(self.role)
+
+
+def standing_time(given: FloatArray, name: str) -> float:
+    """Standing time before a recording [s] by its samples of the role `stood`, nan without any; `name` is the recording's.
+
+    Raises InputError for a negative one.
+    """
+    known = given[np.isfinite(given)]
+    if len(known) and known[0] < 0.0:
+        raise InputError(f"{name}: stood", f"{known[0]:g} s", "0 s or more", "give the time since the previous drive ended")
+    return float(known[0]) if len(known) else np.nan
 
 
 @dataclass(frozen=True, slots=True)

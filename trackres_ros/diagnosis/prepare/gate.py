@@ -36,6 +36,7 @@ from trackres_ros.diagnosis.prepare.split import lap_numbers
 from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import base_role
+from trackres_ros.recording.samples import standing_time
 from trackres_ros.recording.wheels import wheel_notes
 
 UNUSED = "in recordings that are left out"
@@ -257,14 +258,8 @@ def _of_brakes(session: DriveSession, on: Mask, settings: GateSettings) -> str:
 def _stood(recording: Recording) -> float:
     """Recorded standing time before the drive [s]; infinite if unknown, or too long to matter."""
     series = recording.series.get("stood")
-    given = series.value[np.isfinite(series.value)] if series is not None else np.empty(0)
-    if not len(given):
-        return np.inf
-    if given[0] < 0.0:
-        raise InputError(
-            f"{recording.name}: stood", f"{given[0]:g} s", "0 s or more", "give the time since the previous drive ended"
-        )
-    return float(given[0]) if given[0] <= LONGEST_BREAK_S else np.inf
+    stood = np.nan if series is None else standing_time(series.value, recording.name)
+    return stood if stood <= LONGEST_BREAK_S else np.inf
 
 
 def _motor_brakes_alone(resampled: Sequence[_Resampled], settings: GateSettings, notes: list[str]) -> float:
