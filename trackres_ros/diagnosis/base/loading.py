@@ -74,7 +74,7 @@ def load_base(
     vehicle = with_surroundings(with_methods(vehicle, hysteresis, thermal), surroundings)
     if isinstance(vehicle, RoadVehicle):
         return _road(vehicle)
-    track = vehicle
+    track, loads = vehicle, vehicle.nominal_loads().tolist()
     known = GateSettings(
         track.weight,
         track.chassis.max_speed,
@@ -82,6 +82,7 @@ def load_base(
         False,
         motor_ratio=track.chassis.motor_ratio,
         has_belt=True,
+        axles={axle.name: {track.assemblies[i].name: loads[i] for i in track.assemblies_of(axle.name)} for axle in track.axles},
     )
     return LoadedBase(TrackBase(track), track.title, known, track.surroundings, track.route, track.source)
 

@@ -32,7 +32,7 @@ from trackres_ros.diagnosis.prepare.turning import turning
 from trackres_ros.diagnosis.prepare.unit_checks import check_speed_unit, check_units
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.roles import POSITION
+from trackres_ros.recording.roles import POSITION, base_role
 from trackres_ros.recording.samples import Series
 from trackres_ros.units import GRAVITY
 
@@ -358,12 +358,24 @@ def _way(grid: _Grid, speed: _Speed) -> Way:
 
 
 def _weight(grid: _Grid) -> Array:
-    """Weight of the whole vehicle [N], from one load or the sum of several, else from the vehicle file."""
-    series, nominal = grid.series, grid.settings.weight
-    for roles in (["load"], [r for r in series if r.startswith("load/")]):
-        there = [r for r in roles if grid.has(r)]
-        if there:
-            grid.given.add("load")
-            total = np.sum([grid.held(r, np.nan) for r in there], axis=0)
-            return np.where(np.isfinite(total) & (total > 0.1 * nominal), total, nominal)
-    return np.full(grid.count, nominal)
+    """Weight of the whole vehicle [N], from its load or from loads of axles and assemblies; where unknown, the vehicle file's."""
+    nominal = grid.settings.weight
+    known = {r: grid.held(r, np.nan) for r in grid.series if base_role(r) == "load" and grid.has(r)}
+    if not known:
+        return np.full(grid.count, nominal)
+    grid.given.add("load")
+    if "load" in known:
+        total = known["load"]
+    elif known.keys() <= {f"load/{name}" for axle, of in grid.settings.axles.items() for name in (axle, *of)}:
+        total = np.sum([_of_axle(known, *axle) for axle in grid.settings.axles.items()], axis=0)
+    else:
+        total = np.sum(list(known.values()), axis=0)
+    return np.where(np.isfinite(total) & (total > 0.1 * nominal), total, nominal)
+
+
+def _of_axle(known: Mapping[str, Array], name: str, nominal: Mapping[str, float]) -> Array:
+    """Load of an axle [N], from its own or from those of its assemblies; where unknown, from their nominal loads."""
+    unknown = np.full_like(next(iter(known.values())), np.nan)
+    own, *each = (known.get(f"load/{one}", unknown) for one in (name, *nominal))
+    whole = np.sum([np.where(np.isfinite(x), x, load) for x, load in zip(each, nominal.values(), strict=True)], axis=0)
+    return np.where(np.isfinite(own), own, whole)
