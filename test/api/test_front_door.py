@@ -239,14 +239,19 @@ def test_a_recording_gives_its_samples_in_reading_order(sample, drive):
             assert np.array_equal(one, other), field
 
 
-def test_a_recording_made_by_hand_is_replayed_with_speed_last(vehicle):
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_recording_made_by_hand_is_replayed_with_speed_last(vehicle, times):
+    """Also where its time begins anew."""
     from trackres_ros.recording.samples import Series
 
-    when = np.arange(3) * 1_000_000_000
-    series = {"speed": Series(when, when, np.array([1.0, 2.0, 3.0])), "ambient": Series(when, when, np.array([5.0, 6.0, 7.0]))}
-    (block,) = tr.Recording("by hand", series, zero_is_unset=False).blocks()
-    assert block.role.tolist() == [1, 0] * 3
-    assert block.value.tolist() == [5.0, 1.0, 6.0, 2.0, 7.0, 3.0]
+    when = np.tile(np.arange(3) * 1_000_000_000, times)
+    value = np.arange(3.0 * times)
+    series = {"speed": Series(when, when, value), "ambient": Series(when, when, 10.0 + value)}
+    recording = tr.Recording("by hand", series, zero_is_unset=False)
+    (block,) = recording.blocks()
+    assert block.role.tolist() == [1, 0] * 3 * times
+    assert block.value[::2].tolist() == recording.aligned()["ambient"].tolist() == (10.0 + value).tolist()
+    assert block.value[1::2].tolist() == value.tolist()
 
 
 def test_a_replay_of_what_was_read_is_that_of_the_file(sample, vehicle):
