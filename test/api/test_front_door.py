@@ -483,8 +483,6 @@ def test_a_name_alone_is_one_name(drive, monkeypatch):
         (lambda d, f: tr.diagnose([], "agri3t"), "recordings"),
         (lambda d, f: tr.diagnose(d, "agri3t", hide=["gradient"]), "hide"),
         (lambda d, f: tr.diagnose(d, "agri3t", hide="gradient"), "hide"),
-        (lambda d, f: tr.simulate("agri3t", profile=np.ones(3)), "profile"),
-        (lambda d, f: tr.simulate("agri3t", profile=tr.simulate("agri3t", speed_kmh=5, duration_s=5).to_pandas()), "profile"),
         (lambda d, f: tr.record_sample(f / "lap.csv"), "path"),
     ],
 )
@@ -601,6 +599,18 @@ def test_an_argument_of_another_type_is_refused_by_its_name(drive, function, nam
         with pytest.raises(tr.InputError) as refused:
             getattr(tr, function)(**{**usable, name: bad})
         assert refused.value.where == name
+
+
+@pytest.mark.parametrize(
+    ("function", "name"), [one for one in OTHER if one[1] in ("recording", "recordings", "profile") and one[0] != "recover"]
+)
+def test_data_in_memory_are_to_be_written_to_a_file(drive, function, name, monkeypatch):
+    monkeypatch.chdir(drive.parent)
+    table = tr.simulate("agri3t", speed_kmh=5, duration_s=5).to_pandas()
+    usable = {**USABLE.get(function, {}), **({"speed_kmh": None, "duration_s": None} if name == "profile" else {})}
+    for data in (table, table["speed_mps"], table.to_numpy(), table.to_dict("list")):
+        with pytest.raises(tr.InputError, match=rf"^{name}: given 'a {type(data).__name__}'.*write the data to a file first"):
+            getattr(tr, function)(**{**usable, name: data})
 
 
 def test_a_path_of_another_type_is_refused(replayed):
