@@ -239,14 +239,19 @@ def test_a_recording_gives_its_samples_in_reading_order(sample, drive):
             assert np.array_equal(one, other), field
 
 
-def test_a_recording_made_by_hand_is_replayed_with_speed_last(vehicle):
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_recording_made_by_hand_is_replayed_with_speed_last(vehicle, times):
+    """Also where its time begins anew."""
     from trackres_ros.recording.samples import Series
 
-    when = np.arange(3) * 1_000_000_000
-    series = {"speed": Series(when, when, np.array([1.0, 2.0, 3.0])), "ambient": Series(when, when, np.array([5.0, 6.0, 7.0]))}
-    (block,) = tr.Recording("by hand", series, zero_is_unset=False).blocks()
-    assert block.role.tolist() == [1, 0] * 3
-    assert block.value.tolist() == [5.0, 1.0, 6.0, 2.0, 7.0, 3.0]
+    when = np.tile(np.arange(3) * 1_000_000_000, times)
+    value = np.arange(3.0 * times)
+    series = {"speed": Series(when, when, value), "ambient": Series(when, when, 10.0 + value)}
+    recording = tr.Recording("by hand", series, zero_is_unset=False)
+    (block,) = recording.blocks()
+    assert block.role.tolist() == [1, 0] * 3 * times
+    assert block.value[::2].tolist() == recording.aligned()["ambient"].tolist() == (10.0 + value).tolist()
+    assert block.value[1::2].tolist() == value.tolist()
 
 
 def test_a_replay_of_what_was_read_is_that_of_the_file(sample, vehicle):
@@ -478,8 +483,6 @@ def test_a_name_alone_is_one_name(drive, monkeypatch):
         (lambda d, f: tr.diagnose([], "agri3t"), "recordings"),
         (lambda d, f: tr.diagnose(d, "agri3t", hide=["gradient"]), "hide"),
         (lambda d, f: tr.diagnose(d, "agri3t", hide="gradient"), "hide"),
-        (lambda d, f: tr.simulate("agri3t", profile=np.ones(3)), "profile"),
-        (lambda d, f: tr.simulate("agri3t", profile=tr.simulate("agri3t", speed_kmh=5, duration_s=5).to_pandas()), "profile"),
         (lambda d, f: tr.record_sample(f / "lap.csv"), "path"),
     ],
 )
@@ -596,6 +599,18 @@ def test_an_argument_of_another_type_is_refused_by_its_name(drive, function, nam
         with pytest.raises(tr.InputError) as refused:
             getattr(tr, function)(**{**usable, name: bad})
         assert refused.value.where == name
+
+
+@pytest.mark.parametrize(
+    ("function", "name"), [one for one in OTHER if one[1] in ("recording", "recordings", "profile") and one[0] != "recover"]
+)
+def test_data_in_memory_are_to_be_written_to_a_file(drive, function, name, monkeypatch):
+    monkeypatch.chdir(drive.parent)
+    table = tr.simulate("agri3t", speed_kmh=5, duration_s=5).to_pandas()
+    usable = {**USABLE.get(function, {}), **({"speed_kmh": None, "duration_s": None} if name == "profile" else {})}
+    for data in (table, table["speed_mps"], table.to_numpy(), table.to_dict("list")):
+        with pytest.raises(tr.InputError, match=rf"^{name}: given 'a {type(data).__name__}'.*write the data to a file first"):
+            getattr(tr, function)(**{**usable, name: data})
 
 
 def test_a_path_of_another_type_is_refused(replayed):

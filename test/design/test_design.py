@@ -125,7 +125,7 @@ def test_energy_is_that_of_each_assembly_at_its_own_sprocket(mixed, tmp_path):
     of = {part: energy_j(vehicle, step, rows, column) for part, column in RESISTANCE_PARTS.items()}
     of |= {part: energy_j(vehicle, step, rows, f"{part}_torque_nm") for part in ("resistance", "drive")}
     drag = resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density)
-    assert of["wind"] == pytest.approx(summed(step, speed * drag))
+    assert of["wind"] == pytest.approx(summed(step, speed * drag, speed))
     assert of["resistance"] == pytest.approx(sum(of[part] for part in RESISTANCE_PARTS))
     assert of["drive"] - of["resistance"] == pytest.approx(energy_j(vehicle, step, rows, "inertia_nm"))
     assert rows.as_dict()["drive"]["energy_mj"] == pytest.approx(1e-6 * of["resistance"])
@@ -135,11 +135,13 @@ def test_energy_is_that_of_each_assembly_at_its_own_sprocket(mixed, tmp_path):
 
 
 @pytest.mark.parametrize("step_s", [0.1, 1.0, 4.0, 20.0])
-def test_totals_of_a_drive_do_not_depend_on_its_step(step_s):
+@pytest.mark.parametrize("end_mps", [0.0, -10.0])
+def test_totals_of_a_drive_do_not_depend_on_its_step(step_s, end_mps):
+    """Which may turn back within a step."""
     vehicle, time = load("xgd24d"), np.arange(0.0, 60.0 + step_s / 2.0, step_s)
-    speed = np.interp(time, [0.0, 20.0, 40.0, 60.0], [0.0, 10.0, 10.0, 0.0])
+    speed = np.interp(time, [0.0, 20.0, 40.0, 60.0], [0.0, 10.0, 10.0, end_mps])
     radius, torque = vehicle_constants(vehicle).radius, 1000.0
-    found = taken(vehicle, time, {"speed_mps": speed, RESISTANCE: np.where(speed > 0.0, torque, 0.0)})
+    found = taken(vehicle, time, {"speed_mps": speed, RESISTANCE: torque * np.sign(np.where(np.abs(speed) < 1e-9, 0.0, speed))})
     assert found["distance_m"] == pytest.approx(400.0)
     assert found["under_way_s"] == pytest.approx(60.0 - 2.0 * STANDSTILL_MPS / 0.5)
     assert found["energy_mj"] == pytest.approx(1e-6 * torque / radius * 400.0)
@@ -159,18 +161,20 @@ def test_totals_of_a_drive_do_not_depend_on_its_blocks(mixed, name):
     assert parts.as_dict() == whole.as_dict()
 
 
-def test_a_long_replay_has_the_totals_of_all_its_rows(tmp_path):
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_long_replay_has_the_totals_of_all_its_rows(tmp_path, way):
     """Not of every second one, as drawn; gaps that the estimate bridges count, longer ones do not."""
     time = np.r_[np.arange(0.0, 8_600.0), np.arange(8_612.0, 16_000.0), np.arange(17_000.0, 18_000.0)]
     speed = np.where(time % 8 < 4, 2.0, 0.0)
-    np.savetxt(tmp_path / "long.csv", np.c_[time, speed], delimiter=",", header="time_s,speed_mps", comments="")
+    np.savetxt(tmp_path / "long.csv", np.c_[time, way * speed], delimiter=",", header="time_s,speed_mps", comments="")
     rows = tr.replay(tmp_path / "long.csv", "xgd24d")
     step, found = steps_of(time, 30.0), rows.as_dict()["drive"]
     assert step.sum() == rows.duration_s == 16_998.0 > 16_000.0
     assert "1 long gap left out" in repr(rows).splitlines()[0]
-    assert found["distance_m"] == pytest.approx(summed(step, speed))
+    assert found["distance_m"] == pytest.approx(summed(step, speed, speed))
     assert found["under_way_s"] < 0.7 * rows.duration_s
     assert found["largest_resistance_nm"] == np.abs(rows["resistance_torque_nm"]).max()
+    assert rows.as_dict()["resistance_torque_nm"]["largest"] == found["largest_resistance_nm"]
 
 
 def test_where_stamps_jump_a_step_has_the_time_of_arrival():

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -163,20 +165,20 @@ def test_aligned_holds_what_had_arrived() -> None:
     assert np.isnan(held["ambient"]).all()
 
 
-ROWS = st.lists(st.tuples(st.integers(0, 40), st.floats(-9, 9)), max_size=30)
-
-
-@given(speed=ROWS, load=ROWS)
-def test_aligned_never_sees_the_future(speed: list[tuple[int, float]], load: list[tuple[int, float]]) -> None:
-    def columns(rows: list[tuple[int, float]]) -> tuple[list[int], list[float]]:
-        rows = sorted(rows, key=lambda row: row[0])
-        return [at for at, _ in rows], [value for _, value in rows]
-
-    (at, values), (load_at, loads) = columns(speed), columns(load)
-    held = recorded(speed=(at, values), load=(load_at, loads)).aligned()["load"]
-    for time, value in zip(at, held, strict=True):
-        past = [one for when, one in zip(load_at, loads, strict=True) if when <= time]
-        assert np.isnan(value) if not past else value == past[-1]
+@given(st.lists(st.tuples(st.integers(-2, 3), st.booleans(), st.floats(-9, 9)), max_size=40))
+def test_aligned_never_sees_the_future(log: list[tuple[int, bool, float]]) -> None:
+    """In the order of the log, though its time steps back."""
+    source = Given({"speed": ([], []), "load": ([], [])})
+    source.rows = [
+        (int(at), int(load), 0, value) for at, (_, load, value) in zip(np.cumsum([s for s, *_ in log]), log, strict=True)
+    ]
+    held, last = iter(Recording.from_source(source).aligned()["load"]), np.nan
+    for _, rows in groupby(source.rows, key=itemgetter(0)):
+        together = list(rows)
+        last = [last, *(value for _, load, _, value in together if load)][-1]
+        for _, load, *_ in together:
+            if not load:
+                np.testing.assert_equal(next(held), last)
 
 
 def test_blocks_of_any_size_give_the_same_recording() -> None:

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -30,8 +32,10 @@ def drive(
 
 
 @pytest.mark.parametrize("of_vehicle", ["front", "rear"])
-def test_radii_and_slip_are_found_whichever_wheels_give_speed(of_vehicle: str) -> None:
-    held = drive(of_vehicle)
+@pytest.mark.parametrize("given", [np.asarray, lambda values: np.tile(values, 2), lambda values: np.repeat(values, 3)])
+def test_radii_and_slip_are_found_whichever_wheels_give_speed(of_vehicle: str, given: Callable[..., np.ndarray]) -> None:
+    """Of a drive recorded once, twice in one recording, and with each sample three times."""
+    held = {role: given(values) for role, values in drive(of_vehicle).items()}
     for wheel in wheels(held):
         assert wheel.ratio == pytest.approx(RATIOS[wheel.name], abs=4.0 * wheel.ratio_std + 2e-4)
         assert wheel.ratio_std < 1e-3

@@ -72,21 +72,35 @@ def as_track_vehicle(vehicle: VehicleGiven) -> Vehicle:
     return described
 
 
+def as_path(given: Any, where: str, allowed: str = "a path, or what read gave") -> Path:
+    """The path of a recording; the error for data in memory says how to give them."""
+    if _is_data(given):
+        remedy = "write the data to a file first, such as a DataFrame with to_csv or to_parquet"
+        raise InputError(where, f"a {type(given).__name__}", allowed, remedy)
+    return checks.path(given, where, allowed)
+
+
 def as_paths(recording: Any) -> list[Path]:
     """One path or several."""
-    allowed = "a path, several paths, or what read gave"
     several = isinstance(recording, Sequence) and not isinstance(recording, str | bytes)
-    return [checks.path(path, "recording", allowed) for path in (recording if several else [recording])]
+    return [
+        as_path(path, "recording", "a path, several paths, or what read gave") for path in (recording if several else [recording])
+    ]
 
 
 def as_recordings(recordings: Any) -> list[Any]:
     """One recording or several, each read or a path."""
     from trackres_ros.recording.recording import Recording
 
-    listed = _listed(recordings)
+    listed = [recordings] if _is_data(recordings) else _listed(recordings)
     if not listed:
         raise InputError("recordings", "none", "at least one")
-    return [r if isinstance(r, Recording) else checks.path(r, "recordings", "paths, and what read gave") for r in listed]
+    return [r if isinstance(r, Recording) else as_path(r, "recordings", "paths, and what read gave") for r in listed]
+
+
+def _is_data(given: object) -> bool:
+    """Whether it is a table, an array, or columns by name."""
+    return hasattr(given, "__array__") or isinstance(given, Mapping)
 
 
 def as_names(names: object, where: str) -> tuple[str, ...]:

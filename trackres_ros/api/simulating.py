@@ -5,10 +5,9 @@
 
 from __future__ import annotations
 
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
-from trackres_ros.api.arguments import StrPath, VehicleGiven, as_vehicle, check_numbers, if_given, input_files
+from trackres_ros.api.arguments import StrPath, VehicleGiven, as_path, as_vehicle, check_numbers, if_given, input_files
 from trackres_ros.errors import InputError
 from trackres_ros.units import KMH_PER_MPS
 
@@ -82,7 +81,6 @@ def simulate(
     """
     import numpy as np
 
-    from trackres_ros import checks
     from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.estimator.warm_up import SERIES, first_run
@@ -102,10 +100,7 @@ def simulate(
     check_numbers("simulate", dt=dt, **optional)
     if (speed_kmh is None) == (profile is None):
         raise InputError("speed_kmh, profile", "neither" if profile is None else "both", "one of the two")
-    if profile is not None and not isinstance(profile, str | PathLike | Recording):
-        remedy = "write a DataFrame to a file first, with to_csv or to_parquet"
-        raise InputError("profile", f"a {type(profile).__name__}", "a path, or what read gave", remedy)
-    profile = profile if profile is None or isinstance(profile, Recording) else checks.path(profile, "profile")
+    profile = profile if profile is None or isinstance(profile, Recording) else as_path(profile, "profile")
     for name, seconds in (("duration_s", duration_s), ("ramp_s", ramp_s)):
         if profile is not None and seconds is not None:
             raise InputError(name, seconds, "only with a speed; a profile has its own duration and ramps")

@@ -50,18 +50,21 @@ class StepTimes:
         return np.where(step <= self._bridge_s, step, 0.0)
 
 
-def summed(step_s: Array, rate: Array) -> float:
-    """Sum of a rate over the steps before each row, see `steps_of`, by the mean of both ends of a step.
+def summed(step_s: Array, rate: Array, speed: Array) -> float:
+    """Sum over the steps before each row, see `steps_of`, of a rate that is zero with the speed.
 
-    Where one end is unknown the other counts; a step with two unknown ends adds nothing.
+    It is linear between rows; a step in which the vehicle turns back has two parts, with zero between them. Where one end is
+    unknown the other counts; a step with two unknown ends adds nothing.
     """
-    return float(np.nansum(_parts(step_s, rate)))
+    return float(np.nansum(_parts(step_s, rate, speed)))
 
 
-def _parts(step_s: Array, rate: Array) -> Array:
-    before = np.concatenate([rate[:1], rate[:-1]])
+def _parts(step_s: Array, rate: Array, speed: Array) -> Array:
+    before, began = np.concatenate([rate[:1], rate[:-1]]), np.concatenate([speed[:1], speed[:-1]])
     first, last = np.where(np.isnan(before), rate, before), np.where(np.isnan(rate), before, rate)
-    return np.asarray(step_s * 0.5 * (first + last))
+    turns = began * speed < 0.0
+    until = np.abs(began) / np.where(turns, np.abs(began) + np.abs(speed), 1.0)  # it stands, as a share of the step
+    return np.asarray(step_s * 0.5 * np.where(turns, until * first + (1.0 - until) * last, first + last))
 
 
 def under_way_s(step_s: Array, speed: Array) -> Array:
@@ -80,7 +83,8 @@ def energy_j(vehicle: AnyVehicle, step_s: Array, of: Mapping[str, Array], name: 
     `step_s`: see `steps_of`; `of`: the columns of a vehicle's results, shape (rows,); `name`: the torque's. Unknown values add
     nothing.
     """
-    return summed(step_s, of["speed_mps"] * _at_first_radius(vehicle, of, name)) / vehicle_constants(vehicle).radius
+    power = of["speed_mps"] * _at_first_radius(vehicle, of, name)
+    return summed(step_s, power, of["speed_mps"]) / vehicle_constants(vehicle).radius
 
 
 def _at_first_radius(vehicle: AnyVehicle, of: Mapping[str, Array], name: str) -> Array:
@@ -116,7 +120,6 @@ class DriveTotals:
         self._sums = np.zeros(5)
         self._rates = np.empty((4, 0))  # of the last row
         self._largest = self._coldest = self._warmest = math.nan
-        self.largest_nm = math.nan  # of the resistance with its sign
 
     @property
     def duration_s(self) -> float:
@@ -130,10 +133,10 @@ class DriveTotals:
         rates = np.stack([speed, np.abs(speed), moving, speed * _at_first_radius(self._vehicle, of, RESISTANCE)])
         rates = np.concatenate([self._rates if self._rates.size else rates[:, :1], rates], axis=1)
         self._rates, step = rates[:, -1:], np.concatenate([[0.0], step_s])
-        under_way = under_way_s(step, rates[0])
-        parts = [step, under_way, _parts(step, rates[1]), _parts(under_way, rates[2]), _parts(step, rates[3])]
+        v, size, resists, power = rates
+        under_way = under_way_s(step, v)  # a resistance does not go to zero with the speed, so `size` for it, which never turns
+        parts = [step, under_way, _parts(step, size, v), _parts(under_way, resists, size), _parts(step, power, v)]
         self._sums = np.cumsum(np.column_stack([self._sums, np.nan_to_num(parts)]), axis=1)[:, -1]
-        self.largest_nm = float(np.fmax(self.largest_nm, np.fmax.reduce(torque)))
         self._largest = float(np.fmax(self._largest, np.fmax.reduce(np.abs(torque))))
         for belt in (values for name, values in of.items() if name.startswith("belt_degc/")):
             self._coldest = float(np.fmin(self._coldest, np.fmin.reduce(belt)))

@@ -85,6 +85,7 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
     learned = {} if result.learner is None else {"learning": {**_learned(result.learner), **_saved(result.learned_file)}}
     torque = at.Results.resistance_torque_nm
     first_nm, last_nm = float(result.picture[0, HEAD + torque]), float(result.last[torque])
+    drive = result.totals.as_dict()
     counters: dict[str, dict[str, int]] = {}
     for channel, count, number in result.counts:
         counters.setdefault(channel, {})[count.name.lower()] = number
@@ -105,8 +106,8 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
             for reason, number in sorted(result.reasons.items())
         ],
         "remarks": _remarks(result),
-        "drive": result.totals.as_dict(),
-        "resistance_torque_nm": {"first": first_nm, "largest": result.totals.largest_nm, "last": last_nm},
+        "drive": drive,
+        "resistance_torque_nm": {"first": first_nm, "largest": drive["largest_resistance_nm"], "last": last_nm},
         "last": last,
         **learned,
     }

@@ -57,7 +57,7 @@ LETTERS_FROM = 0.6  # of the darkest: letters on it are white
 
 @dataclass(frozen=True, eq=False)
 class TimeAxis:
-    """Times as they are drawn, shape (times,), and the numbers of the first rows after a gap."""
+    """Times as they are drawn, shape (times,), and the numbers of the first rows after a gap, or a step back."""
 
     values: Array
     gaps: NDArray[np.intp]
@@ -111,8 +111,9 @@ def _draw_estimate(
     for name, values in columns.items():
         if np.shape(values) != time.shape:
             raise InputError(f"column {name}", np.shape(values), f"the shape of the time, {time.shape}")
-    in_hours = float(time[-1] - time[0]) > HOURS_FROM_S
-    gaps = np.flatnonzero(np.diff(time) > longest_step(time)) + 1
+    in_hours = float(np.ptp(time)) > HOURS_FROM_S
+    step = np.diff(time)
+    gaps = np.flatnonzero((step > longest_step(time)) | (step < 0.0)) + 1
     x = TimeAxis(time / 3600.0 if in_hours else time, gaps)
     drawn: FigureBase = figure
     if learned := _is_there(columns):

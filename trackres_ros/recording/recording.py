@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.recording.quality import findings_of
 from trackres_ros.recording.roles import ROLES, base_role
-from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock, Series, Source
+from trackres_ros.recording.samples import Finding, FloatArray, SampleBlock, Series, Source
 from trackres_ros.recording.wheels import wheel_notes
 from trackres_ros.text.html import listed, panel, table
 from trackres_ros.text.numbers import figures
@@ -43,7 +43,8 @@ class Recording:
     zero_is_unset : bool
         See `Source`.
     order : ndarray of int16, shape (samples of all roles,), optional
-        Index into `roles` of each sample in log order; without it the order is by log time, speed last.
+        Index into `roles` of each sample in log order; without it the order is by log time, speed last. Where log
+        time steps back in every role, a new stretch begins.
     paths : tuple of Path
         The files it was read from.
     bindings : mapping of role to TopicBinding
@@ -88,7 +89,7 @@ class Recording:
 
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
         """All samples again, in the order of the log, at most `max_rows` at a time."""
-        order = self._by_arrival() if self.order is None else self.order
+        order = self._order()
         place = np.empty(len(order), np.intp)  # of each sample among those of its role
         for index in range(len(self.series)):
             rows = np.flatnonzero(order == index)
@@ -103,12 +104,15 @@ class Recording:
                 value[rows] = samples.value[at[rows]]
             yield SampleBlock(role, stamp_ns, arrival_ns, value)
 
-    def _by_arrival(self) -> NDArray[np.int16]:
-        """Samples by their time of logging, and speed last among those logged at once."""
+    def _order(self) -> NDArray[np.int16]:
+        """`order`; without it samples by log time, stretch by stretch between its steps back, and speed last of those at once."""
+        if self.order is not None:
+            return self.order
         roles = [index for index, _ in sorted(enumerate(self.series), key=lambda pair: pair[1] == "speed")]
-        of = list(self.series.values())
-        arrival = np.concatenate([of[index].arrival_ns for index in roles])
-        return np.repeat(np.array(roles, np.int16), [len(of[index]) for index in roles])[np.argsort(arrival, kind="stable")]
+        logged = [samples.arrival_ns for samples in (list(self.series.values())[index] for index in roles)]
+        stretch = [np.cumsum(np.diff(one, prepend=one[:1]) < 0) for one in logged]
+        in_turn = np.lexsort((np.concatenate(logged), np.concatenate(stretch)))
+        return np.repeat(np.array(roles, np.int16), [len(one) for one in logged])[in_turn]
 
     @property
     def start_ns(self) -> int:
@@ -136,17 +140,21 @@ class Recording:
         Returns
         -------
         dict of str to ndarray, each of the shape of speed
-            ``time_s`` and every role: the last finite value logged before the sample of speed,
-            never a later one; NaN before the first. Speed itself is unchanged.
+            ``time_s`` and every role: the last finite value logged before the sample of speed, or at the
+            same time, never a later one; NaN before the first. Speed itself is unchanged.
         """
-        speed = self.series["speed"]
-        clock = _clock(speed.arrival_ns)
-        held: dict[str, FloatArray] = {"time_s": self.time_s("speed"), "speed": speed.value.copy()}
+        order = self._order()
+        arrival_ns = np.empty(len(order), np.int64)
+        for index, samples in enumerate(self.series.values()):
+            arrival_ns[order == index] = samples.arrival_ns
+        turn = np.cumsum(np.diff(arrival_ns, prepend=arrival_ns[:1]) != 0)  # in the log, which may begin anew; one at one time
+        turns = {role: turn[order == index] for index, role in enumerate(self.series)}
+        held: dict[str, FloatArray] = {"time_s": self.time_s("speed"), "speed": self.series["speed"].value.copy()}
         for role, samples in self.series.items():
             if role == "speed":
                 continue
             finite = np.isfinite(samples.value)
-            last = np.searchsorted(_clock(samples.arrival_ns[finite]), clock, side="right")
+            last = np.searchsorted(turns[role][finite], turns["speed"], side="right")
             held[role] = np.concatenate(([np.nan], samples.value[finite]))[last]
         return held
 
@@ -163,9 +171,15 @@ class Recording:
             listed("Notes", [*self.notes, *self.wheel_notes()], folded=True),
         )
 
-    def wheel_notes(self) -> list[str]:
-        """Rolling radii and slip from recorded wheel speeds, a sentence each; empty if no wheel is recorded for long enough."""
-        return wheel_notes(self.aligned()) if any(base_role(role) == "wheel_speed" for role in self.series) else []
+    def wheel_notes(self, roles: Collection[str] | None = None) -> list[str]:
+        """Rolling radii and slip from recorded wheel speeds, a sentence each; empty if no wheel is recorded for long enough.
+
+        `roles`: the roles to use; all of them by default.
+        """
+        used = set(self.series if roles is None else roles)
+        if not any(base_role(role) == "wheel_speed" for role in used):
+            return []
+        return wheel_notes({role: values for role, values in self.aligned().items() if role in used | {"time_s"}})
 
     def _findings(self) -> Iterator[tuple[str, str]]:
         """Role and text of each finding, with its first time."""
@@ -241,11 +255,6 @@ def _start_ns(series: Callable[[str], Series], source: Source) -> int:
         if stamp_ns.size:
             return int(stamp_ns.min(where=stamp_ns != 0, initial=stamp_ns.max()) if source.zero_is_unset else stamp_ns.min())
     return 0
-
-
-def _clock(arrival_ns: IntArray) -> IntArray:
-    """Log time made monotonic, as it may run backward between two bags."""
-    return np.maximum.accumulate(arrival_ns) if arrival_ns.size else arrival_ns
 
 
 def _measures(samples: Series) -> tuple[str, str, str, str]:

@@ -48,12 +48,13 @@ def wheels(held: Mapping[str, FloatArray]) -> tuple[Wheel, ...]:
     roles = [role for role in held if base_role(role) == "wheel_speed"]
     if not roles or len(time) < PIECES * FEWEST_EACH:
         return ()
-    usable = np.isfinite(speed) & (np.abs(speed) > SLOWEST_MPS) & (np.gradient(time) > 0.0)
+    step = np.gradient(time)
+    usable = np.isfinite(speed) & (np.abs(speed) > SLOWEST_MPS) & (step > 0.0)
     if "steering_angle" in held:
         usable &= np.abs(held["steering_angle"]) < STRAIGHT_RAD
     elif "yaw_rate" in held:
         usable &= np.abs(held["yaw_rate"]) < STRAIGHT_RADPS
-    accel = np.gradient(speed, np.where(np.gradient(time) > 0.0, time, np.arange(len(time))))
+    accel = np.gradient(speed) / np.where(step > 0.0, step, np.nan)
     columns = [speed, accel]
     if "torque" in held and np.nanmax(np.abs(held["torque"]), initial=0.0) > 0.0:
         columns.append(speed * held["torque"] / KNM)

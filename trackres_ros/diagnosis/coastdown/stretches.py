@@ -35,6 +35,7 @@ SHORTEST_RECORDING_S = SHORTEST_S + 5.0
 LEAST_FALL_SHARE = 0.2  # of the initial speed, if no torque is recorded
 HARDEST_MPS2 = 0.8  # largest deceleration without brakes, on the flat
 AROUND_S, END_S = 5.0, 2.0
+CLEAR_SHARE = 0.5  # of its median: what only rolls and meets air, a + b v^2, resists more than that down to standstill
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +156,7 @@ def _hardly(limit: float) -> str:
 
 def _lacks_torque(session: DriveSession, unknown: Mapping[str, Mask], limit: float) -> bool:
     """Whether the vehicle accelerates, but hardly ever with a torque above the limit [Nm]."""
-    gains = np.sign(session.speed) * _smooth(session.accel + GRAVITY * session.grade, session.step) > DRIVEN_MPS2
+    gains = _without_slope(session) > DRIVEN_MPS2
     for bad in unknown.values():
         gains &= ~bad
     lasts = float(gains.sum()) * session.step >= AROUND_S
@@ -188,6 +189,11 @@ def _slows(session: DriveSession, settings: GateSettings) -> tuple[Array, Mask]:
     return slows, (slows < 0.0) & (np.abs(session.speed) >= max(settings.slowest, LEAST_FALL_MPS))
 
 
+def _without_slope(session: DriveSession) -> Array:
+    """The same acceleration without that of a known slope: all other forces over the mass [m/s^2]."""
+    return np.sign(session.speed) * _smooth(session.accel + GRAVITY * session.grade, session.step)
+
+
 def _falls(
     session: DriveSession, unknown: Mapping[str, Mask], settings: GateSettings, limit: float | None, rejected: Counter[str]
 ) -> list[tuple[int, int]]:
@@ -204,7 +210,10 @@ def _falls(
         falls &= ~bad
     found = []
     ends = math.ceil(END_S / session.step)  # steps that may contain a part of driving or of a stop
-    for begin, end in ((a + ends, b - ends) for a, b in runs_of(falls)):
+    for begin, end in runs_of(falls):
+        if limit is None:
+            begin, end = _without_held_ends(session, begin, end)
+        begin, end = begin + ends, end - ends
         if end <= begin:
             continue
         speed = np.abs(session.speed[begin:end])
@@ -218,6 +227,15 @@ def _falls(
         else:
             found.append((begin, end))
     return found
+
+
+def _without_held_ends(session: DriveSession, begin: int, end: int) -> tuple[int, int]:
+    """The part of a stretch from its first to its last clear deceleration: a driver may hold the speed before and after it, and
+    noise lowers a held speed too.
+    """
+    resists = -_without_slope(session)[begin:end]
+    clear = begin + np.flatnonzero(resists > CLEAR_SHARE * np.median(resists))
+    return (int(clear[0]), int(clear[-1]) + 1) if len(clear) else (begin, begin)
 
 
 def _smooth(values: Array, step: float) -> Array:

@@ -80,7 +80,7 @@ def on_one_clock(recording: Recording) -> tuple[Recording, list[str]]:
             del series[role]
             used = "it is not used; correct its times to use it"
             notes.append(WarningNote(f"{where} is {given}: its clock seems to be {off.seconds:+d} s off; {used}"))
-    return replace(recording, series=series), notes
+    return replace(recording, series=series, order=None), notes
 
 
 def _refuse_set_back(where: str, series: Series, several: bool) -> None:

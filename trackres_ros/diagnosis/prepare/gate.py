@@ -37,7 +37,6 @@ from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import base_role
 from trackres_ros.recording.samples import standing_time
-from trackres_ros.recording.wheels import wheel_notes
 
 UNUSED = "in recordings that are left out"
 SLOWER = 5.0  # times the step of half of the driving: slower recordings would blur the others
@@ -137,11 +136,12 @@ class _Resampled(_Admitted):
 
 def _admitted(recording: Recording, hide: Sequence[str], settings: GateSettings) -> _Admitted:
     shown = {role: s for role, s in recording.series.items() if role not in hide and base_role(role) not in hide}
-    recording = replace(recording, series=shown)
+    logged, recording = recording, replace(recording, series=shown, order=None)
     shortest_s = SHORTEST_S * pace(step_for([recording], slowest_speed=settings.slowest))
     check_compared(recording, shortest_s=shortest_s)
     recording, notes = on_one_clock(recording)
     check_compared(recording, shortest_s=shortest_s)
+    notes += [f"{recording.name}: {note}" for note in logged.wheel_notes(recording.series)]
     return _Admitted(recording, _stood(recording), notes)
 
 
@@ -184,8 +184,6 @@ def _checked(one: _Resampled, settings: GateSettings, alone: float) -> _Resample
         one.notes.append(_of_brakes(session, one.unknown[BRAKES_ON], settings))
     session, of_slope = with_slope(session)
     one.notes.extend([of_slope] if of_slope else [])
-    if any(base_role(role) == "wheel_speed" for role in one.recording.series):
-        one.notes.extend(f"{session.name}: {note}" for note in wheel_notes(one.recording.aligned()))
     return replace(one, session=session)
 
 
