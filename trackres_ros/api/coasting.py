@@ -69,7 +69,7 @@ def coastdown(
     from trackres_ros import checks
     from trackres_ros.diagnosis.base.loading import load_base
     from trackres_ros.diagnosis.coastdown.fitted import coastdown as run
-    from trackres_ros.diagnosis.prepare.gate import in_order
+    from trackres_ros.diagnosis.coastdown.stretches import in_driving_order
     from trackres_ros.recording.recording import Recording, topics_in_use
     from trackres_ros.results.coastdown import CoastdownResult
 
@@ -77,7 +77,7 @@ def coastdown(
     checks.seed(seed)
     mapping = as_topics(topics)
     loaded = load_base(vehicle, method, thermal, surroundings)
-    read_in = in_order([r if isinstance(r, Recording) else read(r, topics=mapping) for r in listed])
+    read_in = in_driving_order([r if isinstance(r, Recording) else read(r, topics=mapping) for r in listed])
     loaded = loaded.with_topics(topics_in_use(read_in))
     inputs = input_files(mapping, loaded.source, surroundings)
     return CoastdownResult(run(read_in, loaded, seed), paths_of(read_in), inputs)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
 
@@ -320,6 +321,16 @@ def relative_std(vehicle: AnyVehicle, path: str) -> float:
     """Standard deviation of a value of the file that cannot be 0, over its size."""
     quantity = vehicle.parameters[path]
     return quantity.standard_deviation / float(np.mean(quantity.value))
+
+
+def relative_weight_std(vehicle: AnyVehicle) -> float:
+    """Relative standard deviation of the nominal weight. A load that is not known rests on all axles: their deviations add."""
+    if isinstance(vehicle, RoadVehicle):
+        return relative_std(vehicle, "road_load.mass")
+    counts = Counter(f"tracks.{assembly.track}.own_weight" for assembly in vehicle.assemblies)
+    own = (count * vehicle.parameters[path].standard_deviation for path, count in counts.items())
+    load = sum(vehicle.parameters[f"chassis.axles.{axle.name}.load"].standard_deviation for axle in vehicle.axles)
+    return math.hypot(load, *own) / vehicle.weight
 
 
 def drag_area_stds(vehicle: AnyVehicle) -> dict[str, float]:

@@ -74,8 +74,7 @@ class CoastdownResult:
         align = ("<", ">", ">", ">", ">", ">", "<", "<")
         lines += ["  ".join(f"{c:{a}{w}}" for c, a, w in zip(row, align, widths, strict=True)).rstrip() for row in rows]
         lines.append(
-            f"All values scale with the mass including rotating parts, taken from the file, +-{200 * found.mass_std:.0f} % in "
-            "the ranges"
+            f"The ranges include the uncertainty of the mass and rotating parts in the file, +-{200 * found.mass_std:.0f} %"
         )
         if found.improvement is not None and self.better:
             before, after = figures(found.improvement.before, 3), figures(found.improvement.after, 3)

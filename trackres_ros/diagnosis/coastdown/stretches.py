@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -36,6 +37,7 @@ LEAST_FALL_SHARE = 0.2  # of the initial speed, if no torque is recorded
 HARDEST_MPS2 = 0.8  # largest deceleration without brakes, on the flat
 AROUND_S, END_S = 5.0, 2.0
 CLEAR_SHARE = 0.5  # of its median: what only rolls and meets air, a + b v^2, resists more than that down to standstill
+NAME_DIGITS = 20  # at most, in a number of a file's name
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +115,17 @@ def rollouts(
     return Rollouts(tuple(sessions), tuple(stretches), dict(rejected), known.notes, tuple(remedies))
 
 
+def in_driving_order(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings by their start; those with equal starts, as without a common clock, as they are given.
+
+    Names in the order of a shell's ``*`` are ordered by their numbers: roll_2 is before roll_10.
+    """
+    names = [one.name for one in recordings]
+    if names == sorted(names):
+        recordings = sorted(recordings, key=lambda r: re.sub("[0-9]+", lambda number: number[0].zfill(NAME_DIGITS), r.name))
+    return sorted(recordings, key=lambda r: r.start_ns)
+
+
 def _with_slopes(drives: Sequence[_Drive], settings: GateSettings, notes: list[str]) -> list[_Drive]:
     """The drives with slopes from their altitude. Where no torque is measured, the decelerations of all coast-downs must confirm
     them.
@@ -144,7 +157,7 @@ def _resampled(recording: Recording, step: float, settings: GateSettings, limit:
         session, unknown = resample(recording, step, settings, said, SHORTEST_RECORDING_S)
         if not _lacks_torque(session, unknown, limit):
             notes += said
-            return _Drive(recording, session, unknown, limit)
+            return _Drive(recording, replace(session, given=session.given | {"torque"}), unknown, limit)
         why = f"the torque {_hardly(limit)} (a dead sensor, or another unit), and is not used"
     notes.append(f"{recording.name}: {why}; deceleration is assumed to be without drive or brakes")
     return _Drive(recording, *resample(_without_torque(recording), step, settings, notes, SHORTEST_RECORDING_S), None)
