@@ -23,15 +23,16 @@ pytest.importorskip("pyarrow")
 
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.fleet.draw import draw_fleet, write_recording
-from trackres_ros.fleet.alerts import COLUMNS, checked_url
+from trackres_ros.fleet.alerts import COLUMNS, alerts, checked_url
 from trackres_ros.fleet.changes import DAY_S
 from trackres_ros.fleet.compare import REPORT, compare, compare_text
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.page.write import write_pages
+from trackres_ros.fleet.periods import DIAGNOSES, INPUTS, REASON, verdicts
 from trackres_ros.fleet.recordings import FoundRecording
 from trackres_ros.fleet.run import alone, keep_limits, limits_of
 from trackres_ros.fleet.task import Task, analyse, broken
-from trackres_ros.fleet.trends import day_of, sentences, trends
+from trackres_ros.fleet.trends import day_of, sentences, trends, without_copies
 from trackres_ros.fleet.vehicles import digest_of_values, one_vehicle, read_fleet
 
 BEGIN_S, RECORDINGS = 1.75e9, 12
@@ -123,10 +124,23 @@ def test_a_webhook_that_fails_is_a_warning_and_exit_code_4(dataset, trackres, an
     assert "the webhook failed: http://127.0.0.1" in done.stderr
 
 
+@pytest.mark.parametrize("kind", ["step", "ramp"])
+def test_a_repaired_fault_stays_an_alert_with_its_end(dataset, kind):
+    for number in range(3 * RECORDINGS):
+        off = 0.0 if not 8 <= number < 20 else 1.5 if kind == "step" else 0.3 * (number - 7)
+        dataset.put(row("worn", number, moved=off), None)
+    found = trends(dataset, {None: {"bearing_friction": 0.012}})
+    (alert,) = alerts(found)
+    assert (alert["kind"], alert["since"], alert["ended"], alert["limit"]) == (kind, *(row("", n)["day"] for n in (8, 20)), None)
+    assert alert["text"].endswith(f"and came back by {alert['ended']}")
+    assert f"back by {alert['ended']}" in write_pages(dataset.folder, found, dataset).read_text()
+
+
 def test_without_a_change_nothing_is_sent_and_the_exit_code_is_0(dataset, trackres, tmp_path):
     words = ("trend", dataset.folder, "--name", "steady", "--webhook", "http://127.0.0.1:9", "--exit-code")
     done = trackres(*words, "--alerts", tmp_path / "a.csv")
     assert (done.returncode, done.stderr) == (0, "")
+    assert f"{RECORDINGS} of {RECORDINGS} recordings of 1 vehicle compared" in done.stdout
     assert (tmp_path / "a.csv").read_text().splitlines() == [",".join(COLUMNS)]
 
 
@@ -153,12 +167,12 @@ def test_a_limit_is_its_vehicles_own_and_a_given_one_of_all(dataset, tmp_path):
     keep_limits(dataset.folder, fleet)
     kept = limits_of(dataset.folder, {})
     assert {name: of for name, of in kept.items() if of} == {name: v.limits for name, v in fleet.vehicles.items()}
-    other = {None: {"film_scale": 1.0}}
-    for where, wrong in (("--limit", other), ("limits of b", {"b": other[None]})):
-        with pytest.raises(InputError, match=where):
-            trends(dataset, wrong)
+    with pytest.raises(InputError, match="--limit"):
+        trends(dataset, {None: {"film_scale": 1.0}})
+    assert trends(dataset, {"b": {"film_scale": 1.0}}) == trends(dataset, {})  # of a vehicle without a usable recording
     for number in range(RECORDINGS):
-        dataset.put(row("worn", number, moved=0.3 * max(0, number - 4)), None)
+        of_file = {"vehicle_values": fleet.vehicles["worn"].values}
+        dataset.put({**row("worn", number, moved=0.3 * max(0, number - 4)), **of_file}, None)
     given = limits_of(dataset.folder, {"bearing_friction": 0.02})
     for limits, limit in (({}, None), ({"b": kept["b"]}, None), (kept, 0.012), (given, 0.02)):
         (change,) = trends(dataset, limits, vehicle="worn")["vehicles"]["worn"]["changes"]
@@ -241,30 +255,55 @@ def test_each_parameter_of_two_reports_is_compared_or_listed(tmp_path):
     assert compare_text(found).count("Not compared: ") == 4
 
 
-@pytest.mark.parametrize("other", [{"nominal": [0.009, 1.0]}, {"vehicle_values": "w"}], ids=["fitted", "any"])
+def test_only_searched_vehicles_may_be_false_alarms(dataset):
+    for number in range(3):
+        dataset.put(row("new", number), None)
+    for rate in (0.2, 10.0):
+        found = trends(dataset, {}, rate)
+        expected = {name: vehicle["expected_false_alarms"] for name, vehicle in found["vehicles"].items()}
+        assert expected["new"] == 0.0 < expected["steady"] <= 0.5  # of an unchanged vehicle's draws at most half may pass
+        assert found["expected_false_alarms"] == pytest.approx(sum(expected.values()))
+    assert "1 vehicle has too few recordings to look for a change" in sentences(found)
+    write_pages(dataset.folder, found, dataset)
+    for name, searched in (("new", False), ("steady", True)):
+        text = (dataset.folder / "vehicles" / f"{name}.html").read_text()
+        assert ("not changed beyond chance" in text, "too few recordings" in text) == (searched, not searched)
+
+
+@pytest.mark.parametrize("other", [{"nominal": [0.009, 1.0]}, {}], ids=["fitted", "any"])
 @pytest.mark.parametrize("vehicle", ["first", "worn"])  # before and after another vehicle of the present type
-def test_recordings_of_an_older_vehicle_file_are_only_listed(dataset, vehicle, other):
-    for number in range(RECORDINGS // 2, RECORDINGS):
+@pytest.mark.parametrize("known", [False, True])  # the present file, whose recordings may then be the earlier ones
+def test_recordings_of_an_older_vehicle_file_are_only_listed(dataset, vehicle, other, known):
+    older, present = (range(RECORDINGS // 2), range(RECORDINGS // 2, RECORDINGS))[:: -1 if known else 1]
+    if known:
+        (dataset.folder / "fleet.json").write_text(json.dumps({"values": {vehicle: "v"}}))
+    for number in present:
         dataset.put(row(vehicle, number), None)
-    for path in dataset.folder.glob(f"rows/vehicle={vehicle}/*/*"):
-        if path.parent.name < f"day={row(vehicle, RECORDINGS // 2)['day']}":
+    for number in older:
+        for path in dataset.folder.glob(f"rows/vehicle={vehicle}/day={row(vehicle, number)['day']}/*"):
             path.unlink()
     alone, one = trends(dataset, {}), f"{dataset.folder}:{vehicle}"
     compared = compare(one, one)
-    for number in range(RECORDINGS // 2):
-        dataset.put({**row(vehicle, number), **other}, None)
+    for number in older:
+        dataset.put({**row(vehicle, number), **other, "vehicle_values": "w"}, None)
     found = trends(dataset, {})
-    outdated = [f"/data/{vehicle}/{number}.csv" for number in range(RECORDINGS // 2)]
+    outdated = [f"/data/{vehicle}/{number}.csv" for number in older]
     assert [one["url"] for one in found["outdated"]] == outdated
     assert found == {**alone, "outdated": found["outdated"], "recordings": alone["recordings"] + len(outdated)}
     assert f"{len(outdated)} recordings not used because their vehicle's file has changed" in "\n".join(sentences(found))
     page = write_pages(dataset.folder, found, dataset).read_text()
     assert all(f"{url}: its vehicle file has other values" in page for url in outdated)
-    again = compare(one, f"{one}@{row(vehicle, 0)['day']}")  # of the older file alone
+    again = compare(one, f"{one}@{row(vehicle, older[0])['day']}")  # of the older file alone
     assert [q["one"] for q in again["parameters"]] == [q["one"] for q in compared["parameters"]]
     assert [one["url"] for one in again["outdated"]] == outdated
     assert again["one"].endswith("(6 recordings, without 6 of an older vehicle file)")
     assert again["other"].endswith("(1 recordings)")
+    (dataset.folder / "fleet.json").write_text(json.dumps({"values": {vehicle: "x"}}))
+    found = trends(dataset, {})
+    assert vehicle not in found["vehicles"]
+    assert [line for line in sentences(found) if line.startswith(f"{vehicle}: not compared")]
+    with pytest.raises(InputError, match="analyse it again"):
+        trends(dataset, {}, vehicle=vehicle)
 
 
 def test_a_row_without_the_digest_of_its_values_is_compared(dataset):
@@ -295,6 +334,12 @@ def test_copies_are_only_listed(dataset):
     before, kept = trends(dataset, {}), row("worn", 0)["url"]
     for name, status in (("copy", "good"), ("worn", "broken")):
         dataset.put({**row("worn", 0), "vehicle": name, "url": f"/data/{name}/x.csv", "status": status, "copy_of": kept}, None)
+    for month in ("copy/2025-06", "worn/2025-06", "worn/2025-05"):  # reports of recordings that were elsewhere
+        (dataset.folder / DIAGNOSES / month).mkdir(parents=True)
+        for name in (INPUTS, REASON):
+            (dataset.folder / DIAGNOSES / month / name).touch()
+    shown = verdicts(dataset.folder, without_copies(dataset.rows())[0])
+    assert [(name, *months) for name, months in shown.items()] == [("worn", "2025-06")]
     found = trends(dataset, {})
     assert [one["url"] for one in found["copies"]] == ["/data/copy/x.csv", "/data/worn/x.csv"]
     assert found == {**before, "copies": found["copies"], "recordings": before["recordings"] + 2}

@@ -20,6 +20,7 @@ from trackres_ros.fleet.changes import (
     exceeded,
     first_seen,
     fit,
+    gains,
     lines_of,
     search,
     shapes,
@@ -214,6 +215,31 @@ def test_sizes_of_two_changes_are_true_within_three_stds(seed):
     for j, change in enumerate(found):
         size, std = size_of(whole, found, varied, j)
         assert abs(size - (-1.5 if change.kind == STEP else 1.8)) < 3.0 * std < 1.5
+
+
+@pytest.mark.parametrize("kind", [STEP, RAMP])
+def test_a_change_that_ended_is_found_as_before_its_end(kind):
+    during = np.arange(40) - 11
+    true = np.where((during > 0) & (during <= 16), 1.2 if kind == STEP else 0.12 * during, 0.0)
+    for seed in range(6):
+        of = history(true[:, None], seed)
+        (change,) = found = search(of, LEAST)
+        assert (change.kind, abs(change.end - 28) <= 1) == (kind, True)
+        whole = fit(of, found)
+        size, std = size_of(whole, found, variants(of, found), 0)
+        assert abs(size - true.max()) < 3.0 * std < 1.5
+        before = of.until(change.end)
+        assert first_seen(of, found, 0, (), LEAST) == first_seen(before, search(before, LEAST), 0, (), LEAST)
+
+
+def test_what_a_search_finds_a_search_until_then_found():
+    ended = 0
+    for seed in range(40):
+        of = history(np.zeros((20, 2)), seed)
+        found = search(of, 4.0)
+        ended += any(change.end < 20 for change in found)
+        assert not found or max(gains(of.until(count), ()).gain.max() for count in range(4, 21)) >= 4.0
+    assert ended
 
 
 def test_a_change_that_others_explain_is_not_kept():

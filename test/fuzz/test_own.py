@@ -47,7 +47,8 @@ def results(tmp_path):
     dataset = FleetDataset(tmp_path / "results")
     for number in range(6):
         dataset.put(row(number), None)
-    (tmp_path / "results" / "fleet.json").write_text(json.dumps({"limits": {"truck-01": {"bearing_friction": 0.012}}}))
+    kept = {"limits": {"truck-01": {"bearing_friction": 0.012}}, "values": {"truck-02": "v"}}
+    (tmp_path / "results" / "fleet.json").write_text(json.dumps(kept))
     period = tmp_path / "results" / DIAGNOSES / "truck-01" / "2026-03"
     period.mkdir(parents=True)
     (period / INPUTS).write_text("x")
@@ -67,7 +68,7 @@ def of_report(folder: Path) -> object:
     report = folder / DIAGNOSES / "truck-01" / "2026-03"
     found = compare(str(report), str(report))
     json.dumps(found, allow_nan=False)
-    return compare_text(found), verdicts(folder)
+    return compare_text(found), verdicts(folder, [row(0)])
 
 
 KINDS: dict[str, tuple[str, Callable[[Path], object]]] = {

@@ -4,7 +4,8 @@
 """Finds changes of a vehicle's parameter: steps and trends.
 
 Each recording is compared with the estimate from all recordings of the vehicle and from its type. A change is reported if it
-raises the likelihood more than chance does. The rate of false alarms is given, however often one looks.
+raises the likelihood more than chance does. The rate of false alarms is given, however often one looks. A change that once
+did so stays in the list after a repair, with its end.
 """
 
 from collections.abc import Sequence
@@ -20,10 +21,12 @@ STEP, RAMP = "step", "ramp"
 FALSE_ALARMS = 0.2  # per vehicle and year, one in 60 vehicle-months: rate of false alarms
 DRAWS = 400
 MOST_DRAWN_FOR = 120  # recordings of a vehicle in a draw of chance; more have the same thresholds
+MOST_ENDS = 120  # of changes that ended, evenly over the recordings; the likeliest one is then refined
 FEWEST = 2  # recordings on either side of a change
-FEWEST_OF_RAMP = 5  # recordings that rise
+FEWEST_DURING = {STEP: FEWEST, RAMP: 5}  # recordings from its beginning to its end, or to the last
 MOST_CHANGES = 3
-UNLIKELY = 4.0  # in log-likelihood: a beginning that is not considered
+LASTING = 1 << 62  # the end of a change that has none
+UNLIKELY = 4.0  # in log-likelihood: a beginning, or a lasting change instead of one that ended, that is not considered
 ROUNDS = 5  # of fitting the beginnings of several changes in turn
 ALIKE = 2.0  # in log-likelihood: parameters that would explain it as well
 TWO_SIDED_95 = 1.96
@@ -58,13 +61,14 @@ class VehicleChange:
     since_s: float
     known_s: float
     recordings: int  # number of recordings until then
-    # the value at the recording before it, and its change up to the last recording, in the parameter's unit
+    # the value at the recording before it, and its change up to the last recording or the end, in the parameter's unit
     before: float
     size: float
     size_std: float
     relative: float  # its size over the value before; nan for a value of 0 in the vehicle file, such as an error of an instrument
     gain: float  # in log-likelihood, with all the other changes known
-    lines: tuple[TrendLine, ...] = ()  # of a ramp: with each plausible beginning, the likeliest first
+    lines: tuple[TrendLine, ...] = ()  # of a lasting ramp: with each plausible beginning, the likeliest first
+    ended_s: float | None = None  # begin of the first recording with the value from before again; None if it lasts
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +90,15 @@ class VehicleHistory:
 
 
 class Found(NamedTuple):
-    """A found change: its parameter, first recording and kind."""
+    """A found change: its parameter, first recording and kind, and the first recording after it."""
 
     parameter: int
     at: int
     kind: str
+    end: int = LASTING
+
+
+Candidate = tuple[int, str, int]  # first recording, kind and end of a change
 
 
 def course(pooled: Pooled, vehicle: str) -> VehicleHistory:
@@ -102,21 +110,27 @@ def course(pooled: Pooled, vehicle: str) -> VehicleHistory:
     return VehicleHistory(precision, linear, prior, prior @ pooled.mean, of.time_s, looked_for)
 
 
-def shapes(time_s: Array, first: int, kind: str) -> Array:
-    """Shape of a change over the recordings: 1 from one on, or days since the one before it."""
-    after = np.arange(len(time_s)) >= first
+def shapes(time_s: Array, first: int, kind: str, end: int = LASTING) -> Array:
+    """Shape of a change over the recordings, from one on until its end: 1, or days since the one before it."""
+    number = np.arange(len(time_s))
+    during = (number >= first) & (number < end)
     if kind == STEP:
-        return after.astype(float)
-    return np.where(after, (time_s - time_s[max(first - 1, 0)]) / DAY_S, 0.0)
+        return during.astype(float)
+    return np.where(during, (time_s - time_s[min(max(first, 1), len(time_s)) - 1]) / DAY_S, 0.0)
+
+
+def _lasting(n: int) -> list[Candidate]:
+    begins = ((STEP, FEWEST), (RAMP, 1))
+    return [(first, kind, LASTING) for kind, begin in begins for first in range(begin, n - FEWEST_DURING[kind] + 1)]
 
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """Gains of changes: candidates (first recording and kind); of each draw, candidate and parameter the score and the
-    gain, shapes (draws, candidates, parameters); and the information (candidates, parameters).
+    """Gains of changes: candidates; of each draw, candidate and parameter the score and the gain, shapes (draws, candidates,
+    parameters); and the information (candidates, parameters).
     """
 
-    candidates: tuple[tuple[int, str], ...]
+    candidates: Sequence[Candidate]
     score: Array
     information: Array
 
@@ -126,25 +140,26 @@ class Gains:
         return np.asarray(0.5 * self.score**2 / self.information)
 
 
-def gains(of: VehicleHistory, known: Sequence[Found], draws: Array) -> Gains:
-    """Gain of each possible change in addition to the known ones.
+def gains(
+    of: VehicleHistory, known: Sequence[Found], draws: Array | None = None, candidates: Sequence[Candidate] | None = None
+) -> Gains:
+    """Gain of each candidate in addition to the known changes.
 
-    `draws`: of `VehicleHistory.linear`, shape (draws, n, p).
+    `draws`: of `VehicleHistory.linear`, shape (draws, n, p), by default this alone; `candidates`: by default all lasting changes.
     """
-    n = len(of.linear)
+    draws = of.linear[np.newaxis] if draws is None else draws
+    candidates = _lasting(len(of.linear)) if candidates is None else candidates
     design, whole, right = _model(of, known, draws)
     weighted = of.precision @ design
     mean = np.linalg.solve(whole, right.T).T
     left = draws - np.einsum("nij,dj->dni", weighted, mean)  # the slope of each log-likelihood at the present parameters
     looked = list(of.looked_for)
-    candidates = [(first, STEP) for first in range(FEWEST, n - FEWEST + 1)]
-    candidates += [(first, RAMP) for first in range(1, n - FEWEST_OF_RAMP + 1)]
-    form = np.array([shapes(of.time_s, first, kind) for first, kind in candidates])  # (candidates, n)
+    form = np.array([shapes(of.time_s, *candidate) for candidate in candidates])  # (candidates, n)
     score = np.einsum("cn,dnq->dcq", form, left[:, :, looked], optimize=True)
-    own = form**2 @ np.stack([of.precision[:, q, q] for q in looked], axis=1)
+    own = form**2 @ of.precision[:, looked, looked]
     cross = np.einsum("cn,nqj->cqj", form, weighted[:, looked], optimize=True)
     solved = np.linalg.solve(whole, cross.reshape(-1, cross.shape[-1]).T).T.reshape(cross.shape)
-    return Gains(tuple(candidates), score, np.maximum(own - np.einsum("cqj,cqj->cq", cross, solved), 1e-12))
+    return Gains(candidates, score, np.maximum(own - np.einsum("cqj,cqj->cq", cross, solved), 1e-12))
 
 
 def _model(of: VehicleHistory, known: Sequence[Found], draws: Array) -> tuple[Array, Array, Array]:
@@ -152,8 +167,8 @@ def _model(of: VehicleHistory, known: Sequence[Found], draws: Array) -> tuple[Ar
     n, p = of.linear.shape
     design = np.zeros((n, p, p + len(known)))
     design[:, :, :p] = np.eye(p)
-    for j, (parameter, first, kind) in enumerate(known):
-        design[:, parameter, p + j] = shapes(of.time_s, first, kind)
+    for j, (parameter, first, kind, end) in enumerate(known):
+        design[:, parameter, p + j] = shapes(of.time_s, first, kind, end)
     whole = np.einsum("nij,nik->jk", design, of.precision @ design)
     whole[:p, :p] += of.prior
     whole[p:, p:] += 1e-9 * np.eye(len(known))
@@ -176,6 +191,12 @@ class JointFit:
         p = self.design.shape[1]
         return np.asarray(0.5 * self.mean[p:] ** 2 / np.diag(self.covariance)[p:])
 
+    @property
+    def total(self) -> float:
+        """Of all changes together, in log-likelihood."""
+        p = self.design.shape[1]
+        return float(0.5 * self.mean[p:] @ np.linalg.solve(self.covariance[p:, p:], self.mean[p:]))
+
 
 def fit(of: VehicleHistory, known: Sequence[Found]) -> JointFit:
     """All changes and the parameters before them."""
@@ -185,31 +206,65 @@ def fit(of: VehicleHistory, known: Sequence[Found]) -> JointFit:
 
 
 def search(of: VehicleHistory, least: float) -> list[Found]:
-    """Changes that gain at least that much, each with all the others known. The most likely one is added first."""
-    found: list[Found] = []
+    """Changes that gain at least that much, each with all the others known: lasting ones alone, unless some that ended gain more.
+
+    Each change costs what it must gain, so that one that ended replaces two lasting ones where both are about as likely.
+    """
+    return max((_added(of, least, (), ended) for ended in (False, True)), key=lambda one: fit(of, one).total - least * len(one))
+
+
+def _added(of: VehicleHistory, least: float, known: Sequence[Found], ended: bool) -> list[Found]:
+    """The known changes and others, lasting ones or also some that ended. The most likely one is added first."""
+    found = list(known)
     while len(found) < MOST_CHANGES and len(of.linear) >= 2 * FEWEST:
-        free = gains(of, found, of.linear[np.newaxis])
-        c, q = np.unravel_index(int(free.gain[0].argmax()), free.gain[0].shape)
-        if free.gain[0, c, q] < least:
+        best, gain = _likeliest(gains(of, found), of)
+        if ended and (passed := _passed(of, found, least)):
+            past, of_past = max(passed, key=lambda one: one[1])
+            best, gain = (past, of_past) if gain < max(least, of_past - UNLIKELY) else (best, gain)
+        if gain < least:
             break
-        found.append(Found(of.looked_for[int(q)], *free.candidates[int(c)]))
-        found = _aligned(of, found)
+        found = _aligned(of, [*found, best])
     while found:  # a change may be explained by those that were found later
-        gain = fit(of, found).gain
-        if gain.min() >= least:
+        gains_now = fit(of, found).gain
+        if gains_now.min() >= least:
             break
-        del found[int(gain.argmin())]
+        del found[int(gains_now.argmin())]
         found = _aligned(of, found)
     return found
 
 
+def _likeliest(free: Gains, of: VehicleHistory) -> tuple[Found, float]:
+    """The candidate with the largest gain, and this."""
+    c, q = np.unravel_index(int(free.gain[0].argmax()), free.gain[0].shape)
+    return Found(of.looked_for[int(q)], *free.candidates[int(c)]), float(free.gain[0, c, q])
+
+
+def _passed(of: VehicleHistory, known: Sequence[Found], least: float) -> list[tuple[Found, float]]:
+    """Changes that ended, with their gains. Each was found by a search until its end, so chance passes no more often."""
+    passed, ends = [], np.arange(2 * FEWEST, len(of.linear) - FEWEST + 1)
+    for end in map(int, ends[:: -(-len(ends) // MOST_ENDS) or 1]):
+        best, gain = _likeliest(gains(of.until(end), known), of)
+        if gain >= least:
+            free = gains(of, known, candidates=[(best.at, best.kind, end)])
+            past = best._replace(end=end)
+            passed.append((past, float(free.gain[0, 0, of.looked_for.index(past.parameter)])))
+    return passed
+
+
+def _near(of: VehicleHistory, change: Found, kinds: Sequence[str] = (STEP, RAMP)) -> list[Candidate]:
+    """All lasting changes of these kinds; of a change that ended, those with another beginning or another end."""
+    if change.end == LASTING:
+        return [candidate for candidate in _lasting(len(of.linear)) if candidate[1] in kinds]
+    begins = [(first, kind, change.end) for first, kind, _ in _lasting(change.end) if kind in kinds]
+    ends = range(change.at + FEWEST_DURING[change.kind], len(of.linear) - FEWEST + 1)
+    return begins + [(change.at, change.kind, end) for end in ends if end != change.end]
+
+
 def _beginnings(of: VehicleHistory, found: Sequence[Found], j: int) -> tuple[list[Found], Array]:
-    """Each possible beginning of one of the changes, and its gain with all the others known."""
-    parameter, _, kind = found[j]
-    free = gains(of, [*found[:j], *found[j + 1 :]], of.linear[np.newaxis])
-    own = [c for c, candidate in enumerate(free.candidates) if candidate[1] == kind]
-    gain = free.gain[0, own, of.looked_for.index(parameter)]
-    return [Found(parameter, *free.candidates[c]) for c in own], gain
+    """Each possible beginning, or end, of one of the changes, and its gain with all the others known."""
+    parameter, kind = found[j].parameter, found[j].kind
+    free = gains(of, [*found[:j], *found[j + 1 :]], candidates=_near(of, found[j], (kind,)))
+    return [Found(parameter, *one) for one in free.candidates], free.gain[0, :, of.looked_for.index(parameter)]
 
 
 def _aligned(of: VehicleHistory, found: list[Found]) -> list[Found]:
@@ -246,14 +301,15 @@ def variants(of: VehicleHistory, found: Sequence[Found]) -> list[list[Variant]]:
     return listed
 
 
-def threshold(of: VehicleHistory, rate: float) -> float:
-    """Threshold of the gain that chance alone exceeds, after any recording, at a rate per year [log-likelihood].
+def threshold(of: VehicleHistory, rate: float) -> tuple[float, float]:
+    """Threshold of the gain that chance alone exceeds, after any recording, at a rate per year [log-likelihood], and that rate:
+    at most half of the draws may pass, and none with too few recordings.
 
     Recordings are drawn with the scatter of the pool, without a change.
     """
     rng, n = np.random.default_rng(1), min(len(of.linear), MOST_DRAWN_FOR)
     if n < 2 * FEWEST:
-        return np.inf
+        return np.inf, 0.0
     precision = of.precision[:n]
     values, vectors = np.linalg.eigh(precision)
     root = vectors * np.sqrt(np.maximum(values, 0.0))[:, np.newaxis, :]
@@ -269,7 +325,7 @@ def threshold(of: VehicleHistory, rate: float) -> float:
         highest = np.maximum(highest, gains(of.until(count), (), drawn[:, :count]).gain.max(axis=(1, 2)))
     years = max((of.time_s[n - 1] - of.time_s[0]) / YEAR_S, 1e-3)
     share = min(0.5, rate * years)  # of draws that may pass
-    return exceeded(highest, share)
+    return exceeded(highest, share), share / years
 
 
 def exceeded(highest: Array, share: float) -> float:
@@ -281,25 +337,25 @@ def exceeded(highest: Array, share: float) -> float:
     return float(max(by_gumbel, np.quantile(highest, 1.0 - share)))
 
 
-def vehicle_changes(pooled: Pooled, vehicle: str, rate: float = FALSE_ALARMS) -> tuple[list[VehicleChange], float]:
-    """Changes of a vehicle, by significance; and the threshold of the gain."""
+def vehicle_changes(pooled: Pooled, vehicle: str, rate: float = FALSE_ALARMS) -> tuple[list[VehicleChange], float, float]:
+    """Changes of a vehicle, by significance; the threshold of the gain and its rate of false alarms, see `threshold`."""
     of = course(pooled, vehicle)
-    least = threshold(of, rate)
+    least, allowed = threshold(of, rate)
     found = search(of, least)
     varied = variants(of, found)
     changes = [_described(pooled, of, found, varied, j, least) for j in range(len(found))]
-    return sorted(changes, key=lambda change: -change.gain), least
+    return sorted(changes, key=lambda change: -change.gain), least, allowed
 
 
 def _described(
     pooled: Pooled, of: VehicleHistory, found: Sequence[Found], varied: Sequence[Sequence[Variant]], j: int, least: float
 ) -> VehicleChange:
-    names, (parameter, at, kind) = pooled.of.names, found[j]
+    names, (parameter, at, kind, end) = pooled.of.names, found[j]
     whole = fit(of, found)
     nominal, std = float(pooled.of.nominal[parameter]), float(pooled.of.std[parameter])
     before = nominal + std * float(whole.design[at - 1, parameter] @ whole.mean)
     size, size_std = (std * x for x in size_of(whole, found, varied, j))
-    best = gains(of, [*found[:j], *found[j + 1 :]], of.linear[np.newaxis]).gain[0].max(axis=0)
+    best = gains(of, [*found[:j], *found[j + 1 :]], candidates=_near(of, found[j])).gain[0].max(axis=0)
     own = best[of.looked_for.index(parameter)]
     alike = [i for i, gain in zip(of.looked_for, best, strict=True) if i != parameter and gain > own - ALIKE]
     seen = first_seen(of, found, j, alike, least)
@@ -310,22 +366,27 @@ def _described(
         since_s=float(of.time_s[at]),
         known_s=float(of.time_s[seen]),
         recordings=seen - at + 1,
+        ended_s=float(of.time_s[end]) if end < len(of.time_s) else None,
         before=before,
         size=size,
         size_std=size_std,
         relative=size / before if nominal and before else float("nan"),
         gain=float(whole.gain[j]),
-        lines=lines_of(varied, parameter, nominal, std) if kind == RAMP else (),
+        lines=lines_of(varied, parameter, nominal, std) if kind == RAMP and end == LASTING else (),
     )
 
 
 def size_of(whole: JointFit, found: Sequence[Found], varied: Sequence[Sequence[Variant]], j: int) -> tuple[float, float]:
-    """Size of a change up to the last recording, and its standard deviation with that of each beginning."""
+    """Size of a change up to the last recording or its end, and its standard deviation with that of each beginning and end."""
     parameter, column = found[j].parameter, whole.design.shape[1] + j
-    size = float(whole.design[-1, parameter, column] * whole.mean[column])
-    variance = float(whole.design[-1, parameter, column] ** 2 * whole.covariance[column, column])
+
+    def grown(known: Sequence[Found], joint: JointFit) -> float:
+        return float(joint.design[min(known[j].end, len(joint.design)) - 1, parameter, column])
+
+    size = grown(found, whole) * float(whole.mean[column])
+    variance = grown(found, whole) ** 2 * float(whole.covariance[column, column])
     for of_one in varied:
-        sizes = np.array([v.fit.design[-1, parameter, column] * v.fit.mean[column] for v in of_one])
+        sizes = np.array([grown(v.found, v.fit) * v.fit.mean[column] for v in of_one])
         variance += float(np.average((sizes - size) ** 2, weights=np.exp([-v.behind for v in of_one])))
     return size, variance**0.5
 
@@ -346,7 +407,8 @@ def first_seen(of: VehicleHistory, found: Sequence[Found], j: int, alike: Sequen
     """Recording with which a search after each one first finds a change, of its parameter or of one alike."""
     same = [f for f in found if f.parameter in (found[j].parameter, *alike)]
     for count in range(max(found[j].at + FEWEST, 2 * FEWEST), len(of.linear)):
-        for early in search(of.until(count), least):
+        past = [f for f in found if f.end <= count and f != found[j]]
+        for early in _added(of.until(count), least, past, ended=False):
             nearest = min(same, key=lambda f: abs(f.at - early.at))
             if early.parameter in (found[j].parameter, *alike) and nearest == found[j]:
                 return count - 1

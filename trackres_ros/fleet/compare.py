@@ -18,6 +18,7 @@ from trackres_ros.files.resources import find_vehicle
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.pooling import Array, Vehicles, pool
 from trackres_ros.fleet.recordings import ROWS
+from trackres_ros.fleet.run import present_values
 from trackres_ros.fleet.trends import NUMBERS, TEXTS, of_one_file, of_present_files, without_copies, without_overlaps
 from trackres_ros.output.style import picture
 from trackres_ros.text.numbers import alike, figures, some_of
@@ -182,7 +183,11 @@ def _of_fleet(folder: Path, vehicle: str, day: str, given: str) -> Side:
             day or "no recording",
             f"a day, month or year from {days[0]} to {days[-1]}" if days else "a recording that is compared",
         )
-    chosen, outdated = of_present_files(chosen)
+    present, outdated = of_present_files(chosen, present_values(folder))
+    if present:
+        chosen = present
+    else:  # all are of an older file
+        chosen, outdated = of_present_files(chosen, {})
     wanted, last = {row["url"] for row in chosen}, {row["vehicle"]: row for row in chosen}
     of_same_file = (row for row in good if of_one_file(row, last.get(row["vehicle"], row)))
     types = [data for data in Vehicles.of(of_same_file) if wanted <= set(data.urls)]

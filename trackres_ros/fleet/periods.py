@@ -7,7 +7,7 @@ import hashlib
 import shutil
 import tempfile
 import warnings
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -123,11 +123,17 @@ def diagnose_period(period: Period) -> dict[str, bytes]:
         return {path.relative_to(written).as_posix(): path.read_bytes() for path in written.rglob("*") if path.is_file()}
 
 
-def verdicts(folder: Path) -> dict[str, dict[str, dict[str, str]]]:
-    """By vehicle and month: status, sentence, and the page relative to the folder of the fleet."""
+def verdicts(folder: Path, rows: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, str]]]:
+    """By vehicle and month: status, sentence, and the page relative to the folder of the fleet.
+
+    `rows`: without copies. A report of recordings that are another vehicle's now is not shown; deleted ones keep their rows.
+    """
     found: dict[str, dict[str, dict[str, str]]] = {}
+    there = {(quote(row["vehicle"], safe=""), row["day"][: len("2025-06")]) for row in rows if row["status"] == "good"}
     for inputs in sorted((folder / DIAGNOSES).glob(f"*/*/{INPUTS}")):
         place = inputs.parent
+        if (place.parent.name, place.name) not in there:
+            continue
         report = place / REPORT
         if report.is_file():
             page = place / "report.html"

@@ -223,9 +223,19 @@ def check_limits(fleet: Fleet) -> None:
 
 
 def keep_limits(folder: Path, fleet: Fleet) -> None:
-    """Write the limits of a fleet, by vehicle."""
+    """Write the limits of a fleet, and the digests of the present values of its files, by vehicle."""
     limits = {name: dict(vehicle.limits) for name, vehicle in fleet.vehicles.items() if vehicle.limits}
-    write(folder / LIMITS, (json.dumps({"limits": limits}, indent=2) + "\n").encode())
+    values = {name: vehicle.values for name, vehicle in fleet.vehicles.items()}
+    write(folder / LIMITS, (json.dumps({"limits": limits, "values": values}, indent=2) + "\n").encode())
+
+
+def present_values(folder: Path) -> dict[str, str]:
+    """Digests of the values of the vehicle files in the last run, by vehicle; empty where an earlier version ran."""
+    try:
+        kept = parse_json(read(folder / LIMITS, MOST_LIMITS_BYTES))["values"]
+        return {name: str(values) for name, values in kept.items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}
 
 
 def limits_of(folder: Path, given: Mapping[str, float]) -> dict[str | None, dict[str, float]]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.fleet.recordings import FoundRecording
-from trackres_ros.fleet.vehicles import FleetVehicle, digest, digest_of_values
+from trackres_ros.fleet.vehicles import FleetVehicle, digest
 from trackres_ros.version import __version__
 
 ROW_VERSION = 3  # raised with any change of a row's content or computation: older rows are computed again
@@ -107,8 +107,8 @@ def _analysed(path: Path, task: Task, row: dict[str, Any]) -> dict[str, Any]:
     found = [one_line(f"{f.role}: {f.text}" if f.role else f.text) for f in recording.findings]
     row |= {"start_s": start_s, "day": _day(start_s), "duration_s": float(times[-1]) if len(times) else 0.0, "findings": found}
     of = task.vehicle
-    loaded, vehicle, values = _vehicle(of.file, of.sha)
-    row |= {"vehicle_values": values, **_replayed(recording, vehicle)}
+    loaded, vehicle = _vehicle(of.file, of.sha)
+    row |= {"vehicle_values": of.values, **_replayed(recording, vehicle)}
     likelihood = asdict(evidence(recording, loaded.with_topics(recording.topics), task.hide))
     upper = np.triu_indices(len(likelihood["names"]))
     for name in ("covariance", "precision"):
@@ -118,12 +118,12 @@ def _analysed(path: Path, task: Task, row: dict[str, Any]) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=4)
-def _vehicle(file: Path, _sha: str) -> tuple[Any, Any, str]:
-    """The base model of a vehicle, the vehicle itself, and the digest of its values; a worker reuses them for all recordings."""
+def _vehicle(file: Path, _sha: str) -> tuple[Any, Any]:
+    """The base model of a vehicle, and the vehicle itself; a worker reuses them for all recordings."""
     import trackres_ros as tr
     from trackres_ros.diagnosis.base.loading import load_base
 
-    return load_base(file), tr.load_vehicle(file), digest_of_values(file)
+    return load_base(file), tr.load_vehicle(file)
 
 
 def _replayed(recording: Any, vehicle: Any) -> dict[str, Any]:

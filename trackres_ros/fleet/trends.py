@@ -25,6 +25,7 @@ from trackres_ros.fleet.changes import (
 )
 from trackres_ros.fleet.dataset import LOAD_RECORDED, FleetDataset
 from trackres_ros.fleet.pooling import Pooled, Vehicles, pool, type_of
+from trackres_ros.fleet.run import present_values
 from trackres_ros.fleet.task import FIRST_DAY_S, NO_DAY
 from trackres_ros.text.numbers import figures, number_of, some_of
 
@@ -92,21 +93,26 @@ def of_one_file(row: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     return type_of(row) == type_of(other) and (values == others or None in (values, others))
 
 
-def of_present_files(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
-    """Rows with the values of the vehicle file that the vehicle's latest recording has, and the excluded ones, with the reason.
+def of_present_files(
+    rows: Iterable[Mapping[str, Any]], present: Mapping[str, str]
+) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
+    """Rows with the present values of the vehicle file, and the excluded ones, with the reason.
 
-    `rows`: good ones, of each vehicle in the order of time, as `without_overlaps` returns them.
+    `rows`: good ones, of each vehicle in the order of time, as `without_overlaps` returns them; `present`: digests of the values,
+    see `run.present_values`. For a vehicle that is not in it, the file of its latest recording is the present one.
     """
     rows = list(rows)
-    latest = {row["vehicle"]: row for row in rows}
+    latest = {}
+    for row in sorted(rows, key=lambda row: row["vehicle_values"] is not None):  # those of earlier versions have no digest
+        if None in (now := present.get(row["vehicle"]), row["vehicle_values"]) or row["vehicle_values"] == now:
+            latest[row["vehicle"]] = row
     kept: list[Mapping[str, Any]] = []
     left_out: list[dict[str, str]] = []
     for row in rows:
-        last = latest[row["vehicle"]]
-        if of_one_file(row, last):
+        if row["vehicle"] in latest and of_one_file(row, latest[row["vehicle"]]):
             kept.append(row)
         else:
-            reason = f"its vehicle file has other values than that of {last['url']}, the latest: analyse it again to compare it"
+            reason = "its vehicle file has other values than the present one: analyse it again to compare it"
             left_out.append({"url": row["url"], "vehicle": row["vehicle"], "reason": reason})
     return kept, left_out
 
@@ -121,24 +127,24 @@ def trends(
 
     `limits`: by vehicle and parameter, value for maintenance: for forecasts; those by None are of all vehicles, in place of their
     own; `rate`: of false alarms, per vehicle and year; `vehicle`: the
-    only one to check for changes; by default all. Raises InputError if there is nothing to compare, a limit of an unknown
+    only one to report; by default all. Raises InputError if there is nothing to compare, a limit of all vehicles of an unknown
     parameter, or no such vehicle.
     """
     every = dataset.rows([*TEXTS, *NUMBERS])
     rows, copies = without_copies(every)
     kept, overlapping = without_overlaps(rows)
-    good, outdated = of_present_files(row for row in kept if row["status"] == "good")
+    good, outdated = of_present_files((row for row in kept if row["status"] == "good"), present_values(dataset.folder))
     if not good:
-        broken = Counter(row["reason"] for row in rows).most_common(1)
+        broken = Counter(row["reason"] for row in [*outdated, *rows] if row["reason"]).most_common(1)
         raise InputError(str(dataset.folder), "no comparable recording", "one at least", broken[0][0] if broken else "")
     named = sorted({row["vehicle"] for row in good})
     if vehicle is not None and vehicle not in named:
-        raise InputError("--name", vehicle, f"one of {some_of(named)}", nearest(vehicle, named))
+        why = next((row["reason"] for row in outdated if row["vehicle"] == vehicle), nearest(vehicle, named))
+        raise InputError("--name", vehicle, f"one of {some_of(named)}", why)
     types = [pool(data) for data in Vehicles.of(good)]
     known = sorted({name for of in types for name in of.of.names})
-    for owner, of_owner in limits.items():
-        for name in of_owner:
-            one_of(name, "--limit" if owner is None else f"limits of {owner}", known)
+    for name in limits.get(None, {}):  # `run.check_limits` checks a vehicle's own ones, also of one without a usable recording
+        one_of(name, "--limit", known)
     by_vehicle: dict[str, list[Mapping[str, Any]]] = {}
     for row in good:
         by_vehicle.setdefault(row["vehicle"], []).append(row)
@@ -148,21 +154,25 @@ def trends(
         for name in of.by_vehicle
         if vehicle in (None, name)
     }
-    bad = [row for row in rows if row["status"] != "good"]
-    years = sum(v["years"] for v in vehicles.values())
+
+    def own(of: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+        return [row for row in of if vehicle in (None, row["vehicle"])]
+
+    bad = [row for row in own(rows) if row["status"] != "good"]
     return {
-        "recordings": len(every),
-        "compared": len(good),
+        "recordings": len(own(every)),
+        "compared": len(own(good)),
         "broken": [{"url": row["url"], "vehicle": row["vehicle"], "reason": row["reason"]} for row in bad],
-        "copies": copies,
-        "overlapping": overlapping,
-        "outdated": outdated,
-        "undated": [{"url": row["url"], "vehicle": row["vehicle"], "reason": UNDATED} for row in good if not _dated(row)],
+        "copies": own(copies),
+        "overlapping": own(overlapping),
+        "outdated": own(outdated),
+        "undated": [{"url": row["url"], "vehicle": row["vehicle"], "reason": UNDATED} for row in own(good) if not _dated(row)],
         "false_alarms_per_vehicle_year": rate,
-        "vehicle_years": years,
+        "expected_false_alarms": sum(v["expected_false_alarms"] for v in vehicles.values()),
+        "vehicle_years": sum(v["years"] for v in vehicles.values()),
         "types": [_type(of) for of in types],
         "vehicles": dict(sorted(vehicles.items())),
-        "months": _months(good),
+        "months": _months(own(good)),
     }
 
 
@@ -192,21 +202,23 @@ def _vehicle(
         typical = of.value(None, parameter)[0]
         unusual = float((of.by_vehicle[name][0][i] - of.mean[i]) / max(float(of.between[i, i] ** 0.5), 1e-9))
         values[parameter] = {"value": value, "std": std, "beyond_type": value - typical, "in_stds_of_type": unusual}
-    changes, least = vehicle_changes(of, name, rate)
+    changes, least, allowed = vehicle_changes(of, name, rate)
     in_file = dict(zip(of.of.names, of.of.nominal.tolist(), strict=True))
     starts = [row["start_s"] for row in rows if _dated(row)]
+    years = (max(starts) - min(starts)) / YEAR_S if starts else 0.0
     watched = sorted({*(c.parameter for c in changes), *limits, *SHOWN} & set(of.of.names)) if starts else []
     return {
         "recordings": len(rows),
         "first_day": day_of(min(starts)) if starts else None,
         "last_day": day_of(max(starts)) if starts else None,
-        "years": (max(starts) - min(starts)) / YEAR_S if starts else 0.0,
+        "years": years,
         "distance_km": sum(row["distance_m"] or 0.0 for row in rows) / 1000.0,
         "without_load": sum(map(without_load, rows)),
         "mismatch": _mean_mismatch(rows, False),
         "values": values,
         "changes": [_change(c, max(starts), limits.get(c.parameter), in_file[c.parameter]) for c in changes],
-        "least_gain": least if np.isfinite(least) else None,
+        "least_gain": least if np.isfinite(least) else None,  # None with too few recordings to look for a change
+        "expected_false_alarms": allowed * years,
         "levels": {parameter: [[float(x) for x in series] for series in levels(of, name, parameter)] for parameter in watched},
     }
 
@@ -220,6 +232,8 @@ def _change(found: VehicleChange, last_s: float, limit: float | None, in_file: f
         "known": day_of(found.known_s),
         "since_s": found.since_s,
         "known_s": found.known_s,
+        "ended": None if found.ended_s is None else day_of(found.ended_s),
+        "ended_s": found.ended_s,
         "recordings_until_known": found.recordings,
         "before": found.before,
         "size": found.size,
@@ -296,14 +310,16 @@ def _mean_mismatch(rows: Sequence[Mapping[str, Any]], unloaded: bool) -> float |
 
 def change_sentence(vehicle: str, c: Mapping[str, Any]) -> str:
     """A change in a sentence."""
-    how = "rises" if c["size"] > 0 else "falls"
-    what = f"{c['parameter']} {'rose' if c['size'] > 0 else 'fell'} at once on {c['since']}"
+    past, how = ("rose", "rises") if c["size"] > 0 else ("fell", "falls")
+    what = f"{c['parameter']} {past} at once on {c['since']}"
     if c["kind"] == RAMP:
-        what = f"{c['parameter']} {how} gradually since {c['since']}"
+        what = f"{c['parameter']} {past if c['ended'] else how} gradually since {c['since']}"
     size = f"{figures(abs(c['size']))} +- {figures(TWO_SIDED_95 * c['size_std'], 2)} (95 %)"
     if c["relative"] is not None:
         size += f", {100.0 * c['relative']:+.0f} %"
     text = f"{vehicle}: {what}, by {size}, known on {c['known']}"
+    if c["ended"]:
+        text += f", and came back by {c['ended']}"
     if c["alike"]:
         text += f"; {' or '.join(c['alike'])} would also explain it"
     f = c["forecast"]
@@ -320,12 +336,15 @@ def sentences(found: Mapping[str, Any]) -> list[str]:
     changed = [change_sentence(name, c) for name, v in found["vehicles"].items() for c in v["changes"]]
     count = len(found["vehicles"])
     head = [f"{found['compared']} of {found['recordings']} recordings of {number_of(count, 'vehicle')} compared"]
-    if not changed:
+    few = sum(v["least_gain"] is None for v in found["vehicles"].values())
+    if not changed and few < count:
         head.append("No vehicle has changed significantly")
-    rate = found["false_alarms_per_vehicle_year"]
-    here = figures(rate * found["vehicle_years"], 2)
-    tail = f"Expected false alarms: {figures(rate)} per vehicle and year, {here} here"
-    lines = [*head, *changed, tail]
+    rate, here = figures(found["false_alarms_per_vehicle_year"]), figures(found["expected_false_alarms"], 2)
+    lines = [*head, *changed, f"Expected false alarms: at most {rate} per vehicle and year, {here} here"]
+    if few:
+        lines.append(f"{number_of(few, 'vehicle has', 'vehicles have')} too few recordings to look for a change")
+    for name in sorted({row["vehicle"] for row in found["outdated"]} - found["vehicles"].keys()):
+        lines.append(f"{name}: not compared, as none of its recordings was analysed with its present file")
     unloaded = sum(v["without_load"] for v in found["vehicles"].values())
     if unloaded:
         have = number_of(unloaded, "recording has", "recordings have")

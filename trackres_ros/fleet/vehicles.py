@@ -33,6 +33,7 @@ class FleetVehicle:
     name: str  # of the individual vehicle; `file` describes its type
     file: Path
     sha: str  # digest of that file, and of the files it names
+    values: str  # the same of its values
     patterns: tuple[str, ...] = ()  # globs for the paths of its recordings; by default a folder of the path must have its name
     topics: Path | None = None  # topic or column of each role; None to guess
     topics_sha: str = ""  # digest of the topics file; empty without one
@@ -72,7 +73,8 @@ def one_vehicle(path_or_name: str, topics_path_or_name: str | None) -> Fleet:
     """A fleet of one vehicle for all recordings."""
     file = find_vehicle(path_or_name)
     topics = None if topics_path_or_name is None else find_topics(topics_path_or_name)
-    return Fleet({file.stem: FleetVehicle(file.stem, file, digest(file), ("*",), topics, digest(topics) if topics else "")})
+    shas = digest(file), digest_of_values(file)
+    return Fleet({file.stem: FleetVehicle(file.stem, file, *shas, ("*",), topics, digest(topics) if topics else "")})
 
 
 def read_fleet(path: Path) -> Fleet:
@@ -123,7 +125,8 @@ def _vehicle(path: Path, name: str, content: Any) -> FleetVehicle:
     if not isinstance(limits, dict):
         raise InputError(f"{where}.limits", limits, "a number for each parameter")
     checked = {str(key): number(value, f"{where}.limits.{key}", 0.0, HIGHEST_LIMIT) for key, value in limits.items()}
-    return FleetVehicle(name, file, digest(file), tuple(patterns), topics, digest(topics) if topics else "", checked)
+    shas = digest(file), digest_of_values(file)
+    return FleetVehicle(name, file, *shas, tuple(patterns), topics, digest(topics) if topics else "", checked)
 
 
 def _beside(path: Path, given: object, where: str) -> Path:

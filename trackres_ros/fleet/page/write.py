@@ -36,9 +36,10 @@ def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -
         "trackres_ros.fleet.page", "the pages of a fleet", "fleet", figures=figures, decimals=decimals, percent=percent
     )
     style = environment.get_template("style.css").render()
-    diagnosed = verdicts(folder)
+    counted, _ = without_copies(dataset.rows(list(SHOWN)))
+    diagnosed = verdicts(folder, counted)
     rows: dict[str, list[Mapping[str, Any]]] = {}
-    for row in without_copies(dataset.rows(list(SHOWN)))[0]:
+    for row in counted:
         rows.setdefault(row["vehicle"], []).append(row)
     names = sorted(rows.keys() - {NO_VEHICLE})
     pages = {name: f"{VEHICLES}/{quote(name, safe='')}.html" for name in names}
@@ -46,7 +47,7 @@ def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -
     cells = [cell["mismatch"] for of in found["months"].values() for cell in of.values()]
     worst = max((mismatch for mismatch in cells if mismatch is not None), default=0.0)
     text = environment.get_template("index.html").render(
-        style=style, found=found, months=months, pages=pages, lines=sentences(found), diagnosed=diagnosed,
+        style=style, found=found, months=months, pages=pages, lines=sentences(found),
         shade=lambda mismatch: shade(mismatch, worst), worst=worst, colours=COLOURS,
     )  # fmt: skip
     (folder / VEHICLES).mkdir(exist_ok=True)
@@ -82,7 +83,7 @@ def percent(share: float | None) -> str:
 
 
 def drawn(levels: Sequence[Sequence[float]], name: str, unit: str, changes: Sequence[Mapping[str, Any]]) -> str:
-    """Values with their standard deviations over time, and the begin of changes.
+    """Values with their standard deviations over time, and the beginnings and ends of changes.
 
     `levels`: times [s since 1970], values and standard deviations; `changes`: of this parameter.
     """
@@ -109,8 +110,8 @@ def drawn(levels: Sequence[Sequence[float]], name: str, unit: str, changes: Sequ
         title = f"{day_of(t)}: {figures(v, 4)} +- {figures(s, 2)} {unit if unit != '1' else ''}"
         parts.append(f'<line class="bar" x1="{x(t):.1f}" x2="{x(t):.1f}" y1="{y(v - s):.1f}" y2="{y(v + s):.1f}"/>')
         parts.append(f'<circle cx="{x(t):.1f}" cy="{y(v):.1f}" r="3"><title>{escape(title.strip())}</title></circle>')
-    for change in changes:
-        at = x(max(change["since_s"], begin))
+    for change_s in (at for c in changes for at in (c["since_s"], c["ended_s"]) if at is not None):
+        at = x(max(change_s, begin))
         parts.append(f'<line class="change" x1="{at:.1f}" x2="{at:.1f}" y1="{TOP:g}" y2="{HEIGHT - BOTTOM:g}"/>')
     label = f"{name} over time, from {day_of(begin)} to {day_of(end)}: {figures(float(value[0]))} to {figures(float(value[-1]))}"
     return f'<svg viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" aria-label="{escape(label)}">{"".join(parts)}</svg>'
