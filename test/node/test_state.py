@@ -252,6 +252,8 @@ def test_a_disk_that_takes_no_more_leaves_the_old_file_whole(desk, warm):
     assert "STATE_NOT_SAVED" in d.names()
     d.save()
     assert "STATE_NOT_SAVED" not in d.names()
+    d.forward(20.0)
+    assert d.app.overview().saved_s_ago == pytest.approx(20.0)
 
 
 def test_parts_of_a_saving_that_was_killed_are_cleared_away(desk, warm):

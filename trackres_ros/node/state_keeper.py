@@ -14,6 +14,7 @@ import json
 import os
 import re
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -33,6 +34,7 @@ from trackres_ros.estimator.snapshot import (
 )
 from trackres_ros.files import own_files
 from trackres_ros.node.background import Background
+from trackres_ros.node.clock import steady_ns
 from trackres_ros.node.live_learning import LiveLearning
 from trackres_ros.node.notices import Notice
 
@@ -69,10 +71,10 @@ def state_name(node: str, namespace: str, vehicle: str) -> str:
 class StateKeeper:
     """One state file. Times are the machine's: the belt cools while the machine is off, whatever time is simulated."""
 
-    def __init__(self, path: Path | None, why_none: str = "") -> None:
-        self.path = path
+    def __init__(self, path: Path | None, why_none: str = "", steady_ns: Callable[[], int] = steady_ns) -> None:
+        self.path, self._steady_ns = path, steady_ns
         self.holds_at = time.time()  # when the loaded state holds: that of the file may be later than a clock not yet set
-        self.saved_ns: int | None = None  # monotonic
+        self.saved_ns: int | None = None  # by the steady clock
         self.error = why_none
         self.unused = ""  # why the state file that was there could not be used
         self._aside: Path | None = None  # where that file is copied before it is replaced; None if there is nothing to keep
@@ -195,4 +197,4 @@ class StateKeeper:
         except Exception as error:  # of the disk, mostly
             self.error = getattr(error, "strerror", None) or str(error)
         else:
-            self.error, self.saved_ns = "", time.monotonic_ns()
+            self.error, self.saved_ns = "", self._steady_ns()
