@@ -15,7 +15,7 @@ import json
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields, is_dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -31,10 +31,9 @@ from trackres_ros.estimator.plausible_state import check_effects, check_learned,
 from trackres_ros.estimator.records import State
 from trackres_ros.files import own_files
 from trackres_ros.files.jsons import parse_json
-from trackres_ros.vehicle import Vehicle
 
 FORMAT = "trackres-state"
-VERSION = 12
+VERSION = 13
 HEAD = json.dumps({"format": FORMAT}).encode()[:-1]  # first bytes of each state file
 REMEDY = "give a state of this vehicle, or none"
 LARGEST = 4 << 20  # bytes; a vehicle with four assemblies has 10 thousand
@@ -45,27 +44,37 @@ SEAL = re.compile(rb', "sha256": "([0-9a-f]{64})"\}\Z')
 # Session arrays in a state file, in the order of `_arrays`.
 FLOATS = ("belts", "motion", "effects", "learned", "values", "followed", "tracked")
 INTEGERS = ("times", "counters", "reasons")
+# Of a vehicle: no part of what a state means, or in the key in another form.
+NOT_IN_KEY = {
+    "title", "source", "rubber_source", "surroundings_source", "disturbance", "friction_brakes",
+    "parameters", "effects", "surroundings", "route",
+}  # fmt: skip
 LEARNING = "learning"  # learned values, in their own format
 
 
 def key(estimator: Estimator) -> str:
-    """Hash of everything that defines a state's meaning: the vehicle's values and the arrays' layout."""
+    """Hash of everything that defines a state's meaning: version, all of the vehicle that the model reads, the arrays' layout."""
     vehicle = estimator.vehicle
     values = {path: q.value for path, q in vehicle.parameters.items()}
     parts = [
-        vehicle.name,
-        vehicle.thermal,
+        VERSION,
+        {one.name: getattr(vehicle, one.name) for one in fields(vehicle) if one.name not in NOT_IN_KEY},
         estimator.channels,
         estimator.columns,
         at.BELT_COLUMNS,
         at.Motion.columns,
         at.Learned.columns,
         values,
-        asdict(vehicle.rubber) if isinstance(vehicle, Vehicle) else None,
         [[(active.effect.name, dict(active.values)) for active in some] for some in (vehicle.effects, vehicle.surroundings)],
         hashlib.sha256(estimator.constants.route_places.tobytes()).hexdigest(),
     ]
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=lambda a: a.tolist()).encode()).hexdigest()[:32]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=_plain).encode()).hexdigest()[:32]
+
+
+def _plain(part: Any) -> Any:
+    if is_dataclass(part) and not isinstance(part, type):
+        return asdict(part)
+    return dict(part) if isinstance(part, Mapping) else part.tolist()
 
 
 def state_file(path: str | PathLike[str], where: str) -> Path:

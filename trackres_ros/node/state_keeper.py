@@ -78,6 +78,7 @@ class StateKeeper:
         self.error = why_none
         self.unused = ""  # why the state file that was there could not be used
         self._aside: Path | None = None  # where that file is copied before it is replaced; None if there is nothing to keep
+        self._taken: Path | None = None  # copy that this start went on with; it goes once a later state is saved
         self._writer = Background("state")
         self._began_ns = 0
 
@@ -107,12 +108,14 @@ class StateKeeper:
                     self.error, self.path = f"{file} is another kind of file, which is not replaced", None
                     return estimator.session(), self.unused
             self._keep_unused("; a start with its values uses it again")
-            try:  # that of an earlier start with these values
-                file = place_aside(file, key(estimator))
+            file = place_aside(file, key(estimator))  # that of an earlier start with these values
+            if self._aside in (None, file):  # then the state file itself may be the later one
+                return estimator.session(), self.unused
+            try:
                 session, since_s = after_time_off(estimator, file, self.holds_at)
             except InputError:
                 return estimator.session(), self.unused
-            self.unused = ""
+            self.unused, self._taken = "", file
         off_s = max(0.0, since_s)
         self.holds_at += off_s - since_s
         what = "belts" if estimator.assemblies else "temperatures of the effects"
@@ -122,6 +125,7 @@ class StateKeeper:
         except ValueError as error:
             self.unused = f"learning starts from the vehicle file: {error}"
             self._keep_unused("")
+            self._taken = None
             return session, f"{text}; {self.unused}"
         return session, f"{text}; {learned}" if learned else text
 
@@ -194,6 +198,10 @@ class StateKeeper:
                     set_aside(path, self._aside)
                 self._aside = None
             own_files.write(path, data)
+            if self._taken is not None:
+                with suppress(OSError):
+                    self._taken.unlink()
+                self._taken = None
         except Exception as error:  # of the disk, mostly
             self.error = getattr(error, "strerror", None) or str(error)
         else:
