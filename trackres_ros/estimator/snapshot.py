@@ -50,6 +50,7 @@ NOT_IN_KEY = {
     "parameters", "effects", "surroundings", "route",
 }  # fmt: skip
 LEARNING = "learning"  # learned values, in their own format
+LEARNED_AT = "at"  # among them: the time until which they were learned [s since 1970]
 
 
 def key(estimator: Estimator) -> str:
@@ -127,7 +128,8 @@ def set_aside(path: Path, place: Path) -> None:
 
 
 def save(session: Session, path: Path, saved_at: float, learning: Mapping[str, Any] | None = None) -> None:
-    """Write a session, and plain values with it. Time off begins at the wall-clock time `saved_at` [s since 1970].
+    """Write a session, and plain values with it. Time off begins at the wall-clock time `saved_at` [s since 1970]; values that
+    were read from a state file keep the time of their learning.
 
     Raises
     ------
@@ -150,7 +152,7 @@ def content(session: Session, saved_at: float, learning: Mapping[str, Any] | Non
             "started": session.started,
             **{name: [float(value).hex() for value in arrays[name].ravel()] for name in FLOATS},  # bit by bit, nan too
             **{name: arrays[name].ravel().tolist() for name in INTEGERS},
-            **({} if learning is None else {LEARNING: learning}),
+            **({} if learning is None else {LEARNING: {LEARNED_AT: saved_at, **learning}}),
         }
     )
 

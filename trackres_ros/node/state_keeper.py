@@ -116,12 +116,12 @@ class StateKeeper:
             except InputError:
                 return estimator.session(), self.unused
             self.unused, self._taken = "", file
-        off_s = max(0.0, since_s)
+        now, off_s = self.holds_at, max(0.0, since_s)
         self.holds_at += off_s - since_s
         what = "belts" if estimator.assemblies else "temperatures of the effects"
         text = f"{what} restored from {file} and cooled for {off_s / 60.0:.1f} min"
         try:
-            learned = learning.go_on(session, read_learning(estimator, file), off_s)
+            learned = learning.go_on(session, read_learning(estimator, file), now)
         except ValueError as error:
             self.unused = f"learning starts from the vehicle file: {error}"
             self._keep_unused("")
