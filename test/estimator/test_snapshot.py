@@ -159,6 +159,27 @@ def test_a_state_of_another_vehicle_is_refused(carrier, state):
         snapshot.resume(carrier, state)
 
 
+@pytest.mark.parametrize(
+    ("part", "other", "is_another"),
+    [
+        ("hysteresis: spectral", "hysteresis: rainflow", True),
+        ("thermal: lumped", "thermal: core_surface", True),
+        ("film_speed_unit: m/s", "film_speed_unit: km/h", True),
+        ("name: front_right, axle: front", "name: front_right, axle: rear", True),
+        ("front: 1, rear: 2", "front: 2, rear: 1", True),
+        ("sweep_frequency: {value: 10.0", "sweep_frequency: {value: 10.5", True),
+        ("title: 24 t", "title: 25 t", False),
+        ("the paper's DMA test frequency", "of the paper", False),
+    ],
+)
+def test_a_state_is_of_all_of_a_vehicle_file_that_acts(reference, tmp_path, repository, part, other, is_another):
+    text = (repository / "config" / "xgd24d.yaml").read_text()
+    assert text.count(part) == 1
+    edited = text.replace(part, other).replace("[10.0, 10.0]", "[10.0, 10.5]")
+    (tmp_path / "edited.yaml").write_text(edited.replace("rubber/", f"{repository}/config/rubber/"))
+    assert (snapshot.key(Estimator(load_any(tmp_path / "edited.yaml"))) != snapshot.key(reference)) is is_another
+
+
 @pytest.fixture(scope="module")
 def saved(reference):
     """A state file of a drive, as bytes."""
@@ -202,6 +223,12 @@ def test_a_mutated_file_is_refused_or_gives_the_same_state(reference, saved, tmp
     for _ in range(100):
         data = mutated(saved, random)
         assert taken(reference, tmp_path / "state.json", data) in (None, saved if data == saved else None)
+
+
+def test_states_of_two_versions_have_two_keys(reference, monkeypatch):
+    before = snapshot.key(reference)
+    monkeypatch.setattr(snapshot, "VERSION", snapshot.VERSION + 1)
+    assert snapshot.key(reference) != before
 
 
 WRONG = [math.nan, math.inf, -1e300, 1e300, -(1 << 70), 1 << 70, "abc", None, True, [], {}, [[]], "0x1p+1000", "nan", "-0x1p+900"]

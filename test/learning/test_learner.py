@@ -4,6 +4,7 @@
 """Rules of learning: each by a drive that would break it."""
 
 import copy
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -253,6 +254,27 @@ def test_a_rest_alone_takes_nothing_learned_away(driven_before, how):
     driven.drive(3.0)
     assert driven.learner.acts
     assert driven.errors(3.0)[1] < 0.01
+
+
+@pytest.mark.parametrize("how", ["silent", "parked", "stopped", "frozen"])
+def test_unrenewed_belt_departures_fade_but_not_the_vehicles(driven_before, how):
+    driven = driven_before("on")
+    s, begins_s = driven.learner.learned, 0.1 * driven.steps
+    shown, speed = (lambda torque, _i: torque), (lambda t: 8.0 + 6.0 * math.sin(t / 60.0))
+    if how == "parked":
+        speed = lambda t: max(8.0 + 6.0 * math.sin(begins_s / 60.0) - (t - begins_s), 0.0)  # noqa: E731
+    elif how != "stopped":
+        shown = lambda torque, i: None if how == "silent" else torque * (3.0 if i % 3 == 0 else 1.0)  # noqa: E731
+        driven.drive(1.0, shown, speed)
+    s.applied[at.OF_BELT], s.seconds = 10.0, 1.0
+    s.aim[:] = s.applied
+    before = s.applied.copy()
+    driven.steps += 9000 if how == "stopped" else 0
+    driven.drive(0.02 if how == "stopped" else 15.0, shown, speed)
+    assert bool(driven.learner.frozen) is (how == "frozen")
+    acting = at.Learned(driven.session.learned).departures
+    assert acting[at.OF_BELT] == pytest.approx(10.0 * math.exp(-1.0), rel=0.05)
+    assert np.delete(acting, at.OF_BELT) == pytest.approx(np.delete(before, at.OF_BELT), abs=1e-12)
 
 
 class Sure(Learner):

@@ -3,7 +3,9 @@
 
 """The application without a middleware: its outputs and statuses for given inputs."""
 
+import inspect
 import math
+import time
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Count
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.node import message_handler
+from trackres_ros.node.application import Application
 from trackres_ros.node.transport import Level, Peer
 from trackres_ros.output.topics import output_topics, values_of
 from trackres_ros.vehicle import load
@@ -292,6 +295,19 @@ def test_a_clock_that_is_set_keeps_the_temperature_and_is_said(desk):
     assert d.last("track_temperature/front_left")[1][0] == pytest.approx(belt, abs=0.2)
     assert "CLOCK_JUMPED" in d.names() | {name for _, s in d.statuses for name in dict(s[0].values)["remarks"].split()}
     assert d.last("feedforward_torque")[0] == d.now_ns()
+
+
+def test_belts_cool_while_the_machine_is_suspended(desk, monkeypatch):
+    d, ahead_s = desk(), {time.CLOCK_MONOTONIC: 0.0, time.CLOCK_BOOTTIME: 0.0}
+    monkeypatch.setattr("time.clock_gettime_ns", lambda clock: int((d.steady_s + ahead_s[clock]) * SECOND_NS))
+    d.app.clock.steady_ns = inspect.signature(Application).parameters["steady_ns"].default
+    d.drive(300.0, speed=15.0, dt=0.2)
+    d.drive(10.0, speed=0.0)
+    warm = d.last("track_temperature/front_left")[1][0]
+    d.clock_offset_s = ahead_s[time.CLOCK_BOOTTIME] = 36000.0
+    d.drive(1.0, speed=0.0)
+    assert d.last("track_temperature/front_left")[1][0] < 15.0 + 0.1 * (warm - 15.0)
+    assert "CLOCK_JUMPED" not in d.names()
 
 
 def test_stamps_of_another_clock_are_remarked(desk):

@@ -87,6 +87,31 @@ def test_without_a_torque_what_was_learned_is_kept_until_a_reset(desk, topics, t
     assert "learning" not in json.loads(state.read_text())
 
 
+@pytest.mark.parametrize("between", ["no torque", "off", "off, then on"])
+def test_time_without_learning_wears_whatever_runs_are_between(desk, topics, tmp_path, monkeypatch, between):
+    state, now = tmp_path / "state.json", [1e9]
+    monkeypatch.setattr("time.time", lambda: now[0])
+    given = {"topics": topics, "state_file": str(state)}
+    d = desk(**given)
+    drive(d, 60.0)
+    d.save()
+    before = state.read_bytes()
+    now[0] += 86400.0 * 100.0
+    d = desk(**(given if between != "no torque" else {"state_file": str(state)}), learning="off")
+    d.drive(2.0)
+    if between == "off, then on":
+        now[0] += 86400.0 * 50.0
+        d.app.change({"learning": "on"})
+        d.drive(0.1)
+    d.save()
+    kept = json.loads(state.read_text())["learning"]
+    assert (kept == json.loads(before)["learning"]) is (between != "off, then on")
+    now[0] += 86400.0 * 100.0
+    worn = desk(**given).app.learning.learner.learned.covariance
+    state.write_bytes(before)
+    assert worn == pytest.approx(desk(**given).app.learning.learner.learned.covariance, rel=1e-9)
+
+
 def test_the_state_file_of_a_node_without_learning_starts_afresh(desk, topics, tmp_path):
     state = str(tmp_path / "state.json")
     d = desk(state_file=state)

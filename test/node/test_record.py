@@ -262,27 +262,44 @@ def test_a_restored_start_replays_as_live(desk, tmp_path, monkeypatch):
     warm = desk(TOPICS, state_file=str(state))
     warm.drive(60.0, speed=15.0, dt=0.2)
     warm.app.close()
-    d = desk(TOPICS, state_file=str(state), learning="on")
-    wire, rows = Wire(d, bag), []
-    record = d.app.on_estimate
-    d.app.on_estimate = lambda row, stamp, arrival: (rows.append(row), record(row, stamp, arrival))
-    for step in range(80):
-        d.forward(0.1)
-        now[0] += 1.0  # the belts cool until the first speed
-        wire.send("/air", TEMPERATURE, 12.0)
-        wire.send("shaft", WRENCH, 2000.0 + 10.0 * (step % 7))
-        if step > 30:
-            wire.send("speed", TWIST, 5.0)
-    assert f"--resume {record_room.start_of(bag)}" in "".join(wire.recorder.end())
     topics = tmp_path / "topics.yaml"
-    replayed = tr.replay(bag, "xgd24d", topics=topics, resume=record_room.start_of(bag), learning="on")
-    for name in ("belt_degc/front_left", "resistance_torque_nm", "residual_nm", "feedforward_torque_nm"):
-        live = [row[d.app.estimator.column_index[name]] for row in rows]
-        np.testing.assert_allclose(replayed[name], live, rtol=1e-12, atol=1e-9, err_msg=name)
+
+    def recorded():
+        d, rows = desk(TOPICS, state_file=str(state), learning="on"), []
+        wire = Wire(d, bag)
+        record = d.app.on_estimate
+        d.app.on_estimate = lambda row, stamp, arrival: (rows.append(row), record(row, stamp, arrival))
+        for step in range(80):
+            d.forward(0.1)
+            now[0] += 1.0  # the belts cool until the first speed
+            wire.send("/air", TEMPERATURE, 12.0)
+            wire.send("shaft", WRENCH, 2000.0 + 10.0 * (step % 7))
+            if step > 30:
+                wire.send("speed", TWIST, 5.0)
+        return d.app.estimator.column_index, rows, "".join(wire.recorder.end())
+
+    def replayed_as(column, rows, path):
+        replayed = tr.replay(path, "xgd24d", topics=topics, resume=record_room.start_of(path), learning="on")
+        for name in ("belt_degc/front_left", "resistance_torque_nm", "residual_nm", "feedforward_torque_nm"):
+            live = [row[column[name]] for row in rows]
+            np.testing.assert_allclose(replayed[name], live, rtol=1e-12, atol=1e-9, err_msg=name)
+        return replayed
+
+    *live, lines = recorded()
+    assert f"--resume {record_room.start_of(bag)}" in lines
+    replayed = replayed_as(*live, bag)
     cold = tr.replay(bag, "xgd24d", topics=topics)
     assert cold["belt_degc/front_left"][0] < replayed["belt_degc/front_left"][0] - 1.0
+    before, part = [path.read_bytes() for path in (bag, record_room.start_of(bag))], tmp_path / "live.mcap.part"
+    with monkeypatch.context() as killed:
+        killed.setattr(record_room.OutputBag, "__exit__", lambda one, *_: one.writer._file.close() or 1 / 0)
+        *live, lines = recorded()
+    assert f"--resume {record_room.start_of(part)}" in lines
+    replayed_as(*live, part)
+    assert [path.read_bytes() for path in (bag, record_room.start_of(bag))] == before
     Wire(desk(TOPICS), bag).recorder.end()
     assert not record_room.start_of(bag).exists()  # of the bag that was replaced
+    assert record_room.start_of(part).exists()
 
 
 def test_the_next_application_is_recorded_in_the_next_file(desk, tmp_path, monkeypatch):

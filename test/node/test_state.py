@@ -188,13 +188,20 @@ def test_a_state_of_another_vehicle_is_kept_and_used_again(desk, warm):
         kept = [one for one in path.parent.iterdir() if one.read_bytes() == before]
         assert len(kept) == 1
         assert kept[0] != path
+    others = path.read_bytes()
+    path.write_bytes(others.replace(b"0x1.", b"0x2.", 1))
+    damaged = desk(state_file=str(path))
+    assert "damaged" in damaged.app.began_with  # and a copy that may be old does not stand in for it
+    assert "STATE_NOT_USED" in damaged.names()
+    path.write_bytes(others)
     back = desk(state_file=str(path))
     assert str(kept[0]) in back.app.began_with
     assert "STATE_NOT_USED" not in back.names()
     assert first_belt(back) == pytest.approx(belt, abs=10.0)  # it cools while this runs
     back.app.close()
     assert str(path) in desk(state_file=str(path)).app.began_with
-    assert len(list(path.parent.iterdir())) == 3  # one for each vehicle, and the one in use
+    assert len(list(path.parent.glob("state*"))) == 2  # the one in use, and that of the other vehicle
+    assert not kept[0].exists()
 
 
 REFUSED = {
@@ -252,6 +259,8 @@ def test_a_disk_that_takes_no_more_leaves_the_old_file_whole(desk, warm):
     assert "STATE_NOT_SAVED" in d.names()
     d.save()
     assert "STATE_NOT_SAVED" not in d.names()
+    d.forward(20.0)
+    assert d.app.overview().saved_s_ago == pytest.approx(20.0)
 
 
 def test_parts_of_a_saving_that_was_killed_are_cleared_away(desk, warm):

@@ -15,7 +15,7 @@ import json
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields, is_dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,6 @@ from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.plausible_state import check_effects, check_learned, check_memory, check_state
 from trackres_ros.files import own_files
 from trackres_ros.files.jsons import parse_json
-from trackres_ros.vehicle import Vehicle
 
 FORMAT = "trackres-state"
 VERSION = 13
@@ -44,27 +43,38 @@ SEAL = re.compile(rb', "sha256": "([0-9a-f]{64})"\}\Z')
 # Session arrays in a state file, in the order of `_arrays`.
 FLOATS = ("belts", "motion", "effects", "learned", "values", "followed", "tracked")
 INTEGERS = ("times", "counters", "reasons")
+# Of a vehicle: no part of what a state means, or in the key in another form.
+NOT_IN_KEY = {
+    "title", "source", "rubber_source", "surroundings_source", "disturbance", "friction_brakes",
+    "parameters", "effects", "surroundings", "route",
+}  # fmt: skip
 LEARNING = "learning"  # learned values, in their own format
+LEARNED_AT = "at"  # among them: the time until which they were learned [s since 1970]
 
 
 def key(estimator: Estimator) -> str:
-    """Hash of everything that defines a state's meaning: the vehicle's values and the arrays' layout."""
+    """Hash of everything that defines a state's meaning: version, all of the vehicle that the model reads, the arrays' layout."""
     vehicle = estimator.vehicle
     values = {path: q.value for path, q in vehicle.parameters.items()}
     parts = [
-        vehicle.name,
-        vehicle.thermal,
+        VERSION,
+        {one.name: getattr(vehicle, one.name) for one in fields(vehicle) if one.name not in NOT_IN_KEY},
         estimator.channels,
         estimator.columns,
         at.BELT_COLUMNS,
         at.Motion.columns,
         at.Learned.columns,
         values,
-        asdict(vehicle.rubber) if isinstance(vehicle, Vehicle) else None,
         [[(active.effect.name, dict(active.values)) for active in some] for some in (vehicle.effects, vehicle.surroundings)],
         hashlib.sha256(estimator.constants.route_places.tobytes()).hexdigest(),
     ]
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=lambda a: a.tolist()).encode()).hexdigest()[:32]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=_plain).encode()).hexdigest()[:32]
+
+
+def _plain(part: Any) -> Any:
+    if is_dataclass(part) and not isinstance(part, type):
+        return asdict(part)
+    return dict(part) if isinstance(part, Mapping) else part.tolist()
 
 
 def state_file(path: str | PathLike[str], where: str) -> Path:
@@ -117,7 +127,8 @@ def set_aside(path: Path, place: Path) -> None:
 
 
 def save(session: Session, path: Path, saved_at: float, learning: Mapping[str, Any] | None = None) -> None:
-    """Write a session, and plain values with it. Time off begins at the wall-clock time `saved_at` [s since 1970].
+    """Write a session, and plain values with it. Time off begins at the wall-clock time `saved_at` [s since 1970]; values that
+    were read from a state file keep the time of their learning.
 
     Raises
     ------
@@ -140,7 +151,7 @@ def content(session: Session, saved_at: float, learning: Mapping[str, Any] | Non
             "started": session.started,
             **{name: [float(value).hex() for value in arrays[name].ravel()] for name in FLOATS},  # bit by bit, nan too
             **{name: arrays[name].ravel().tolist() for name in INTEGERS},
-            **({} if learning is None else {LEARNING: learning}),
+            **({} if learning is None else {LEARNING: {LEARNED_AT: saved_at, **learning}}),
         }
     )
 

@@ -68,6 +68,12 @@ def follow(s: LearnerState) -> None:
     s.applied += np.minimum(np.maximum(s.aim - s.applied, -FASTEST), FASTEST)
 
 
+def forget(s: LearnerState, seconds: float) -> None:
+    """Let the acting departure of the belts' temperature fade over a time that did not renew it: it holds for the moment only."""
+    for departures in (s.aim, s.applied):
+        departures[at.OF_BELT] *= belt_keeps(seconds)
+
+
 def move(s: LearnerState, acts: bool, learned: Array, now: int, belt_variance: float) -> None:
     """Write the acting departures into the memory of a session, see `estimator.columns`.
 
@@ -97,9 +103,10 @@ def belt_keeps(seconds: float) -> float:
 
 def factor(s: LearnerState, unseen_s: float, belt_variance: float) -> Array:
     """Lower factor of the covariance about the acting departures, shape (LEARNABLE, LEARNABLE); see `move`."""
+    keeps = belt_keeps(unseen_s)
     off = s.mean[: at.LEARNABLE] - s.applied
+    off[at.OF_BELT] = keeps * s.mean[at.OF_BELT] - s.applied[at.OF_BELT]
     covariance = s.covariance[: at.LEARNABLE, : at.LEARNABLE] + off[:, None] * off[None, :]
     covariance[np.diag_indices_from(covariance)] += 1e-12
-    forgotten = 1.0 - belt_keeps(unseen_s) ** 2
-    covariance[at.OF_BELT, at.OF_BELT] += forgotten * max(belt_variance - covariance[at.OF_BELT, at.OF_BELT], 0.0)
+    covariance[at.OF_BELT, at.OF_BELT] += (1.0 - keeps**2) * max(belt_variance - covariance[at.OF_BELT, at.OF_BELT], 0.0)
     return np.asarray(np.linalg.cholesky(covariance))

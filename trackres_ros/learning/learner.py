@@ -141,16 +141,18 @@ class Learner:
         number = stamp_ns // SECOND_NS
         second = self.gate.second
         if number != second.number:
+            passed = 1 if reasons & CLOCK_JUMPED else max(number - second.number, 0)
             if second.number >= 0:
-                self._close(session)
+                self._close(session, passed)
             self.gate.next_second(number)
-            if reasons & CLOCK_JUMPED:  # no time has passed
-                self.learned.second = -1
+            if reasons & CLOCK_JUMPED and self.learned.second >= 0:
+                self.learned.second += number - second.number - passed
         self.gate.take(stamp_ns, row, session)
 
     # Once a second
 
-    def _close(self, session: Session) -> None:
+    def _close(self, session: Session, passed: int) -> None:
+        """Finish a second; the next one with a step begins so many after it."""
         s, second = self.learned, self.gate.second
         all_of_it = second.taken + float(second.refused.sum())
         if second.taken or second.refused[OUTLYING] or second.refused[AGAINST]:
@@ -161,15 +163,21 @@ class Learner:
         if second.counts:
             self._learn(session)
         let_last(s, second.counts)
-        if second.counts and s.seconds % AIMS_EVERY_S == 0.0 and not self.frozen:
+        renews = second.counts and not self.frozen
+        if renews and s.seconds % AIMS_EVERY_S == 0.0:
             s.aim[:] = correction.accepted(s, self.prior, self.counted)
         correction.follow(s)
+        correction.forget(s, passed - renews)
         if self.mode == ON:
-            self.act(session)
+            self.act(session, passed)
 
-    def act(self, session: Session) -> None:
-        """Let the accepted values act on the session's next steps, as certain as they are now; none if they are not accepted."""
-        correction.move(self.learned, self.acts, session.learned, self.gate.second.number, belt_variances(session)[1])
+    def act(self, session: Session, passed: int = 1) -> None:
+        """Let the accepted values act on the session's next steps, as certain as they are then; none if they are not accepted.
+
+        The next step comes `passed` seconds after the present one.
+        """
+        now = self.gate.second.number + passed - 1
+        correction.move(self.learned, self.acts, session.learned, now, belt_variances(session)[1])
 
     def _learn(self, session: Session) -> None:
         s, second = self.learned, self.gate.second

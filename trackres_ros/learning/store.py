@@ -15,7 +15,7 @@ import numpy as np
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Session
-from trackres_ros.estimator.snapshot import REMEDY
+from trackres_ros.estimator.snapshot import FARTHEST_SAVED_AT, LEARNED_AT, REMEDY
 from trackres_ros.learning.correction import use_file
 from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import ON, Learner
@@ -49,6 +49,20 @@ def take(learner: Learner, given: object) -> None:
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         learner.reset()
         raise ValueError(f"learned parameters: {str(error)[:80]}") from error
+
+
+def since_learned(saved: object, now: float) -> float:
+    """Time [s] since the values of a state file were learned, at a time [s since 1970]; 0 for a clock that went back.
+
+    Raises
+    ------
+    ValueError
+        If they do not say when.
+    """
+    learned_at = saved.get(LEARNED_AT) if isinstance(saved, Mapping) else None
+    if isinstance(learned_at, bool) or not isinstance(learned_at, int | float) or not abs(learned_at) <= FARTHEST_SAVED_AT:
+        raise ValueError("learned parameters: no time of learning")
+    return max(0.0, now - learned_at)
 
 
 def go_on(session: Session, learner: Learner | None, saved: object, off_s: float | None = None) -> None:

@@ -24,7 +24,7 @@ from trackres_ros.estimator.snapshot import LONGEST_OFF, content
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.estimator.warm_up import LIVE, CompilerWarmUp, exercise
 from trackres_ros.jit.compiled import interpreted
-from trackres_ros.node.clock import NodeClock
+from trackres_ros.node.clock import NodeClock, steady_ns
 from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics, without_effect
 from trackres_ros.node.guard import Guard
@@ -60,7 +60,7 @@ class Application:
         transport: Transport,  # before the first call of `tick` or `receive` only its topic names are used
         node: str = "trackres",  # its name, for the state file and the statuses
         namespace: str = "/",
-        steady_ns: Callable[[], int] = time.monotonic_ns,  # a monotonic clock
+        steady_ns: Callable[[], int] = steady_ns,  # a monotonic clock, of all ages
         sleep: Callable[[float], None] = time.sleep,  # by it [s]
     ) -> None:
         self.parameters = parameters
@@ -76,7 +76,7 @@ class Application:
         self._diagnose = parameters.diagnose_command()
         self.comparison = Comparison(parameters.mismatch(), self.vehicle.disturbance if measured else None)
         file = state_path(parameters.text("state_file"), parameters.sim_time, node, namespace, self.vehicle.name)
-        self.keeper = StateKeeper(*file)
+        self.keeper = StateKeeper(*file, steady_ns=steady_ns)
         self.active = self._withdrawn = False
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
         self.on_restored: Callable[[bytes, int], None] | None = None  # file of the state that the first speed found, arrival

@@ -5,16 +5,18 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.estimator.snapshot import LEARNED_AT
 from trackres_ros.learning.columns import LearningColumns, lines, ranges_of, shown
 from trackres_ros.learning.correction import use_file
 from trackres_ros.learning.learner import OFF, ON, Learner
-from trackres_ros.learning.store import go_on, stored
+from trackres_ros.learning.store import go_on, since_learned, stored
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.transport import Level, Status
 
@@ -28,24 +30,28 @@ class LiveLearning:
         self.mode = mode
         self.learner = Learner(estimator, mode) if measured else None
         self._columns = None if self.learner is None else LearningColumns(self.learner)
-        self._kept: Any = None  # plain values of the state file, where nothing learns
+        self._kept: Any = None  # plain values for the state file while nothing learns
 
-    def go_on(self, session: Session, saved: Any, off_s: float) -> str:
-        """Continue with a session and the learned values of a state file after some time off [s]; return a text for the log.
+    def go_on(self, session: Session, saved: Any, now: float) -> str:
+        """Continue with a session and the learned values of a state file at a time [s since 1970]; return a text for the log.
+
+        They are less certain by the time since they were learned.
 
         Raises ValueError if they are not from a learner of this vehicle; they are then not used.
         """
-        go_on(session, self.learner, saved, off_s)
+        use_file(session.learned)
         if saved is None:
             return ""
         if self.learner is None:
             self._kept = saved
             return "the learned parameters are kept, but no torque is measured"
+        go_on(session, self.learner, saved, since_learned(saved, now))
+        self._kept = saved if self.mode == OFF else None
         return f"{self.learner.learned.seconds / 60.0:.0f} min of driving were used for learning"
 
     def stored(self) -> Any:
         """Plain values for the state file; None if nothing was learned."""
-        return self._kept if self.learner is None else stored(self.learner)
+        return self._kept if self.learner is None or self._kept is not None else stored(self.learner)
 
     def take(self, stamp_ns: int, row: list[float], session: Session) -> None:
         """Take the results of a step."""
@@ -68,7 +74,12 @@ class LiveLearning:
         if self.learner is None or mode == self.mode:
             self.mode = mode
             return
-        if mode == OFF or self.mode == OFF:
+        if mode == OFF:
+            self._kept = {LEARNED_AT: time.time(), **stored(self.learner)}
+        elif self._kept is not None:
+            go_on(session, self.learner, self._kept, since_learned(self._kept, time.time()))
+            self._kept = None
+        if OFF in (mode, self.mode):
             self.learner.restart()
         self.mode = self.learner.mode = mode
         if mode != ON:

@@ -270,8 +270,9 @@ class Recorder:
             self._bag.write(steps)
         self._bag.writer.flush()
         for state in states:
-            own_files.write(state_file(start_of(self._bag.path), "--record"), state)
-            self._starts.append(start_of(self._bag.path))
+            begun = start_of(self._bag.writer.part)
+            own_files.write(state_file(begun, "--record"), state)
+            self._starts.append(begun)
         if sum(len(steps.rows) for steps in self._unseen) >= PREVIEW_ROWS:
             self._see()
         if items:
@@ -290,8 +291,7 @@ class Recorder:
     def _open(self) -> None:
         self._files.make_room()
         path, self._part = self._files.next()
-        if start_of(path).exists() and not is_other_kind(start_of(path)):  # of the bag that is replaced
-            start_of(path).unlink()
+        _remove_start(self._part)  # of one that was removed or repaired
         bag = OutputBag(path, self._of.estimator, self._of.learned, self._part)
         bag.__enter__()
         self._topics = [bag.writer.raw_topic(input_name(given.name, "/"), given.type, text) for given, text in self._of.given]
@@ -303,6 +303,10 @@ class Recorder:
         if bag is not None:
             bag.__exit__(None, None, None)
             self._done.append(str(bag.path))
+            begun, start = start_of(bag.writer.part), start_of(bag.path)
+            if _remove_start(bag.path) and begun in self._starts:  # that of a bag that was replaced
+                begun.replace(start)
+                self._starts[self._starts.index(begun)] = start
 
     def _written(self) -> list[int]:
         """Messages and estimates that are in a file."""
@@ -330,8 +334,16 @@ class Recorder:
 
 
 def start_of(bag: Path) -> Path:
-    """File beside a bag, with the restored state that its estimates begin with."""
+    """File beside a bag, finished or not, with the restored state that its estimates begin with."""
     return bag.with_suffix(".start.json")
+
+
+def _remove_start(bag: Path) -> bool:
+    """Remove the restored state beside a bag; return whether its place is free, which it is not with another kind of file."""
+    start = start_of(bag)
+    if start.exists() and not is_other_kind(start):
+        start.unlink()
+    return not start.exists()
 
 
 def _size(item: Item) -> int:

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -129,7 +128,7 @@ def overview(
         disturbance=comparison.belief,
         learning=learning.text,
         state_file=str(keeper.path or ""),
-        saved_s_ago=math.nan if keeper.saved_ns is None else (time.monotonic_ns() - keeper.saved_ns) * NANOSECOND,
+        saved_s_ago=math.nan if keeper.saved_ns is None else (steady - keeper.saved_ns) * NANOSECOND,
         state_error=keeper.error,
         state_unused=keeper.unused,
     )

@@ -14,6 +14,7 @@ import json
 import os
 import re
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -33,6 +34,7 @@ from trackres_ros.estimator.snapshot import (
 )
 from trackres_ros.files import own_files
 from trackres_ros.node.background import Background
+from trackres_ros.node.clock import steady_ns
 from trackres_ros.node.live_learning import LiveLearning
 from trackres_ros.node.notices import Notice
 
@@ -69,13 +71,14 @@ def state_name(node: str, namespace: str, vehicle: str) -> str:
 class StateKeeper:
     """One state file. Times are the machine's: the belt cools while the machine is off, whatever time is simulated."""
 
-    def __init__(self, path: Path | None, why_none: str = "") -> None:
-        self.path = path
+    def __init__(self, path: Path | None, why_none: str = "", steady_ns: Callable[[], int] = steady_ns) -> None:
+        self.path, self._steady_ns = path, steady_ns
         self.holds_at = time.time()  # when the loaded state holds: that of the file may be later than a clock not yet set
-        self.saved_ns: int | None = None  # monotonic
+        self.saved_ns: int | None = None  # by the steady clock
         self.error = why_none
         self.unused = ""  # why the state file that was there could not be used
         self._aside: Path | None = None  # where that file is copied before it is replaced; None if there is nothing to keep
+        self._taken: Path | None = None  # copy that this start went on with; it goes once a later state is saved
         self._writer = Background("state")
         self._began_ns = 0
 
@@ -105,21 +108,24 @@ class StateKeeper:
                     self.error, self.path = f"{file} is another kind of file, which is not replaced", None
                     return estimator.session(), self.unused
             self._keep_unused("; a start with its values uses it again")
-            try:  # that of an earlier start with these values
-                file = place_aside(file, key(estimator))
+            file = place_aside(file, key(estimator))  # that of an earlier start with these values
+            if self._aside in (None, file):  # then the state file itself may be the later one
+                return estimator.session(), self.unused
+            try:
                 session, since_s = after_time_off(estimator, file, self.holds_at)
             except InputError:
                 return estimator.session(), self.unused
-            self.unused = ""
-        off_s = max(0.0, since_s)
+            self.unused, self._taken = "", file
+        now, off_s = self.holds_at, max(0.0, since_s)
         self.holds_at += off_s - since_s
         what = "belts" if estimator.assemblies else "temperatures of the effects"
         text = f"{what} restored from {file} and cooled for {off_s / 60.0:.1f} min"
         try:
-            learned = learning.go_on(session, read_learning(estimator, file), off_s)
+            learned = learning.go_on(session, read_learning(estimator, file), now)
         except ValueError as error:
             self.unused = f"learning starts from the vehicle file: {error}"
             self._keep_unused("")
+            self._taken = None
             return session, f"{text}; {self.unused}"
         return session, f"{text}; {learned}" if learned else text
 
@@ -192,7 +198,11 @@ class StateKeeper:
                     set_aside(path, self._aside)
                 self._aside = None
             own_files.write(path, data)
+            if self._taken is not None:
+                with suppress(OSError):
+                    self._taken.unlink()
+                self._taken = None
         except Exception as error:  # of the disk, mostly
             self.error = getattr(error, "strerror", None) or str(error)
         else:
-            self.error, self.saved_ns = "", time.monotonic_ns()
+            self.error, self.saved_ns = "", self._steady_ns()

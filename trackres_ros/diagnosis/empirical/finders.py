@@ -114,7 +114,7 @@ def residuals_without(current: Fit, name: str) -> list[Array]:
     return [r + x for r, x in zip(torque_residuals(current), current.contribution(name), strict=True)]
 
 
-def _spells(current: Fit, residuals: Sequence[Array], _: Fit) -> Term | None:
+def _spells(current: Fit, residuals: Sequence[Array], _last: Fit) -> Term | None:
     """Spells, if two levels are more likely than a drift."""
     b = torque_blocks(current, residuals)
     chain, there, _ = find_chain(b)
@@ -173,7 +173,7 @@ def beginnings(b: Blocks, there: Array, backwards: bool = False) -> Mask:
     return np.asarray(on & ~np.concatenate((goes_on, [False]) if backwards else ([False], goes_on)))
 
 
-def _wave(current: Fit, residuals: Sequence[Array], _: Fit) -> Term | None:
+def _wave(current: Fit, residuals: Sequence[Array], _last: Fit) -> Term | None:
     """A wave in driven distance; on hold-out laps from earlier measurements."""
     wave = find_wave(current)
     if wave is None:
@@ -185,7 +185,7 @@ def _wave(current: Fit, residuals: Sequence[Array], _: Fit) -> Term | None:
     return Term(candidate, wave=wave) if candidate.net_evidence > SURE and candidate.matters else None
 
 
-def _level_change(current: Fit, residuals: Sequence[Array], _: Fit) -> Term | None:
+def _level_change(current: Fit, residuals: Sequence[Array], _last: Fit) -> Term | None:
     """A lasting level change; on hold-out laps known from their time alone."""
     sessions, masks = current.problem.sessions, current.problem.masks
     step = sessions[0].step
@@ -200,7 +200,7 @@ def _level_change(current: Fit, residuals: Sequence[Array], _: Fit) -> Term | No
     return Term(candidate, change=change) if _counts(candidate, current) else None
 
 
-def _place(current: Fit, residuals: Sequence[Array], _: Fit) -> Term | None:
+def _place(current: Fit, residuals: Sequence[Array], _last: Fit) -> Term | None:
     """A torque at the same place on each pass; on hold-out laps known from the driven distance alone."""
     sessions, masks = current.problem.sessions, current.problem.masks
     mean = float(np.mean(np.concatenate([s.weight[m] for s, m in zip(sessions, masks, strict=True)])))

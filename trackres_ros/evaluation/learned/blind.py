@@ -43,8 +43,8 @@ class Listening(Learner):
         self.said: dict[str, int] = {}
         self.outside = False
 
-    def _close(self, session: Any) -> None:
-        super()._close(session)
+    def _close(self, session: Any, passed: int) -> None:
+        super()._close(session, passed)
         for text in (self.frozen, self.disturbance and BESIDE, self.left_out.partition(" in ")[0]):
             if text:
                 key = KEY.sub("", text.split(":")[0]).strip()
