@@ -334,13 +334,14 @@ def test_each_is_held_for_its_own_time(guard, channel, name, hold):
     assert math.isnan(getattr(guard.inputs(), name))
 
 
-def test_without_ambient_the_file_value_and_its_std_are_used(guard):
+def test_without_ambient_the_last_or_nominal_one_is_assumed(guard):
+    assert guard.inputs(started=0.0)[2:4] == (15.0, 9.0)
     guard.send(0, -4.0, at.AMBIENT)
     guard.send(AMBIENT_HOLD)
     assert not guard.reasons() & Reason.AMBIENT_NOMINAL
     guard.send(AMBIENT_HOLD + 1)
     inputs = guard.inputs()
-    assert (inputs.ambient, inputs.ambient_std) == (15.0, 9.0)
+    assert (inputs.ambient, inputs.ambient_std) == (-4.0, 9.0)
     assert inputs.reasons & Reason.AMBIENT_NOMINAL
 
 

@@ -14,6 +14,8 @@ from trackres_ros.effects import Active, catalogue
 from trackres_ros.effects.stepping import EACH
 from trackres_ros.estimator.columns import REFUSALS, Belt, Count, Reason
 from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.estimator.settings import Settings
+from trackres_ros.estimator.snapshot import rested
 from trackres_ros.vehicle import load_any
 
 START = 1_700_000_000_000_000_000
@@ -139,7 +141,8 @@ def warming(xgd24d, agri3t):
     """Estimators with belts of one and two nodes, of another vehicle, and without belts, each with an effect that warms up."""
     vehicles = {"one": xgd24d, "two": replace(xgd24d, thermal="core_surface"), "small": agri3t, "wheels": load_any("bmw_i3")}
     tyres = catalogue()["roadwheel_tyres"]
-    return {name: Estimator(replace(one, effects=(Active(tyres, tyres.values()),))) for name, one in vehicles.items()}
+    soon_old = Settings(ambient_hold_s=5.0)
+    return {name: Estimator(replace(one, effects=(Active(tyres, tyres.values()),)), soon_old) for name, one in vehicles.items()}
 
 
 RESTARTS = {
@@ -147,7 +150,7 @@ RESTARTS = {
     "back": Session.start_anew,
     "standing": lambda session: session.start_cold(driving=False),
     "driving": lambda session: session.start_cold(driving=True),
-    "off": lambda session: session.begin(session.estimator.rest(session.state, session.estimator.vehicle.chassis.ambient, 600.0)),
+    "off": lambda session: session.begin(session.estimator.rest(session.state, None, 600.0)),
 }
 
 
@@ -158,6 +161,47 @@ def test_a_start_is_in_the_first_ambient_whenever_it_comes(warming, name, restar
     late, known, never = (driven(warming[name], restart, steps, i, change, speed) for i in (steps, 0, -1))
     assert abs(known - never).max() > 0.3 * abs(change)
     assert late == pytest.approx(known, abs=0.01 * abs(known - never).max())
+
+
+def drive_on(session, seconds):
+    for i in range(2 * seconds):
+        send(session, DRIVEN + i * S // 2, 2.0)
+    return session
+
+
+DRIVEN = START + 120 * S
+UNHEARD = {  # a time without an ambient temperature [s], and the session after it
+    "night on": (36_000, lambda session: session),
+    "pause on": (300, lambda session: session),
+    "night off": (36_000, lambda session: rested(session, 36_000.0)),
+    "pause off": (300, lambda session: rested(session, 300.0)),
+    "off twice": (600, lambda session: rested(rested(session, 300.0), 300.0)),
+    "driving": (600, lambda session: drive_on(session, 600)),
+}
+
+
+def after_unheard(estimator, way, steps, ambient_at, change):
+    """Belts' temperatures and an effect's state so many steps after such a time; at -1 its ambient temperature came before."""
+    session, before, (seconds, of) = estimator.session(), estimator.vehicle.chassis.ambient + 8.0, UNHEARD[way]
+    for i in range(241):
+        send(session, START + i * S // 2, before + (change if i == 240 and ambient_at < 0 else 0.0), "ambient")
+        send(session, START + i * S // 2, 2.0)
+    session = of(session)
+    for i in range(steps + 1):
+        if i == ambient_at:
+            send(session, DRIVEN + seconds * S + i * S // 2, before + change, "ambient")
+        send(session, DRIVEN + seconds * S + i * S // 2, 2.0)
+    return np.append(session.belts[:, :, Belt.temperature], session.effects[-EACH])
+
+
+@pytest.mark.parametrize(("steps", "change"), [(1, -35.0), (1, 20.0), (60, 10.0)])
+@pytest.mark.parametrize("way", UNHEARD)
+@pytest.mark.parametrize("name", ["one", "two", "small", "wheels"])
+def test_a_time_in_an_assumed_air_was_in_the_one_that_comes(warming, name, way, steps, change):
+    late, known, never = (after_unheard(warming[name], way, steps, i, change) for i in (steps, -1, steps + 1))
+    assert late == pytest.approx(known, abs=0.03 * abs(known - never).max())
+    same = (after_unheard(warming[name], way, steps, i, 0.0) for i in (steps, -1, steps + 1))
+    assert len({one.tobytes() for one in same}) == 1
 
 
 def test_a_rest_in_a_given_air_stays_in_it(warming):

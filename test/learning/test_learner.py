@@ -230,6 +230,15 @@ def test_belts_that_move_to_known_air_are_learned_anew(road):
     assert late.errors(1.0)[0] < 0.03
 
 
+def test_air_that_is_as_assumed_changes_nothing_learned(driven_before):
+    driven = driven_before("on")
+    before, now = driven.learner.learned.mean.copy(), int(driven.session.memory.times[at.SPEED, at.Times.last_arrival])
+    driven.session.handle(at.AMBIENT, now, now, driven.session.motion[at.Motion.air])
+    driven.drive(0.02)
+    assert before[at.OF_BELT] != 0.0
+    assert driven.learner.learned.mean == pytest.approx(before, rel=0.1)
+
+
 def rest(driven, how):
     """Two hours, with the node off or on."""
     driven.steps += 72_000

@@ -59,10 +59,11 @@ TERMS = 18
 NO_TERMS = (0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 WORK = TERMS + LOOKED_AT + ANSWERED
 
-# What is remembered: distance [m], speed of the last step [m/s]; then of each effect its own state, its target and time constant.
+# What is remembered: distance [m], speed of the last step [m/s]; then of each effect its own state, its target and time constant,
+# and the share of a constant ambient temperature in the state since the start, or since that was first assumed.
 DISTANCE, LAST_SPEED, FIRST_OWN = range(3)
-OWN, TARGET, TIME_CONSTANT = range(3)
-EACH = 3
+OWN, TARGET, TIME_CONSTANT, OF_AIR = range(4)
+EACH = 4
 
 # Outside of these limits an effect of whatever kind is a mistake: they are an order of magnitude wider than the catalogue.
 MOST_TORQUE = 10.0  # times weight times radius
@@ -256,13 +257,16 @@ def call_lag(address: int, looked_at: Array, values: Array, answer: Array) -> bo
 
 
 @inlined
-def after(rows: IntArray, values: Array, work: Array, row: int, state: float, dt: float) -> float:
-    """An effect's own state after some time [s] in the conditions of the work space; unchanged where they are unknown."""
+def after(rows: IntArray, values: Array, work: Array, row: int, own: Array, dt: float) -> tuple[float, float]:
+    """An effect's own state after some time [s] in the conditions of the work space, and the share of the air in it; unchanged
+    where they are unknown.
+    """
     looked_at, answer = work[TERMS : TERMS + LOOKED_AT], work[TERMS + LOOKED_AT :]
-    looked_at[AT_OWN] = state
+    looked_at[AT_OWN] = own[OWN]
     if is_known(rows[row, NEEDS], looked_at) and call_lag(rows[row, LAG_AT], looked_at, values[row], answer):
-        return float(state + (answer[0] - state) * -math.expm1(-dt / answer[1]))
-    return state
+        passed = -math.expm1(-dt / answer[1])
+        return own[OWN] + (answer[0] - own[OWN]) * passed, own[OF_AIR] + (1.0 - own[OF_AIR]) * passed
+    return own[OWN], own[OF_AIR]
 
 
 @compiled
@@ -273,21 +277,23 @@ def pass_gap_of_effects(
     [m/s].
     """
     for row in range(rows.shape[0]):
-        first = FIRST_OWN + EACH * rows[row, STATE]
-        if rows[row, KIND] >= SHIFTED or rows[row, LAG_AT] == 0 or math.isnan(memory[first + OWN]):
+        own = memory[FIRST_OWN + EACH * rows[row, STATE] :]
+        if rows[row, KIND] >= SHIFTED or rows[row, LAG_AT] == 0 or math.isnan(own[OWN]):
             continue
-        state = memory[first + OWN]
         look(work, 0.0, 0.0, weight, ambient, math.nan, math.nan, math.nan, 0.0, math.nan)
-        rested = after(rows, values, work, row, state, dt)
+        rested, rested_air = after(rows, values, work, row, own, dt)
         look(work, speed, 0.0, weight, ambient, math.nan, math.nan, math.nan, 0.0, math.nan)
-        memory[first + OWN] = 0.5 * (rested + after(rows, values, work, row, state, dt))
+        driven, driven_air = after(rows, values, work, row, own, dt)
+        own[OWN], own[OF_AIR] = 0.5 * (rested + driven), 0.5 * (rested_air + driven_air)
 
 
 @compiled
 def move_effects(
     rows: IntArray, values: Array, memory: Array, work: Array, speed: float, weight: float, before: float, ambient: float
 ) -> None:
-    """Move the effects' own states by what their start gains from one ambient temperature [degC] to another."""
+    """Move the effects' own states by what their start gains from one ambient temperature [degC] to another, times the share of
+    the air in them.
+    """
     looked_at, answer = work[TERMS : TERMS + LOOKED_AT], work[TERMS + LOOKED_AT :]
     for row in range(rows.shape[0]):
         own = memory[FIRST_OWN + EACH * rows[row, STATE] :]
@@ -297,7 +303,7 @@ def move_effects(
             look(work, speed, 0.0, weight, ambient if sign > 0.0 else before, math.nan, math.nan, math.nan, 0.0, math.nan)
             looked_at[AT_OWN] = 0.0
             if is_known(rows[row, NEEDS], looked_at) and call_lag(rows[row, LAG_AT], looked_at, values[row], answer):
-                own[OWN] += sign * answer[2]
+                own[OWN] += sign * own[OF_AIR] * answer[2]
                 own[TARGET] += sign * answer[0]
 
 
@@ -309,13 +315,15 @@ def own_state(address: int, values: Array, looked_at: Array, answer: Array, own:
         return True
     state = math.nan
     if not math.isnan(own[OWN]):
-        state = own[OWN] + (own[TARGET] - own[OWN]) * -math.expm1(-dt / own[TIME_CONSTANT])
+        passed = -math.expm1(-dt / own[TIME_CONSTANT])
+        state = own[OWN] + (own[TARGET] - own[OWN]) * passed
+        own[OF_AIR] += (1.0 - own[OF_AIR]) * passed
         looked_at[AT_OWN] = state
     if not call_lag(address, looked_at, values, answer):
         return False
     target, time_constant, start = answer[0], answer[1], answer[2]
     if math.isnan(state):
-        state = start
+        state, own[OF_AIR] = start, 1.0
     own[OWN], own[TARGET], own[TIME_CONSTANT] = state, target, time_constant
     looked_at[AT_OWN] = state
     return True

@@ -113,7 +113,8 @@ class Motion(Row):
     last_others = Real()  # Nm, last drive torque without belts and effects
     turned = Real()  # s, age of the speed at that turn; the change of this time is in the value
     unfed = Real()  # 1 while the feed-forward is on its way to zero instead of its target, else 0
-    air_std = Real()  # K, of the nominal air in which the belts began; 0 once an ambient temperature came
+    air = Real()  # degC, of the last step, measured or assumed
+    air_std = Real()  # K, of the air that is assumed; 0 while it is measured
 
 
 # What can be learned of a vehicle while it drives, as departures from its file: of the loss, the cooling and the heat capacity of
@@ -203,7 +204,7 @@ class Reason(IntFlag):
     NONE = 0
     LOAD_HELD = 1 << 0, "no recent load: the estimate uses the last one"
     LOAD_NOMINAL = 1 << 1, "no load: the estimate uses the vehicle file's nominal load"
-    AMBIENT_NOMINAL = 1 << 2, "no ambient temperature: the estimate uses the vehicle file's"
+    AMBIENT_NOMINAL = 1 << 2, "no ambient temperature: the estimate uses the last known, or else the vehicle file's"
     SPEED_STUCK = 1 << 3, "the speed has not changed for a long time while moving"
     GAP_BRIDGED = 1 << 4, "a gap in the speed was interpolated linearly"
     GAP_UNKNOWN = 1 << 5, "a long gap in the speed: the belt temperature is between that of standing and of driving on"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.arrays import Array, IntArray
-from trackres_ros.effects.stepping import neutral, rest_effects
+from trackres_ros.effects.stepping import TERMS, WEIGHT, neutral, rest_effects
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED
 from trackres_ros.estimator.belt_step import roll
@@ -23,7 +23,7 @@ from trackres_ros.estimator.by_place import follow_along, of_place, position_cam
 from trackres_ros.estimator.columns import Assembly, Motion, Results, Times
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.guards import ACCEPTED_AFTER_RESET, AMBIENT_NOMINAL, GAP, Memory, admit, forget_others, gather
-from trackres_ros.estimator.kernel import advance, know_air, predict, start
+from trackres_ros.estimator.kernel import advance, follow_air, predict, start
 from trackres_ros.estimator.records import LARGEST, DriveSeries, Inputs, State
 from trackres_ros.jit.compiled import HAVE_NUMBA, entry, inlined, interpreted
 from trackres_ros.units import NANOSECOND
@@ -64,12 +64,16 @@ def feed(
         turn(k, memory, motion, arrival)
         return False
     inputs = gather(k, memory, outcome, elapsed, motion, loads, belt_measured)
-    nominal_air = inputs.reasons & AMBIENT_NOMINAL != 0
+    assumed = inputs.reasons & AMBIENT_NOMINAL != 0
     if motion.started <= 0.0:
         start(k, carried, inputs.ambient, inputs.ambient_std)
-        motion.air_std = inputs.ambient_std if nominal_air else 0.0
-    elif motion.air_std > 0.0 and not nominal_air:
-        know_air(k, carried, inputs)
+        if assumed:
+            motion.air_std = inputs.ambient_std
+    elif assumed or motion.air_std > 0.0:
+        weight = 0.0
+        for i in range(loads.shape[0]):
+            weight += loads[i]
+        follow_air(k, carried, inputs.speed, weight, inputs.ambient, inputs.ambient_std, assumed)
     dt = elapsed * NANOSECOND
     if dt > k.number.gap:
         memory.counters[channel, GAP] += 1
@@ -158,18 +162,19 @@ def predict_along(k: Constants, carried: State, count: Array, series: DriveSerie
 
 @inlined
 def rest(k: Constants, carried: State, ambient: float, ambient_std: float, seconds: float) -> None:
-    """Let the vehicle stand for some time [s] at an ambient temperature [degC]: belts and effects cool."""
+    """Let the vehicle stand for some time [s] at an ambient temperature [degC], nan for the last known: all cools."""
     motion = Motion(carried.motion)
     motion.filtered_speed = motion.filtered_accel = motion.last_speed = motion.rolls = 0.0
     motion.feedforward = motion.feedforward_target = motion.last_drive = motion.last_others = 0.0
     motion.turned = motion.unfed = 0.0
     if motion.started > 0.0:
         motion.started = at.RESTS
-    if ambient != k.number.nominal_ambient:
-        motion.air_std = 0.0  # not in the nominal air alone any more
-    rest_effects(k.effects, k.effect_values, carried.effects, k.work, ambient, seconds)
+    assumed = math.isnan(ambient)
+    air = motion.air if assumed else ambient
+    follow_air(k, carried, 0.0, k.work[TERMS + WEIGHT], air, ambient_std, assumed)
+    rest_effects(k.effects, k.effect_values, carried.effects, k.work, air, seconds)
     for i in range(carried.belts.shape[0]):
-        roll(k, Assembly(k.assembly[i]), carried.belts[i], 0.0, 0.0, SLOWEST_LOG_SPEED, 0.0, 0.0, ambient, ambient_std, seconds)
+        roll(k, Assembly(k.assembly[i]), carried.belts[i], 0.0, 0.0, SLOWEST_LOG_SPEED, 0.0, 0.0, air, ambient_std, seconds)
     neutral(k.work)
 
 

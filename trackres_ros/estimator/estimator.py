@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros import checks
 from trackres_ros.arrays import Array, IntArray
+from trackres_ros.effects.stepping import EACH, FIRST_OWN, OF_AIR
 from trackres_ros.effects.stepping import cooled as cooled_effects
 from trackres_ros.effects.stepping import new_memory as new_effects_memory
 from trackres_ros.errors import InputError
@@ -296,14 +297,16 @@ class Estimator:
         self.entries.follow_series(*self.own_arguments(), np.array(NOTHING_YET), at_times, *series, found)
         return GroundSeries(*found.T)
 
-    def rest(self, state: State, ambient: float, seconds: float) -> State:
+    def rest(self, state: State, ambient: float | None, seconds: float) -> State:
         """Compute the state after standing or being switched off for some time [s] at an ambient temperature [degC].
 
-        The given state does not change. Raises InputError for a negative time, a temperature that is no finite number, or a
-        state of another vehicle.
+        None is the last known one: a session that begins from the state moves its belts once it knows the air. The given state
+        does not change. Raises InputError for a negative time, a temperature that is no finite number, or a state of another
+        vehicle.
         """
         after, std, off = self._copy(state), self.constants.number.ambient_unknown_std, duration(seconds, "seconds")
-        self.entries.rest_vehicle(*self.own_arguments(), *after, number(ambient, "ambient"), std, off)
+        air = math.nan if ambient is None else number(ambient, "ambient")
+        self.entries.rest_vehicle(*self.own_arguments(), *after, air, std, off)
         return after
 
     def check(self, state: State) -> None:
@@ -369,6 +372,16 @@ class Session:
         """A copy of the state now."""
         return State(self.belts.copy(), self.motion.copy(), self.effects.copy(), self.learned.copy())
 
+    @property
+    def share_of_air(self) -> float:
+        """Share of an assumed air in the belts' temperature, without belts in the effects' own states; 0 while it is measured."""
+        std = float(self.motion[at.Motion.air_std])
+        if std == 0.0:
+            return 0.0
+        if not len(self.belts):
+            return float(np.nan_to_num(self.effects[FIRST_OWN + OF_AIR :: EACH]).max(initial=0.0))
+        return min(float(np.abs(self.belts[:, 0, at.Belt.consider_ambient]).max()) / std, 1.0)
+
     def begin(self, state: State) -> None:
         """Begin from a known state instead of a cold start. Raises InputError for the state of another vehicle."""
         self.estimator.check(state)
@@ -397,9 +410,10 @@ class Session:
         """
         k, memory = self.estimator.constants, self.memory
         if self.started and driving:
-            ambient, std, nominal = ambient_now(k, memory, int(memory.times[at.SPEED, at.Times.last_arrival]))
+            motion = at.Motion(self.motion)
+            ambient, std, assumed = ambient_now(k, memory, motion, int(memory.times[at.SPEED, at.Times.last_arrival]))
             start(k, State(self.belts, self.motion.copy(), self.effects, self.learned), ambient, std)
-            self.motion[at.Motion.air_std] = std if nominal else 0.0
+            motion.air, motion.air_std = ambient, std if assumed else 0.0
         elif self.started:  # otherwise it starts cold anyway
             memory.times[at.SPEED, at.Times.seen], memory.values[at.SPEED] = 0, math.nan
             self.motion[at.Motion.started] = 0.0

@@ -176,12 +176,19 @@ def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
 
 
 @inlined
-def ambient_now(k: Constants, memory: Memory, now: int) -> tuple[float, float, int]:
-    """Ambient temperature [degC] at an arrival, its standard deviation [K], and the reason if it is the nominal one, else 0."""
+def ambient_now(k: Constants, memory: Memory, motion: Motion, now: int) -> tuple[float, float, int]:
+    """Ambient temperature [degC] at an arrival, its standard deviation [K], and the reason if it is assumed, else 0.
+
+    It is assumed to be the last known, also before a time off; without one it is the nominal one.
+    """
     ambient = held(memory, at.AMBIENT, now, k.number.ambient_hold_ns)
-    if math.isnan(ambient):
-        return k.number.nominal_ambient, k.number.ambient_unknown_std, AMBIENT_NOMINAL
-    return ambient, k.number.ambient_std, 0
+    if not math.isnan(ambient):
+        return ambient, k.number.ambient_std, 0
+    if memory.times[at.AMBIENT, SEEN] != 0:
+        last = float(memory.values[at.AMBIENT])
+    else:
+        last = motion.air if motion.started > 0.0 else k.number.nominal_ambient
+    return last, k.number.ambient_unknown_std, AMBIENT_NOMINAL
 
 
 @inlined
@@ -276,8 +283,8 @@ def gather(
         reasons |= SPEED_QUANTISED
     if abs(speed) > STANDING and stamp - times.unchanged_since > k.number.stuck_ns * patience:
         reasons |= SPEED_STUCK
-    ambient, ambient_std, nominal = ambient_now(k, memory, now)
-    reasons |= nominal
+    ambient, ambient_std, assumed = ambient_now(k, memory, motion, now)
+    reasons |= assumed
     first_belt = k.number.first_wheel - belt_measured.shape[0]
     for i in range(belt_measured.shape[0]):
         belt_measured[i] = math.nan

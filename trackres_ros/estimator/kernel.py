@@ -13,8 +13,10 @@ from trackres_ros.arrays import Array
 from trackres_ros.effects.stepping import (
     ALL_WELL,
     DRAG_AREA,
+    EACH,
     EXTRAPOLATED,
     FIRST_OWN,
+    OF_AIR,
     TERM_BY_DRAG_AREA,
     TERM_COOLING_VARIANCE,
     TERM_DRIVE_GAIN,
@@ -33,6 +35,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.assembly_step import COLUMNS_EACH, FIRST_OF_ASSEMBLIES, advance_assemblies
 from trackres_ros.estimator.belt_heat import loss_force, surface
 from trackres_ros.estimator.belt_step import roll
+from trackres_ros.estimator.belt_uncertainty import add_noise
 from trackres_ros.estimator.by_place import is_missing
 from trackres_ros.estimator.columns import (
     BELT_COLUMNS,
@@ -82,31 +85,44 @@ def start(k: Constants, carried: State, ambient: float, ambient_std: float) -> N
             belt.temperature, belt.consider_ambient, belt.noise_1 = ambient, ambient_std, k.number.initial_belt_std
     for column in range(motion.shape[0]):
         motion[column] = 0.0
-    Motion(motion).quantum = 1e9
+    Motion(motion).quantum, Motion(motion).air = 1e9, ambient
     for place in range(FIRST_OWN, effects.shape[0]):  # as after a long rest; the distance driven stays
         effects[place] = math.nan
 
 
 @inlined
-def know_air(k: Constants, carried: State, inputs: Inputs) -> None:
-    """At the first ambient temperature after a start in the nominal air: as if belts and effects had begun in it (ours).
+def follow_air(
+    k: Constants, carried: State, speed: float, weight: float, ambient: float, ambient_std: float, assumed: bool
+) -> None:
+    """Go on in an ambient temperature: where another was assumed, as if belts and effects had been in this one (ours).
 
     Notes
     -----
-    A belt moves by its departure due to the air over the standard deviation of the air: at first by the whole difference, later
-    by what remains of it, to first order.
+    A belt moves by its departure due to the air over the standard deviation of the air: after a start or a long rest by the whole
+    difference, else by the part of it that acted, to first order. So that departure begins at zero when air is first assumed: the
+    earlier one, by the thermometer, is another cause and joins the random part.
     """
-    motion, nominal = Motion(carried.motion), k.number.nominal_ambient
-    weight = 0.0
-    for i in range(inputs.load.shape[0]):
-        weight += inputs.load[i]
-    for i in range(carried.belts.shape[0]):
-        for node in range(2):
-            belt = Belt(carried.belts[i, node])
-            belt.temperature += min(belt.consider_ambient / motion.air_std, 1.0) * (inputs.ambient - nominal)
-            belt.consider_ambient *= inputs.ambient_std / motion.air_std
-    move_effects(k.effects, k.effect_values, carried.effects, k.work, inputs.speed, weight, nominal, inputs.ambient)
-    motion.air_std = 0.0
+    motion = Motion(carried.motion)
+    if motion.air_std > 0.0 and not (assumed and ambient == motion.air):
+        for i in range(carried.belts.shape[0]):
+            for node in range(2):
+                belt = Belt(carried.belts[i, node])
+                belt.temperature += min(belt.consider_ambient / motion.air_std, 1.0) * (ambient - motion.air)
+                belt.consider_ambient *= ambient_std / motion.air_std
+        move_effects(k.effects, k.effect_values, carried.effects, k.work, speed, weight, motion.air, ambient)
+        motion.air_std = ambient_std
+    elif motion.air_std == 0.0 and assumed:
+        for i in range(carried.belts.shape[0]):
+            mean, skin = Belt(carried.belts[i, 0]), Belt(carried.belts[i, 1])
+            of_mean, of_skin = mean.consider_ambient, skin.consider_ambient
+            add_noise(carried.belts[i], squared(of_mean), of_mean * of_skin, squared(of_skin))
+            mean.consider_ambient = skin.consider_ambient = 0.0
+        for own in range(FIRST_OWN, carried.effects.shape[0], EACH):
+            carried.effects[own + OF_AIR] = 0.0
+        motion.air_std = ambient_std
+    motion.air = ambient
+    if not assumed:
+        motion.air_std = 0.0
 
 
 @inlined
@@ -215,7 +231,7 @@ def advance(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array)
     fed_effects = (work[TERM_FED] + lasting) * abs(direction(speed))
     wanted, of_feedforward = feedforward(k, motion, total, fed_effects, inputs, dt)
     variance = torque_variance(k, total, learned, road, driving, inputs.torque_by_place_std)
-    motion.feedforward, motion.last_speed = wanted, speed
+    motion.feedforward, motion.last_speed, motion.air = wanted, speed, inputs.ambient
     motion.last_drive, motion.last_others = driving, others
 
     result.speed_mps, result.accel_mps2 = speed, accel

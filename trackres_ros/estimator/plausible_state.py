@@ -61,7 +61,8 @@ def check_state(estimator: Estimator, belts: Array, motion: Array) -> None:
         ("drive torque but for belts and effects", left.last_others, -torque, torque),
         ("turn of the feed-forward", left.turned, 0.0, LONGEST_TURN),
         ("mark of no feed-forward", left.unfed, 0.0, 1.0),
-        ("standard deviation of the nominal air", left.air_std, 0.0, LARGEST_DEPARTURE),
+        ("air", left.air, *BELT_DEGC),
+        ("standard deviation of the air", left.air_std, 0.0, LARGEST_DEPARTURE),
     ):
         _within(name, value, low, high)
     if left.started not in STARTED:

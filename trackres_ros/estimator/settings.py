@@ -29,7 +29,7 @@ class Settings:
     process_noise_k: float = setting(0.02, "K/sqrt(s)", 0.0, 10.0, "random walk of the belt temperature, for unmodelled effects")
     ambient_std_k: float = setting(2.0, "K", 0.0, 30.0, "standard deviation of a given ambient temperature")
     ambient_unknown_std_k: float = setting(
-        10.0, "K", 0.0, 60.0, "standard deviation of the nominal ambient temperature, used if none is given"
+        10.0, "K", 0.0, 60.0, "standard deviation of an assumed ambient temperature, the last known or else the nominal one"
     )
     belt_measured_std_k: float = setting(3.0, "K", 0.01, 60.0, "standard deviation of a measured belt temperature")
     gap_s: float = setting(1.0, "s", 0.05, 60.0, "a longer pause in the speed is reported as a gap")

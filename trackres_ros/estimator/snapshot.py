@@ -200,7 +200,7 @@ def after_time_off(estimator: Estimator, path: Path, now: float, ambient: float 
     now
         Wall-clock time [s since 1970]. A clock before `saved_at` means no time off; the returned time is negative.
     ambient
-        Ambient temperature while off [degC]; by default the vehicle file's.
+        Ambient temperature while off [degC]; by default the last known, else the vehicle file's.
 
     Raises
     ------
@@ -217,8 +217,7 @@ def rested(before: Session, seconds: float, ambient: float | None = None) -> Ses
     """A new session with the belts of another, cooled for some time [s] as in `after_time_off`."""
     estimator, session = before.estimator, before.estimator.session()
     if before.started:
-        there = estimator.vehicle.chassis.ambient if ambient is None else ambient
-        session.begin(estimator.rest(before.state, there, min(max(0.0, seconds), LONGEST_OFF)))
+        session.begin(estimator.rest(before.state, ambient, min(max(0.0, seconds), LONGEST_OFF)))
     return session
 
 

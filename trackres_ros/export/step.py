@@ -115,10 +115,10 @@ def is_stale(k: Constants, memory: Memory, latest: int) -> bool:
 def rest_after(k: Constants, memory: Memory, carried: State, ambient: float, seconds: float) -> None:
     """Restart after the vehicle stood, or was switched off: belts and effects have cooled, messages are forgotten.
 
-    An ambient temperature that its guard would refuse is that of the vehicle file, and a time that is no number the longest.
+    An ambient temperature that its guard would refuse is the last known, and a time that is no number the longest.
     """
     is_plausible = k.channel_limits[at.AMBIENT, 0] <= ambient <= k.channel_limits[at.AMBIENT, 1]
-    there = ambient if is_plausible else k.number.nominal_ambient
+    there = ambient if is_plausible else math.nan
     off = LONGEST_OFF if math.isnan(seconds) else min(max(seconds, 0.0), LONGEST_OFF)
     if Motion(carried.motion).started > 0.0:
         rest(k, carried, there, k.number.ambient_unknown_std, off)

@@ -104,7 +104,8 @@ class SampleHistory:
     outlying_s: float = 0.0  # time since all samples have been far from the level
     torque: float = math.nan
     since_ns: int = 0
-    nominal_air: bool = False  # whether the belts began in it, and no ambient temperature came yet
+    air: float = 0.0  # degC
+    of_air: float = 0.0  # see `Session.share_of_air`
 
 
 class Gate:

@@ -42,6 +42,7 @@ from trackres_ros.units import GRAVITY, SECOND_NS
 MODES = OFF, WATCH, ON = "off", "watch", "on"
 STEP_S = 4 * 3600.0  # memory of sudden steps, in driving
 LEAST_BELT_STD_K = 0.1
+MOVED_K = 1.0  # belts that move farther once the air is known are learned anew
 AIR_S = 3600.0  # time constant of a thermometer's error in air: sun, exhaust
 WALK_PER_HOUR = 0.01  # of a prior standard deviation, per root of an hour of driving: rubber wears
 AGES_PER_S = 0.5 / (365 * 86400.0)  # assumed: growth of standard deviations while off, of the file's own
@@ -120,11 +121,11 @@ class Learner:
     def take(self, stamp_ns: int, row: Row, session: Session) -> None:
         """Take a step of the session; once a second learn from those before it, and let that act from the next step on."""
         reasons = int(row[at.Results.reasons])
-        nominal_air = bool(session.motion[at.Motion.air_std] > 0.0)
-        if reasons & TIME_RESET or self.gate.samples.nominal_air > nominal_air:  # the air is known now: the belts have moved
+        samples, air = self.gate.samples, float(session.motion[at.Motion.air])
+        if reasons & TIME_RESET or samples.of_air * abs(air - samples.air) > MOVED_K:
             self.restart()
             correction.use_file(session.learned)
-        self.gate.samples.nominal_air = nominal_air
+        self.gate.samples.air, self.gate.samples.of_air = air, session.share_of_air
         memory = session.memory
         self.delay.take(
             stamp_ns,

@@ -461,7 +461,7 @@ class Application:
         """Belts from a state file keep cooling until the first speed arrives: a clock that is set before that tells how long."""
         off = time.time() - self._state_at
         if self._publisher.stamp_ns is None and self.session.started and off > 0.0:
-            self.session.begin(self.estimator.rest(self.session.state, self.vehicle.chassis.ambient, min(off, LONGEST_OFF)))
+            self.session.begin(self.estimator.rest(self.session.state, None, min(off, LONGEST_OFF)))
             self._state_at += off
 
     def _save_period_ns(self) -> int:

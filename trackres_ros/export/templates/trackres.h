@@ -77,8 +77,8 @@ int trackres_step(trackres_state *state, const trackres_inputs *inputs, trackres
 int trackres_message(
     trackres_state *state, int channel, int64_t stamp_ns, int64_t arrival_ns, trackres_real value, trackres_outputs *outputs);
 
-/* Begin again after a rest, or after power was off: belts have cooled for so long [s] at an ambient temperature [degC]. NAN is an
- * unknown one. */
+/* Begin again after a rest, or after power was off: belts have cooled for so long [s] at an ambient temperature [degC]. NAN is the
+ * last known one. */
 void trackres_rest(trackres_state *state, trackres_real ambient_degc, trackres_real seconds);
 
 /* Write the checksum before the state is stored; tell whether a stored one is whole and of this vehicle and version. */
