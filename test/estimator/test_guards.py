@@ -163,10 +163,17 @@ def test_a_start_is_in_the_first_ambient_whenever_it_comes(warming, name, restar
     assert late == pytest.approx(known, abs=0.01 * abs(known - never).max())
 
 
-def drive_on(session, seconds):
+def drive_on(session, seconds, after=0):
     for i in range(2 * seconds):
-        send(session, DRIVEN + i * S // 2, 2.0)
+        send(session, DRIVEN + after * S + i * S // 2, 2.0)
     return session
+
+
+def with_setting(session):
+    """The session with another uncertainty of an assumed air."""
+    found = Estimator(session.estimator.vehicle, replace(session.estimator.settings, ambient_unknown_std_k=2.0)).session()
+    found.adopt(session)
+    return found
 
 
 DRIVEN = START + 120 * S
@@ -177,6 +184,8 @@ UNHEARD = {  # a time without an ambient temperature [s], and the session after 
     "pause off": (300, lambda session: rested(session, 300.0)),
     "off twice": (600, lambda session: rested(rested(session, 300.0), 300.0)),
     "driving": (600, lambda session: drive_on(session, 600)),
+    "another setting": (600, lambda session: drive_on(with_setting(drive_on(session, 300)), 300, 300)),
+    "reset": (300, lambda session: (session.start_cold(driving=False), session)[1]),
 }
 
 

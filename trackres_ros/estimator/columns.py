@@ -107,14 +107,14 @@ class Motion(Row):
     last_speed = Real()  # m/s; "last" values are those of the last step
     feedforward = Real()  # Nm, of the last step, or of its last turn since then, see `between_steps`
     last_drive = Real()  # Nm
-    started = Real()  # 0 before the first speed, 1 after it; RESTS, START_ANEW
+    started = Real()  # 0 before the first speed, 1 after it; RESTS, START_ANEW, START_COLD
     feedforward_target = Real()  # Nm, which the feed-forward is on its way to
     rolls = Real()  # 1, or 0 at standstill
     last_others = Real()  # Nm, last drive torque without belts and effects
     turned = Real()  # s, age of the speed at that turn; the change of this time is in the value
     unfed = Real()  # 1 while the feed-forward is on its way to zero instead of its target, else 0
     air = Real()  # degC, of the last step, measured or assumed
-    air_std = Real()  # K, of the air that is assumed; 0 while it is measured
+    air_std = Real()  # K, of the air that is assumed: that of `Belt.consider_ambient`; 0 while it is measured
 
 
 # What can be learned of a vehicle while it drives, as departures from its file: of the loss, the cooling and the heat capacity of
@@ -137,6 +137,7 @@ class Learned(Row):
 
 RESTS = 0.5  # in Motion.started: belts are known, the next speed begins the motion
 START_ANEW = -1.0  # and: time went back, the next speed starts cold and reports it
+START_COLD = -0.5  # and: the next speed starts cold, in the air that is known
 
 
 class Times(Row):

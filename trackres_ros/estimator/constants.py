@@ -48,7 +48,7 @@ PLAUSIBLE = {
 }
 LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
-LEAST_AIR_STD_K = 1e-3  # of the nominal air, so that a belt's departure due to it is known
+LEAST_AIR_STD_K = 1e-3  # of an assumed air, so that a belt's departure due to it is known
 LATEST_S = 0.1  # a speed may show a value this old: buses repeat values, and stamps are inexact
 
 

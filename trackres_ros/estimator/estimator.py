@@ -416,7 +416,7 @@ class Session:
             motion.air, motion.air_std = ambient, std if assumed else 0.0
         elif self.started:  # otherwise it starts cold anyway
             memory.times[at.SPEED, at.Times.seen], memory.values[at.SPEED] = 0, math.nan
-            self.motion[at.Motion.started] = 0.0
+            self.motion[at.Motion.started] = at.START_COLD
 
     def channel(self, name: str) -> int:
         """Index of a channel by its name, such as `speed` or `load/front`; KeyError for an unknown name."""

@@ -187,7 +187,7 @@ def ambient_now(k: Constants, memory: Memory, motion: Motion, now: int) -> tuple
     if memory.times[at.AMBIENT, SEEN] != 0:
         last = float(memory.values[at.AMBIENT])
     else:
-        last = motion.air if motion.started > 0.0 else k.number.nominal_ambient
+        last = motion.air if motion.started > 0.0 or motion.started == at.START_COLD else k.number.nominal_ambient
     return last, k.number.ambient_unknown_std, AMBIENT_NOMINAL
 
 

@@ -103,7 +103,7 @@ def follow_air(
     earlier one, by the thermometer, is another cause and joins the random part.
     """
     motion = Motion(carried.motion)
-    if motion.air_std > 0.0 and not (assumed and ambient == motion.air):
+    if motion.air_std > 0.0 and not (assumed and ambient == motion.air and ambient_std == motion.air_std):
         for i in range(carried.belts.shape[0]):
             for node in range(2):
                 belt = Belt(carried.belts[i, node])
