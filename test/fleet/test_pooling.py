@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from trackres_ros.fleet.changes import (
     DAY_S,
+    LASTING,
     RAMP,
     STEP,
     TrendLine,
@@ -232,13 +233,24 @@ def test_a_change_that_ended_is_found_as_before_its_end(kind):
         assert first_seen(of, found, 0, (), LEAST) == first_seen(before, search(before, LEAST), 0, (), LEAST)
 
 
+@pytest.mark.parametrize("rest", [0.75, -0.8])
+def test_a_fault_repaired_in_part_is_two_lasting_changes(rest):
+    true = np.repeat([0.0, 1.5, rest], [12, 16, 12])
+    for seed in range(6):
+        of = history(true[:, None], seed)
+        found = sorted(search(of, LEAST), key=lambda change: change.at)
+        assert [(change.kind, change.end) for change in found] == [(STEP, LASTING)] * 2
+        for j, size in enumerate((1.5, rest - 1.5)):
+            assert abs(size_of(fit(of, found), found, variants(of, found), j)[0] - size) < 0.6
+
+
 def test_what_a_search_finds_a_search_until_then_found():
     ended = 0
     for seed in range(40):
-        of = history(np.zeros((20, 2)), seed)
+        of = history(np.zeros((40, 4)), seed)
         found = search(of, 4.0)
-        ended += any(change.end < 20 for change in found)
-        assert not found or max(gains(of.until(count), ()).gain.max() for count in range(4, 21)) >= 4.0
+        ended += any(change.end < 40 for change in found)
+        assert not found or max(gains(of.until(count), ()).gain.max() for count in range(4, 41)) >= 4.0
     assert ended
 
 

@@ -22,10 +22,10 @@ from trackres_ros.version import __version__
 FILE = "alerts.csv"
 TIMEOUT_S = 10.0
 OF_CHANGE = (
-    "parameter", "kind", "since", "known", "ended", "recordings_until_known", "before", "size", "size_std", "relative", "gain",
+    "parameter", "kind", "since", "known", "recordings_until_known", "before", "size", "size_std", "relative", "gain",
 )  # fmt: skip
 OF_LIMIT = {"limit": "limit", "limit_reached": "reached", "limit_day": "day", "limit_from": "from", "limit_to": "to"}
-COLUMNS = ("vehicle", *OF_CHANGE, "alike", *OF_LIMIT, "text")
+COLUMNS = ("vehicle", *OF_CHANGE, "alike", *OF_LIMIT, "text", "ended")
 
 
 def alerts(found: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -39,7 +39,7 @@ def alerts(found: Mapping[str, Any]) -> list[dict[str, Any]]:
             forecast = change["forecast"] or {}
             row = {"vehicle": name, **{key: change[key] for key in OF_CHANGE}, "alike": " ".join(change["alike"])}
             row |= {column: forecast.get(key) for column, key in OF_LIMIT.items()}
-            rows.append({**row, "text": change_sentence(name, change)})
+            rows.append({**row, "text": change_sentence(name, change), "ended": change["ended"]})
     return rows
 
 

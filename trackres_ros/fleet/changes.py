@@ -208,9 +208,14 @@ def fit(of: VehicleHistory, known: Sequence[Found]) -> JointFit:
 def search(of: VehicleHistory, least: float) -> list[Found]:
     """Changes that gain at least that much, each with all the others known: lasting ones alone, unless some that ended gain more.
 
-    Each change costs what it must gain, so that one that ended replaces two lasting ones where both are about as likely.
+    Each change costs what it must gain, so that one that ended replaces two lasting ones where both are about as likely. It costs
+    more, as it has two times. Else two lasting ones, such as a fault and its repair in part, would be one that ended and another.
     """
-    return max((_added(of, least, (), ended) for ended in (False, True)), key=lambda one: fit(of, one).total - least * len(one))
+
+    def worth(found: list[Found]) -> float:
+        return fit(of, found).total - least * len(found) - UNLIKELY * sum(one.end < LASTING for one in found)
+
+    return max((_added(of, least, (), ended) for ended in (False, True)), key=worth)
 
 
 def _added(of: VehicleHistory, least: float, known: Sequence[Found], ended: bool) -> list[Found]:
@@ -353,7 +358,8 @@ def _described(
     names, (parameter, at, kind, end) = pooled.of.names, found[j]
     whole = fit(of, found)
     nominal, std = float(pooled.of.nominal[parameter]), float(pooled.of.std[parameter])
-    before = nominal + std * float(whole.design[at - 1, parameter] @ whole.mean)
+    without = np.delete(np.arange(len(whole.mean)), whole.design.shape[1] + j)
+    before = nominal + std * float(whole.design[at, parameter, without] @ whole.mean[without])
     size, size_std = (std * x for x in size_of(whole, found, varied, j))
     best = gains(of, [*found[:j], *found[j + 1 :]], candidates=_near(of, found[j])).gain[0].max(axis=0)
     own = best[of.looked_for.index(parameter)]

@@ -129,7 +129,7 @@ def verdicts(folder: Path, rows: Iterable[Mapping[str, Any]]) -> dict[str, dict[
     `rows`: without copies. A report of recordings that are another vehicle's now is not shown; deleted ones keep their rows.
     """
     found: dict[str, dict[str, dict[str, str]]] = {}
-    there = {(quote(row["vehicle"], safe=""), row["day"][: len("2025-06")]) for row in rows if row["status"] == "good"}
+    there = {(quote(row["vehicle"], safe=""), (row["day"] or "")[: len("2025-06")]) for row in rows}
     for inputs in sorted((folder / DIAGNOSES).glob(f"*/*/{INPUTS}")):
         place = inputs.parent
         if (place.parent.name, place.name) not in there:
