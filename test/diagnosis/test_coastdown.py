@@ -154,11 +154,15 @@ def test_ranges_hold_the_truth_after_a_release_and_with_noise(tmp_path, seed):
         assert one.interval.low < TRUE_CAR[one.name] < one.interval.high
 
 
+@pytest.mark.parametrize(("every", "gap"), [(1, 0.0), (10, 0.0), (1, 1.0)])
 @pytest.mark.parametrize("noise", [0.0, 0.05])
 @pytest.mark.parametrize("slope", [0.002, 0.005])
-def test_there_and_back_on_a_slope_is_as_on_level_ground(tmp_path, slope, noise):
-    roll = written(tmp_path / "roll.csv", car_drive(slope=slope, times=8, noise=noise), "time_s,speed_mps")
-    found = tr.coastdown(roll, cart(tmp_path / "car.yaml", CAR_KG))
+def test_there_and_back_on_a_slope_is_as_on_level_ground(tmp_path, slope, noise, every, gap):
+    """With a speed every so many steps, and without those so near [m/s] to 16 m/s, which makes two pieces of a coast-down."""
+    table = car_drive(slope=slope, times=8, noise=noise)[::every]
+    table = table[(table[:, 2] != 0.0) | (np.abs(table[:, 1] - 16.0) >= gap)]
+    found = tr.coastdown(written(tmp_path / "roll.csv", table, "time_s,speed_mps"), cart(tmp_path / "car.yaml", CAR_KG))
+    assert found.coastdown.rolled.count == 8
     assert found.better
     values = {p.name: p.value for p in found.coastdown.parameters}
     for speed in (8.0, 15.0, 25.0):
@@ -236,11 +240,18 @@ def test_the_speed_by_the_file_is_that_of_its_forces(tmp_path, rolling, area):
     [
         ("roll_1.csv roll_10.csv roll_2.csv", "roll_1.csv roll_2.csv roll_10.csv"),  # as a shell gives them
         ("there_1.csv back_1.csv there_2.csv back_2.csv", "there_1.csv back_1.csv there_2.csv back_2.csv"),
-        ("b@2 a@1 c@1", "a@1 c@1 b@2"),
+        ("b@20 a@0 c@10", "a@0 c@10 b@20"),  # one after another: a common clock
+        ("b@20 a@0 c@9", "b@20 a@0 c@9"),
+        ("roll_10@1 roll_1@4 roll_2@30", "roll_1@4 roll_2@30 roll_10@1"),
     ],
 )
 def test_coast_downs_keep_the_order_driven(given, expected):
-    recordings = [SimpleNamespace(name=name, start_ns=int(name.partition("@")[2] or 0)) for name in given.split()]
+    """Each lasts ten from its start @; those at the same time have clocks of their own."""
+    starts = {name: int(name.partition("@")[2] or 0) for name in given.split()}
+    recordings = [
+        SimpleNamespace(name=name, start_ns=at, series={"speed": SimpleNamespace(stamp_ns=np.array([at, at + 10]))})
+        for name, at in starts.items()
+    ]
     assert " ".join(one.name for one in in_driving_order(recordings)) == expected
 
 

@@ -62,7 +62,7 @@ class CoastdownResult:
     def __repr__(self) -> str:
         rolled, found = self.coastdown.rolled, self.coastdown
         seconds = sum((s.end - s.begin) * rolled.sessions[s.session].step for s in rolled.stretches)
-        lines = [f"{len(rolled.stretches)} coast-downs, {seconds:.0f} s in all"]
+        lines = [f"{rolled.count} coast-downs, {seconds:.0f} s in all"]
         rows = [("parameter", "file", "+-", "found" if self.better else "not confirmed", "low", "high", "unit", "")]
         for p in found.parameters:
             at = alike([p.before, p.value, p.interval.low, p.interval.high], p.interval.high - p.interval.low)

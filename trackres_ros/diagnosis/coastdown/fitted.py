@@ -111,9 +111,7 @@ class Coastdown:
         values = {p.name: p.value for p in self.parameters}
         spans = {("", p.name): p.interval for p in self.parameters if p.determined}
         determined = ", ".join(p.name for p in self.parameters if p.determined) or "none"
-        return FileChanges(
-            values, (), spans, f"found in {len(self.rolled.stretches)} coast-downs: {determined}", by="trackres coastdown"
-        )
+        return FileChanges(values, (), spans, f"found in {self.rolled.count} coast-downs: {determined}", by="trackres coastdown")
 
 
 @one_blas_thread()
@@ -141,11 +139,11 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
         seconds = sum(float(s.used.sum()) * s.step for s in rolled.sessions)
         raise InputError(
             ", ".join(r.name for r in recordings),
-            f"{len(rolled.stretches)} coast-downs, {figures(seconds, 3)} s in all, in steps of {figures(step, 3)} s",
+            f"{rolled.count} coast-downs, {figures(seconds, 3)} s in all, in steps of {figures(step, 3)} s",
             f"{FEWEST_ROWS} steps or more, without the first {MOST_LAGS} of each",
             "record more coast-downs, from a higher speed, or with a higher sample rate",
         )
-    unpaired = 0 if _slopes_known(rolled) else len(rolled.stretches)
+    unpaired = 0 if _slopes_known(rolled) else rolled.count
     base = CoastingBase(loaded.base, free, unpaired)
     problem = Problem(base, rolled.sessions, tuple(s.used for s in rolled.sessions))
     all_free = _fit(problem)
@@ -216,7 +214,7 @@ def _scatter(all_free: Fit, rolled: Rollouts) -> dict[tuple[str, str], float]:
     scatter is not known. So with few coast-downs it is that of single ones and of the slopes.
     """
     together = _together(rolled, FEWEST_GROUPS)
-    groups = len(rolled.stretches) // together
+    groups = rolled.count // together
     wider = float(stdtrit(groups - 1, 0.975)) / NORMAL_95 if groups > 1 else 1.0
     by_slopes = lap_std(_slopes_alone(all_free)) if together == 1 else {}
     return {key: wider * math.hypot(std, by_slopes.get(key, 0.0)) for key, std in lap_std(all_free, together).items()}
@@ -241,7 +239,7 @@ def _slopes_alone(found: Fit) -> Fit:
 
 def _together(rolled: Rollouts, fewest: int) -> int:
     """Number of consecutive coast-downs left out at once: without a known slope two, of both directions, if there are enough."""
-    return 1 if _slopes_known(rolled) or len(rolled.stretches) < 2 * fewest else 2
+    return 1 if _slopes_known(rolled) or rolled.count < 2 * fewest else 2
 
 
 def _slopes_known(rolled: Rollouts) -> bool:
@@ -272,7 +270,7 @@ def _parameters(
 def _improvement(problem: Problem, rolled: Rollouts, rng: np.random.Generator) -> Improvement | None:
     """Cross-validated improvement of the error: each part of the coast-downs by a fit to the others; a slope is no error."""
     together = _together(rolled, 2)
-    parts = math.ceil(len(rolled.stretches) / together)
+    parts = math.ceil(rolled.count / together)
     if parts < 2:
         return None
     assert isinstance(problem.base, CoastingBase)

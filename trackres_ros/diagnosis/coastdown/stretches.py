@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -36,13 +37,15 @@ SHORTEST_RECORDING_S = SHORTEST_S + 5.0
 LEAST_FALL_SHARE = 0.2  # of the initial speed, if no torque is recorded
 HARDEST_MPS2 = 0.8  # largest deceleration without brakes, on the flat
 AROUND_S, END_S = 5.0, 2.0
-CLEAR_SHARE = 0.5  # of its median: what only rolls and meets air, a + b v^2, resists more than that down to standstill
+CLEAR_SHARE = 0.5  # of the median over time
+# A vehicle that only rolls decelerates by a + b v^2. Down to standstill, the median over time is at most 2 a, from any speed.
+# So half of the median is at most a, the deceleration at the end.
 NAME_DIGITS = 20  # at most, in a number of a file's name
 
 
 @dataclass(frozen=True, slots=True)
 class RollOut:
-    """A coast-down: session, first sample and end."""
+    """A coast-down, or a piece of one: session, first sample and end."""
 
     session: int
     begin: int
@@ -58,6 +61,11 @@ class Rollouts:
     rejected: Mapping[str, int]  # reasons for rejecting other decelerations, with their counts
     notes: tuple[str, ...]  # assumptions, one sentence each
     remedies: tuple[str, ...]  # lines for the topics file that may give recordings a coast-down
+
+    @property
+    def count(self) -> int:
+        """Number of coast-downs; those in pieces once."""
+        return 1 + max(int(session.block.max()) for session in self.sessions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +85,17 @@ class _Drive:
         """The session with only its coast-downs in use, as blocks from a `first` number on; and their begins and ends."""
         used, block = np.zeros(len(self.session), dtype=bool), np.full(len(self.session), -1, dtype=np.int64)
         falls = _falls(self.session, self.unknown, settings, self.limit, rejected)
-        for number, (begin, end) in enumerate(falls, first):
+        number, last = first - 1, 0
+        for begin, end in falls:
+            number += number < first or not self._rolls_on(last, begin)
             used[begin:end], block[begin:end] = True, number
+            last = end - 1
         return replace(self.session, used=used, block=block), falls
+
+    def _rolls_on(self, last: int, begin: int) -> bool:
+        """Whether the vehicle did not turn between two pieces: after a turn its speed is higher than in it."""
+        speed = np.abs(self.session.speed[last : begin + 1])
+        return bool(speed[-1] < speed.min() + LEAST_FALL_MPS)
 
 
 def rollouts(
@@ -97,7 +113,7 @@ def rollouts(
     """
     refuse_repeated(recordings)
     sessions: list[DriveSession] = []
-    stretches: list[RollOut] = []
+    stretches, count = list[RollOut](), 0
     rejected: Counter[str] = Counter()
     notes: list[str] = []
     remedies: list[str] = []
@@ -105,7 +121,8 @@ def rollouts(
     drives = _with_slopes([_resampled(one, step, settings, limit, notes) for one in recordings], settings, notes)
     known = on_route(Gated(tuple(drive.session for drive in drives), {}, tuple(notes)), route)
     for drive in (one.over(ground) for one, ground in zip(drives, known.sessions, strict=True)):
-        session, falls = drive.coasting(settings, rejected, len(stretches))
+        session, falls = drive.coasting(settings, rejected, count)
+        count = max(count, int(session.block.max()) + 1)
         stretches += [RollOut(len(sessions), begin, end) for begin, end in falls]
         sessions.append(session)
         if drive.limit is not None:
@@ -116,14 +133,20 @@ def rollouts(
 
 
 def in_driving_order(recordings: Sequence[Recording]) -> list[Recording]:
-    """Recordings by their start; those with equal starts, as without a common clock, as they are given.
+    """Recordings by their start. If any two overlap, they have no common clock, and all stay as they are given.
 
     Names in the order of a shell's ``*`` are ordered by their numbers: roll_2 is before roll_10.
     """
     names = [one.name for one in recordings]
     if names == sorted(names):
         recordings = sorted(recordings, key=lambda r: re.sub("[0-9]+", lambda number: number[0].zfill(NAME_DIGITS), r.name))
-    return sorted(recordings, key=lambda r: r.start_ns)
+    in_time = sorted(recordings, key=lambda r: r.start_ns)
+    return list(recordings) if any(_end_ns(one) > after.start_ns for one, after in pairwise(in_time)) else in_time
+
+
+def _end_ns(recording: Recording) -> int:
+    """The last stamp of any role [ns]."""
+    return max((int(s.stamp_ns.max()) for s in recording.series.values() if len(s.stamp_ns)), default=recording.start_ns)
 
 
 def _with_slopes(drives: Sequence[_Drive], settings: GateSettings, notes: list[str]) -> list[_Drive]:
