@@ -20,7 +20,7 @@ import pytest
 import yaml
 
 import trackres_ros as tr
-from trackres_ros.api.arguments import LIMITS
+from trackres_ros.api.arguments import LIMITS, as_paths, as_recordings
 from trackres_ros.cli.main import cli
 from trackres_ros.estimator.entry_points import COMPILED, interpreted_entries
 from trackres_ros.files.resources import config_dir, shipped_road_vehicles
@@ -239,19 +239,26 @@ def test_a_recording_gives_its_samples_in_reading_order(sample, drive):
             assert np.array_equal(one, other), field
 
 
-@pytest.mark.parametrize("times", [1, 2])
-def test_a_recording_made_by_hand_is_replayed_with_speed_last(vehicle, times):
-    """Also where its time begins anew."""
+@pytest.mark.parametrize(
+    ("times", "swapped"), [(1, {}), (2, {}), (1, {"ambient": 1}), (1, {"speed": 1}), (1, {"ambient": 3, "speed": 0})]
+)
+def test_a_recording_made_by_hand_is_replayed_with_speed_last(vehicle, times, swapped):
+    """Also where its time begins anew without one role, and where two neighbours of a role arrived in the wrong order."""
     from trackres_ros.recording.samples import Series
 
-    when = np.tile(np.arange(3) * 1_000_000_000, times)
-    value = np.arange(3.0 * times)
-    series = {"speed": Series(when, when, value), "ambient": Series(when, when, 10.0 + value)}
-    recording = tr.Recording("by hand", series, zero_is_unset=False)
+    when = np.tile(np.arange(6) * 1_000_000_000, times)
+    value = np.arange(6.0 * times)
+    arrived = {role: when.copy() for role in ("speed", "ambient")}
+    for role, first in swapped.items():
+        arrived[role][[first, first + 1]] = when[[first + 1, first]]
+    series = {role: Series(when, arrived[role], value + 10.0 * (role == "ambient")) for role in arrived}
+    recording = tr.Recording("by hand", series | {"load": Series(when[:2], when[:2], value[:2])}, zero_is_unset=False)
     (block,) = recording.blocks()
-    assert block.role.tolist() == [1, 0] * 3 * times
-    assert block.value[::2].tolist() == recording.aligned()["ambient"].tolist() == (10.0 + value).tolist()
-    assert block.value[1::2].tolist() == value.tolist()
+    role, given = block.role[block.role < 2], block.value[block.role < 2]
+    assert role.tolist() == [1, 0] * 6 * times
+    assert given[::2].tolist() == (10.0 + value).tolist()
+    assert given[1::2].tolist() == value.tolist()
+    assert recording.aligned()["ambient"] == pytest.approx(10.0 + value, abs=float(bool(swapped)))  # by log time
 
 
 def test_a_replay_of_what_was_read_is_that_of_the_file(sample, vehicle):
@@ -611,6 +618,13 @@ def test_data_in_memory_are_to_be_written_to_a_file(drive, function, name, monke
     for data in (table, table["speed_mps"], table.to_numpy(), table.to_dict("list")):
         with pytest.raises(tr.InputError, match=rf"^{name}: given 'a {type(data).__name__}'.*write the data to a file first"):
             getattr(tr, function)(**{**usable, name: data})
+
+
+def test_paths_that_numpy_or_pandas_hold_are_paths(drive):
+    pandas = pytest.importorskip("pandas")
+    for held in (np.str_(drive), [np.str_(drive)], np.sort([str(drive)]), pandas.Series([str(drive)]), np.array([drive])):
+        assert as_paths(held) == [drive]
+        assert as_recordings(held) == [drive]
 
 
 def test_a_path_of_another_type_is_refused(replayed):

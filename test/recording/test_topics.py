@@ -236,7 +236,8 @@ OF_A_PART = ("EngTrq", "MotTrq", "eMotTrq", "emot1_torque", "engine/torque", "EN
              "BremsTrq", "SteeringTorque", "RetarderTrq")  # fmt: skip
 RIGHT = ("torque", "DrvTrq", "TrqSprocket", "drive/torque", "torque_frequency_domain", "trq_engaged", "TrqMotion")
 OF_LOAD = ("PayloadWeight", "pay_load", "Cargo_load", "CargoWeight", "TrailerWeight", "EmptyWeight", "tare/weight", "EngLoad")
-OF_AIR = ("AirInletTemp", "EngIntakeAirTemp", "charge_air_temperature", "cabin/air_temperature", "CargoAmbientTemperature")
+OF_AIR = ("AirInletTemp", "EngIntakeAirTemp", "charge_air_temperature", "cabin/air_temperature", "CargoAmbientTemperature",
+          "air_conditioner/air_temp", "AirConditionTemp", "AcAirTemp", "AmbientConditions/RoadSurfaceTemp")  # fmt: skip
 WRONG = [
     *(("torque", one) for one in (*WANTED, *OF_A_PART)),
     *(("load", one) for one in OF_LOAD),
@@ -244,8 +245,16 @@ WRONG = [
 ]
 RIGHT_OF = {
     "torque": RIGHT,
-    "load": ("load", "GrossVehicleWeight", "weight_total"),
-    "ambient": ("AmbientAirTemperature", "air_temp"),
+    "load": ("load", "GrossVehicleWeight", "weight_total", "CombinationVehicleWeight/PoweredVehicleWeight"),
+    "ambient": (
+        "AmbientAirTemperature",
+        "air_temp",
+        "AmbientConditions/AmbientAirTemp",
+        "weather_conditions/outside_temperature",
+        "j1939/ambient_conditions/ambient_air_temperature",
+        "cab/outside_temperature",
+        "CabOutsideTemp",
+    ),
 }
 
 
@@ -281,14 +290,29 @@ OF_J1939 = {
     "speed": "WheelBasedVehicleSpeed", "load": "PoweredVehicleWeight", "ambient": "AmbientAirTemperature", "yaw_rate": "YawRate",
     "altitude": "Altitude",
 }  # fmt: skip
+GROUPS = {
+    "CruiseControlVehicleSpeed1": "WheelBasedVehicleSpeed CruiseControlSetSpeed",
+    "CruiseControlVehicleSpeedSetup": "MaximumVehicleSpeedLimit CruiseControlHighSetLimitSpeed",
+    "AdaptiveCruiseControl1": "AdaptiveCruiseControlSetSpeed SpeedOfForwardVehicle DistanceToForwardVehicle",
+    "AmbientConditions": "CabInteriorTemperature AmbientAirTemperature AirInletTemperature RoadSurfaceTemperature "
+    "BarometricPressure",
+    "CombinationVehicleWeight": "PoweredVehicleWeight GrossCombinationVehicleWeight",
+    "VehicleWeight": "AxleWeight TrailerWeight CargoWeight",
+}
+"""Names by their group."""
 
 
+@pytest.mark.parametrize("mark", ["", ".", "/"])
 @pytest.mark.parametrize("missing", [None, *OF_J1939])
-def test_of_a_truck_bus_only_the_right_signals_are_guessed(missing: str | None) -> None:
+def test_of_a_truck_bus_only_the_right_signals_are_guessed(missing: str | None, mark: str) -> None:
+    """With and without their groups."""
+    grouped = {name: f"{group}{mark}{name}" for group, names in GROUPS.items() for name in names.split() if mark}
     wanted = OF_J1939 | ({missing: {"speed": "FrontAxleSpeed"}.get(missing)} if missing else {})
-    there = [Channel(name, unit) for unit, names in J1939.items() for name in names.split()]
-    found, others, _ = guess_channels([one for one in there if not missing or one.name != OF_J1939[missing]], ())
-    assert {role: one.column for role, one in found.items()} == {role: name for role, name in wanted.items() if name}
+    there = [(name, unit) for unit, names in J1939.items() for name in names.split() if not missing or name != OF_J1939[missing]]
+    found, others, _ = guess_channels([Channel(grouped.get(name, name), unit) for name, unit in there], ())
+    assert {role: one.column for role, one in found.items()} == {
+        role: grouped.get(name, name) for role, name in wanted.items() if name
+    }
     assert {role: names for role, names in others.items() if names} == (
         {} if missing == "speed" else {"speed": ["FrontAxleSpeed"]}
     )
@@ -309,7 +333,11 @@ def test_an_ambient_temperature_is_preferred_to_one_of_air() -> None:
     assert (by_unit["ambient"].column, others["ambient"], by_type["ambient"].topic) == (names[1], [names[0]], f"/{names[1]}")
 
 
-@pytest.mark.parametrize("name", ["VehicleSpeed", "VehSpd_Eng", "mot/vehicle_speed", "speed_actual", "emotion/speed"])
+@pytest.mark.parametrize("name", [
+    "VehicleSpeed", "VehSpd_Eng", "mot/vehicle_speed", "speed_actual", "emotion/speed", "VehSpd_CruiseCtrl",
+    "CruiseControlVehicleSpeed", "cruise_control/vehicle_speed_kmh", "VehicleSpeedRelativeToGround",
+    "j1939/cruise_control_vehicle_speed/wheel_based_vehicle_speed_kmh",
+])  # fmt: skip
 def test_the_speed_of_the_vehicle_is_guessed_from_any_unit(name: str) -> None:
     assert guess_channels([Channel(name, "km/h")], ())[0]["speed"].column == name
     assert guess({f"/{name}": NUMBER})[0]["speed"].topic == f"/{name}"
@@ -321,9 +349,14 @@ def test_a_second_speed_alone_is_no_second_vehicle() -> None:
     assert (topics["speed"].topic, topics["yaw_rate"].topic) == ("/wheel/odom", "/imu")
 
 
-def test_nothing_tells_the_speed() -> None:
+@pytest.mark.parametrize(
+    "wrong",
+    ["engine_speed_rpm", "cruise_set_vehicle_speed", "cruise_control/speed", "cruise_control_vehicle_speed/cruise_speed",
+     "cruise_control_vehicle_speed/brake_switch"],
+)  # fmt: skip
+def test_nothing_tells_the_speed(wrong: str) -> None:
     number = "std_msgs/msg/Float64"
     with pytest.raises(InputError) as caught:
-        guess({"/cmd_vel": "geometry_msgs/msg/TwistStamped", "/engine_speed_rpm": number, "/imu": "sensor_msgs/msg/Imu"})
-    for part in ("/cmd_vel (geometry_msgs/msg/TwistStamped)", "/engine_speed_rpm", "/imu (sensor_msgs/msg/Imu)", "topics file"):
+        guess({"/cmd_vel": "geometry_msgs/msg/TwistStamped", f"/{wrong}": number, "/imu": "sensor_msgs/msg/Imu"})
+    for part in ("/cmd_vel (geometry_msgs/msg/TwistStamped)", f"/{wrong}", "/imu (sensor_msgs/msg/Imu)", "topics file"):
         assert part in str(caught.value)

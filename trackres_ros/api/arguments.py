@@ -82,7 +82,7 @@ def as_path(given: Any, where: str, allowed: str = "a path, or what read gave") 
 
 def as_paths(recording: Any) -> list[Path]:
     """One path or several."""
-    several = isinstance(recording, Sequence) and not isinstance(recording, str | bytes)
+    several = _holds_paths(recording) or (isinstance(recording, Sequence) and not isinstance(recording, str | bytes))
     return [
         as_path(path, "recording", "a path, several paths, or what read gave") for path in (recording if several else [recording])
     ]
@@ -100,7 +100,15 @@ def as_recordings(recordings: Any) -> list[Any]:
 
 def _is_data(given: object) -> bool:
     """Whether it is a table, an array, or columns by name."""
+    if isinstance(given, str | PathLike) or _holds_paths(given):
+        return False
     return hasattr(given, "__array__") or isinstance(given, Mapping)
+
+
+def _holds_paths(given: Any) -> bool:
+    """Whether it is an array or a column of paths."""
+    shape: tuple[int, ...] = getattr(given, "shape", ())
+    return len(shape) == 1 and shape[0] > 0 and all(isinstance(one, str | PathLike) for one in given)
 
 
 def as_names(names: object, where: str) -> tuple[str, ...]:

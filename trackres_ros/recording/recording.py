@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.recording.quality import findings_of
 from trackres_ros.recording.roles import ROLES, base_role
-from trackres_ros.recording.samples import Finding, FloatArray, SampleBlock, Series, Source
+from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock, Series, Source
 from trackres_ros.recording.wheels import wheel_notes
 from trackres_ros.text.html import listed, panel, table
 from trackres_ros.text.numbers import figures
@@ -44,7 +44,7 @@ class Recording:
         See `Source`.
     order : ndarray of int16, shape (samples of all roles,), optional
         Index into `roles` of each sample in log order; without it the order is by log time, speed last. Where log
-        time steps back in every role, a new stretch begins.
+        time steps back in every role that has not ended, a new stretch begins.
     paths : tuple of Path
         The files it was read from.
     bindings : mapping of role to TopicBinding
@@ -110,8 +110,7 @@ class Recording:
             return self.order
         roles = [index for index, _ in sorted(enumerate(self.series), key=lambda pair: pair[1] == "speed")]
         logged = [samples.arrival_ns for samples in (list(self.series.values())[index] for index in roles)]
-        stretch = [np.cumsum(np.diff(one, prepend=one[:1]) < 0) for one in logged]
-        in_turn = np.lexsort((np.concatenate(logged), np.concatenate(stretch)))
+        in_turn = np.lexsort((np.concatenate(logged), np.concatenate(_stretches(logged))))
         return np.repeat(np.array(roles, np.int16), [len(one) for one in logged])[in_turn]
 
     @property
@@ -204,6 +203,22 @@ class Recording:
         if self.findings:
             lines.append("Found")
         return [*lines, *(f"  {role}: {text}" if role else f"  {text}" for role, text in self._findings())]
+
+
+def _stretches(logged: Sequence[IntArray]) -> list[IntArray]:
+    """How often the log began anew before each sample, from the log times of each role.
+
+    It began anew where all roles step back together. Roles may end before, and are then in the first stretch. Else a step
+    back is a sample out of turn.
+    """
+    steps = [np.diff(one, prepend=one[:1]) < 0 for one in logged]
+    spans = [(one[np.roll(back, -1)], one[back]) for one, back in zip(logged, steps, strict=True)]
+    last, first = spans[-1]  # log times before and after each step of the last role
+    anew = all(
+        ((high > first) & (low < last)).all() if len(high) == len(last) else not len(high) and (one <= last[0]).all()
+        for one, (high, low) in zip(logged, spans, strict=True)
+    )
+    return [np.cumsum(back & anew) for back in steps]
 
 
 def topics_in_use(recordings: Sequence[Recording]) -> Topics | None:

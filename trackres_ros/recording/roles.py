@@ -29,19 +29,28 @@ NOT_VEHICLE = (
 """Words for a speed, load or torque that is not that of the vehicle at its tracks."""
 AMBIENT = r"\b(ambient|outside|outdoor|air)\b"
 NOT_AMBIENT = (
-    r"inlet|intake|outlet|manifold|charge|compress|cooler|exhaust|condition|interior|inside|indoor|cargo|"
-    r"\b(cab(in)?|eng(ine)?)\d*\b"
+    r"inlet|intake|outlet|manifold|charge|compress|cooler|exhaust|condition(er|ing|ed)|\bair ?cond(ition)?\b|\bac\b|"
+    r"interior|inside|indoor|cargo|surface|\beng(ine)?\d*\b|^(?!.*\b(outside|outdoor)\b).*\bcab(in)?\d*\b"
 )
-"""Words for the air in a part of the vehicle."""
+"""Words for the air in a part of the vehicle, or the ground; ambient conditions are a group of J1939 that has both."""
+OF_VEHICLE = r"veh(icle)? ?(speed|velocity|spd)"
+CRUISE = (
+    r"^(?=.*\bset\b).*\bcruise\b|"
+    rf"^(?!.*(?<!cruise control )(?<!cruise ctrl )\b{OF_VEHICLE}).*"
+    rf"\bcruise\b(?! (control|ctrl) {OF_VEHICLE}\d*( [km]\w*( [hs])?)?$)"
+)
+"""Words for a speed of the cruise control, in whose group of J1939 the vehicle's is too."""
 
 ROLES: Mapping[str, Role] = MappingProxyType(
     {
         "speed": Role("m/s", "forward speed of the vehicle",
             lively=True, columns={"speed_mps": "m/s", "speed_kmh": "km/h"}, words=r"speed|velocity|\bspd\b",
-            not_words=NOT_VEHICLE + r"|\bcruise\b|\bset ?(speed|spd)\b|\bforward veh|\b(relative|preceding)\b"),
+            not_words=NOT_VEHICLE + "|" + CRUISE + r"|\bset ?(speed|spd)\b|\bforward veh|\bpreceding\b|"
+            r"\brelative\b(?! to ground)"),
         "load": Role("N", "weight carried by the tracks, total or of an axle or assembly",
             parts=True, columns={"weight_n": "N", "weight_kn": "kN"}, words=r"\bload\b|weight",
-            not_words=NOT_VEHICLE + r"|pay ?load|cargo|trailer|combination|\b(empty|tare|unladen|kerb|curb)\b"),
+            not_words=NOT_VEHICLE + r"|pay ?load|cargo|trailer|^(?!.*\bpowered veh).*combination|"
+            r"\b(empty|tare|unladen|kerb|curb)\b"),
         "torque": Role("Nm", "measured torque at the sprockets, of the whole vehicle or of an assembly",
             parts=True, lively=True, columns={"torque_nm": "Nm"}, words=r"torque|\btrq\b",
             not_words=NOT_VEHICLE + r"|brak|brems|steer|lenk|retard|clutch|\bpto\b"),
