@@ -57,7 +57,7 @@ def scheduler(folder, workers):
     file, here = folder / "scheduler.json", ("--host", "127.0.0.1", "--no-dashboard")
     started = [begun("distributed.cli.dask_scheduler", *here, "--port", 0, "--scheduler-file", file)]
     try:
-        assert wait_for(file.exists, working=started[0].pid)
+        assert wait_for(lambda: file.exists() and file.read_text(), working=started[0].pid)
         address = json.loads(file.read_text())["address"]
         for _ in range(workers):
             started.append(begun("distributed.cli.dask_worker", address, *here, "--no-nanny", "--nthreads", 1, cwd=folder))
