@@ -80,9 +80,9 @@ def hostile_case(kind, said):
 
 
 def test_the_page_tells_on_which_drives_nothing_was_said():
-    text = "\n".join(_of_hostile([hostile_case("pump", "a torque beside the vehicle"), hostile_case("mud", "")]))
+    text = "\n".join(_of_hostile([hostile_case("pump", "a torque that no parameter explains"), hostile_case("mud", "")]))
     assert "4 of 6 drives (target: none): mud 3, pump 1." in text
-    assert "a torque beside the vehicle: 13" in text
+    assert "a torque that no parameter explains: 13" in text
 
 
 def test_the_page_tells_by_how_much_a_right_mass_is_off():

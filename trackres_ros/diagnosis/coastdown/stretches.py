@@ -226,7 +226,7 @@ def _slows(session: DriveSession, settings: GateSettings) -> tuple[Array, Mask]:
 
 
 def _without_slope(session: DriveSession) -> Array:
-    """The same acceleration without that of a known slope: all other forces over the mass [m/s^2]."""
+    """Acceleration along the motion by all forces but a known slope, averaged over a few seconds [m/s^2]."""
     return np.sign(session.speed) * _smooth(session.accel + GRAVITY * session.grade, session.step)
 
 

@@ -40,10 +40,8 @@ from trackres_ros.estimator.disturbance import BLOCK_S, later_there, seen_there
 from trackres_ros.progress import counted
 from trackres_ros.vehicle.writing.changes import BY_PLACE
 
-Search = Callable[[Fit, Sequence[Array], Fit], "Term | None"]
-"""Searches the torque residual of each session [Nm] for a term of the clock alone, in addition to a fit. The residual is that of
-another fit, with the term as found before.
-"""
+Search = Callable[[Fit, Fit], "Term | None"]
+"""Searches for a term of the clock alone, in addition to a fit. The torque residual is that of a later fit, which may have it."""
 
 SURE = 10.0  # in log-likelihood: spells over a drift, a drift over none, a term over none
 FEWEST_SPELLS = 2  # with one, it is a level change
@@ -73,13 +71,12 @@ def _search_twice(current: Fit, name: str, search: Search) -> Term | None:
     """Find a term of the clock alone; a second search uses the base fitted together with the first result."""
     if name in current.effect_names:
         return None
-    residuals, last, found = torque_residuals(current), current, None
+    last, found = current, None
     for _ in range(2):
-        term = search(current, residuals, last)
+        term = search(current, last)
         if term is None:
             return found
         found, last = term, term.candidate.fit
-        residuals = residuals_without(last, name)
     return found
 
 
@@ -110,12 +107,15 @@ def torque_blocks(
 
 
 def residuals_without(current: Fit, name: str) -> list[Array]:
-    """Torque residual of each session without one effect, the others unchanged [Nm]."""
+    """Torque residual of each session without one effect, if the fit has it, the others unchanged [Nm]."""
+    if name not in current.effect_names:
+        return torque_residuals(current)
     return [r + x for r, x in zip(torque_residuals(current), current.contribution(name), strict=True)]
 
 
-def _spells(current: Fit, residuals: Sequence[Array], _last: Fit) -> Term | None:
+def _spells(current: Fit, last: Fit) -> Term | None:
     """Spells, if two levels are more likely than a drift."""
+    residuals = residuals_without(last, SPELLS)
     b = torque_blocks(current, residuals)
     chain, there, _ = find_chain(b)
     if not is_spells(chain) or gain_over_drift(b, chain, there) < SURE:
@@ -173,8 +173,9 @@ def beginnings(b: Blocks, there: Array, backwards: bool = False) -> Mask:
     return np.asarray(on & ~np.concatenate((goes_on, [False]) if backwards else ([False], goes_on)))
 
 
-def _wave(current: Fit, residuals: Sequence[Array], _last: Fit) -> Term | None:
+def _wave(current: Fit, last: Fit) -> Term | None:
     """A wave in driven distance; on hold-out laps from earlier measurements."""
+    residuals = residuals_without(last, WAVE)
     wave = find_wave(current)
     if wave is None:
         return None
@@ -185,8 +186,9 @@ def _wave(current: Fit, residuals: Sequence[Array], _last: Fit) -> Term | None:
     return Term(candidate, wave=wave) if candidate.net_evidence > SURE and candidate.matters else None
 
 
-def _level_change(current: Fit, residuals: Sequence[Array], _last: Fit) -> Term | None:
+def _level_change(current: Fit, last: Fit) -> Term | None:
     """A lasting level change; on hold-out laps known from their time alone."""
+    residuals = residuals_without(last, LEVEL_CHANGE)
     sessions, masks = current.problem.sessions, current.problem.masks
     step = sessions[0].step
     seconds = piece_s(step * sum(int(m.sum()) for m in masks))
@@ -200,8 +202,9 @@ def _level_change(current: Fit, residuals: Sequence[Array], _last: Fit) -> Term 
     return Term(candidate, change=change) if _counts(candidate, current) else None
 
 
-def _place(current: Fit, residuals: Sequence[Array], _last: Fit) -> Term | None:
+def _place(current: Fit, last: Fit) -> Term | None:
     """A torque at the same place on each pass; on hold-out laps known from the driven distance alone."""
+    residuals = residuals_without(last, PLACE)
     sessions, masks = current.problem.sessions, current.problem.masks
     mean = float(np.mean(np.concatenate([s.weight[m] for s, m in zip(sessions, masks, strict=True)])))
     loads = [s.weight / mean for s in sessions]  # slopes, bends and soft ground take more torque at a higher weight
@@ -226,8 +229,9 @@ def driven_along(sessions: Sequence[DriveSession]) -> list[Array]:
     return [-d if on_laps and turn * d[-1] < 0.0 else d for d, turn in zip(driven, turns, strict=True)]
 
 
-def _payload(current: Fit, residuals: Sequence[Array], last: Fit, route: Route | None) -> Term | None:
+def _payload(current: Fit, last: Fit, route: Route | None) -> Term | None:
     """A mass for each stretch between stops, in addition to terms by place; on hold-out laps from earlier measurements."""
+    residuals = residuals_without(last, PAYLOAD)
     payload = find_payload(last, residuals, None if route is None else route.joint_values(last))
     if payload is None:
         return None

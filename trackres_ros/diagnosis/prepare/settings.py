@@ -37,7 +37,7 @@ class GateSettings:
     passenger_kg: float = PASSENGER_KG  # of one passenger
     track_width: float | None = None  # distance of left from right wheels [m]; None if not in the file
     has_belt: bool = False  # whether notes on belts apply
-    axles: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # nominal loads of its assemblies [N]
+    axles: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # by axle, nominal loads of its assemblies [N]
 
     @property
     def slowest(self) -> float:

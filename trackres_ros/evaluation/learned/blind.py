@@ -31,7 +31,7 @@ from trackres_ros.recording.opening import open_source
 from trackres_ros.vehicle import load
 
 KEY = re.compile(r"\(?[+-]?\d+ (%|Nm|s)|( of the|of)(?= *$)| (since|for) *$|, of the kind.*")  # varies from run to run
-BESIDE = "a torque beside the vehicle"
+BESIDE = "a torque that no parameter explains"
 SHOWN = [at.Results.speed_mps, at.Results.feedforward_torque_nm, at.Results.resistance_torque_nm, at.Results.resistance_std_nm]
 
 

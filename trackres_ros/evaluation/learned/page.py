@@ -30,7 +30,6 @@ SHORT = {
     "a disturbance of": "a disturbance",
     "is being checked": "a step is being checked",
     "disagree with the others": "torques disagree with the others",
-    "beside the vehicle": "a torque beside the vehicle",
 }
 
 
