@@ -19,7 +19,7 @@ from trackres_ros.effects.stepping import effect_table, new_work, refuse_unusabl
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.motion_step import ROLLS_FROM
 from trackres_ros.estimator.settings import PARTS, Settings
-from trackres_ros.estimator.uncertainty import spread
+from trackres_ros.estimator.uncertainty import ParameterUncertainty, spread
 from trackres_ros.model.coverage import OVERSPEED, check_heat, coverage
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import parting_resistance, thermal_network
@@ -176,17 +176,22 @@ def check_own_effects(vehicle: AnyVehicle) -> None:
             refuse_unusable(active, at)
 
 
-def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None = None, machine: bool = True) -> Constants:
-    """Gather the constants; builds the loss tables or takes them from the cache. Effects are `machine` code or plain Python."""
+def make_constants(
+    vehicle: AnyVehicle, settings: Settings, cache: Path | None = None, machine: bool = True, uncertain: bool = True
+) -> Constants:
+    """Gather the constants; builds the loss tables or takes them from the cache. Effects are `machine` code or plain Python.
+
+    Not `uncertain`: belts without standard deviations and heat, and without the half second that these take at first.
+    """
     check_own_effects(vehicle)
-    runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache)
+    runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache, uncertain)
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
     acting = effect_table(vehicle.own, vehicle.surroundings, machine=machine)
     frame = frame_of(vehicle.route)
 
     fed: dict[str, Any] = {f"feed_{part}": float(part in settings.feedforward_parts) for part in PARTS}
     number = Numbers(
-        with_uncertainty=True,
+        with_uncertainty=uncertain,
         surroundings=bool(vehicle.surroundings or vehicle.route),
         slopes_by_place=of_kind(vehicle.route, SLOPE) is not None,
         torques_by_place=of_kind(vehicle.route, TORQUE) is not None,
@@ -248,14 +253,15 @@ def _times_ns(settings: Settings) -> dict[str, Any]:
 
 
 @functools.lru_cache(maxsize=2)  # a change of settings must not hold a node's outputs where no file can be cached
-def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
+def _tracks(vehicle: Vehicle, cache: Path | None, uncertain: bool) -> Running:
     """Assemblies with belts."""
     names = list(vehicle.tracks)
     tables = [loss_table(vehicle, name, cache) for name in names]
     for name, table in zip(names, tables, strict=True):
         check_heat(vehicle, name, table)
     covered = [coverage(vehicle, name, cache) for name in names]
-    spreads = {name: spread(vehicle, name, cache) for name in names}
+    unused = ParameterUncertainty(np.eye(4))
+    spreads = {name: spread(vehicle, name, cache) if uncertain else unused for name in names}
     axle_names = [axle.name for axle in vehicle.axles]
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
     resistance = parting_resistance(vehicle.active, vehicle_constants(vehicle))

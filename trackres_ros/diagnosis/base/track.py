@@ -58,7 +58,7 @@ class TrackBase(Base):
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__()
         self.vehicle = vehicle
-        self._constants = make_constants(vehicle, Settings())
+        self._constants = make_constants(vehicle, Settings(), uncertain=False)
         self._networks = {
             name: thermal_network(vehicle.thermal, track.belt, vehicle.rubber) for name, track in vehicle.tracks.items()
         }
@@ -145,6 +145,8 @@ class TrackBase(Base):
 
     def _scaled(self, loss: float, loads: slice) -> Array:
         """Loss table for a multiple of the file's loss modulus, nan at other loads; cached, because a fit step reuses a few."""
+        if loss == 1.0:
+            return self._constants.loss
         found = next((table for known, table in self._loss_tables if known == (loss, loads)), None)
         if found is None:
             found = np.full_like(self._constants.loss, np.nan)
@@ -179,7 +181,6 @@ class TrackBase(Base):
         k, vehicle = self._constants, self.vehicle
         resistance = parting_resistance(acting.stepped, self.facts)
         number = k.number._replace(
-            with_uncertainty=False,
             bearing_friction=values[BEARING],
             drag_area=values[DRAG] * vehicle.chassis.frontal_area,
             two_nodes=vehicle.thermal == "core_surface" or resistance > 0.0,
