@@ -212,6 +212,33 @@ def test_braking_and_starting_are_not_eased():
     assert (change - real).std() < 1.3 * np.sqrt(np.mean(smooth.change_std**2))
 
 
+@pytest.mark.parametrize("rate", [5.0, 10.0, 100.0])
+@pytest.mark.parametrize("step", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("brakes_s", [2.0, 10.0])
+def test_a_braking_after_a_smooth_drive_is_followed(rate, step, brakes_s):
+    at = np.arange(0.0, 600.0, 1.0 / rate)
+    true = (6.0 + 2.0 * np.sin(at / 41.0)) * np.clip((at[-1] - at) / brakes_s, 0.0, 1.0)
+    times = np.arange(0.0, 599.5)
+    smooth = smooth_speed(at, np.round(true / step) * step if step else true, times, GAP_S)
+    assert np.abs(smooth.speed - np.interp(times, at, true)).max() < max(
+        0.02, 7.0 * step
+    )  # at 100 Hz a rounded speed stays the same for seconds
+
+
+@pytest.mark.parametrize("lasts_s", [0.4, 3.0, 30.0])
+def test_a_level_no_vehicle_reaches_is_followed_if_it_stays(lasts_s):
+    rng = np.random.default_rng(16)
+    at = np.arange(0.0, 900.0, 0.1)
+    true = 6.0 + 2.0 * np.sin(at / 41.0)
+    wrong = (at > 400.0) & (at <= 400.0 + lasts_s)
+    times = np.arange(0.0, 899.0)
+    smooth = smooth_speed(at, np.where(wrong, 0.3 * true, true) + rng.normal(0.0, 0.01, len(at)), times, GAP_S)
+    stays = (times > 400.0) & (times <= 400.0 + lasts_s) & (lasts_s > 5.0)
+    error = np.abs(smooth.speed - np.where(stays, 0.3, 1.0) * np.interp(times, at, true))
+    jumps = np.minimum(np.abs(times - 400.0), np.abs(times - 400.0 - lasts_s)) < 3.0
+    assert error[~jumps | (lasts_s < 5.0)].max() < 0.2
+
+
 def test_slow_and_few_samples_are_left_as_they_are():
     at = np.arange(0.0, 600.0, 0.5)
     assert smooth_speed(at, np.sin(at / 20.0) + 5.0, np.arange(0.0, 599.0), GAP_S) is None

@@ -29,12 +29,15 @@ SAME = 1e-6  # of the greatest speed: the resolution of six digits
 WHOLE, MULTIPLES = 0.1, 0.95  # deviation from a whole number of steps, and the least share of differences within it
 LONGEST_REPEAT, REGULAR = 50, 0.95  # samples of one value, and the share of changes in its rhythm
 OUTLIER = 5.0  # standard deviations beyond which an innovation gets less weight
+FASTEST = 10.0  # m/s^2: no vehicle's speed changes faster
+LASTS_S, BREAKS_S = 0.5, 5.0  # so long outliers on one side are motion; where they begin faster than that, a sensor's other level
 UNKNOWN = 1e4  # variance of speed and acceleration at the start of a stretch
 PIECE, MOST_PIECES = 2000, 30  # samples for estimating jerk and noise
 TURNS = 3
 LOCAL_TURNS = 5  # of estimating local jerk and smoothing the speed with it
 LOCAL_S = 1.0  # to either side of a moment, for its local jerk
 LEAST_LOCAL, MOST_LOCAL = 0.02, 4.0  # times the jerk of the whole recording
+HELD = 4e-4  # m/s^2/sqrt(s): the least jerk of a speed that is held
 EVEN = 0.3  # median over mean of squared jerks: 0.65 where it is white throughout, below 0.1 where steady speeds are held
 MOST_LAGS, STILL_ALIKE = 60, 0.02  # samples, and the correlation below which the noise is forgotten
 SECOND_DIFFERENCE = 6.0  # variance of a second difference over that of the noise
@@ -77,7 +80,7 @@ def smooth_speed(at: Array, shown: Array, times: Array, longest_gap_s: float) ->
         squares = grid.squared_jerks(states)
         if np.median(squares) > EVEN * squares.mean():
             break
-        local = np.clip(np.sqrt(squares * LOCAL_S), LEAST_LOCAL * jerk, MOST_LOCAL * jerk)
+        local = np.clip(np.sqrt(squares * LOCAL_S), max(LEAST_LOCAL * jerk, HELD), MOST_LOCAL * jerk)
         states, variances = grid.run(local, noise)
     white = noise
     for _ in range(TURNS):  # coloured noise pulls the speed along, and shows fully only afterwards
@@ -172,8 +175,9 @@ class _Grid:
     def run(self, jerk: Array, noise: float) -> tuple[Array, Array]:
         """Smoothed states, and variances of changes to the next requested time."""
         states, variances = np.empty((len(self.at), 5)), np.full(len(self.at), np.nan)
-        filter_forward(self.at, self.shown, self.sample, self.begins, jerk, (noise, OUTLIER), states)
-        smooth_backward(self.at, ~self.sample, self.begins, jerk, states, variances)
+        turns = np.empty(len(self.at), dtype=bool)
+        filter_forward(self.at, self.shown, self.sample, self.begins, jerk, noise, states, turns)
+        smooth_backward(self.at, ~self.sample, self.begins, jerk, turns, states, variances)
         return states, variances
 
     def squared_jerks(self, states: Array) -> Array:
@@ -192,7 +196,7 @@ def _most_likely(grid: _Grid, step: float) -> tuple[float, float]:
     some = piece % (1 + piece[-1] // MOST_PIECES) == 0
     begins = (grid.begins | np.append(True, np.diff(piece) > 0))[some]
     at, shown, sample = grid.at[some], grid.shown[some], _apart(grid)[some]
-    states = np.empty((len(at), 5))
+    states, turns = np.empty((len(at), 5)), np.empty(len(at), dtype=bool)
 
     def values(point: Array) -> tuple[float, float]:
         jerk, white = np.exp(point)
@@ -200,7 +204,7 @@ def _most_likely(grid: _Grid, step: float) -> tuple[float, float]:
 
     def cost(point: Array) -> float:
         jerk, noise = values(point)
-        return filter_forward(at, shown, sample, begins, np.full(len(at), jerk), (noise, OUTLIER), states)
+        return filter_forward(at, shown, sample, begins, np.full(len(at), jerk), noise, states, turns)
 
     bounds = np.log([JERK, NOISE_MPS])
     start = bounds.mean(axis=1)
@@ -232,24 +236,28 @@ def _times_alike(left: Array) -> float:
 
 @compiled
 def filter_forward(
-    at: Array, shown: Array, sample: Mask, begins: Mask, jerk: Array, of: tuple[float, float], states: Array
+    at: Array, shown: Array, sample: Mask, begins: Mask, jerk: Array, noise: float, states: Array, turns: Mask
 ) -> float:
     """Kalman filter: half the deviance of the innovations.
 
     `at` are times [s], at which `shown` [m/s] are samples, if marked in `sample`, else only the state is computed. Stretches that
-    are independent of earlier samples start at `begins`. `jerk` is the density up to each moment [m/s^2/sqrt(s)]. `of` has the
-    standard deviation of a sample [m/s], and the threshold of an outlier in standard deviations. `states` receives speed,
-    acceleration, and variance of the speed, covariance and variance of the acceleration, shape (n, 5).
+    are independent of earlier samples start at `begins`. `jerk` is the density up to each moment [m/s^2/sqrt(s)], `noise` the
+    standard deviation of a sample [m/s]. `states` receives speed, acceleration, and variance of the speed, covariance and
+    variance of the acceleration, shape (n, 5). `turns` receives the moments at which the acceleration may have changed at
+    once: outliers that last begin there, so the filter goes back to that moment and follows them.
     """
-    deviance, known = 0.0, 0
+    deviance, known, i = 0.0, 0, 0
     v, a, vv, va, aa = 0.0, 0.0, 0.0, 0.0, 0.0
-    noise, outlier = of
     r = noise * noise
-    for i in range(len(at)):
+    above, side, first, lasts = False, 0, -1, 0.0  # side of the last innovations, since when, and the first outlier among them
+    turns[:] = False
+    while i < len(at):
         if begins[i]:
-            v, a, vv, va, aa, known = shown[i], 0.0, UNKNOWN, 0.0, UNKNOWN, 0
+            v, a, vv, va, aa, known, first = shown[i], 0.0, UNKNOWN, 0.0, UNKNOWN, 0, -1
         else:
             dt, q = at[i] - at[i - 1], jerk[i] * jerk[i]
+            if turns[i]:
+                aa += FASTEST * FASTEST
             v += dt * a
             vv += dt * (2.0 * va + dt * aa) + q * dt * dt * dt / 3.0
             va += dt * aa + 0.5 * q * dt * dt
@@ -257,7 +265,24 @@ def filter_forward(
         if sample[i]:
             known += 1
             off = shown[i] - v
-            s = max(vv + r, off * off / (outlier * outlier))
+            expected = OUTLIER * np.sqrt(vv + r)
+            if known <= 3 or (off > 0.0) != above:
+                above, side, first = off > 0.0, i, -1
+            if known > 3 and abs(off) > expected:
+                if first < 0:
+                    first = i
+                    lasts = LASTS_S if abs(off) < 2.0 * expected + FASTEST * (at[i] - at[i - 1]) else BREAKS_S
+                elif at[i] - at[first] >= lasts and not turns[first]:
+                    while at[first] - at[side] > LASTS_S:
+                        side += 1
+                    turns[side] = turns[first] = True
+                    i, first = side, -1  # its deviance stays: a likely jerk needs few turns
+                    v, a = states[i - 1, 0], states[i - 1, 1]
+                    vv, va, aa = states[i - 1, 2], states[i - 1, 3], states[i - 1, 4]
+                    continue
+            else:
+                first = -1
+            s = max(vv + r, off * off / (OUTLIER * OUTLIER))
             if known > 2:  # the first two only initialise the stretch
                 deviance += 0.5 * (np.log(s) + off * off / s)
             of_speed, of_accel = vv / s, va / s
@@ -267,11 +292,12 @@ def filter_forward(
             va -= of_speed * va
             vv -= of_speed * vv
         states[i, 0], states[i, 1], states[i, 2], states[i, 3], states[i, 4] = v, a, vv, va, aa
+        i += 1
     return deviance
 
 
 @compiled
-def smooth_backward(at: Array, asked: Mask, begins: Mask, jerk: Array, states: Array, variances: Array) -> None:
+def smooth_backward(at: Array, asked: Mask, begins: Mask, jerk: Array, turns: Mask, states: Array, variances: Array) -> None:
     """Rauch, Tung and Striebel's pass over the states of `filter_forward`, in place.
 
     `variances` receives the variance of the change of speed from each of the `asked` times to the next of the stretch,
@@ -287,6 +313,9 @@ def smooth_backward(at: Array, asked: Mask, begins: Mask, jerk: Array, states: A
             v_v, a_v = vv + dt * va, va + dt * aa  # covariances of the state here with the next predicted speed
             next_vv = v_v + dt * a_v + q * dt * dt * dt / 3.0
             next_va, next_aa = a_v + 0.5 * q * dt * dt, aa + q * dt
+            if turns[i + 1]:
+                turn = FASTEST * FASTEST
+                next_vv, next_va, next_aa = next_vv + dt * dt * turn, next_va + dt * turn, next_aa + turn
             det = next_vv * next_aa - next_va * next_va
             g_vv, g_va = (v_v * next_aa - va * next_va) / det, (va * next_vv - v_v * next_va) / det
             g_av, g_aa = (a_v * next_aa - aa * next_va) / det, (aa * next_vv - a_v * next_va) / det
