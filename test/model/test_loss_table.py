@@ -13,8 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.model import loss_table as lt
+from trackres_ros.model.coverage import coverage
 from trackres_ros.model.hysteresis import METHODS
 from trackres_ros.model.loss_table import fingerprint, interpolation_error, loss_table
+from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.track import load_range, track_model, with_methods
 from trackres_ros.vehicle import load, variants
 
@@ -36,6 +38,25 @@ def test_the_table_is_as_good_as_it_says(vehicle, method):
         seed=7,
     )
     assert np.abs(errors).max() < LARGEST_ERROR[method]
+
+
+@pytest.mark.parametrize("moved", [-49.0, -20.0, 10.0])
+def test_another_reference_of_the_same_shift_changes_nothing(xgd24d, moved):
+    """WLF constants about another reference, as a fit or a data sheet gives them: their product and their pole are the same."""
+    r, kind = xgd24d.rubber, "triangular"
+    alike = {"glass_transition": r.glass_transition + moved, "wlf_c2": r.wlf_c2 + moved}
+    alike["wlf_c1"] = r.wlf_c1 * r.wlf_c2 / alike["wlf_c2"]
+    other = variants(xgd24d)({f"rubber.{name}": value for name, value in alike.items()})
+    belts, speed, load_n = np.array([[0.0], [40.0], [110.0]]), np.array([0.05, 2.0, 15.0]), 60e3
+    one, two = (loss_table(v, kind).at(np.log10(speed) + RubberModel(v.rubber).log_shift(belts), load_n) for v in (xgd24d, other))
+    assert two == pytest.approx(one, rel=1e-4)
+
+
+def test_a_shift_too_wide_for_the_axis_is_outside_where_it_ends(xgd24d):
+    steep = variants(xgd24d)({"rubber.glass_transition": -20.0, "rubber.wlf_c2": 51.0})
+    low, high = lt.log_speeds(RubberModel(steep.rubber))
+    assert high - low == lt.WIDEST
+    assert coverage(steep, "triangular").log_reduced_speed <= high
 
 
 @pytest.fixture(scope="module")

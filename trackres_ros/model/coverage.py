@@ -23,7 +23,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.files.cached_arrays import cached_arrays
 from trackres_ros.model.contact import half_length_for_force
 from trackres_ros.model.loads import wheel_loads
-from trackres_ros.model.loss_table import LOG_SPEED, LossTable, fingerprint
+from trackres_ros.model.loss_table import LossTable, fingerprint, log_speeds
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient
 from trackres_ros.model.track import belt_network, load_range
@@ -70,7 +70,7 @@ def coverage(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> Co
     modulus = cached_arrays(f"coldest-{fingerprint(vehicle, track_name)}", {"modulus": ()}, coldest, cache)["modulus"]
     half_length = half_length_for_force(loads.mean(), modulus, wheels.radius, wheels.contact_length, track.belt.thickness)
     reach = float(rubber.log_shift(sweep[0]) + np.log10(2.0 * half_length * vehicle.rubber.sweep_frequency))
-    return Coverage(min(float(sweep[-1]), LIVES_DEGC), min(reach, LOG_SPEED[1]))
+    return Coverage(min(float(sweep[-1]), LIVES_DEGC), min(reach, log_speeds(rubber)[1]))
 
 
 def beyond_data(vehicle: AnyVehicle, speed: ArrayLike, belt_degc: Mapping[str, ArrayLike]) -> list[str]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -22,15 +23,17 @@ from trackres_ros.arrays import Array
 from trackres_ros.files.cached_arrays import cached_arrays
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.hysteresis import METHODS, LossMethod, Spectral
-from trackres_ros.model.rubber import REFERENCE_ABOVE_TG, RubberModel
+from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.track import LoadRange, TrackModel, load_range
 from trackres_ros.vehicle import Vehicle
 
-VERSION = 6  # of the cached form
-LOG_SPEED = (-8.0, 9.5)  # x: from a belt at 120 degC creeping at 1 mm/s to one at -55 degC at any speed
-EXACT_LOG_SPEEDS = 351  # exact evaluations, joined by cubic splines
+VERSION = 7  # of the cached form
+SOFTEST, STIFFEST = (120.0, 1e-3), (-55.0, 70.0)  # belt [degC] and speed [m/s] at the ends of the axis x
+WIDEST = 40.0  # decades of x
+DECADES = 0.5  # the ends are multiples of it
+EXACT_EACH, FINE_EACH = 20, 100  # exact evaluations for a decade, joined by cubic splines, and nodes, joined by straight lines
 EXACT_LOADS = 10
-FINE_LOG_SPEEDS = 1751  # nodes of the table, joined by straight lines
+EVALUATED_DEGC = 20.0  # at any other temperature, the same x has the same loss
 FINE_LOADS = 64
 TABLE_HARMONICS = 2048
 DRIVE_TORQUE_SHARE = 0.15  # of load x sprocket radius: the torque at which the drive's share is computed
@@ -104,10 +107,23 @@ def loss_table(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> 
         method = Spectral(track, rubber, TABLE_HARMONICS) if spectral else METHODS[vehicle.hysteresis](track, rubber)
         return build(method, load_range(vehicle, track_name))
 
-    shapes = {"axes": (4,), "loss": (FINE_LOG_SPEEDS, FINE_LOADS), "drive": (FINE_LOG_SPEEDS, 2)}
+    low, high = log_speeds(RubberModel(vehicle.rubber))
+    nodes = round((high - low) * FINE_EACH) + 1
+    shapes = {"axes": (4,), "loss": (nodes, FINE_LOADS), "drive": (nodes, 2)}
     stored = cached_arrays(f"loss-{fingerprint(vehicle, track_name)}", shapes, compute, cache)
     first_x, step_x, first_log_load, step_log_load = (float(value) for value in stored["axes"])
     return LossTable(first_x, step_x, first_log_load, step_log_load, stored["loss"], stored["drive"])
+
+
+def log_speeds(rubber: RubberModel) -> tuple[float, float]:
+    """Ends of the axis x = log10(a_T v [m/s]), by the rubber's own a_T, whose reference may be any temperature.
+
+    Slower and hotter, rubber hardly changes with frequency. A rubber whose a_T spans more than `WIDEST` decades has none of its
+    cold end in the table, and `coverage` says so.
+    """
+    slow, fast = (float(rubber.log_shift(belt)) + math.log10(speed) for belt, speed in (SOFTEST, STIFFEST))
+    low = DECADES * math.floor(slow / DECADES)
+    return low, min(DECADES * math.ceil(fast / DECADES), low + WIDEST)
 
 
 def fingerprint(vehicle: Vehicle, track_name: str) -> str:
@@ -127,15 +143,16 @@ def build(method: LossMethod, loads: LoadRange) -> dict[str, Array]:
     """Evaluate the exact method on a coarse grid and refine it by splines in the logarithm: the arrays of a `LossTable`."""
     from scipy.interpolate import RectBivariateSpline
 
-    reference = method.rubber.rubber.glass_transition + REFERENCE_ABOVE_TG  # at a_T = 1 reduced speed is speed
-    x = np.linspace(*LOG_SPEED, EXACT_LOG_SPEEDS)
+    low, high = log_speeds(method.rubber)
+    x = np.linspace(low, high, round((high - low) * EXACT_EACH) + 1)
+    speed = 10.0 ** (x - method.rubber.log_shift(EVALUATED_DEGC))
     log_load = np.linspace(np.log(loads.low), np.log(loads.high), EXACT_LOADS)
-    exact = method.loss_force(10.0 ** x[:, np.newaxis], reference, np.exp(log_load))
-    fine_x = np.linspace(*LOG_SPEED, FINE_LOG_SPEEDS)
+    exact = method.loss_force(speed[:, np.newaxis], EVALUATED_DEGC, np.exp(log_load))
+    fine_x = np.linspace(low, high, round((high - low) * FINE_EACH) + 1)
     fine_load = np.linspace(log_load[0], log_load[-1], FINE_LOADS)
     loss = np.exp(RectBivariateSpline(x, log_load, np.log(exact.total), s=0)(fine_x, fine_load))
     torque = DRIVE_TORQUE_SHARE * loads.nominal * method.track.sprocket_radius
-    forward, backward = (method.loss_force(10.0**x, reference, loads.nominal, sign * torque).drive for sign in (1.0, -1.0))
+    forward, backward = (method.loss_force(speed, EVALUATED_DEGC, loads.nominal, sign * torque).drive for sign in (1.0, -1.0))
     drive = np.stack(
         [np.interp(fine_x, x, (forward - backward) / (2 * torque)), np.interp(fine_x, x, (forward + backward) / (2 * torque))],
         axis=1,

@@ -25,6 +25,7 @@ from trackres_ros.vehicle.reading import FLAGS
 
 SHOWN_SPEED_SHARES = (0.05, 0.25, 1.0)  # of the greatest speed
 SLOWEST = 0.05  # m/s: the softest belt is a hot one that creeps
+LARGEST_ERROR = 0.01  # of the loss, between its table and the exact method
 DEEP_STRAIN = 0.5  # of the thickness below a wheel: above it a layer is no longer an elastic foundation
 
 
@@ -46,6 +47,11 @@ def check_vehicle(vehicle: AnyVehicle, points: int) -> dict[str, Any]:
         errors = np.abs(interpolation_error(model, table, loads, vehicle.chassis.max_speed, points))
         physics, found = _physics(vehicle, name, model, table)
         remarks += found
+        if errors.max() > LARGEST_ERROR:
+            remarks.append(
+                f"track {name}: the loss in estimates and exports is up to {errors.max():.1%} off, as the rubber's moduli change "
+                "too steeply for its table: check the rubber file and the WLF constants"
+            )
         stiffness = float(belt_model.axial_stiffness(track.belt, model.rubber.dynamic_modulus(10.0, vehicle.chassis.ambient)))
         tension, mass = steady_tension(model, vehicle.chassis.ambient), mass_per_length(track.belt, rubber)
         uncertain = ("loss", "cooling", "heat_capacity", "sprocket_radius")
