@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.prepare.settings import pace
 from trackres_ros.recording.slopes import runs_of
+from trackres_ros.units import STANDSTILL_MPS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -127,6 +128,13 @@ class DriveSession:
         """Begin and end [s] of each stretch inside a mask."""
         for begin, end in runs_of(inside):
             yield float(self.time[begin]), float(self.time[end - 1] + self.step)
+
+    @cached_property
+    def ahead(self) -> Array:
+        """1 driving forward and -1 in reverse, at rest as at the next start; shape (n,). Times it, a torque below zero brakes."""
+        moves = np.flatnonzero(np.abs(self.speed) > STANDSTILL_MPS)
+        after = np.searchsorted(moves, np.arange(len(self)))
+        return np.copysign(1.0, np.append(self.speed[moves], self.speed[moves[-1:]])[after] if len(moves) else self.speed)
 
     @cached_property
     def lightest_and_heaviest(self) -> tuple[float, float]:
