@@ -20,6 +20,7 @@ from trackres_ros.diagnosis.findings.locate import Location, SlowResidual, only_
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, LEFT_SHARE, Findings, Verdict, judge
 from trackres_ros.diagnosis.findings.wording import MOST_WORDS, assumed_sensor, likelier
+from trackres_ros.diagnosis.report.content import _why
 from trackres_ros.diagnosis.selection.confirm import Graded, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, Improvement
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
@@ -71,10 +72,10 @@ def refitted(*moved, std=0.1):
     return SimpleNamespace(base_values=values, problem=SimpleNamespace(base=SimpleNamespace(parameters=parameters)))
 
 
-def said(found=(), terms=(), refuted=(), base=None, at_end=None, slow=QUIET, hint="", held=None, drift=None, changed=(), **more):
+def said(found=(), terms=(), unconfirmed=(), base=None, at_end=None, slow=QUIET, hint="", held=None, drift=None, changed=(), **more):
     verdict = judge(
         Findings(
-            found=found, terms=terms, refuted=refuted, refitted=base or refitted(), at_end=at_end or regimes(), left_over=slow,
+            found=found, terms=terms, unconfirmed=unconfirmed, refitted=base or refitted(), at_end=at_end or regimes(), left_over=slow,
             hint=hint, held_out=held or worth(), drift=drift, changed=changed, **more,
         )
     )  # fmt: skip
@@ -236,17 +237,17 @@ def test_a_slow_residual_is_unexplained_where_nothing_was_named():
 @pytest.mark.parametrize("left", [{"at_end": regimes(30.0)}, {"slow": NOISY}], ids=["bins", "slow"])
 def test_a_refuted_term_is_named_and_the_unexplained_is_refuted(left):
     refuted = [Graded("payne", WORSE, ())]
-    verdict = said(refuted=refuted, **left)
+    verdict = said(unconfirmed=refuted, **left)
     assert (verdict.status, verdict.grade) == ("unexplained", REFUTED)
     assert "Laps left out in turn reject payne: it raises their mean error from 100 to 120 Nm." in verdict.sentence
-    assert "payne (" not in said(refuted=refuted, shares={"payne": 0.6, "none of these": 0.4}, **left).sentence
-    none = said(refuted=refuted)
+    assert "payne (" not in said(unconfirmed=refuted, shares={"payne": 0.6, "none of these": 0.4}, **left).sentence
+    none = said(unconfirmed=refuted)
     assert (none.status, none.grade) == ("none", CONFIRMED)
     assert "payne" in none.sentence
 
 
 def test_a_dropped_term_is_reported_with_the_value_it_displaces():
-    sentence = said(refuted=[Graded("torque_offset", BETTER, (), ("rolling_coefficient",))]).sentence
+    sentence = said(unconfirmed=[Graded("torque_offset", BETTER, (), ("rolling_coefficient",))]).sentence
     assert "drops torque_offset: it pushes rolling_coefficient of the vehicle file to the end of its range." in sentence
     assert "reject" not in sentence
 
@@ -264,9 +265,19 @@ def test_a_dropped_term_is_reported_with_the_value_it_displaces():
     ],
 )
 def test_an_unconfirmed_term_is_dropped_for_its_own_reason(graded, why):
-    sentence = said(refuted=[graded]).sentence
+    by_laps = graded.improvement.grade != CONFIRMED
+    sentence = said(unconfirmed=[graded]).sentence
     assert why in sentence
-    assert ("do not confirm" in sentence) == (graded.improvement.grade != CONFIRMED)
+    assert ("do not confirm" in sentence) == by_laps
+    for others in ([], [Graded("mullins", WORSE, ())]):
+        assert said(unconfirmed=[graded, *others], at_end=regimes(30.0)).grade == SUSPECTED
+    rival = candidate("payne", worth=19.5)
+    f = found(rivals=(rival,))
+    f = replace(f, step=replace(f.step, graded={"payne": graded}))
+    alone = replace(f.step, chosen=None)
+    for text in (said([f]).sentence, _why(rival, f.step), _why(rival, alone)):
+        assert ("do not confirm it" in text) == by_laps
+        assert graded.fault in text
 
 
 # Something found

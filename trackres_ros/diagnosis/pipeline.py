@@ -52,7 +52,7 @@ class Diagnosis(Judgement):
         The re-fitted base, with values from `levels.with_levels`, and its residual by regime.
     final, shares
         The same with the effects found; and the probability of each name, and of no name.
-    alone, steps, refuted
+    alone, steps, unconfirmed
         The search round from the base alone; one round per term from the other terms, and a last one from all of them; and the
         best-fitting terms that cross-validation does not confirm.
     routes
@@ -71,7 +71,7 @@ class Diagnosis(Judgement):
     shares: Mapping[str, float]
     alone: Step
     steps: tuple[Step, ...]
-    refuted: tuple[Graded, ...]
+    unconfirmed: tuple[Graded, ...]
     routes: tuple[Route, ...]
     advice: tuple[Advice, ...]
     kept: FileChanges
@@ -148,7 +148,7 @@ def diagnose(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diag
         shares=chosen.shares,
         alone=chosen.alone,
         steps=(*chosen.steps.values(), chosen.last),
-        refuted=chosen.refuted,
+        unconfirmed=chosen.unconfirmed,
         routes=chosen.routes,
         advice=advice,
         kept=kept,

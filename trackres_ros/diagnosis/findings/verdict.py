@@ -74,7 +74,7 @@ class Findings:
 
     found: Sequence[NamedEffect]
     terms: Sequence[UnnamedTerm]
-    refuted: Sequence[Graded]  # by the hold-out laps
+    unconfirmed: Sequence[Graded]  # best-fitting terms that are left out
     refitted: Fit
     at_end: RegimeMap  # residual by regime of the last fit
     left_over: SlowResidual  # of the last fit
@@ -112,7 +112,7 @@ class Findings:
     @cached_property
     def listed(self) -> Possible:
         """Unconfirmed possibilities, without those that the hold-out laps reject."""
-        rejects = {g.name for g in self.refuted if g.grade == REFUTED}
+        rejects = {g.name for g in self.unconfirmed if g.grade == REFUTED}
         return possible(self.unsure, self.sure, {name: share for name, share in self.shares.items() if name not in rejects})
 
     @property
@@ -123,7 +123,7 @@ class Findings:
     @property
     def after(self) -> list[str]:
         """Sentences that end each verdict."""
-        return [self.sensor, *doubts([t.graded for t in self.unsure]), *rejected(self.refuted)]
+        return [self.sensor, *doubts([t.graded for t in self.unsure]), *rejected(self.unconfirmed)]
 
     @property
     def rest(self) -> list[str]:
@@ -210,7 +210,8 @@ def _unexplained(f: Findings) -> Verdict | None:
         return None
     hint = f"{upper(f.hint)} would explain a part of it, but is not confirmed" if f.hint and not f.listed else ""
     nothing = NO_NAME if f.left and not f.listed and not hint else hint
-    grade = REFUTED if f.refuted and not f.unsure else SUSPECTED
+    grades = {g.grade for g in (*f.unconfirmed, *(t.graded for t in f.unsure))}
+    grade = REFUTED if grades == {REFUTED} else SUSPECTED
     lines = [seen, *more, nothing, *f.shakes, may_be(f.listed), *f.after, f.worth_of_refit]
     return Verdict("unexplained", grade, joined(lines), f.listed, seen)
 

@@ -218,7 +218,7 @@ def _next(r: dict[str, Any]) -> Tile:
     if lead is not None and _is_sure(lead, r) and r["verdict"]["status"] != "unexplained":
         return Tile(name, "Keep your vehicle file", "the result is not written; the full verdict has the reason")
     if lead is not None:
-        return Tile(name, "Record more laps", "laps left out of the fit do not confirm the result")
+        return Tile(name, "Record more laps", "the result is not confirmed")
     if r["verdict"]["status"] == "unexplained":
         return Tile(name, "Investigate where the error is largest", "record more channels there: slope, wind, load, brakes")
     if written["base"] and _share(r) >= LEAST_SHARE:
