@@ -91,8 +91,8 @@ def test_a_drive_in_reverse_is_gated_as_one_forward(loaded, tmp_path, friction, 
         columns["brake_on"] = np.gradient(speed) < 0.0
     path, found = tmp_path / "drive.csv", []
     for way in (1.0, -1.0):
-        rows = np.column_stack([way * x if x is columns["speed_mps"] or x is columns["torque_nm"] else x for x in columns.values()])
-        np.savetxt(path, rows + 0.0, delimiter=",", header=",".join(columns), comments="")
+        turned = {**columns, "speed_mps": way * speed + 0.0, "torque_nm": way * columns["torque_nm"]}
+        np.savetxt(path, np.column_stack(list(turned.values())), delimiter=",", header=",".join(turned), comments="")
         found.append(gate(read_recordings([path], None), replace(loaded.known, friction_brakes=friction)))
     forward, reverse = found
     np.testing.assert_array_equal(reverse.sessions[0].used, forward.sessions[0].used)

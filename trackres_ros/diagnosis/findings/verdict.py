@@ -36,6 +36,7 @@ from trackres_ros.diagnosis.findings.wording import (
     rejected,
     short,
     slow,
+    taken_from,
     unexplained,
     upper,
 )
@@ -157,8 +158,8 @@ def judge(f: Findings) -> Verdict:
         lines = [
             drift.described.sentence,
             look_for(drift.described.mechanisms),
-            "The model cannot predict it",
-            f"{mean_error(improvement.before, improvement.after)} when the live estimate tracks it",
+            mean_error(improvement.before, improvement.after),
+            taken_from(drift),
         ]
         return Verdict("described", CONFIRMED, joined([*lines, *f.shakes, may_be(f.listed, also=True), *f.after]), f.listed)
     otherwise_nm = max([*(abs(b.mean_residual) for b in f.left), f.left_over.size if f.has_slow_residual else 0.0])

@@ -71,18 +71,23 @@ def confirmed_terms(
     large = [t for t in terms if not is_small(t)]
     small = [t for t in terms if is_small(t)]
     worth = mean_error(held_out.mae["refitted"], held_out.mae["with_effects"])
-    by_chance = " and ".join(short(t) for t in terms if isinstance(t, UnnamedTerm) and not t.described.predictable)
-    live = f"The model cannot predict {by_chance}: that error holds only while a live estimate tracks it" if by_chance else ""
+    taken = [taken_from(t) for t in terms if isinstance(t, UnnamedTerm)]
     if not large:
         lines = (line for t in small for line in _of(t, listed, distance_off))
-        return ["The missing physics is small", worth, live, *lines]
+        return ["The missing physics is small", worth, *taken, *lines]
     gains = [(t, t.graded.improvement.before - t.graded.improvement.after) for t in small]
     return [
         *(line for t in large for line in _of(t, listed, distance_off)),
         worth,
-        live,
+        *taken,
         *(f"{short(t)} is confirmed but small: {figures(max(g, 0.0), 2)} Nm less error on {LEFT_OUT}" for t, g in gains),
     ]
+
+
+def taken_from(t: UnnamedTerm) -> str:
+    """Source of an unpredictable term in the error on hold-out laps; empty for a predictable one."""
+    source = t.described.held_out_from
+    return f"The feed-forward leaves out {short(t)}: that error takes it from {source}" if source else ""
 
 
 def _of(t: NamedEffect | UnnamedTerm, listed: Possible, distance_off: float) -> list[str]:
@@ -225,11 +230,7 @@ def rejected(unconfirmed: Sequence[Graded]) -> list[str]:
             for g in unconfirmed
             if g.grade == REFUTED and not g.displaces
         ),
-        *(
-            f"The diagnosis drops {g.name}: it {g.fault}"
-            for g in unconfirmed
-            if g.displaces
-        ),
+        *(f"The diagnosis drops {g.name}: it {g.fault}" for g in unconfirmed if g.displaces),
         *doubts([g for g in unconfirmed if g.grade != REFUTED]),
     ]
 

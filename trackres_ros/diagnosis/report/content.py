@@ -283,6 +283,7 @@ def _term(of: Described, improvement: Improvement | None, grade: str) -> dict[st
         "sentence": of.sentence,
         "mechanisms": of.mechanisms,
         "predictable": of.predictable,
+        "held_out_from": of.held_out_from,
         **({"stretches": of.stretches} if of.stretches else {}),
         "gain_nm": None if improvement is None else improvement.before - improvement.after,
         "grade": grade,
