@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -114,7 +114,8 @@ class Diagnosis(Judgement):
 
 def read_recordings(paths: Sequence[Path], topics: Topics | None) -> list[Recording]:
     """Read recordings in the given order, one session each."""
-    return in_order([Recording.from_source(open_source([path], topics)) for path in paths])
+    sources = [open_source([path], topics) for path in paths]
+    return in_order([replace(Recording.from_source(source), bindings=source.bindings) for source in sources])
 
 
 @one_blas_thread()

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.prepare.settings import pace
+from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.units import STANDSTILL_MPS
 
@@ -110,6 +111,7 @@ class DriveSession:
     payload: Array = field(default_factory=lambda: np.empty(0))  # part of the weight [N]
     torque_by_place: Array = field(default_factory=lambda: np.empty(0))  # against travel [Nm]
     way: Way | None = None  # positions within its steps
+    bindings: Mapping[str, TopicBinding] = field(default_factory=dict)  # how each role was read
 
     def __post_init__(self) -> None:
         for name, default in NOT_RECORDED.items():
