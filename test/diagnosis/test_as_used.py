@@ -31,6 +31,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.evaluation.synthetic import drives, write_recordings
 from trackres_ros.files.resources import config_dir
 from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.recording.bindings import Topics
 from trackres_ros.vehicle import load_any
 from trackres_ros.vehicle.writing.changes import FileChanges
 
@@ -314,9 +315,14 @@ def test_stops_held_on_a_slope_hide_no_other_stops(loaded, effects):
 def test_one_torque_at_all_stops_is_told_with_its_line(loaded, effects):
     (session,) = drives(loaded.base, 10.0, 1, 6.0, np.random.default_rng(1), step=1.0)
     for readings, told in (((60.0, 64.0, 56.0), True), ((60.0,), False), ((60.0, -60.0, 150.0), False), ((5.0, 4.0, 6.0), False)):
-        gated = Gated(tuple(resting(session, reading, 100.0) for reading in readings), (), ())
-        notes = " ".join(without_an_offset(gated, loaded.base, effects)[0].notes)
-        assert ("torque: {..., offset: -60}" in notes and "a brake" in notes) == told, readings
+        for line in (None, {"column": "T", "unit": "kNm"}, {"column": "T", "scale": 1000.0, "offset": -90.0}):
+            read = {} if line is None else Topics.parse({"torque": line}).bindings
+            stops = [replace(resting(session, reading, 100.0), bindings=read) for reading in readings]
+            notes = " ".join(without_an_offset(Gated(tuple(stops), (), ()), loaded.base, effects)[0].notes)
+            has = "torque: {..., offset: -60.0}"
+            if line is not None:  # whatever converts the torque now, the line corrects the result
+                has = f"torque: {{column: T, scale: 1000.0, offset: {line.get('offset', 0.0) - 60.0}}}"
+            assert (has in notes and "a brake" in notes) == told, readings
 
 
 def test_without_torque_at_rest_the_offset_is_unknown(loaded):

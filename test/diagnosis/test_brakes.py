@@ -61,20 +61,39 @@ def test_too_little_driving_tells_nothing(loaded):
     assert motor_brakes_alone([session], [np.abs(session.speed) > 0.5]) == 0.0
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("brakes", [True, False])
-def test_the_gate_says_down_to_where_it_compares(loaded, tmp_path, brakes):
+def test_the_gate_says_down_to_where_it_compares(loaded, tmp_path, brakes, way):
     rng = np.random.default_rng(2)
     (session,) = drives(loaded.base, 30.0, 1, 30.0, rng, step=1.0)
     torque = loaded.base.predict([session], loaded.base.nominal, ())[0].torque
     shown = np.maximum(torque, -80.0) + rng.normal(0.0, NOISE_NM, len(torque))
     path = tmp_path / "drive.csv"
     at = np.arange(5 * len(session)) / 5.0  # so often that steps are of a second
-    rows = np.column_stack([at, np.interp(at, session.time + 0.5, session.speed), np.repeat(shown, 5)])
+    rows = np.column_stack([at, way * np.interp(at, session.time + 0.5, session.speed), way * np.repeat(shown, 5)])
     np.savetxt(path, rows, delimiter=",", header="time_s,speed_mps,torque_nm", comments="", fmt="%.6f")
     gated = gate(read_recordings([path], None), replace(loaded.known, friction_brakes=brakes))
     assert any("the motor brakes alone" in note for note in gated.notes) == brakes
     (session,) = gated.sessions
-    compared = session.torque[session.used & (np.abs(session.speed) > 1.0)]
+    compared = way * session.torque[session.used & (np.abs(session.speed) > 1.0)]
     assert (compared < -20.0).sum() > 50
     if brakes:
         assert (compared > -80.0 - 2.0 * NOISE_NM).all()
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+@pytest.mark.parametrize("friction", [True, False])
+def test_a_drive_in_reverse_is_gated_as_one_forward(loaded, tmp_path, friction, recorded):
+    rng = np.random.default_rng(4)
+    speed = np.tile(np.r_[np.zeros(50), np.linspace(0.0, 12.0, 100), np.full(300, 12.0), np.linspace(12.0, 0.0, 50)], 20)
+    columns = {"time_s": 0.1 * np.arange(len(speed)), "speed_mps": speed, "torque_nm": rng.normal(50.0, 100.0, len(speed))}
+    if recorded:
+        columns["brake_on"] = np.gradient(speed) < 0.0
+    path, found = tmp_path / "drive.csv", []
+    for way in (1.0, -1.0):
+        turned = {**columns, "speed_mps": way * speed + 0.0, "torque_nm": way * columns["torque_nm"]}
+        np.savetxt(path, np.column_stack(list(turned.values())), delimiter=",", header=",".join(turned), comments="")
+        found.append(gate(read_recordings([path], None), replace(loaded.known, friction_brakes=friction)))
+    forward, reverse = found
+    np.testing.assert_array_equal(reverse.sessions[0].used, forward.sessions[0].used)
+    assert (reverse.excluded, reverse.notes) == (forward.excluded, forward.notes)

@@ -448,7 +448,7 @@ def test_what_is_driven_or_braked_is_not_taken(tmp_path, reference_vehicle, roll
         tr.coastdown(written(tmp_path / "driven.csv", driven), "xgd24d")
     assert "both directions" in error.value.remedy
     assert "slowing down with a torque above" in error.value.given
-    assert f"offset: {-float(f'{offset:.3g}'):g}}}" in error.value.remedy  # or it is the sensor's
+    assert f"offset: {-float(f'{offset:.3g}')}}}" in error.value.remedy  # or it is the sensor's
     time = np.arange(0.0, 200.0, DT_S)
     saw = np.interp(time % 50.0, [0.0, 30.0, 45.0, 50.0], [0.0, 14.0, 0.0, 0.0])
     braked = np.column_stack([time, saw, 0.0 * time, 0.0 * time])

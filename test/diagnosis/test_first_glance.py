@@ -132,13 +132,13 @@ def test_a_confirmed_term_without_a_name_is_listed_with_names():
 def test_an_unpredictable_term_is_worth_the_error_it_removes():
     of = {"form": "recordings", "variable": "recording", "gate": "", "size_nm": 500.0, "mechanisms": ["a load"]}
     mae = {"nominal": 300.0, "refitted": 400.0, "with_effects": 400.0}
-    levels = {**of, "grade": "confirmed", "heldout": {"mae": [400.0, 75.0]}}
+    levels = {**of, "grade": "confirmed", "heldout": {"mae": [400.0, 75.0]}, "held_out_from": "a live estimate"}
     r = report_of("described", "confirmed", [], described=[levels], heldout={"mae": mae})
     where, what, better, _ = tiles(r)
     assert where.answer == "From recording to recording"
     assert what.answer == "a different level in each recording (no name)"
     assert better.answer == "75 % less error"
-    assert "400 re-fitted, 75 when the live estimate tracks it" in better.detail
+    assert "400 re-fitted, 75 with it, from a live estimate" in better.detail
 
 
 def test_the_tiles_say_what_the_report_does():

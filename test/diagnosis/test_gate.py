@@ -62,30 +62,30 @@ def with_distance(columns):
 
 
 WRONG = {
-    "ambient in kelvin": (scaled("ambient_degc", 1.0, -273.15), "ambient: {..., offset: -273.15}"),
+    "ambient in kelvin": (scaled("ambient_degc", 1.0, -273.15), "ambient: {column: ambient_degc, offset: -273.15}"),
     "ambient in fahrenheit": (
         lambda c: c.update(ambient_degc=0.0 * c["ambient_degc"] + 68.0),
-        "ambient: {..., scale: 0.55556, offset: -17.778}",
+        "ambient: {column: ambient_degc, scale: 0.555556, offset: -17.7778}",
     ),
-    "belt in kelvin": (scaled("belt_degc", 1.0, -273.15), "belt: {..., offset: -273.15}"),
-    "load in kg": (scaled("weight_n", 9.80665), "load: {..., scale: 9.8066}"),
-    "load in kN": (scaled("weight_n", 1000.0), "load: {..., scale: 1000}"),
-    "load in t": (scaled("weight_n", 9806.65), "load: {..., scale: 9806.6}"),
+    "belt in kelvin": (scaled("belt_degc", 1.0, -273.15), "belt: {column: belt_degc, offset: -273.15}"),
+    "load in kg": (scaled("weight_n", 9.80665), "load: {column: weight_n, scale: 9.80665}"),
+    "load in kN": (scaled("weight_n", 1000.0), "load: {column: weight_n, scale: 1000.0}"),
+    "load in t": (scaled("weight_n", 9806.65), "load: {column: weight_n, scale: 9806.65}"),
     "load of the payload": (lambda c: c.update(weight_n=c["weight_n"] - 0.99 * c["weight_n"].min()), "offset"),
-    "yaw rate in degrees": (scaled("yaw_rate_radps", np.pi / 180.0), "yaw_rate: {..., scale: 0.017453}"),
+    "yaw rate in degrees": (scaled("yaw_rate_radps", np.pi / 180.0), "yaw_rate: {column: yaw_rate_radps, scale: 0.0174533}"),
     "heading in degrees": (
         lambda c: c.update(heading_rad=np.degrees(np.angle(np.exp(1j * c["heading_rad"])))),
-        "heading: {..., scale: 0.017453}",
+        "heading: {column: heading_rad, scale: 0.0174533}",
     ),
-    "grade in percent": (lambda c: c.update(grade=2.0 * np.sin(c["time_s"] / 60.0)), "grade: {..., scale: 0.01}"),
-    "speed in km/h": (scaled("speed_mps", 1.0 / 3.6), "speed: {..., scale: 0.27778}"),
-    "speed in km/h beside a distance": (with_distance, "speed: {..., scale: 0.27778}"),
-    "accel in g": (scaled("accel_mps2", 9.80665), "accel: {..., scale: 9.8066}"),
-    "torque of one side": (scaled("torque_nm", 2.0), "torque: {..., scale: 2}"),
-    "torque of one track": (scaled("torque_nm", 4.0), "torque: {..., scale: 4}"),
+    "grade in percent": (lambda c: c.update(grade=2.0 * np.sin(c["time_s"] / 60.0)), "grade: {column: grade, scale: 0.01}"),
+    "speed in km/h": (scaled("speed_mps", 1.0 / 3.6), "speed: {column: speed_mps, scale: 0.277778}"),
+    "speed in km/h beside a distance": (with_distance, "speed: {column: speed_mps, scale: 0.277778}"),
+    "accel in g": (scaled("accel_mps2", 9.80665), "accel: {column: accel_mps2, scale: 9.80665}"),
+    "torque of one side": (scaled("torque_nm", 2.0), "torque: {column: torque_nm, scale: 2.0}"),
+    "torque of one track": (scaled("torque_nm", 4.0), "torque: {column: torque_nm, scale: 4.0}"),
     "torque counted twice": (scaled("torque_nm", 0.4), "scale"),
-    "torque in kNm": (scaled("torque_nm", 1000.0), "torque: {..., scale: 1000}"),
-    "torque with the other sign": (scaled("torque_nm", -1.0), "torque: {..., scale: -1}"),
+    "torque in kNm": (scaled("torque_nm", 1000.0), "torque: {column: torque_nm, scale: 1000.0}"),
+    "torque with the other sign": (scaled("torque_nm", -1.0), "torque: {column: torque_nm, scale: -1.0}"),
 }
 
 
@@ -116,7 +116,7 @@ def test_a_slow_speed_in_kmh_is_detected_from_inertia_torque(loaded, tmp_path):
     rng = np.random.default_rng(3)
     slow = drives(loaded.base, 0.9 * loaded.known.max_speed / 3.6, 2, 8.0, rng)
     paths = write_recordings(loaded.base, tmp_path, slow, [], rng)
-    with pytest.raises(InputError, match=r"speed: \{..., scale: 0.27778\}"):
+    with pytest.raises(InputError, match=r"speed: \{column: speed_mps, scale: 0.277778\}"):
         judged([rewritten(path, tmp_path, in_kmh) for path in paths], loaded)
 
 

@@ -16,14 +16,14 @@ MASS_KG, RADIUS_M, FASTEST_MPS = 24_000.0, 0.4, 8.0
 JUDDER_HZ = 1.3
 
 
-def driven(judder_nm=0.0, rate_hz=RATE_HZ, noise_share=0.01, seed=0):
+def driven(judder_nm=0.0, rate_hz=RATE_HZ, noise_share=0.01, seed=0, brakes_s=10.0, noise_nm=15.0):
     """A fit of trapezoids from stop to stop with noise that grows with the torque, and a judder while pulling away."""
     rng, at = np.random.default_rng(seed), np.arange(0.0, LEGS * LEG_S, 1.0 / rate_hz)
     in_leg = at % LEG_S
-    speed = np.interp(in_leg, [5.0, 20.0, 45.0, 55.0], [0.0, FASTEST_MPS, FASTEST_MPS, 0.0])
+    speed = np.interp(in_leg, [5.0, 20.0, 55.0 - brakes_s, 55.0], [0.0, FASTEST_MPS, FASTEST_MPS, 0.0])
     accel = np.gradient(speed, at)
     expected = np.tanh(speed / 0.1) * 2500.0 + MASS_KG * accel * RADIUS_M
-    measured = expected + (15.0 + noise_share * np.abs(expected)) * rng.normal(size=len(at))
+    measured = expected + (noise_nm + noise_share * np.abs(expected)) * rng.normal(size=len(at))
     pulls = (speed > 0.0) & (speed < 2.5) & (accel > 0.0)
     measured += judder_nm * pulls * np.sin(2.0 * np.pi * JUDDER_HZ * at)
     count = int(LEGS * LEG_S) - 1
@@ -53,6 +53,12 @@ def test_a_judder_while_pulling_away_is_found_with_its_size(judder_nm):
 @pytest.mark.parametrize("noise_share", [0.0, 0.01, 0.05])
 def test_noise_that_grows_with_the_torque_is_no_judder(noise_share):
     assert all(find_spread(driven(noise_share=noise_share, seed=seed)) is None for seed in range(10))
+
+
+@pytest.mark.parametrize("noise_nm", [0.0, 15.0, 60.0])
+@pytest.mark.parametrize("brakes_s", [2.0, 3.0, 4.0, 7.3])
+def test_sharp_braking_to_a_stop_is_no_judder(brakes_s, noise_nm):
+    assert all(find_spread(driven(noise_share=0.0, noise_nm=noise_nm, brakes_s=brakes_s, seed=seed)) is None for seed in range(5))
 
 
 def test_a_torque_that_was_recorded_too_slowly_shows_no_judder():

@@ -7,6 +7,7 @@ import math
 import re
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -14,12 +15,13 @@ import pytest
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.base.instrument import PRIOR_STDS
-from trackres_ros.diagnosis.empirical.terms import Described, of_learned
+from trackres_ros.diagnosis.empirical.terms import FOLLOWED, FROM, Described, Form, of_learned
 from trackres_ros.diagnosis.findings.found import Changed, NamedEffect, UnnamedTerm, by_improvement
 from trackres_ros.diagnosis.findings.locate import Location, SlowResidual, only_later
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, LEFT_SHARE, Findings, Verdict, judge
 from trackres_ros.diagnosis.findings.wording import MOST_WORDS, assumed_sensor, likelier
+from trackres_ros.diagnosis.report.content import _why
 from trackres_ros.diagnosis.selection.confirm import Graded, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, Improvement
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
@@ -71,11 +73,11 @@ def refitted(*moved, std=0.1):
     return SimpleNamespace(base_values=values, problem=SimpleNamespace(base=SimpleNamespace(parameters=parameters)))
 
 
-def said(found=(), terms=(), refuted=(), base=None, at_end=None, slow=QUIET, hint="", held=None, drift=None, changed=(), **more):
+def said(found=(), terms=(), base=None, at_end=None, slow=QUIET, hint="", held=None, drift=None, changed=(), **more):
     verdict = judge(
         Findings(
-            found=found, terms=terms, refuted=refuted, refitted=base or refitted(), at_end=at_end or regimes(), left_over=slow,
-            hint=hint, held_out=held or worth(), drift=drift, changed=changed, **more,
+            found=found, terms=terms, unconfirmed=more.pop("unconfirmed", ()), refitted=base or refitted(),
+            at_end=at_end or regimes(), left_over=slow, hint=hint, held_out=held or worth(), drift=drift, changed=changed, **more,
         )
     )  # fmt: skip
     for sentence in re.split(r"(?<=\.) ", verdict.sentence):
@@ -236,17 +238,17 @@ def test_a_slow_residual_is_unexplained_where_nothing_was_named():
 @pytest.mark.parametrize("left", [{"at_end": regimes(30.0)}, {"slow": NOISY}], ids=["bins", "slow"])
 def test_a_refuted_term_is_named_and_the_unexplained_is_refuted(left):
     refuted = [Graded("payne", WORSE, ())]
-    verdict = said(refuted=refuted, **left)
+    verdict = said(unconfirmed=refuted, **left)
     assert (verdict.status, verdict.grade) == ("unexplained", REFUTED)
     assert "Laps left out in turn reject payne: it raises their mean error from 100 to 120 Nm." in verdict.sentence
-    assert "payne (" not in said(refuted=refuted, shares={"payne": 0.6, "none of these": 0.4}, **left).sentence
-    none = said(refuted=refuted)
+    assert "payne (" not in said(unconfirmed=refuted, shares={"payne": 0.6, "none of these": 0.4}, **left).sentence
+    none = said(unconfirmed=refuted)
     assert (none.status, none.grade) == ("none", CONFIRMED)
     assert "payne" in none.sentence
 
 
 def test_a_dropped_term_is_reported_with_the_value_it_displaces():
-    sentence = said(refuted=[Graded("torque_offset", BETTER, (), ("rolling_coefficient",))]).sentence
+    sentence = said(unconfirmed=[Graded("torque_offset", BETTER, (), ("rolling_coefficient",))]).sentence
     assert "drops torque_offset: it pushes rolling_coefficient of the vehicle file to the end of its range." in sentence
     assert "reject" not in sentence
 
@@ -264,9 +266,19 @@ def test_a_dropped_term_is_reported_with_the_value_it_displaces():
     ],
 )
 def test_an_unconfirmed_term_is_dropped_for_its_own_reason(graded, why):
-    sentence = said(refuted=[graded]).sentence
+    by_laps = graded.improvement.grade != CONFIRMED
+    sentence = said(unconfirmed=[graded]).sentence
     assert why in sentence
-    assert ("do not confirm" in sentence) == (graded.improvement.grade != CONFIRMED)
+    assert ("do not confirm" in sentence) == by_laps
+    for others in ([], [Graded("mullins", WORSE, ())]):
+        assert said(unconfirmed=[graded, *others], at_end=regimes(30.0)).grade == SUSPECTED
+    rival = candidate("payne", worth=19.5)
+    f = found(rivals=(rival,))
+    f = replace(f, step=replace(f.step, graded={"payne": graded}))
+    alone = replace(f.step, chosen=None)
+    for text in (said([f]).sentence, _why(rival, f.step), _why(rival, alone)):
+        assert ("do not confirm it" in text) == by_laps
+        assert graded.fault in text
 
 
 # Something found
@@ -416,8 +428,8 @@ def test_a_slow_residual_that_can_be_followed_is_a_drift():
 
     verdict = said(slow=NOISY, drift=drift(BETTER))
     assert (verdict.status, verdict.grade) == ("described", CONFIRMED)
-    assert verdict.sentence.startswith("The residual drifts by 40 Nm. Look for a zero that drifts. The model cannot predict it.")
-    assert "from 100 to 80 Nm" in verdict.sentence
+    assert verdict.sentence.startswith("The residual drifts by 40 Nm. Look for a zero that drifts.")
+    assert "from 100 to 80 Nm. The feed-forward leaves out a drift: that error takes it from a live" in verdict.sentence
     for not_followed in (None, drift(UNSURE), drift(WORSE)):
         assert said(slow=NOISY, drift=not_followed).status == "unexplained"
     # The torque missing in a regime exceeds a drifting level, and a hardly visible one is none.
@@ -525,13 +537,16 @@ def test_what_has_no_name_is_described_with_what_to_look_for():
     assert "Look for a fan" in verdict.sentence
 
 
-def test_an_error_with_an_unpredictable_term_holds_only_live():
+@pytest.mark.parametrize("form", get_args(Form))
+def test_an_error_with_an_unpredictable_term_says_its_source(form):
+    """Only what the vehicle file has as a disturbance is tracked live."""
     for predictable in (True, False):
         for by in (BETTER, Improvement(80.0, 79.0, 0.5, 1.5)):
-            sentence = said(terms=[term("spells", by, predictable=predictable)]).sentence
-            assert ("60 Nm. The model cannot predict a curve of the speed: that error holds only" in sentence) == (
-                not predictable
-            )
+            of = term("a_term", by, predictable=predictable)
+            of = replace(of, described=replace(of.described, form=form))
+            sentence = said(terms=[of]).sentence
+            assert ("60 Nm. The feed-forward leaves out" in sentence) == (not predictable and form in FROM)
+            assert ("takes it from a live estimate" in sentence) == (not predictable and form in (*FOLLOWED, "spells"))
 
 
 def test_an_unconfirmed_term_is_suspected_and_a_weak_one_dropped():

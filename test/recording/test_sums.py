@@ -19,8 +19,10 @@ import trackres_ros as tr
 from trackres_ros.errors import InputError
 from trackres_ros.node.endpoints import input_topics
 from trackres_ros.node.input_reader import InputReader
+from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.vehicle.writing.sensor_lines import _said
+from trackres_ros.recording.corrected_lines import corrected, line_of
+from trackres_ros.recording.role_units import UNITS, Conversion
 
 pytest.importorskip("rosbags")
 
@@ -136,11 +138,36 @@ def test_a_bag_without_torque_names_the_topics_that_may_hold_it(tmp_path, trackr
     assert "it may be in /left, /right: give it in a topics file: torque: {topic: NAME, type: TYPE, field: FIELD}" in done.stderr
 
 
-def test_the_line_a_diagnosis_writes_for_a_sum_parses_back():
-    line = yaml.safe_load(yaml.safe_dump(_said(TWO["torque"])))
-    assert Topics.parse({"torque": line})["torque"] == TWO["torque"]
-    shifted = Topics.parse({"torque": {"column": "a", "scale": 1.0, "offset": 5.0}})["torque"]
-    assert Topics.parse({"torque": _said(shifted)})["torque"] == shifted  # without its scale it would be in the file's unit
+def of_line(**line):
+    return Topics.parse({"torque": line})["torque"]
+
+
+@pytest.mark.parametrize("by", [Conversion(2.0), Conversion(1e-3), Conversion(-1.0, 7.0), Conversion(offset=-8.0)])
+@pytest.mark.parametrize(
+    "before",
+    [
+        TWO["torque"],
+        TopicBinding(column="a", scale=1000.0, unit="kNm"),  # the unit is the file's
+        of_line(column="a", scale=1.0, offset=5.0),  # without its scale it would be in the file's unit
+        *(of_line(column="a", unit=unit, scale=3.0, offset=0.5) for unit in UNITS["Nm"]),
+    ],
+    ids=str,
+)
+def test_a_corrected_line_converts_the_values_read_with_the_old(before, by):
+    (after,) = corrected("torque", by, {"torque": before}).values()
+    read = Topics.parse(yaml.safe_load(line_of("torque", after)))["torque"]
+    assert read.converts
+    assert replace(read, scale=1.0, offset=0.0, unit="", converts=False) == replace(
+        before, scale=1.0, offset=0.0, unit="", converts=False
+    )
+    for raw in (0.0, 40.0):
+        value = before.scale * raw + before.offset
+        assert read.scale * raw + read.offset == pytest.approx(by.scale * value + by.offset, rel=1e-4)
+
+
+def test_an_offset_is_divided_among_the_parts_of_a_role():
+    given = {"torque/left": TopicBinding(column="l"), "torque/right": TopicBinding(column="r", offset=3.0)}
+    assert [one.offset for one in corrected("torque", Conversion(offset=-8.0), given).values()] == [-4.0, -1.0]
 
 
 PART = {"column": "a"}

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -52,7 +52,7 @@ class Diagnosis(Judgement):
         The re-fitted base, with values from `levels.with_levels`, and its residual by regime.
     final, shares
         The same with the effects found; and the probability of each name, and of no name.
-    alone, steps, refuted
+    alone, steps, unconfirmed
         The search round from the base alone; one round per term from the other terms, and a last one from all of them; and the
         best-fitting terms that cross-validation does not confirm.
     routes
@@ -71,7 +71,7 @@ class Diagnosis(Judgement):
     shares: Mapping[str, float]
     alone: Step
     steps: tuple[Step, ...]
-    refuted: tuple[Graded, ...]
+    unconfirmed: tuple[Graded, ...]
     routes: tuple[Route, ...]
     advice: tuple[Advice, ...]
     kept: FileChanges
@@ -114,7 +114,8 @@ class Diagnosis(Judgement):
 
 def read_recordings(paths: Sequence[Path], topics: Topics | None) -> list[Recording]:
     """Read recordings in the given order, one session each."""
-    return in_order([Recording.from_source(open_source([path], topics)) for path in paths])
+    sources = [open_source([path], topics) for path in paths]
+    return in_order([replace(Recording.from_source(source), bindings=source.bindings) for source in sources])
 
 
 @one_blas_thread()
@@ -148,7 +149,7 @@ def diagnose(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diag
         shares=chosen.shares,
         alone=chosen.alone,
         steps=(*chosen.steps.values(), chosen.last),
-        refuted=chosen.refuted,
+        unconfirmed=chosen.unconfirmed,
         routes=chosen.routes,
         advice=advice,
         kept=kept,

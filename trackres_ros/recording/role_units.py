@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-from trackres_ros.text.numbers import figures
 from trackres_ros.units import DEGREE, GRAVITY, KMH_PER_MPS, ZERO_DEGC_K
 
 # NIST SP 811, appendix B
@@ -19,13 +18,6 @@ class Conversion(NamedTuple):
 
     scale: float = 1.0
     offset: float = 0.0
-
-    def line(self, role: str) -> str:
-        """What to write in the topics file."""
-        parts = {name: figures(x, 5) for name, x in self._asdict().items() if x != Conversion._field_defaults[name]}
-        asked = " and ".join(f"{'an' if name == 'offset' else 'a'} {name} of {x}" for name, x in parts.items())
-        listed = ", ".join(f"{name}: {x}" for name, x in parts.items())
-        return f"give it {asked} in the topics file, {role}: {{..., {listed}}}"
 
 
 _NUMBERS: dict[str, dict[str, tuple[float, ...]]] = {

@@ -21,6 +21,7 @@ from trackres_ros.diagnosis.prepare.refuse import refuse_repeated
 from trackres_ros.diagnosis.prepare.resample import resample
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import GateSettings
+from trackres_ros.recording.corrected_lines import line_to_write
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.role_units import Conversion
 from trackres_ros.recording.samples import Series
@@ -126,7 +127,7 @@ def rollouts(
         stretches += [RollOut(len(sessions), begin, end) for begin, end in falls]
         sessions.append(session)
         if drive.limit is not None:
-            remedies += _of_offset(session, _slows(session, settings)[1], limit, min(_torques(drive.recording)))
+            remedies += _of_offset(session, _slows(session, settings)[1], limit)
         elif torques := _torques(drive.recording):
             remedies.append(f"check sensor and unit of {min(torques)} in {session.name}, which {_hardly(limit)}")
     return Rollouts(tuple(sessions), tuple(stretches), dict(rejected), known.notes, tuple(remedies))
@@ -199,7 +200,7 @@ def _lacks_torque(session: DriveSession, unknown: Mapping[str, Mask], limit: flo
     return lasts and float((np.abs(session.torque[gains]) > limit).mean()) < DRIVEN_SHARE
 
 
-def _of_offset(session: DriveSession, falls: Mask, limit: float, role: str) -> list[str]:
+def _of_offset(session: DriveSession, falls: Mask, limit: float) -> list[str]:
     """Line for the topics file if the torque is nearly constant while slowing down; else none."""
     if not falls.any():
         return []
@@ -207,7 +208,7 @@ def _of_offset(session: DriveSession, falls: Mask, limit: float, role: str) -> l
     if abs(middle) <= limit or high - low > limit:
         return []
     rounded = float(f"{middle:.3g}")
-    line = Conversion(offset=-rounded).line(role)
+    line = line_to_write("torque", Conversion(offset=-rounded), session.bindings)
     return [f"if the {figures(rounded)} Nm while {session.name} slows down are no torque, {line}"]
 
 

@@ -87,6 +87,11 @@ Form = Literal[
     "level_change", "recordings", "drift", "spread",
 ]  # fmt: skip
 FOLLOWED: tuple[Form, ...] = ("recordings", "drift")  # no fit has them: a live estimate follows them
+FROM: Mapping[Form, str] = dict.fromkeys((*FOLLOWED, "spells"), "a live estimate that tracks it") | {
+    "wave": "the torque measured before", "payload": "the torque measured before", "place": "the driven distance alone",
+    "level_change": "its time alone",
+}  # fmt: skip
+"""Source of an unpredictable term on hold-out laps, thus in their error."""
 LEAST_DIFFERENCE = 0.02  # of its size: recordings with a smaller difference are alike
 
 
@@ -106,6 +111,11 @@ class Described:
     period_m: float | None = None  # length of a wave, or of the lap of a place
     memory: float | None = None  # scale of a build-up in its own unit, or the mean duration of a spell [s]
     stretches: tuple[Stretch, ...] = ()  # of a payload: the mass of each stretch between stops
+
+    @property
+    def held_out_from(self) -> str:
+        """Source of an unpredictable term on hold-out laps; empty if the recorded channels give it."""
+        return "" if self.predictable else FROM.get(self.form, "")
 
 
 def of_learned(effect: EmpiricalEffect, values: Mapping[str, float]) -> Described:

@@ -5,6 +5,7 @@
 
 The measured torque is compared with the fit within its steps, by means over a fifth of a second. Second
 differences of that residual show oscillations faster than a step, and a median over three steps removes corners of the torque.
+The course of the fit within a step is interpolated, so no oscillation may exceed that of the measured torque itself.
 Sensor noise grows with the torque, so the oscillation in a regime is compared with that elsewhere at the same torque. Each lap
 gives one ratio; a t test over laps decides.
 """
@@ -95,11 +96,18 @@ def oscillation_of(session: DriveSession, expected: Array) -> Array | None:
     begins = (session.time[:, np.newaxis] + part * np.arange(WITHIN)).ravel()
     edges = np.append(session.time, session.time[-1] + step)
     driven = CubicSpline(edges, np.concatenate(([0.0], np.cumsum(np.nan_to_num(expected) * step))))
-    left = course.means(begins, part) - (driven(begins + part) - driven(begins)) / part
-    bends = np.abs(np.diff(left, 2, prepend=left[0], append=left[-1])).reshape(len(session), WITHIN)
+    measured = course.means(begins, part)
+    left = measured - (driven(begins + part) - driven(begins)) / part
+    # The spline swings for some steps next to a corner of the torque. The measured torque bends only at the corner.
+    return np.minimum(_bends(left, len(session)), _bends(measured, len(session)))
+
+
+def _bends(torque: Array, steps: int) -> Array:
+    """Typical second difference around each step, as a standard deviation of the parts [Nm]; nan at the ends."""
+    bends = np.abs(np.diff(torque, 2, prepend=torque[0], append=torque[-1])).reshape(steps, WITHIN)
     around = np.concatenate([np.roll(bends, by, axis=0) for by in range(-(OVER // 2), OVER // 2 + 1)], axis=1)
     found = MAD_TO_STD * np.median(around, axis=1) / math.sqrt(SECOND_DIFFERENCE)
-    found[: OVER // 2] = found[len(found) - OVER // 2 :] = np.nan
+    found[: OVER // 2] = found[steps - OVER // 2 :] = np.nan
     return np.asarray(found)
 
 

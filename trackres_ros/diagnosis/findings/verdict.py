@@ -36,6 +36,7 @@ from trackres_ros.diagnosis.findings.wording import (
     rejected,
     short,
     slow,
+    taken_from,
     unexplained,
     upper,
 )
@@ -74,7 +75,7 @@ class Findings:
 
     found: Sequence[NamedEffect]
     terms: Sequence[UnnamedTerm]
-    refuted: Sequence[Graded]  # by the hold-out laps
+    unconfirmed: Sequence[Graded]  # best-fitting terms that are left out
     refitted: Fit
     at_end: RegimeMap  # residual by regime of the last fit
     left_over: SlowResidual  # of the last fit
@@ -112,7 +113,7 @@ class Findings:
     @cached_property
     def listed(self) -> Possible:
         """Unconfirmed possibilities, without those that the hold-out laps reject."""
-        rejects = {g.name for g in self.refuted if g.grade == REFUTED}
+        rejects = {g.name for g in self.unconfirmed if g.grade == REFUTED}
         return possible(self.unsure, self.sure, {name: share for name, share in self.shares.items() if name not in rejects})
 
     @property
@@ -123,7 +124,7 @@ class Findings:
     @property
     def after(self) -> list[str]:
         """Sentences that end each verdict."""
-        return [self.sensor, *doubts([t.graded for t in self.unsure]), *rejected(self.refuted)]
+        return [self.sensor, *doubts([t.graded for t in self.unsure]), *rejected(self.unconfirmed)]
 
     @property
     def rest(self) -> list[str]:
@@ -157,8 +158,8 @@ def judge(f: Findings) -> Verdict:
         lines = [
             drift.described.sentence,
             look_for(drift.described.mechanisms),
-            "The model cannot predict it",
-            f"{mean_error(improvement.before, improvement.after)} when the live estimate tracks it",
+            mean_error(improvement.before, improvement.after),
+            taken_from(drift),
         ]
         return Verdict("described", CONFIRMED, joined([*lines, *f.shakes, may_be(f.listed, also=True), *f.after]), f.listed)
     otherwise_nm = max([*(abs(b.mean_residual) for b in f.left), f.left_over.size if f.has_slow_residual else 0.0])
@@ -210,7 +211,8 @@ def _unexplained(f: Findings) -> Verdict | None:
         return None
     hint = f"{upper(f.hint)} would explain a part of it, but is not confirmed" if f.hint and not f.listed else ""
     nothing = NO_NAME if f.left and not f.listed and not hint else hint
-    grade = REFUTED if f.refuted and not f.unsure else SUSPECTED
+    grades = {g.grade for g in (*f.unconfirmed, *(t.graded for t in f.unsure))}
+    grade = REFUTED if grades == {REFUTED} else SUSPECTED
     lines = [seen, *more, nothing, *f.shakes, may_be(f.listed), *f.after, f.worth_of_refit]
     return Verdict("unexplained", grade, joined(lines), f.listed, seen)
 

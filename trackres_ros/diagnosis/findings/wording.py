@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.prepare.unit_checks import SPEED_OFF
 from trackres_ros.diagnosis.selection.confirm import Graded
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_SHARE, HeldOut
-from trackres_ros.diagnosis.selection.naming import Candidate
+from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.effects.effect import Active
 from trackres_ros.effects.sensor.speed_scale import SpeedScale
 from trackres_ros.text.numbers import figures, on_scale
@@ -71,18 +71,23 @@ def confirmed_terms(
     large = [t for t in terms if not is_small(t)]
     small = [t for t in terms if is_small(t)]
     worth = mean_error(held_out.mae["refitted"], held_out.mae["with_effects"])
-    by_chance = " and ".join(short(t) for t in terms if isinstance(t, UnnamedTerm) and not t.described.predictable)
-    live = f"The model cannot predict {by_chance}: that error holds only while a live estimate tracks it" if by_chance else ""
+    taken = [taken_from(t) for t in terms if isinstance(t, UnnamedTerm)]
     if not large:
         lines = (line for t in small for line in _of(t, listed, distance_off))
-        return ["The missing physics is small", worth, live, *lines]
+        return ["The missing physics is small", worth, *taken, *lines]
     gains = [(t, t.graded.improvement.before - t.graded.improvement.after) for t in small]
     return [
         *(line for t in large for line in _of(t, listed, distance_off)),
         worth,
-        live,
+        *taken,
         *(f"{short(t)} is confirmed but small: {figures(max(g, 0.0), 2)} Nm less error on {LEFT_OUT}" for t, g in gains),
     ]
+
+
+def taken_from(t: UnnamedTerm) -> str:
+    """Source of an unpredictable term in the error on hold-out laps; empty for a predictable one."""
+    source = t.described.held_out_from
+    return f"The feed-forward leaves out {short(t)}: that error takes it from {source}" if source else ""
 
 
 def _of(t: NamedEffect | UnnamedTerm, listed: Possible, distance_off: float) -> list[str]:
@@ -205,12 +210,8 @@ def doubts(unsure: Sequence[Graded]) -> list[str]:
         gain = f"gain {figures(i.low, 2)} to {figures(i.high, 2)} Nm, 95 %"
         error = f"from {figures(i.before)} to {figures(i.after)} Nm"
         denied = f"{upper(LEFT_OUT)} do not confirm {graded.name}: their mean error"
-        if i.grade == CONFIRMED and graded.on_bounds:
-            found.append(f"{graded.name} is at the limit of its plausible range ({', '.join(graded.on_bounds)})")
-        elif i.grade == CONFIRMED and graded.cancels:
-            found.append(f"{graded.name} reduces the error far less than its size suggests: {error} on {LEFT_OUT}")
-        elif i.grade == CONFIRMED and graded.by_others:
-            found.append(f"{graded.name} reduces the error far more than its size explains: {error} on {LEFT_OUT}")
+        if graded.fault:
+            found.append(f"{graded.name} {graded.fault}")
         elif i.grade == CONFIRMED and graded.of_unconfirmed:
             found.append(f"{upper(LEFT_OUT)} do not confirm these terms together")
         elif i.less_likely:
@@ -220,21 +221,17 @@ def doubts(unsure: Sequence[Graded]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def rejected(refuted: Sequence[Graded]) -> list[str]:
+def rejected(unconfirmed: Sequence[Graded]) -> list[str]:
     """Terms rejected or not confirmed on laps left out in turn, and terms that displace a value of the file."""
     return [
         *(
             f"{upper(LEFT_OUT)} reject {g.name}: it raises their mean error from {figures(g.improvement.before)} to "
             f"{figures(g.improvement.after)} Nm"
-            for g in refuted
+            for g in unconfirmed
             if g.grade == REFUTED and not g.displaces
         ),
-        *(
-            f"The diagnosis drops {g.name}: it pushes {', '.join(g.displaces)} of the vehicle file to the end of its range"
-            for g in refuted
-            if g.displaces
-        ),
-        *doubts([g for g in refuted if g.grade != REFUTED]),
+        *(f"The diagnosis drops {g.name}: it {g.fault}" for g in unconfirmed if g.displaces),
+        *doubts([g for g in unconfirmed if g.grade != REFUTED]),
     ]
 
 
@@ -268,9 +265,15 @@ def _rival(f: NamedEffect, listed: Possible) -> str:
     if f.step.chosen.net_evidence - next_best.net_evidence < LEAST_AHEAD:
         if not next_best.is_name:
             return f"{upper(next_best.name)} fits as well, but is a form: it bends to the data"
-        on_laps = f"predicts {LEFT_OUT} significantly worse" if next_best.name in f.step.worse else NOT_CONFIRMED
-        return f"{upper(next_best.name)} fits as well, but {on_laps}"
+        worse = f"predicts {LEFT_OUT} significantly worse" if next_best.name in f.step.worse else ""
+        return f"{upper(next_best.name)} fits as well, but {worse or why_not(next_best, f.step)}"
     return f"The next best explanation, {next_best.name}, is {likelier(f.step.chosen, next_best)} times less likely"
+
+
+def why_not(c: Candidate, step: Step) -> str:
+    """Why a candidate that fits is not confirmed, as a clause."""
+    graded = step.graded.get(c.name)
+    return f"it {graded.fault}" if graded is not None and graded.fault else NOT_CONFIRMED
 
 
 def likelier(one: Candidate, other: Candidate) -> str:

@@ -21,7 +21,7 @@ MOST_LOST = 0.2  # of a braking torque: a gear loss of a tenth in both direction
 
 
 def motor_brakes_alone(sessions: Sequence[DriveSession], compared: Sequence[Mask]) -> float:
-    """Torque [Nm], zero or negative, down to which the motor brakes alone; zero where unknown.
+    """Torque in the direction of travel [Nm], zero or negative, down to which the motor brakes alone; zero where unknown.
 
     The torque of driving steps depends on speed, acceleration and slope. With friction brakes, the vehicle decelerates more
     than its torque explains: much more in some steps of a torque level, or a little in all of them. Braking steps are checked
@@ -29,7 +29,7 @@ def motor_brakes_alone(sessions: Sequence[DriveSession], compared: Sequence[Mask
     session with known speed and torque.
     """
     torque, columns = (np.concatenate(rows) for rows in zip(*map(_rows, sessions, compared), strict=True))
-    drives = np.concatenate([~near(s.torque <= 0.0)[m] for s, m in zip(sessions, compared, strict=True)])
+    drives = np.concatenate([~near(s.torque * s.ahead <= 0.0)[m] for s, m in zip(sessions, compared, strict=True)])
     if drives.sum() < FEWEST_DRIVING:
         return 0.0
     values = robust_least_squares(columns[drives], torque[drives])
@@ -57,8 +57,7 @@ def near(steps: Mask) -> Mask:
 
 
 def _rows(session: DriveSession, compared: Mask) -> tuple[Array, Array]:
-    """The torque, and its possible dependencies."""
-    v, weight = session.speed, session.weight
-    of_mass = weight * (session.accel / GRAVITY)
-    columns = (weight * np.sign(v), weight * v, v * np.abs(v), of_mass, weight * np.nan_to_num(session.grade))
-    return session.torque[compared], np.column_stack(columns)[compared]
+    """The torque in the direction of travel, and its possible dependencies."""
+    v, weight, ahead = session.speed * session.ahead, session.weight, session.ahead
+    columns = (weight, weight * v, v**2, weight * session.accel * ahead / GRAVITY, weight * np.nan_to_num(session.grade) * ahead)
+    return (session.torque * ahead)[compared], np.column_stack(columns)[compared]

@@ -245,7 +245,7 @@ def _of_brakes(session: DriveSession, on: Mask, settings: GateSettings) -> str:
     drives = np.abs(session.speed) >= settings.slowest
     braked, driven, left, braking = (
         round(int(steps.sum()) * session.step)
-        for steps in (drives & on, drives, session.used, session.used & (session.torque < 0.0))
+        for steps in (drives & on, drives, session.used, session.used & (session.torque * session.ahead < 0.0))
     )
     return (
         f"{session.name}: brakes on in {braked} s of {driven} s driven; {left} s remain for comparison, {braking} of them with a "
@@ -295,9 +295,10 @@ def usable(
     negative, the motor brakes alone.
     """
     used = np.ones(len(session), dtype=bool)
-    braking = (session.accel < BRAKING_MPS2) & (session.torque <= 0.0)
+    torque = session.torque * session.ahead
+    braking = (session.accel * session.ahead < BRAKING_MPS2) & (torque <= 0.0)
     if settings.friction_brakes:  # applied with a braking torque, and for a moment after it
-        braking = near(session.torque < alone if alone < 0.0 else session.torque <= 0.0)
+        braking = near(torque < alone if alone < 0.0 else torque <= 0.0)
     if "brake" in session.given or settings.friction_brakes is None:  # all braking except the torque is known
         braking = np.zeros(len(session), dtype=bool)
     slow = is_slow(session, settings)

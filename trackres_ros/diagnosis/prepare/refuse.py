@@ -19,6 +19,7 @@ from trackres_ros.diagnosis.prepare.same_drive import Course, common_roles, same
 from trackres_ros.diagnosis.prepare.session import MOST_LAGS, DriveSession
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, SLOWEST_SHARE, STEP_S
 from trackres_ros.errors import InputError, MissingExtraError, one_line
+from trackres_ros.recording.corrected_lines import line_to_write
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.role_units import Conversion
 from trackres_ros.recording.samples import Series
@@ -161,5 +162,5 @@ def check_speed(session: DriveSession, max_speed: float) -> None:
             f"{session.name}: speed",
             f"{fastest:.0f} m/s",
             f"at most the vehicle's {max_speed:g} m/s",
-            f"if it is in km/h, {Conversion(1.0 / KMH_PER_MPS).line('speed')}",
+            f"if it is in km/h, {line_to_write('speed', Conversion(1.0 / KMH_PER_MPS), session.bindings)}",
         )

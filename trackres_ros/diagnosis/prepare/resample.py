@@ -97,6 +97,7 @@ class _Grid:
     """Readable channels of a recording, and their even grid; notes receive the assumptions, and `given` the known roles."""
 
     name: str
+    bindings: Mapping[str, TopicBinding]
     series: Mapping[str, Series]
     start: int
     edges: Array
@@ -162,8 +163,8 @@ def resample(
     series = recording.series
     check_compared(recording, series, shortest_s)
     edges = np.arange(0.0, ordered(series["speed"], recording.start_ns)[0][-1] + 1e-9, step)
-    notes += check_units(recording.name, series, settings.weight)
-    grid = _Grid(recording.name, series, recording.start_ns, edges, step, settings, notes, set())
+    notes += check_units(recording, settings.weight)
+    grid = _Grid(recording.name, recording.bindings, series, recording.start_ns, edges, step, settings, notes, set())
     grid.given.update(role for role in CHANNELS if grid.has(role))
     speed, (torques, torque, torque_known, torque_noise) = _speed(grid), _torque(grid)
     weight, payload, passengers = _load(grid)
@@ -203,6 +204,7 @@ def resample(
         steering_angle=steering_angle,
         passengers=passengers,
         payload=payload,
+        bindings=recording.bindings,
         way=_way(grid, speed) if "position" in grid.given else None,
     )
     scale = pace(step)
@@ -227,7 +229,7 @@ def _speed(grid: _Grid) -> _Speed:
     accel, accel_noise = np.diff(at_edges) / grid.step, unit * smoothed.typical_change_std / grid.step if smoothed else 0.0
     by_way = np.diff(np.interp(grid.edges, *grid.samples("distance"))) / grid.step if grid.has("distance") else None
     measured = grid.held("accel", np.nan) if grid.has("accel") else None
-    grid.notes.extend(check_speed_unit(grid.name, mean, accel, measured, by_way))
+    grid.notes.extend(check_speed_unit(grid.name, grid.bindings, mean, accel, measured, by_way))
     if measured is not None:
         mean_accel, there = means(*grid.samples("accel"), grid.edges)
         accel, accel_noise = np.where(there, mean_accel, accel), 0.0

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.prepare.settings import pace
+from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.slopes import runs_of
+from trackres_ros.units import STANDSTILL_MPS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -109,6 +111,7 @@ class DriveSession:
     payload: Array = field(default_factory=lambda: np.empty(0))  # part of the weight [N]
     torque_by_place: Array = field(default_factory=lambda: np.empty(0))  # against travel [Nm]
     way: Way | None = None  # positions within its steps
+    bindings: Mapping[str, TopicBinding] = field(default_factory=dict)  # how each role was read
 
     def __post_init__(self) -> None:
         for name, default in NOT_RECORDED.items():
@@ -127,6 +130,13 @@ class DriveSession:
         """Begin and end [s] of each stretch inside a mask."""
         for begin, end in runs_of(inside):
             yield float(self.time[begin]), float(self.time[end - 1] + self.step)
+
+    @cached_property
+    def ahead(self) -> Array:
+        """1 driving forward and -1 in reverse, at rest as at the next start; shape (n,). Times it, a torque below zero brakes."""
+        moves = np.flatnonzero(np.abs(self.speed) > STANDSTILL_MPS)
+        after = np.searchsorted(moves, np.arange(len(self)))
+        return np.copysign(1.0, np.append(self.speed[moves], self.speed[moves[-1:]])[after] if len(moves) else self.speed)
 
     @cached_property
     def lightest_and_heaviest(self) -> tuple[float, float]:

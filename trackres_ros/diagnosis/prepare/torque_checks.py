@@ -17,6 +17,7 @@ from trackres_ros.diagnosis.prepare.refuse import Refusal, each_usable
 from trackres_ros.diagnosis.prepare.session import Array, Cumulative, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, GateSettings
 from trackres_ros.errors import InputError
+from trackres_ros.recording.corrected_lines import line_to_write
 from trackres_ros.recording.role_units import Conversion
 from trackres_ros.units import KMH_PER_MPS, MAD_TO_STD
 
@@ -79,7 +80,8 @@ def check_torque(
     slope, alike = float(m @ e / (e @ e)), float(np.corrcoef(m, e)[0, 1]) if np.ptp(e) > 0.0 else 0.0
     if alike < -SURE or (slope < 0.0 and abs(m.mean()) > 0.3 * abs(e.mean())):
         given = f"changes by {slope:.2g} times the expected torque (correlation {alike:.2f})"
-        raise InputError(where, given, "a torque that is positive when driving forward", Conversion(-1.0).line("torque"))
+        line = line_to_write("torque", Conversion(-1.0), sessions[0].bindings)
+        raise InputError(where, given, "a torque that is positive when driving forward", line)
     low, high = HEALTHY[0] * known.torque_scale[0], HEALTHY[1] * known.torque_scale[1]
     least, most = _share_of_inertia(m, e - r, r)
     allowed = "the torque of the whole vehicle at sprockets or wheels, in Nm"
@@ -138,9 +140,9 @@ def _remedy(share: float, sessions: Sequence[DriveSession], known: GateSettings)
     said = []
     fastest = max(float(np.percentile(np.abs(s.speed), 99.0)) for s in sessions)
     if 1.0 / NEAR < share * KMH_PER_MPS < NEAR and fastest > KMH_PER_MPS * SLOWEST_MPS:
-        said.append(f"if the speed is in km/h, {Conversion(1.0 / KMH_PER_MPS).line('speed')}")
+        said.append(f"if the speed is in km/h, {line_to_write('speed', Conversion(1.0 / KMH_PER_MPS), sessions[0].bindings)}")
     if nearest:
-        said.append(f"if it is {nearest}, {Conversion(whats[nearest]).line('torque')}")
+        said.append(f"if it is {nearest}, {line_to_write('torque', Conversion(whats[nearest]), sessions[0].bindings)}")
     else:
         said.append("with scale in the topics file, multiply a motor torque by its gear ratio and the torque of one side by two")
     return "; ".join(said)

@@ -13,9 +13,11 @@ from trackres_ros.diagnosis.prepare.notes import WarningNote
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import PLAUSIBLE
+from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.corrected_lines import line_to_write
+from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.role_units import UNITS, Conversion
 from trackres_ros.recording.roles import ROLES, base_role
-from trackres_ros.recording.samples import Series
 from trackres_ros.units import GRAVITY
 
 HOTTEST_AIR_DEGC = 50.0  # as a median of hours; the record of a moment in the shade is 57
@@ -29,29 +31,36 @@ RELATED = 0.8  # correlation from which the ratio of two series is due to units
 FEWEST = 30
 
 
-def check_units(name: str, series: Mapping[str, Series], weight: float) -> list[str]:
+def check_units(recording: Recording, weight: float) -> list[str]:
     """Refuse values in a wrong unit, with the line for the topics file; note unusual ones. `weight` is the file's [N]."""
-    said = []
-    for role, samples in series.items():
+    said, bindings = [], recording.bindings
+    for role, samples in recording.series.items():
         value = samples.value[np.isfinite(samples.value)]
         if not len(value):
             continue
-        where, base = f"{name}: {role}", base_role(role)
+        where, base = f"{recording.name}: {role}", base_role(role)
         middle, most = float(np.median(value)), float(np.percentile(np.abs(value), 95.0))
         if base in ("ambient", "belt"):
-            said += _temperature(where, role, middle, HOTTEST_AIR_DEGC if base == "ambient" else PLAUSIBLE["belt"][1])
+            said += _temperature(where, role, middle, bindings)
         elif base == "yaw_rate" and most > FASTEST_TURN:
-            _refuse(where, f"{most:.3g} rad/s", f"at most {FASTEST_TURN:g}", "deg/s", role)
+            _refuse(where, f"{most:.3g} rad/s", f"at most {FASTEST_TURN:g}", "deg/s", role, bindings)
         elif base == "grade" and most > STEEPEST:
             allowed = f"rise over run, at most {STEEPEST:g}"
-            _refuse(where, f"slopes of {most:.3g}", allowed, "%", role)
+            _refuse(where, f"slopes of {most:.3g}", allowed, "%", role, bindings)
         elif base == "heading" and _turns_by(value, 360.0) and not _turns_by(value, 2.0 * np.pi):
-            _refuse(where, "jumps of 360", "an angle in rad", "deg", role)
-    said += _weight(name, series, weight)
+            _refuse(where, "jumps of 360", "an angle in rad", "deg", role, bindings)
+    said += _weight(recording, weight)
     return said
 
 
-def check_speed_unit(name: str, speed: Array, accel: Array, recorded_accel: Array | None, distance: Array | None) -> list[str]:
+def check_speed_unit(
+    name: str,
+    bindings: Mapping[str, TopicBinding],
+    speed: Array,
+    accel: Array,
+    recorded_accel: Array | None,
+    distance: Array | None,
+) -> list[str]:
     """Refuse a speed that recorded acceleration or distance show is not in m/s; a note on a small deviation from the distance.
 
     `speed` is the mean of each step [m/s] and `accel` its change [m/s^2], shape (n,). Recorded are accelerations [m/s^2], and the
@@ -62,18 +71,18 @@ def check_speed_unit(name: str, speed: Array, accel: Array, recorded_accel: Arra
         for unit, (factor, _) in _others("speed").items():
             if ratio and 1.0 / AROUND**0.5 < ratio / factor < AROUND**0.5:
                 given = f"changes {1.0 / ratio:.2g} times as fast as the recorded acceleration says"
-                _refuse(f"{name}: speed", given, "a speed in m/s", unit, "speed")
+                _refuse(f"{name}: speed", given, "a speed in m/s", unit, "speed", bindings)
         if ratio and GRAVITY / AROUND**0.5 < 1.0 / ratio < GRAVITY * AROUND**0.5:
             given = f"{ratio:.2g} times the acceleration from the speed"
-            _refuse(f"{name}: accel", given, "an acceleration in m/s2", "g", "accel")
+            _refuse(f"{name}: accel", given, "an acceleration in m/s2", "g", "accel", bindings)
     ratio = _ratio(distance, speed) if distance is not None else 0.0
     if ratio:
         for unit, (factor, _) in _others("speed").items():
             if 0.9 < ratio / factor < 1.1:
                 given = f"{1.0 / ratio:.2f} times as fast as the recorded distance grows"
-                _refuse(f"{name}: speed", given, "a speed in m/s", unit, "speed")
+                _refuse(f"{name}: speed", given, "a speed in m/s", unit, "speed", bindings)
         if 0.9 < 1e3 * ratio < 1.1:
-            _refuse(f"{name}: distance", f"{ratio:.2g} times the distance from the speed", "metres", "km", "distance")
+            _refuse(f"{name}: distance", f"{ratio:.2g} times the distance from the speed", "metres", "km", "distance", bindings)
         off = 1.0 / ratio - 1.0
         if abs(off) > SPEED_OFF:
             more = "more" if off > 0.0 else "less"
@@ -88,36 +97,38 @@ def _others(role: str) -> dict[str, Conversion]:
     return {unit: one for unit, one in UNITS[inside].items() if unit != inside}
 
 
-def _refuse(where: str, given: str, allowed: str, unit: str, role: str) -> None:
-    raise InputError(where, given, allowed, f"if it is in {unit}, {_others(role)[unit].line(role)}")
+def _refuse(where: str, given: str, allowed: str, unit: str, role: str, bindings: Mapping[str, TopicBinding]) -> None:
+    raise InputError(where, given, allowed, f"if it is in {unit}, {line_to_write(role, _others(role)[unit], bindings)}")
 
 
-def _temperature(where: str, role: str, middle: float, hottest: float) -> list[str]:
-    low = PLAUSIBLE["ambient"][0]
+def _temperature(where: str, role: str, middle: float, bindings: Mapping[str, TopicBinding]) -> list[str]:
+    low, hottest = PLAUSIBLE["ambient"][0], HOTTEST_AIR_DEGC if base_role(role) == "ambient" else PLAUSIBLE["belt"][1]
     for unit, (scale, offset) in _others(role).items():
         if low <= scale * middle + offset <= hottest < middle:
-            _refuse(where, f"{middle:.4g} degC (median)", f"{low:g} to {hottest:g} degC", unit, role)
+            _refuse(where, f"{middle:.4g} degC (median)", f"{low:g} to {hottest:g} degC", unit, role, bindings)
     if not low <= middle <= hottest:
         raise InputError(where, f"{middle:.4g} degC (median)", f"{low:g} to {hottest:g} degC", "is the sensor connected?")
     if base_role(role) == "ambient" and middle > UNUSUAL_AIR_DEGC:
-        text = f"air of {middle:.0f} degC is unusual; if it is in degF, {_others(role)['degF'].line(role)}"
+        line = line_to_write(role, _others(role)["degF"], bindings)
+        text = f"air of {middle:.0f} degC is unusual; if it is in degF, {line}"
         return [WarningNote(f"{where}: {text}")]
     return []
 
 
-def _weight(name: str, series: Mapping[str, Series], weight: float) -> list[str]:
+def _weight(recording: Recording, weight: float) -> list[str]:
     """Compare the sum of the loads with the vehicle file's weight."""
+    series = recording.series
     roles = ["load"] if "load" in series else [role for role in series if base_role(role) == "load"]
     values = [series[role].value[np.isfinite(series[role].value)] for role in roles]
     if not roles or not all(len(value) for value in values):
         return []
     share = sum(float(np.median(value)) for value in values) / weight
-    where, role, low, high = f"{name}: {', '.join(roles)}", roles[0], *WEIGHTS
+    where, role, low, high = f"{recording.name}: {', '.join(roles)}", roles[0], *WEIGHTS
     given = f"{share * weight:.4g} {ROLES['load'].unit}, {share:.2g} of the vehicle file's {weight:.4g} N"
     if not low <= share <= high:
         for unit, other in _others(role).items():
             if 1.0 / AROUND < share * other.scale < AROUND:
-                _refuse(where, given, f"{low:g} to {high:g} of it", unit, role)
+                _refuse(where, given, f"{low:g} to {high:g} of it", unit, role, recording.bindings)
         remedy = "give the weight of the whole vehicle; for a payload, add the empty weight as offset in the topics file"
         raise InputError(where, given, f"{low:g} to {high:g} of it", remedy)
     if not USUAL_WEIGHTS[0] <= share <= USUAL_WEIGHTS[1]:

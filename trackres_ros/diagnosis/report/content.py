@@ -21,10 +21,10 @@ from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.findings.found import NamedEffect
 from trackres_ros.diagnosis.findings.locate import residual_sources
 from trackres_ros.diagnosis.findings.residual_bins import Bin
-from trackres_ros.diagnosis.findings.wording import LEAST_AHEAD, LEFT_OUT, NOT_CONFIRMED, joined, likelier, rejected
+from trackres_ros.diagnosis.findings.wording import LEAST_AHEAD, LEFT_OUT, joined, likelier, rejected, why_not
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED, Improvement
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, Improvement
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.recording.binding import TopicBinding
@@ -54,10 +54,14 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
         "described": _described(d),
         "route": routes[0] if routes else None,
         "routes": routes,
-        "refuted": [
-            {"name": g.name, "heldout": _improvement(g.improvement), "grade": g.grade, "why": joined(rejected([g]))}
-            for g in d.refuted
-        ],
+        **{
+            grade: [
+                {"name": g.name, "heldout": _improvement(g.improvement), "grade": g.grade, "why": joined(rejected([g]))}
+                for g in d.unconfirmed
+                if g.grade == grade
+            ]
+            for grade in (SUSPECTED, REFUTED)
+        },
         "possible": [{"name": name, "share": share} for name, share in d.shares.items()],
         "written": {
             "base": d.kept.values is not None,
@@ -203,11 +207,11 @@ def _why(c: Candidate, step: Step) -> str:
     if not c.matters:
         return f"adds only {c.share:.1%} of the torque"
     if step.chosen is None:
-        return NOT_CONFIRMED
+        return why_not(c, step)
     if c.net_evidence > step.chosen.net_evidence - LEAST_AHEAD:
         if step.chosen.is_name and not c.is_name:
             return f"fits as well as {step.chosen.name}, but is a form: it bends to the data"
-        on_laps = f"{LEFT_OUT} decide for {step.chosen.name}" if c.name in step.worse else NOT_CONFIRMED
+        on_laps = f"{LEFT_OUT} decide for {step.chosen.name}" if c.name in step.worse else why_not(c, step)
         return f"fits as well as {step.chosen.name}, but {on_laps}"
     return f"{likelier(step.chosen, c)} times less likely than {step.chosen.name}"
 
@@ -279,6 +283,7 @@ def _term(of: Described, improvement: Improvement | None, grade: str) -> dict[st
         "sentence": of.sentence,
         "mechanisms": of.mechanisms,
         "predictable": of.predictable,
+        "held_out_from": of.held_out_from,
         **({"stretches": of.stretches} if of.stretches else {}),
         "gain_nm": None if improvement is None else improvement.before - improvement.after,
         "grade": grade,

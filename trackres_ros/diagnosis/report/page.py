@@ -37,8 +37,8 @@ VERDICTS = {
 }
 GRADES = {
     "confirmed": "confirmed by laps left out of the fit",
-    "suspected": "suspected: it fits, laps left out of the fit do not confirm it",
-    "refuted": "refuted: laps left out of the fit get worse with it",
+    "suspected": "suspected: it fits, but is not confirmed",
+    "refuted": "refuted: laps left out of the fit get worse with it, or it replaces a value of the vehicle file",
 }
 
 

@@ -218,7 +218,7 @@ def _next(r: dict[str, Any]) -> Tile:
     if lead is not None and _is_sure(lead, r) and r["verdict"]["status"] != "unexplained":
         return Tile(name, "Keep your vehicle file", "the result is not written; the full verdict has the reason")
     if lead is not None:
-        return Tile(name, "Record more laps", "laps left out of the fit do not confirm the result")
+        return Tile(name, "Record more laps", "the result is not confirmed")
     if r["verdict"]["status"] == "unexplained":
         return Tile(name, "Investigate where the error is largest", "record more channels there: slope, wind, load, brakes")
     if written["base"] and _share(r) >= LEAST_SHARE:
@@ -231,11 +231,13 @@ def _errors(r: dict[str, Any]) -> str:
     nominal, refitted, with_it = (figures(mae.get(stage)) for stage in ("nominal", "refitted", "with_effects"))
     without = r["heldout"].get("without_sensor_error")
     plain = "" if without is None else f", {figures(without)} without the assumed error of the torque sensor"
+    modelled = [t for t in _sure(r) if t.get("form") not in FOLLOWED]
     if followed is not None:
-        return f"{nominal} Nm with the file, {refitted} re-fitted, {figures(followed)} when the live estimate tracks it"
-    if stage_of(r) == "with_effects":
-        live = any(t.get("heldout") and not t.get("predictable", True) for t in _sure(r))
-        return f"{nominal} Nm with the file, {refitted} re-fitted, {with_it} with it{' tracked live' if live else ''}{plain}"
+        with_it, plain, modelled = figures(followed), "", _sure(r)[:1]
+    if followed is not None or stage_of(r) == "with_effects":
+        sources = dict.fromkeys(filter(None, (t.get("held_out_from") for t in modelled)))
+        taken = f", from {' and '.join(sources)}" if sources else ""
+        return f"{nominal} Nm with the file, {refitted} re-fitted, {with_it} with it{taken}{plain}"
     return f"{nominal} Nm with the file, {refitted} re-fitted{plain}"
 
 

@@ -56,7 +56,7 @@ class Chosen:
     alone: Step  # the round from the base alone
     steps: Mapping[str, Step]  # for each term the round without it, with its class
     last: Step  # the round from all of it
-    refuted: tuple[Graded, ...]  # best-fitting terms that cross-validation does not confirm
+    unconfirmed: tuple[Graded, ...]  # best-fitting terms that cross-validation does not confirm
     shares: Mapping[str, float]  # probability of each name, and of no name, see `Choice._shares`
 
     def is_named(self, name: str) -> bool:
@@ -126,6 +126,10 @@ class Choice:
     def _all_graded(self, judged: ScoredExplanation) -> dict[str, Graded]:
         return {name: self.graded(judged, name) for name in judged.explanation.candidates}
 
+    def _graded_beyond(self, key: Key) -> dict[str, Graded]:
+        """The known grades of single terms that are added to an explanation."""
+        return {name: graded for (of, name), graded in self._graded.items() if of - {name} == key}
+
     def _is_confirmed(self, judged: ScoredExplanation) -> bool:
         once = any(term.change is not None for term in judged.explanation.terms.values())
         whole = self._validation.improvement(self._nothing.score, judged.score, for_good=once)
@@ -164,7 +168,7 @@ class Choice:
             best, doubted = first, ()
             graded = {name: replace(g, of_unconfirmed=True) for name, g in self._all_graded(first).items()}
         steps = {name: self._round_of(best, name) for name in best.explanation.candidates}
-        last = self._search.expand(best.explanation)
+        last = replace(self._search.expand(best.explanation), graded=self._graded_beyond(best.key))
         alone = self._search.rounds[frozenset()]
         return Chosen(best.explanation, best.final, graded, alone, steps, last, doubted, shares)
 
@@ -264,6 +268,7 @@ class Choice:
             worse=tuple(sorted(worse)),
             weights=weights,
             stability=float(total),
+            graded=self._graded_beyond(without.key),
         )
 
     def _shares(self, judged: Sequence[ScoredExplanation], chosen: Key) -> dict[str, float]:

@@ -13,6 +13,7 @@ from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, Improvement
 from trackres_ros.effects.effect import Active
+from trackres_ros.text.numbers import figures
 
 ON_BOUND = 1e-3  # of the span between the bounds
 LITTLE = 0.1  # of the mean error: the largest improvement by an effect that replaces a base value
@@ -48,8 +49,22 @@ class Graded:
         return SUSPECTED if unsure and self.improvement.grade == CONFIRMED else self.improvement.grade
 
     @property
+    def fault(self) -> str:
+        """Why it is not confirmed whatever these laps show, in words after its name; empty if only they decide."""
+        shows = f"from {figures(self.improvement.before)} to {figures(self.improvement.after)} Nm on laps left out"
+        if self.displaces:
+            return f"pushes {', '.join(self.displaces)} of the vehicle file to the end of its range"
+        if self.improvement.grade != CONFIRMED:
+            return ""
+        if self.on_bounds:
+            return f"is at the limit of its plausible range ({', '.join(self.on_bounds)})"
+        if self.cancels:
+            return f"reduces the error far less than its size suggests: {shows}"
+        return f"reduces the error far more than its size explains: {shows}" if self.by_others else ""
+
+    @property
     def confirmed(self) -> bool:
-        """Whether these laps confirm it."""
+        """Whether it is confirmed."""
         return self.grade == CONFIRMED
 
 

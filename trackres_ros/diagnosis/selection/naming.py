@@ -15,6 +15,7 @@ from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import shortened
 from trackres_ros.diagnosis.prepare.session import Array
+from trackres_ros.diagnosis.selection.confirm import Graded
 from trackres_ros.diagnosis.selection.screening import Gain, Screened, screen
 from trackres_ros.diagnosis.selection.visibility import EffectColumns, EffectSensitivity, Separability, separability
 from trackres_ros.effects.effect import Effect
@@ -92,6 +93,7 @@ class Step:
     weights: Mapping[str, float] = field(default_factory=dict)  # probability of each
     stability: float = 0.0  # share of resampled laps won by the class
     worse: tuple[str, ...] = ()  # confirmed effects that predict the hold-out laps significantly worse
+    graded: Mapping[str, Graded] = field(default_factory=dict)  # of the candidates that laps left out in turn have judged
 
     @property
     def hint(self) -> str:

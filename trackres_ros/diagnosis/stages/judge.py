@@ -88,7 +88,7 @@ def judge(
         Findings(
             found=found,
             terms=terms,
-            refuted=chosen.refuted,
+            unconfirmed=chosen.unconfirmed,
             refitted=base.refitted,
             at_end=at_end,
             left_over=left_over,

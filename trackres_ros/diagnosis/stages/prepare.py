@@ -27,6 +27,7 @@ from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Effect
 from trackres_ros.effects.sensor.torque_offset import TorqueOffset
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
+from trackres_ros.recording.corrected_lines import line_to_write
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.role_units import Conversion
 from trackres_ros.recording.slopes import runs_of
@@ -109,7 +110,7 @@ def _offset_at_rest(sessions: Sequence[DriveSession], most: float) -> str:
     spread = math.sqrt(float(np.average((torque - mean) ** 2, weights=seconds)))
     if abs(mean) <= most or spread > ALIKE * abs(mean):
         return ""
-    line = Conversion(offset=-float(figures(mean))).line("torque")
+    line = line_to_write("torque", Conversion(offset=-float(figures(mean))), sessions[0].bindings)
     return WarningNote(
         f"the torque is {figures(mean)} Nm at rest, alike in {len(stops)} stops of {seconds.sum():.0f} s together; if neither a "
         f"slope nor a brake holds the vehicle, the sensor has an offset; {line}"
