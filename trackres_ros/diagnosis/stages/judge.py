@@ -100,7 +100,7 @@ def judge(
             spread=None if spread is None else spread.described,
             distance_off=_distance_off(prepared.sessions),
             later=later,
-            sensor=assumed_sensor(final.instrument, worth.without_sensor, None if final.effects else worth.mae["with_effects"]),
+            sensor=assumed_sensor(final.instrument, worth, "with the effects" if final.effects else "of the re-fit"),
             unusable=unusable,
         )
     )
