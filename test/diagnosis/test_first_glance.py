@@ -13,7 +13,7 @@ import re
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -23,9 +23,11 @@ from browser import BROWSER, IN_A_BROWSER, opened
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.findings.residual_bins import Bin
-from trackres_ros.diagnosis.report.content import inputs
+from trackres_ros.diagnosis.findings.wording import range_of, upper
+from trackres_ros.diagnosis.report.content import _term, inputs
 from trackres_ros.diagnosis.report.interactive import _nm, _places
 from trackres_ros.diagnosis.report.page import interval, provenance, sha256, write_page
 from trackres_ros.diagnosis.report.pictures import autocorrelation, cumulative_power
@@ -39,6 +41,7 @@ from trackres_ros.diagnosis.report.series import (
     within,
 )
 from trackres_ros.diagnosis.report.tiles import MOST_WORDS, by_file, headline, lights, stage_of, tiles
+from trackres_ros.diagnosis.selection.held_out import Improvement
 from trackres_ros.vehicle.writing.sensor_lines import REPLACED
 
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftoppm"), reason="no chromium or pdftoppm on this machine")
@@ -306,6 +309,14 @@ def test_sentence_and_table_have_the_same_figures(diagnosed):
                 assert f"{name} {shown} [{ends.replace(' … ', ', ')}]" in found.values_text
 
 
+@given(st.floats(-1e5, 1e5), st.floats(1e-6, 1e5))
+def test_sentence_and_tile_have_the_same_range(low, width):
+    b = Bin("distance", low, low + width, 93.0, "m", 50, 0.001)
+    r = report_of("unexplained", "suspected")
+    r["residual_by_regime"]["end"] = [{**asdict(b), "lo": b.low, "hi": b.high}]
+    assert tiles(r)[0].answer == upper(range_of(b))
+
+
 def test_white_noise_is_white_and_a_wandering_one_is_not():
     rng = np.random.default_rng(2)
     white = [rng.standard_normal(3000), rng.standard_normal(2000)]
@@ -450,10 +461,15 @@ def last_ink(path):
     return rows[-1] / int(height) if len(rows) else 0.0
 
 
-def test_a_page_of_any_verdict_can_be_written(scrubbed, tmp_path):
+@pytest.mark.parametrize("grade", ["confirmed", "suspected"])
+def test_a_page_of_any_verdict_can_be_written(scrubbed, tmp_path, grade):
+    """Also with a drift, which no fit has."""
     r = copy.deepcopy(scrubbed[1])
+    drift = _term(Described("drift", "", "It drifts", ("wind",), 50.0), Improvement(80.0, 40.0, 30.0, 50.0), grade)
     for status in ("none", "unexplained"):
-        r["verdict"]["status"], r["effects"] = status, []
+        r["verdict"]["status"], r["effects"], r["described"] = status, [], [drift]
         write_page(tmp_path / "report.html", r, [], "Diagnosis")
+        page = (tmp_path / "report.html").read_text()
         assert stage_of(r) == "refitted"
-        assert 'class="tiles ' + status in (tmp_path / "report.html").read_text()
+        assert 'class="tiles ' + status in page
+        assert "with the effects" not in page.lower()

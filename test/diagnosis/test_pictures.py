@@ -11,12 +11,15 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis.empirical.terms import Described
+from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.findings.found import UnnamedTerm
+from trackres_ros.diagnosis.findings.locate import Location, regime_of, rms_over_time
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import Verdict
-from trackres_ros.diagnosis.report.pictures import MOST_RECORDINGS, draw_all, draw_regimes, draw_times
+from trackres_ros.diagnosis.report.pictures import draw_all, draw_regimes, draw_times
+from trackres_ros.diagnosis.report.series import MOST_RECORDINGS, shown_lap
 from trackres_ros.diagnosis.report.term_pictures import draw_term
-from trackres_ros.diagnosis.report.timeline import begins, draw_timeline, held_out_times, marked_times, panels
+from trackres_ros.diagnosis.report.timeline import begins, draw_timeline, held_out_times, marked_times, minutes, panels
 from trackres_ros.text.numbers import figures
 
 pytest.importorskip("matplotlib")
@@ -129,6 +132,47 @@ def test_a_gap_breaks_the_line(drawn, diagnosed, tmp_path):
         assert np.isnan(y[(x > minutes[0]) & (x < minutes[1])]).all()
 
 
+@pytest.mark.parametrize("longest_s", [20.0, 50.0, 1e4])
+def test_of_a_long_lap_the_part_with_the_most_mismatch_is_drawn(diagnosed, longest_s):
+    """Much of each lap is parked; the errors are those of the whole lap all the same."""
+    d = diagnosed
+    sessions = [replace(s, used=s.used & (s.time % 60.0 > 30.0), torque=np.where(s.used, s.torque, np.nan)) for s in d.sessions]
+    parked = SimpleNamespace(sessions=sessions, refitted=d.refitted, held_out=d.held_out, split=d.split, modelled=d.modelled)
+    index, rows, text, *errors = shown_lap(parked, longest_s)
+    session, number = sessions[index], d.split.held_out.index(int(sessions[index].block[rows[0]]))
+    assert errors == [d.held_out.by_lap["mae"][stage][number] for stage in ("refitted", "with_effects")]
+    lap = np.flatnonzero(session.block == session.block[rows[0]])
+    assert text == ("a hold-out lap" if len(rows) == len(lap) else f"the worst {len(rows)} s of a hold-out lap")
+    assert len(rows) == min(len(lap), longest_s)
+    off = np.where(session.used, np.abs(session.torque - d.refitted.predicted[index].torque), 0.0)
+    others = [off[lap[i : i + len(rows)]].sum() for i in range(len(lap) - len(rows) + 1)]
+    assert off[rows].sum() == pytest.approx(max(others))
+
+
+@pytest.mark.parametrize("cuts", [[1], [400], [100, 700, 950]])
+def test_the_error_over_time_does_not_depend_on_cuts(cuts):
+    residual = np.random.default_rng(1).normal(0.0, np.linspace(1.0, 50.0, 1000))
+    residual[200:300] = np.nan
+    assert rms_over_time(np.split(residual, cuts))[1] == pytest.approx(rms_over_time([residual])[1])
+
+
+def test_the_size_of_an_effect_is_the_mean_over_the_marked_times(diagnosed):
+    """Also where its variable is simulated, and the last fit has other belt temperatures."""
+    d = diagnosed
+    warmer = replace(d.final, predicted=[replace(p, belt=p.belt + 7.0) for p in d.final.predicted])
+    belts = np.concatenate([p.belt for p in warmer.predicted])
+    where = Location("belt temperature", "degC", float(np.median(belts)), belts.max(), belts.min(), belts.max(), 0.0, 1.0, 1.0)
+    (here, *_) = regime_of(d.refitted, warmer, d.at_base, where)
+    d = replace(d, final=warmer, found=(replace(d.found[0], location=where),), verdict=NAMED)
+    text, marked = marked_times(d)
+    assert text == where.text
+    middle = np.concatenate([minutes(d, i) + s.step / 120.0 for i, s in enumerate(d.sessions)])
+    inside = np.any([(begin < middle) & (middle < end) for begin, end in marked], axis=0)
+    residual = np.concatenate(against_travel(d.sessions, torque_residuals(d.refitted)))
+    assert here.samples == inside.sum()
+    assert here.mean_residual == pytest.approx(residual[inside].mean())
+
+
 def test_a_gated_curve_is_drawn_of_steps_with_an_open_gate(drawn, diagnosed, tmp_path):
     described = Described("gated_curve", "while_fast", "While fast, it needs 100 Nm more", (), 100.0, "grade", "", "while fast")
     adds = [np.where(s.time % 40.0 < 10.0, 100.0 * np.sign(s.speed), 0.0) for s in diagnosed.sessions]
@@ -143,11 +187,12 @@ def test_a_gated_curve_is_drawn_of_steps_with_an_open_gate(drawn, diagnosed, tmp
 @pytest.mark.parametrize("count", [1, 9, 70])
 def test_any_number_of_recordings_with_any_names(drawn, diagnosed, tmp_path, count):
     of = [i % 2 for i in range(count)]
-    sessions = [replace(diagnosed.sessions[i], name=f"{k}_{LONG}") for k, i in enumerate(of)]
+    sessions = [replace(diagnosed.sessions[i], name=f"{k}/{LONG}") for k, i in enumerate(of)]
     picture = draw_times(with_sessions(diagnosed, sessions, of), tmp_path / "t.png")
     (figure,) = drawn.figures
     assert not drawn.faults(figure)
-    assert sum(axes.get_visible() for axes in figure.axes) == min(count, MOST_RECORDINGS)
+    titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_visible()]
+    assert len(set(titles)) == len(titles) == min(count, MOST_RECORDINGS)
     if count > MOST_RECORDINGS:
         assert f"error are drawn; {count - MOST_RECORDINGS} are not drawn" in picture.alternative
     else:

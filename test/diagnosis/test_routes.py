@@ -239,8 +239,11 @@ def unit(east, north):
 
 def test_a_route_that_is_given_is_taken_as_recorded(hilly, diagnosed):
     given = load_base(diagnosed / "vehicle.yaml", surroundings=diagnosed / "surroundings.yaml")
-    gated = on_route(gate(read_recordings([hilly], None), given.known), given.route)
+    passed = gate(read_recordings([hilly], None), given.known)
+    gated = on_route(passed, given.route)
     session = gated.sessions[0]
+    lost = (passed.sessions[0].used & ~session.used).sum() * session.step
+    assert sum(gated.excluded.values()) - sum(passed.excluded.values()) == round(lost) > 0
     assert "grade" in session.given
     assert any("of it is on the route" in note for note in gated.notes)
     level = replace(session, grade=np.zeros(len(session)))

@@ -26,6 +26,17 @@ def fitted(recorded, loaded):
     return fit(Problem(loaded.base, gated.sessions, tuple(s.used for s in gated.sessions)))
 
 
+def test_time_lost_by_a_corrected_clock_is_excluded(recorded, loaded):
+    recordings = read_recordings(recorded(), None)
+    torque = recordings[0].series["torque"]
+    late = replace(torque, stamp_ns=torque.stamp_ns + 6_000_000_000)
+    recordings[0] = replace(recordings[0], series={**recordings[0].series, "torque": late})
+    gated, _, before = prepared(recordings, loaded)
+    lost = sum((s.used.sum() - t.used.sum()) * s.step for s, t in zip(before, gated.sessions, strict=True))
+    assert gated.excluded["no torque left by the correction of its clock"] == round(lost) > 0
+    assert any("corrected" in note for note in gated.notes)
+
+
 def scanned(fitted, code, x, shapes):
     """Result of a scan of one variable after a torque of a shape is added to the measured one."""
     sessions = tuple(

@@ -98,12 +98,11 @@ def test_an_error_with_an_assumed_sensor_is_said_without_it_too():
     for gain_at, offset_at, assumed in ((0.015, 2.0, "gain 1.5 %"), (0.001, -20.0, "offset -20 Nm"), (0.001, 2.0, both)):
         values = (("torque_gain", gain, gain_at), ("torque_offset", offset, offset_at))
         acting = [Active(SimpleNamespace(name=name, parameters=(q,)), {q.name: x}) for name, q, x in values]
-        named = said([found()], sensor=assumed_sensor(acting, 95.0))
-        assert f"({assumed}); without it the mean error is 95 Nm." in named.sentence
-        sensor = assumed_sensor(acting, 95.0, 60.0)
-        sentence = f"An assumed torque sensor error ({assumed}) lowers the re-fit's mean error from 95 to 60 Nm."
-        assert sentence in said(sensor=sensor).sentence
-        assert not assumed_sensor(acting, None, 60.0)
+        for fit, terms in (("with the effects", [found()]), ("of the re-fit", [])):
+            sensor = assumed_sensor(acting, replace(worth(), without_sensor=95.0), fit)
+            sentence = f"An assumed torque sensor error ({assumed}) lowers the mean error {fit} from 95 to 60 Nm."
+            assert sentence in said(terms, sensor=sensor).sentence
+        assert not assumed_sensor(acting, worth(), fit)
         only = said(held=worth(Improvement(100.0, 99.5, 0.1, 0.9)), sensor=sensor, changed=(BEARING,))
         assert only.sentence.startswith("No mismatch beyond noise and an error of the torque sensor.")
         assert (sentence in only.sentence, only.changed) == (True, ())

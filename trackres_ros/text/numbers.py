@@ -57,6 +57,11 @@ def alike(values: Sequence[float | None], difference: float, count: int = 2) -> 
     ]
 
 
+def from_to(low: float, high: float) -> str:
+    """A range, such as that of a bin: ``4 to 199``."""
+    return " to ".join(on_scale(end, high - low) for end in (low, high))
+
+
 def number_of(count: int, one: str, more: str = "") -> str:
     """A count and what it counts: ``1 gap``, ``2 gaps``; `more`: the plural, if it is not made by an s."""
     return f"{count} {one if count == 1 else more or one + 's'}"

@@ -25,6 +25,7 @@ class Variable:
     unit: str
     of: Callable[[DriveSession, Predicted], Array]
     as_clock: bool = False
+    simulated: bool = False  # by a model, each with its own
 
 
 VARIABLES = (
@@ -34,7 +35,7 @@ VARIABLES = (
     Variable("yaw rate to the left", "rad/s", lambda s, _: s.yaw_rate),
     Variable("curvature", "1/m", lambda s, _: np.abs(s.yaw_rate) / np.maximum(np.abs(s.speed), SLOWEST_TURNING_MPS)),
     Variable("heading", "rad", lambda s, _: np.angle(np.exp(1j * s.heading))),
-    Variable("belt temperature", "degC", lambda _, p: p.belt),
+    Variable("belt temperature", "degC", lambda _, p: p.belt, simulated=True),
     Variable("ambient temperature", "degC", lambda s, _: s.ambient),
     Variable("time since start", "s", lambda s, _: s.time, as_clock=True),
     Variable("load", "N", lambda s, _: s.weight),

@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -20,7 +19,7 @@ from trackres_ros.diagnosis.empirical.places import Place
 from trackres_ros.diagnosis.empirical.routes import SURE_OF_KIND, Route
 from trackres_ros.diagnosis.empirical.spells import Chain, DriftingLevel
 from trackres_ros.diagnosis.empirical.waves import Wave
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, shown_names
 from trackres_ros.effects import learned
 from trackres_ros.effects.learned import BuildUp, Corner, Curve, EmpiricalEffect, Latch, SidedGain
 from trackres_ros.text.numbers import figures, on_scale
@@ -262,7 +261,7 @@ def _when(sessions: Sequence[DriveSession], change: LevelChange) -> str:
     """Time of a level change: the time of day and date if known, and the time in its recording."""
     session, first = sessions[change.session], sessions[0]
     seconds = float(session.time[change.row])
-    recording = Path(session.name).name
+    recording = shown_names(sessions)[change.session]
     where = f"{figures(seconds / 60.0)} min into {recording}" if change.row else f"the beginning of {recording}"
     if math.isnan(session.start_s):
         return where

@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.base.variables import BY_NAME, varying
 from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.text.numbers import figures, on_scale
 from trackres_ros.units import GRAVITY
 
@@ -28,6 +29,7 @@ SLOW_S = 30.0
 SMOOTHED_S = 20.0  # for the residual over time in plots
 BROKEN_S = 2.0  # a longer time without a compared sample breaks the line
 MOST_SPANS = 60
+NEAR_END = 0.1  # of its whole range: a range that ends nearer to an end of that reaches it
 CLOCK_BY = 1.25  # times any other variable's share: needed to attribute an effect to time or distance
 BINS = 12
 LATER = 2.0  # times the error on the fitted laps: a larger one on the hold-out laps needs a separate cause
@@ -104,7 +106,7 @@ class Location:
     def text(self) -> str:
         """The range in words; empty if it is everywhere, or if the sign changes over the range."""
         whole = self.most - self.least
-        from_start, to_end = self.low - self.least < 0.1 * whole, self.most - self.high < 0.1 * whole
+        from_start, to_end = self.low <= self.least, self.high >= self.most
         if (from_start and to_end) or self.both_ways:
             return ""
         low, high = (on_scale(edge, whole) for edge in (self.low, self.high))
@@ -143,6 +145,12 @@ def in_nm(torque: float) -> str:
     return f"{torque:.0f}" if torque >= 0.5 else figures(torque, 2)
 
 
+def within(variable: str, low: float, high: float, session: DriveSession, predicted: Predicted) -> Mask:
+    """The compared steps of a session within a range of a variable."""
+    series = BY_NAME[variable].of(session, predicted)
+    return np.asarray(session.used & (series >= low) & (series <= high))
+
+
 def locate(found: Fit, adds: Sequence[Array]) -> Location:
     """The variable whose bins explain most of a series, and their range where the series is large."""
     sessions = found.problem.sessions
@@ -163,9 +171,10 @@ def locate(found: Fit, adds: Sequence[Array]) -> Location:
             best = explained
             size = np.bincount(place, weights=np.abs(series)) / count
             large = np.flatnonzero(size >= ACTING_SHARE * size.max())
-            high = edges[min(large[-1] + 1, len(edges) - 1)]
+            low, high, near = edges[large[0]], edges[min(large[-1] + 1, len(edges) - 1)], NEAR_END * np.ptp(edges)
+            low, high = edges[0] if low - edges[0] < near else low, edges[-1] if edges[-1] - high < near else high
             result = Location(
-                name, BY_NAME[name].unit, float(edges[large[0]]), float(high), float(edges[0]), float(edges[-1]),
+                name, BY_NAME[name].unit, float(low), float(high), float(edges[0]), float(edges[-1]),
                 min(0.0, float(means.min())), max(0.0, float(means.max())),
                 float(np.mean(means[place] ** 2)) / max(square, 1e-300),
             )  # fmt: skip
@@ -185,9 +194,9 @@ def smoothed(session: DriveSession, residual: Array, seconds: float = SMOOTHED_S
 
 
 def rms_over_time(means: Sequence[Array]) -> tuple[list[float], float]:
-    """Root mean square of a `smoothed` residual, of each session and of all [Nm]."""
-    sizes = [float(np.sqrt(np.nanmean(r**2))) if np.isfinite(r).any() else 0.0 for r in means]
-    return sizes, float(np.sqrt(np.mean(np.square(sizes))))
+    """Root mean square of a `smoothed` residual, of each session and of all their time [Nm]."""
+    *sizes, of_all = (float(np.sqrt(np.nanmean(r**2))) if np.isfinite(r).any() else 0.0 for r in (*means, np.concatenate(means)))
+    return sizes, of_all
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,15 +240,13 @@ def only_later(refitted: Fit, unused: float) -> tuple[float, float] | None:
     return (error, unused) if unused > max(LATER * error, error + LATER_SHARE * torque) else None
 
 
-def regime_of(refitted: Fit, at_base: RegimeMap, where: Location) -> tuple[Bin, ...]:
-    """Residual of the base against travel where an effect acts, and its other significant bins."""
-    sessions, residuals = refitted.problem.sessions, torque_residuals(refitted)
-    x = np.concatenate([BY_NAME[where.variable].of(s, p) for s, p in zip(sessions, refitted.predicted, strict=True)])
-    inside = (x >= where.low) & (x <= where.high) & np.concatenate(refitted.problem.masks)
-    within = np.concatenate(against_travel(sessions, residuals))[inside]
-    p = at_base.likeliest(where.variable, where.low, where.high)
-    mean = float(within.mean()) if len(within) else 0.0
-    here = Bin(where.variable, where.low, where.high, mean, where.unit, len(within), p)
+def regime_of(refitted: Fit, final: Fit, at_base: RegimeMap, where: Location) -> tuple[Bin, ...]:
+    """Residual of the base against travel where an effect of the `final` fit acts, and its other significant bins."""
+    sessions, limits = refitted.problem.sessions, (where.variable, where.low, where.high)
+    inside = [within(*limits, s, p) for s, p in zip(sessions, final.predicted, strict=True)]
+    residual = np.concatenate(against_travel(sessions, torque_residuals(refitted)))[np.concatenate(inside)]
+    mean = float(residual.mean()) if len(residual) else 0.0
+    here = Bin(*limits, mean, where.unit, len(residual), at_base.likeliest(*limits))
     return (here, *(b for b in at_base.significant if b.variable != where.variable))
 
 

@@ -19,7 +19,7 @@ from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.effects.effect import Active
 from trackres_ros.effects.sensor.speed_scale import SpeedScale
-from trackres_ros.text.numbers import figures, on_scale
+from trackres_ros.text.numbers import figures, from_to
 
 MOST_CERTAIN = 20.0  # in log-likelihood: upper limit of a stated certainty
 LEAST_SHARE = 0.05  # of the probability: less likely options are not listed
@@ -157,20 +157,15 @@ def mean_error(before: float, after: float) -> str:
     return f"The mean error on hold-out laps {way} Nm"
 
 
-def assumed_sensor(instrument: Sequence[Active], without: float | None, refitted: float | None = None) -> str:
-    """The errors that a fit assumes of the torque sensor, those beyond the usual or all, and the error `without` them [Nm].
-
-    If the fit is the `refitted` base, its error [Nm] is given as well: the verdict speaks of the file alone.
-    """
-    if without is None:
+def assumed_sensor(instrument: Sequence[Active], held_out: HeldOut, fit: str) -> str:
+    """The errors that the last `fit` assumes of the torque sensor, those beyond the usual or all, and its error without them."""
+    if held_out.without_sensor is None:
         return ""
     assumed = [(a.effect.name.removeprefix("torque_"), q, a.values[q.name]) for a in instrument for q in a.effect.parameters]
     unusual = [one for one in assumed if abs(one[2]) > PRIOR_STDS * one[1].start] or assumed
     sizes = (f"{name} {figures(100.0 * x)} %" if q.unit == "1" else f"{name} {figures(x)} {q.unit}" for name, q, x in unusual)
-    if refitted is not None:
-        lowers = f"lowers the re-fit's mean error from {figures(without)} to {figures(refitted)} Nm"
-        return f"An assumed torque sensor error ({', '.join(sizes)}) {lowers}"
-    return f"That assumes an error of the torque sensor ({', '.join(sizes)}); without it the mean error is {figures(without)} Nm"
+    before, after = figures(held_out.without_sensor), figures(held_out.mae["with_effects"])
+    return f"An assumed torque sensor error ({', '.join(sizes)}) lowers the mean error {fit} from {before} to {after} Nm"
 
 
 def possible(
@@ -284,8 +279,7 @@ def likelier(one: Candidate, other: Candidate) -> str:
 
 def range_of(b: Bin) -> str:
     """The range of a bin."""
-    low, high = (on_scale(edge, b.high - b.low) for edge in (b.low, b.high))
-    return f"at {b.variable} {low} to {high} {b.unit}"
+    return f"at {b.variable} {from_to(b.low, b.high)} {b.unit}"
 
 
 def largest_of(left: Sequence[Bin]) -> Bin:

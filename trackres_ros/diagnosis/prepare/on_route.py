@@ -38,7 +38,14 @@ def on_route(gated: Gated, route: Sequence[RouteMap]) -> Gated:
                 sessions[i] = replace(session, grade=found, given=session.given | {"grade"})
             else:
                 sessions[i] = replace(session, torque_by_place=found)
-    return replace(gated, sessions=tuple(sessions), notes=tuple(notes))
+    return replace(with_fewer_steps(gated, sessions, "off the route"), notes=tuple(notes))
+
+
+def with_fewer_steps(gated: Gated, sessions: Sequence[DriveSession], reason: str) -> Gated:
+    """The same sessions with fewer compared steps; their time is excluded for a reason."""
+    before, after = (sum(s.used.sum() * s.step for s in of) for of in (gated.sessions, sessions))
+    lost = {reason: round(before - after)} if before > after else {}
+    return replace(gated, sessions=tuple(sessions), excluded={**gated.excluded, **lost})
 
 
 def way_of(session: DriveSession) -> Way:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.prepare.settings import pace
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.slopes import runs_of
+from trackres_ros.text.names import told_apart
 from trackres_ros.units import STANDSTILL_MPS
 
 Array = NDArray[np.float64]
@@ -148,6 +149,11 @@ class DriveSession:
         """Mean acceleration over `AROUND` steps [m/s^2], in which errors of the speed at the edges of a step cancel."""
         inside = np.convolve(np.ones(len(self)), np.ones(AROUND), mode="same")
         return np.asarray(np.convolve(self.accel, np.ones(AROUND), mode="same") / inside)
+
+
+def shown_names(sessions: Sequence[DriveSession]) -> list[str]:
+    """Name of each recording where room is short."""
+    return told_apart([s.name for s in sessions])
 
 
 def whole_past(mask: Mask, lags: int) -> Mask:

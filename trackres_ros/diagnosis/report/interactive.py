@@ -16,20 +16,20 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, smoothed
+from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, rms_over_time, smoothed
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.prepare.session import Array
+from trackres_ros.diagnosis.prepare.session import Array, shown_names
 from trackres_ros.diagnosis.report.series import (
-    MOST_RECORDINGS,
+    axis_label,
     bars,
     bins_of_steps,
     clock,
     lasting,
+    most_off,
     shown_lap,
     stages,
 )
@@ -46,7 +46,7 @@ from trackres_ros.diagnosis.report.timeline import (
 )
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.output.style import GREY, ORANGE, shortened
-from trackres_ros.text.numbers import alike, figures, rising
+from trackres_ros.text.numbers import figures, from_to, rising
 
 DOCUMENT = "diagnosis"
 SHOWN_EACH_S = 4.0  # of means over `SMOOTHED_S`
@@ -94,11 +94,9 @@ def interactive(d: Diagnosis) -> Interactive:
         from bokeh.embed.util import standalone_docs_json_and_render_items
     except ImportError:
         raise MissingExtraError("zoom and hover on the page", "bokeh", "interactive") from None
-    sizes = [float(np.nanmean(np.square(s.torque - d.refitted.predicted[i].torque)[s.used])) for i, s in enumerate(d.sessions)]
-    shown = sorted(np.argsort(sizes)[::-1][:MOST_RECORDINGS].tolist())
     document = Document()
     over_all = panels(d)
-    drawn: list[tuple[str, Any]] = [*_believed(d, over_all), *_over_time(d, shown), *_lap(d), *_bars(d)]
+    drawn: list[tuple[str, Any]] = [*_believed(d, over_all), *_over_time(d), *_lap(d), *_bars(d)]
     with document.models.freeze():  # else each root checks all models again
         for _, figure in drawn:
             document.add_root(figure)
@@ -238,7 +236,7 @@ def _believed(d: Diagnosis, over_all: Sequence[Panel]) -> list[tuple[str, Any]]:
     return found
 
 
-def _over_time(d: Diagnosis, shown: Sequence[int]) -> list[tuple[str, Any]]:
+def _over_time(d: Diagnosis) -> list[tuple[str, Any]]:
     """The residual of each recording over its time; axes move together."""
     from bokeh.models import ColumnDataSource, HoverTool, Range1d
     from bokeh.models.annotations import BoxAnnotation, Span
@@ -249,6 +247,7 @@ def _over_time(d: Diagnosis, shown: Sequence[int]) -> list[tuple[str, Any]]:
     values, places = values[np.isfinite(values)], _places(values)
     low, high = (float(q) for q in np.quantile(values, (0.001, 0.999))) if len(values) else (-1.0, 1.0)
     rim = 0.1 * (max(high, 0.0) - min(low, 0.0)) + 1e-9
+    shown, called = most_off(rms_over_time(every["refitted"])[0]), shown_names(d.sessions)
     across = Range1d(start=0.0, end=max(d.sessions[i].time[-1] for i in shown) / unit, bounds="auto")
     up = Range1d(start=min(low, 0.0) - rim, end=max(high, 0.0) + rim)
     found = []
@@ -257,7 +256,7 @@ def _over_time(d: Diagnosis, shown: Sequence[int]) -> list[tuple[str, Any]]:
         rows = slice(0, None, max(1, int(SHOWN_EACH_S * session.pace / session.step)))
         columns = {key: _numbers(of[i][rows], places + 1) for key, of in every.items()}
         source = ColumnDataSource({"t": _numbers(session.time[rows] / unit, 3), **columns})
-        figure = _figure(shortened(Path(session.name).name, TITLE_LETTERS), RESIDUAL_HEIGHT, x_range=across, y_range=up)
+        figure = _figure(shortened(called[i], TITLE_LETTERS), RESIDUAL_HEIGHT, x_range=across, y_range=up)
         for begin, end in session.stretches(np.isin(session.block, d.split.held_out)):
             figure.add_layout(
                 BoxAnnotation(left=begin / unit, right=end / unit, fill_color=GREY, fill_alpha=0.15, line_color=None)
@@ -285,9 +284,8 @@ def _lap(d: Diagnosis) -> list[tuple[str, Any]]:
     """Measured and simulated torque on a hold-out lap, and the speed, over the same time."""
     from bokeh.models import ColumnDataSource, HoverTool
 
-    index, rows = shown_lap(d)
-    session = d.sessions[index]
-    rows = rows[: int(LONGEST_LAP_S * session.pace / session.step)]
+    index, rows, drawn, *_ = shown_lap(d, LONGEST_LAP_S)
+    session, name = d.sessions[index], shown_names(d.sessions)[index]
     columns = {"measured": np.where(session.used, session.torque, np.nan)[rows], "speed": session.speed[rows]}
     columns |= {of.key: of.torques[index][rows] for of in stages(d)}
     places = _places(columns["measured"])
@@ -297,7 +295,7 @@ def _lap(d: Diagnosis) -> list[tuple[str, Any]]:
             **{k: _numbers(v, 2 if k == "speed" else places + 1) for k, v in columns.items()},
         }
     )
-    torque = _figure(f"{shortened(Path(session.name).name, TITLE_LETTERS - 20)}: measured and simulated", LAP_HEIGHT + 50)
+    torque = _figure(f"{shortened(name, TITLE_LETTERS - 25)}, {drawn}", LAP_HEIGHT + 50)
     speed = _figure("speed", LAP_HEIGHT - 30, x_range=torque.x_range)
     for figure in (torque, speed):
         _strips(figure, index, 1.0, False)
@@ -321,12 +319,12 @@ def _bars(d: Diagnosis) -> list[tuple[str, Any]]:
     up, found, ends = Range1d(), [], [0.0]
     for name, edges, of_stages in bars(d):
         unit, ticks = of_stages[0].bins[0].unit, (np.arange(len(edges)) - 0.5).tolist()
-        figure = _figure(f"{name} [{unit}]", BARS_HEIGHT, False, y_range=up)
+        figure = _figure(axis_label(name, of_stages[0].stage.label), BARS_HEIGHT, False, y_range=up)
         drawn, places = [], 1 + _places(np.array([b.mean_residual for b in of_stages[0].bins]))
         for stage, bins, x, half in of_stages:
             mean = np.array([b.mean_residual for b in bins])
             ends += [*(mean + np.nan_to_num(half)), *(mean - np.nan_to_num(half))]
-            ranges = [" to ".join(alike((b.low, b.high), b.high - b.low)) for b in bins]
+            ranges = [from_to(b.low, b.high) for b in bins]
             source = ColumnDataSource(
                 {
                     "x": x.tolist(), "mean": _numbers(mean, places),

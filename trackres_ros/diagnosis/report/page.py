@@ -23,6 +23,7 @@ from trackres_ros.diagnosis.report.picture import Picture
 from trackres_ros.diagnosis.report.series import MOST_RECORDINGS
 from trackres_ros.diagnosis.report.tiles import by_file, headline, lights, stage_of, tiles
 from trackres_ros.files.own_files import write
+from trackres_ros.text.names import told_apart
 from trackres_ros.text.numbers import alike, decimals, figures
 from trackres_ros.text.templates import templates
 from trackres_ros.version import __version__
@@ -107,13 +108,14 @@ def provenance(read: Sequence[Path], seconds: float | None) -> list[tuple[str, s
     """Name and text of each item of the provenance, from the read files and folders and the duration of the diagnosis."""
     program = Path(sys.argv[0])
     words = [program.name] if program.stem != "__main__" else ["python", "-m", program.parent.name]
+    names = told_apart([str(path) for path in read])
     versions = f"trackres {__version__}, Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}"
     return [
         ("made", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"),
         ("version", versions),
         ("command", shlex.join([*words, *sys.argv[1:]])),
         *([] if seconds is None else [("duration", f"{seconds:.1f} s, without this page")]),
-        *((path.name, f"SHA-256 {digest}") for path in read if (digest := sha256(path))),
+        *((name, f"SHA-256 {digest}") for name, path in zip(names, read, strict=True) if (digest := sha256(path))),
     ]
 
 

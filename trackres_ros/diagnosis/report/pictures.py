@@ -12,24 +12,26 @@ import numpy as np
 
 from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, rms_over_time, smoothed
+from trackres_ros.diagnosis.findings.wording import range_of
 from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.prepare.session import Array
+from trackres_ros.diagnosis.prepare.session import Array, shown_names
 from trackres_ros.diagnosis.report.picture import MOST_POINTS, TITLE_LETTERS, WIDTH, Picture
 from trackres_ros.diagnosis.report.series import (
     INTERVAL,
-    MOST_RECORDINGS,
+    axis_label,
     bars,
     clock,
     half_interval,
     lasting,
+    most_off,
     shown_lap,
     stages,
 )
 from trackres_ros.diagnosis.report.term_pictures import draw_effect, draw_route, draw_term
 from trackres_ros.diagnosis.report.timeline import draw_timeline
 from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, picture, picture_with_legend, shortened, thinned
-from trackres_ros.text.numbers import alike, figures, rising
+from trackres_ros.text.numbers import figures, rising
 
 LONGEST_SHOWN_S = 400.0
 PIECE_S = 30.0  # mean errors of longer pieces are hardly correlated
@@ -61,10 +63,9 @@ def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
 
 
 def draw_before_after(d: Diagnosis, path: Path) -> Picture:
-    """Draw the hold-out lap with the largest gain of the model, with all its samples."""
-    index, rows = shown_lap(d)
-    session = d.sessions[index]
-    rows = rows[: int(LONGEST_SHOWN_S * session.pace / session.step)]
+    """Draw the hold-out lap with the largest gain of the model, with all its samples, or the part with the largest mismatch."""
+    index, rows, drawn, *errors = shown_lap(d, LONGEST_SHOWN_S)
+    session, name = d.sessions[index], shown_names(d.sessions)[index]
     time = session.time[rows] - session.time[rows[0]]
     measured = np.where(session.used[rows], session.torque[rows], np.nan)
     before, after = d.refitted.predicted[index].torque[rows], d.final.predicted[index].torque[rows]
@@ -77,13 +78,13 @@ def draw_before_after(d: Diagnosis, path: Path) -> Picture:
         mismatch = "mismatch before" if d.modelled else "mismatch"
         upper.fill_between(time, measured, before, color=ORANGE, alpha=0.35, linewidth=0, label=mismatch)
         upper.set_ylabel("torque [Nm]")
-        upper.set_title(f"{shortened(Path(session.name).name, TITLE_LETTERS - 40)}, a hold-out lap")
+        upper.set_title(f"{shortened(name, TITLE_LETTERS - 40)}, {drawn}")
         lower.plot(time, session.speed[rows], color=GREY)
         lower.set_ylabel("speed [m/s]")
         lower.set_xlabel("time [s]")
-    error = [figures(float(np.nanmean(np.abs(measured - simulated)))) for simulated in (before, after)]
-    with_terms = f" before and {error[1]} Nm with {', '.join(d.modelled)}" if d.modelled else ""
-    text = f"Torque over time on a held-out lap: the mean error is {error[0]} Nm{with_terms}."
+    before_nm, after_nm = map(figures, errors)
+    with_terms = f" before and {after_nm} Nm with {', '.join(d.modelled)}" if d.modelled else ""
+    text = f"Torque over time on {drawn}: the mean error of the whole lap is {before_nm} Nm{with_terms}."
     return Picture(path, "Measured against simulated", text)
 
 
@@ -92,7 +93,7 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
     unit, word = clock(d)
     residuals = [[smoothed(s, s.torque - stage.torques[i]) for i, s in enumerate(d.sessions)] for stage in stages(d)]
     sizes, rms_nm = rms_over_time(residuals[1])
-    shown = sorted(np.argsort(sizes)[::-1][:MOST_RECORDINGS].tolist())
+    shown, names = most_off(sizes), shown_names(d.sessions)
     columns = 1 if len(shown) <= IN_ONE_COLUMN else 2
     rows = -(-len(shown) // columns)
     with picture_with_legend(path, WIDTH, max((1.15 if columns == 1 else 0.9) * rows + 0.5, 2.2)) as body:
@@ -115,7 +116,7 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
                     axis.axvline(change.time / unit, color=GREY, linestyle="--", linewidth=1.0, label="change of level")
             axis.axhline(0.0, color=GREY, linewidth=0.8)
             axis.set_xlim(session.time[0] / unit, (session.time[-1] + session.step) / unit)
-            axis.set_title(shortened(Path(session.name).name, TITLE_LETTERS // columns - 6), fontsize=8.5)
+            axis.set_title(shortened(names[i], TITLE_LETTERS // columns - 6), fontsize=8.5)
         for axis in axes[len(shown) :]:
             axis.set_visible(False)
         for column in grid.T:
@@ -156,7 +157,7 @@ def draw_regimes(d: Diagnosis, path: Path) -> Picture:
             axis.set_xticks(np.arange(len(edges)) - 0.5, rising(edges), fontsize=7)
             axis.margins(y=0.15)
             axis.axhline(0.0, color=GREY, linewidth=0.8)
-            axis.set_title(f"{name} [{of_stages[0].bins[0].unit}]", fontsize=8.5)
+            axis.set_title(axis_label(name, of_stages[0].stage.label), fontsize=8.5)
         for axis in axes[len(variables) :]:
             axis.set_visible(False)
         if not variables:
@@ -165,10 +166,7 @@ def draw_regimes(d: Diagnosis, path: Path) -> Picture:
         body.supylabel("mean residual against travel [Nm]", fontsize=9)
     texts = []
     for b in d.at_base.significant[:5]:
-        low, high = alike((b.low, b.high), b.high - b.low)
-        texts.append(
-            f"{'+' if b.mean_residual > 0.0 else ''}{figures(b.mean_residual)} Nm at {b.variable} {low} to {high} {b.unit}"
-        )
+        texts.append(f"{'+' if b.mean_residual > 0.0 else ''}{figures(b.mean_residual)} Nm {range_of(b)}")
     text = (
         "Mean residual against travel by bins of each variable, each with as many samples; the numbers are the edges of the "
         "bins, lines are 95 % intervals over laps, and a star marks bins beyond noise. With the base re-fitted: "

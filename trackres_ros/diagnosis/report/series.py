@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.base.variables import BY_NAME
 from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.findings.found import NamedEffect
+from trackres_ros.diagnosis.findings.locate import within
 from trackres_ros.diagnosis.findings.residual_bins import Bin, regime_map
 from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.pipeline import Diagnosis
@@ -45,6 +45,22 @@ class Bars(NamedTuple):
     half: Array  # half of the 95 % interval [Nm]
 
 
+class ShownLap(NamedTuple):
+    """A hold-out lap, or a part of it."""
+
+    session: int
+    rows: NDArray[np.intp]  # its steps
+    text: str
+    before: float  # mean error of the whole lap with the base re-fitted [Nm]
+    after: float  # with the effects [Nm]
+
+
+def axis_label(name: str, stage: str) -> str:
+    """A variable with its unit; a simulated one with the `stage` that simulates it."""
+    of = BY_NAME[name]
+    return f"{name}{f', {stage}' if of.simulated else ''} [{of.unit}]"
+
+
 def stages(d: Diagnosis) -> list[Stage]:
     """The completed stages."""
     found = [
@@ -65,15 +81,30 @@ def lasting(d: Diagnosis, seconds: float) -> str:
     return f"{seconds * min(s.pace for s in d.sessions):g} s"
 
 
-def shown_lap(d: Diagnosis) -> tuple[int, NDArray[np.intp]]:
-    """The session and the steps of the hold-out lap with the largest gain of the model."""
+def most_off(sizes: Sequence[float]) -> list[int]:
+    """The sessions that are drawn over their time, by their errors."""
+    return sorted(np.argsort(sizes)[::-1][:MOST_RECORDINGS].tolist())
+
+
+def shown_lap(d: Diagnosis, longest_s: float) -> ShownLap:
+    """The hold-out lap with the largest gain of the model; of one longer than `longest_s` of a drive, the part with the largest
+    mismatch.
+    """
     mae = d.held_out.by_lap["mae"]
     gained = mae["refitted"] - mae["with_effects"] if d.modelled else mae["refitted"]
     laps = [lap for lap in d.split.held_out if any((s.block[s.used] == lap).any() for s in d.sessions)]
     samples = [sum(int((s.block[s.used] == lap).sum()) for s in d.sessions) for lap in laps]
-    lap = laps[int(np.argmax(gained * samples))]
-    index = next(i for i, s in enumerate(d.sessions) if (s.block == lap).any())
-    return index, np.flatnonzero(d.sessions[index].block == lap)
+    number = int(np.argmax(gained * samples))
+    index = next(i for i, s in enumerate(d.sessions) if (s.block == laps[number]).any())
+    session = d.sessions[index]
+    rows, longest = np.flatnonzero(session.block == laps[number]), int(longest_s * session.pace / session.step)
+    errors = mae["refitted"][number], mae["with_effects"][number]
+    if len(rows) <= longest:
+        return ShownLap(index, rows, "a hold-out lap", *errors)
+    off = np.where(session.used, np.abs(session.torque - d.refitted.predicted[index].torque), 0.0)[rows]
+    sums = np.cumsum(np.append(0.0, off))
+    first = int(np.argmax(sums[longest:] - sums[:-longest]))
+    return ShownLap(index, rows[first : first + longest], f"the worst {lasting(d, longest_s)} of a hold-out lap", *errors)
 
 
 def bins_by_variable(bins: Sequence[Bin]) -> dict[str, list[Bin]]:
@@ -99,12 +130,6 @@ def bins_of_steps(d: Diagnosis) -> list[dict[str, str]]:
         letters |= {f"effect:{effect.name}": _letters(len(session), [acts_most(effect, session)]) for effect in d.found}
         found.append(letters)
     return found
-
-
-def within(variable: str, low: float, high: float, session: DriveSession, predicted: Predicted) -> Mask:
-    """The compared steps of a session within a range of a variable."""
-    series = BY_NAME[variable].of(session, predicted)
-    return np.asarray(session.used & (series >= low) & (series <= high))
 
 
 def acts_most(effect: NamedEffect, session: DriveSession) -> Mask:

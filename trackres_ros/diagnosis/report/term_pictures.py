@@ -19,9 +19,9 @@ from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, evenly_filled, smoothed
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.prepare.session import Array
+from trackres_ros.diagnosis.prepare.session import Array, shown_names
 from trackres_ros.diagnosis.report.picture import MOST_POINTS, TITLE_LETTERS, WIDTH, Picture
-from trackres_ros.diagnosis.report.series import INTERVAL, clock, lasting
+from trackres_ros.diagnosis.report.series import INTERVAL, axis_label, clock, lasting, stages
 from trackres_ros.output.style import BLUE, GREY, VERMILION, picture_with_legend, shortened, thinned
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.route.lookup import SPACING_M
@@ -38,7 +38,7 @@ def draw_effect(d: Diagnosis, found: NamedEffect, path: Path) -> Picture:
     left_over = against_travel(d.sessions, torque_residuals(d.final))
     variable = BY_NAME[found.location.variable]
     course = [variable.of(s, p) for s, p in zip(d.sessions, d.final.predicted, strict=True)]
-    label, title = f"{variable.name} [{variable.unit}]", f"{found.name}: {found.text}"
+    label, title = axis_label(variable.name, stages(d)[-1].label), f"{found.name}: {found.text}"
     return _over(d, course, found.resists, left_over, label, found.name, title, path)
 
 
@@ -115,7 +115,7 @@ def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], of: Desc
         axis.plot(session.time, left, color=BLUE, label=f"residual without the term, means over {lasting(d, SMOOTHED_S)}")
         axis.plot(session.time, np.where(session.used, adds[i], np.nan), color=VERMILION, label=f"{of.name} as found")
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        _label(axis, f"time in {shortened(Path(session.name).name, TITLE_LETTERS - 40)} [s]", AGAINST, of.sentence)
+        _label(axis, f"time in {shortened(shown_names(d.sessions)[i], TITLE_LETTERS - 40)} [s]", AGAINST, of.sentence)
     text = (
         "Residual without the term, and the term, over the recording in which it acts most; on hold-out laps the "
         "term is predicted from the torque up to a few seconds before."

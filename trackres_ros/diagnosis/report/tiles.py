@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -15,7 +16,7 @@ from trackres_ros.diagnosis.empirical.terms import FOLLOWED
 from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
 from trackres_ros.diagnosis.findings.wording import form_words, upper
 from trackres_ros.diagnosis.selection.held_out import SMALL_SHARE
-from trackres_ros.text.numbers import alike, decimals, figures
+from trackres_ros.text.numbers import decimals, figures, from_to
 from trackres_ros.vehicle.writing.sensor_lines import REPLACED
 
 MOST_WORDS = 40  # upper limit for the sentence
@@ -80,15 +81,15 @@ def _possible(r: dict[str, Any]) -> str:
 
 
 def stage_of(report: dict[str, Any]) -> str:
-    """The last completed stage: the re-fitted base, or the fit with found effects."""
-    modelled = report["effects"] or [t for t in report.get("described", ()) if t["heldout"]]
+    """The last completed stage: the re-fitted base, or the fit with found effects and terms."""
+    modelled = report["effects"] or [t for t in report.get("described", ()) if t["heldout"] and t["form"] not in FOLLOWED]
     return "with_effects" if modelled else "refitted"
 
 
 def range_of(b: dict[str, Any]) -> str:
     """The range of a bin in words."""
-    low, high = alike((b["lo"], b["hi"]), (b["hi"] or 0.0) - (b["lo"] or 0.0))
-    return f"{b['variable']} {low} to {high} {b['unit']}"
+    low, high = (math.nan if b[end] is None else b[end] for end in ("lo", "hi"))
+    return f"{b['variable']} {from_to(low, high)} {b['unit']}"
 
 
 def lights(report: dict[str, Any], most: int = 6) -> Iterator[tuple[str, str]]:

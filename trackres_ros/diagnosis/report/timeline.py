@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from trackres_ros.diagnosis.findings.found import NamedEffect, by_improvement
-from trackres_ros.diagnosis.findings.locate import smoothed
+from trackres_ros.diagnosis.findings.locate import smoothed, within
 from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
 from trackres_ros.diagnosis.findings.wording import differs, largest_of, range_of, short
 from trackres_ros.diagnosis.inference.fitting import Fit, valid_rows
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.prepare.session import Array, Mask
+from trackres_ros.diagnosis.prepare.session import Array, Mask, shown_names
 from trackres_ros.diagnosis.report.picture import WIDTH, Picture
-from trackres_ros.diagnosis.report.series import acts_most, clock, lasting, within
+from trackres_ros.diagnosis.report.series import acts_most, clock, lasting
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, picture_with_legend, thinned
@@ -148,7 +148,7 @@ def names(d: Diagnosis, letters: int) -> list[str]:
     """Label of each session: its name if all fit into `letters` characters, else its number."""
     ends = begins(d)
     room = [int(letters * (end - begin) / max(ends[-1], 1e-9)) for begin, end in pairwise(ends)]
-    full = [Path(s.name).name for s in d.sessions]
+    full = shown_names(d.sessions)
     if all(len(name) < most for name, most in zip(full, room, strict=True)):
         return full
     return [str(i + 1) if most > len(str(i + 1)) else "" for i, most in enumerate(room)]

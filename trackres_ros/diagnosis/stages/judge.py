@@ -100,7 +100,7 @@ def judge(
             spread=None if spread is None else spread.described,
             distance_off=_distance_off(prepared.sessions),
             later=later,
-            sensor=assumed_sensor(final.instrument, worth.without_sensor, None if final.effects else worth.mae["with_effects"]),
+            sensor=assumed_sensor(final.instrument, worth, "with the effects" if final.effects else "of the re-fit"),
             unusable=unusable,
         )
     )
@@ -162,7 +162,7 @@ def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
         where = locate(final, resists)
         if isinstance(effect, ByPlace):
             where = replace(where, low=where.least, high=where.most)  # limits by place only
-        regime = regime_of(base.refitted, base.at_base, where)
+        regime = regime_of(base.refitted, final, base.at_base, where)
         found.append(
             NamedEffect(
                 effect.name, effect.text, effect.acts_on, effect.parameters, chosen.steps[effect.name], active.values,

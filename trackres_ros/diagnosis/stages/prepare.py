@@ -17,7 +17,7 @@ from trackres_ros.diagnosis.base.instrument import usual_offset
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.prepare.gate import Gated, gate
 from trackres_ros.diagnosis.prepare.notes import WarningNote
-from trackres_ros.diagnosis.prepare.on_route import on_route
+from trackres_ros.diagnosis.prepare.on_route import on_route, with_fewer_steps
 from trackres_ros.diagnosis.prepare.refuse import Refusal
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask, Split
 from trackres_ros.diagnosis.prepare.split import split
@@ -164,4 +164,5 @@ def prepared(
         refused += faulty
     check_torque(sessions, expected, resisting, vehicle.known)
     notes = (*gated.notes, *(note for _, note in moved if note), *inconsistent_scale_notes(sessions, expected))
-    return replace(gated, sessions=sessions, notes=notes), tuple(expected), passed.sessions
+    corrected = with_fewer_steps(gated, sessions, "no torque left by the correction of its clock")
+    return replace(corrected, notes=notes), tuple(expected), passed.sessions
