@@ -95,14 +95,20 @@ def test_temperatures_and_heat_are_those_of_the_linear_model(name, dt, constants
 def test_departures_follow_their_causes_through_the_same_model(name, dt, constants, belt):
     advance, model, nodes = MODELS[name]
     matrix, gained, lost, flow = model(belt)
-    before = belt.copy()
+    before, moves, none = belt.copy(), gained - lost + flow, np.zeros((nodes, nodes))
     interpreted(advance)(constants, constants.own, belt, HEAT, AMBIENT_STD, dt)
+    gains, loses = none.copy(), none.copy()  # derivatives of gained and lost
+    air = HEAT.cooling / CAPACITY / np.array([1.0, SHARE][:nodes])
+    gains[:, 0], loses[:, -1] = HEAT.power_slope / CAPACITY, air
     for cause in range(3):
         of_loss, of_cooling, of_capacity = (CONSIDERED[row][cause] for row in CONSIDERED)
-        forced = gained * of_loss - lost * of_cooling - (gained - lost + flow) * of_capacity
-        column = at.FIRST_DEPARTURE + cause
-        assert belt[:nodes, column] == pytest.approx(solved(matrix, forced, before[:nodes, column], dt)[0], rel=1e-8), cause
-    by_air = HEAT.cooling / CAPACITY * AMBIENT_STD / np.array([1.0, SHARE][:nodes])
+        forced = gained * of_loss - lost * of_cooling - moves * of_capacity
+        by_temperature = gains * of_loss - loses * of_cooling - matrix * of_capacity
+        both, column = np.block([[matrix, none], [by_temperature, matrix]]), at.FIRST_DEPARTURE + cause
+        start = np.concatenate([np.zeros(nodes), before[:nodes, column]])
+        expected = solved(both, np.concatenate([moves, forced]), start, dt)[0][nodes:]
+        assert belt[:nodes, column] == pytest.approx(expected, rel=1e-8), cause
+    by_air = air * AMBIENT_STD
     expected = solved(matrix, by_air, before[:nodes, at.Belt.consider_ambient], dt)[0]
     assert belt[:nodes, at.Belt.consider_ambient] == pytest.approx(expected, rel=1e-8)
 

@@ -145,6 +145,18 @@ def test_at_rest_the_belt_cools_exponentially_over_any_step(thermal, start, ambi
 
 
 @both_networks
+@few
+@given(log_first=st.floats(0.0, 5.5), log_second=st.floats(0.0, 5.5), ambient=ambients)
+def test_a_rest_in_two_parts_is_the_whole_rest(thermal, log_first, log_second, ambient):
+    """Temperatures and all their departures, after belts that a drive has warmed."""
+    one, first, second = estimator(thermal), 10.0**log_first, 10.0**log_second
+    inputs = one.inputs(12.0, ambient=ambient)
+    warm, _ = one.run(one.cold_start(inputs), np.arange(0.0, 1200.0, 1.0), np.full(1200, 12.0), one.vehicle.weight, ambient, 0.0)
+    whole, parts = one.rest(warm, ambient, first + second), one.rest(one.rest(warm, ambient, first), ambient, second)
+    assert parts.belts == pytest.approx(whole.belts, rel=1e-6, abs=1e-6)
+
+
+@both_networks
 @pytest.mark.parametrize("hysteresis", ["spectral", "rainflow"])
 @few
 @given(first=ambients, second=ambients, speed=st.floats(2.0, 16.0), weight=st.floats(2e5, 3.5e5))

@@ -24,7 +24,8 @@ def advance_lumped(
 
     Notes
     -----
-    T += dt phi_1(J dt) f, and a departure d += dt phi_1(J dt) (J d + its cause's forcing) [5]. A random part is multiplied by
+    T += dt phi_1(J dt) f, and a departure d += dt phi_1(J dt) (J d + g) + dt^2 (phi_1 - phi_2)(J dt) g' f [5]: the forcing by its
+    cause is g + g' (T(t) - T), so that of a hot belt fades as the belt cools. A random part is multiplied by
     exp(J dt) = 1 + dt phi_1(J dt) J and gains the variance q^2 dt phi_1(2 J dt), the integral of q^2 exp(2 J t). Heat in and out
     are integrals of the same linear model.
     """
@@ -37,16 +38,16 @@ def advance_lumped(
     state.temperature += mean * f
     if not k.number.with_uncertainty:
         return math.nan, math.nan
-    consider = state.consider
+    consider, second = state.consider, dt * dt * phi_2(j * dt)
+    fades = (dt * mean - second) * f
     for cause in range(3):
-        forced = (
-            gained * assembly.consider_loss[cause]
-            - lost * assembly.consider_cooling[cause]
-            - f * assembly.consider_capacity[cause]
-        )
-        consider[cause] += mean * (j * consider[cause] + forced)
+        of_loss, of_cooling = assembly.consider_loss[cause], assembly.consider_cooling[cause]
+        of_capacity = assembly.consider_capacity[cause]
+        forced = gained * of_loss - lost * of_cooling - f * of_capacity
+        slope = (power_slope * of_loss - cooling * of_cooling) * per_capacity - j * of_capacity
+        consider[cause] += mean * (j * consider[cause] + forced) + fades * slope
     state.consider_ambient += mean * (j * state.consider_ambient + cooling * per_capacity * ambient_std)
     gains = squared(k.number.process_noise) * dt * phi_1(2.0 * j * dt)
     state.noise_1 = math.sqrt(squared(state.noise_1 * (1.0 + mean * j)) + gains)
-    departure = dt * dt * phi_2(j * dt) * f
+    departure = second * f
     return power * dt + power_slope * departure, cooling * (above * dt + departure)

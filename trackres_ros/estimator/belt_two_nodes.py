@@ -14,7 +14,7 @@ from trackres_ros.estimator.columns import BELT_COLUMNS, FIRST_DEPARTURE, Assemb
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import compiled, inlined
-from trackres_ros.model.thermal import phi_1, phi_matrix
+from trackres_ros.model.thermal import phi_1, phi_2, phi_matrix
 
 LEAST_SPREAD = 1e-5  # of the rates, between the two of a belt
 
@@ -40,6 +40,49 @@ def walked(j11: float, j12: float, j21: float, j22: float, dt: float) -> tuple[f
         a1 * a2 * aa + (a1 * b2 + a2 * b1) * ab + b1 * b2 * bb,
         a2 * a2 * aa + 2.0 * a2 * b2 * ab + b2 * b2 * bb,
     )
+
+
+@compiled
+def fading(
+    belt: Array,
+    assembly: Assembly,
+    by_heat: tuple[float, float, float],
+    jacobian: tuple[float, float, float, float],
+    f1: float,
+    f2: float,
+    dt: float,
+) -> None:
+    """Add what the forcings of the departures change within dt [s], as temperatures move from their rates f1 and f2 [K/s].
+
+    Notes
+    -----
+    A forcing is g + G (x(t) - x), so a departure gains dt^2 times the sum of P_i G P_k f D_ik, where P_i projects on an
+    eigenvector of J, and D_ik = phi_1[l_i dt, l_k dt] is a divided difference (ours). For equal ones it is phi_1 - phi_2. So a
+    hot belt's forcing by its cooling fades as it cools. `by_heat` [1/s] are the parts of J by the belt's power, and by the
+    cooling of mean and surface.
+    """
+    j11, j12, j21, j22 = jacobian
+    by_power, mean_cools, skin_cools = by_heat
+    middle, half = 0.5 * (j11 + j22), 0.5 * (j11 - j22)
+    least = LEAST_SPREAD * (abs(j11) + abs(j12) + abs(j21) + abs(j22))
+    spread = math.sqrt(max(half * half + j12 * j21, least * least))
+    first, second = (middle + spread) * dt, (middle - spread) * dt
+    d11, d22 = phi_1(first) - phi_2(first), phi_1(second) - phi_2(second)
+    d12 = (phi_1(first) - phi_1(second)) / (first - second)
+    across = 0.5 / spread
+    p11, p12, p21, p22 = 0.5 + half * across, j12 * across, j21 * across, 0.5 - half * across
+    of_first_1, of_first_2 = p11 * f1 + p12 * f2, p21 * f1 + p22 * f2
+    of_second_1, of_second_2 = f1 - of_first_1, f2 - of_first_2
+    for cause in range(3):
+        loss, cools, holds = assembly.consider_loss[cause], assembly.consider_cooling[cause], assembly.consider_capacity[cause]
+        g11, g12 = by_power * loss - j11 * holds, -mean_cools * cools - j12 * holds
+        g21, g22 = by_power * loss - j21 * holds, -skin_cools * cools - j22 * holds
+        a1, a2 = g11 * of_first_1 + g12 * of_first_2, g21 * of_first_1 + g22 * of_first_2
+        b1, b2 = g11 * of_second_1 + g12 * of_second_2, g21 * of_second_1 + g22 * of_second_2
+        with_1, with_2 = d12 * a1 + d22 * b1, d12 * a2 + d22 * b2
+        off_1, off_2 = d11 * a1 + d12 * b1 - with_1, d11 * a2 + d12 * b2 - with_2
+        belt[0, FIRST_DEPARTURE + cause] += dt * dt * (with_1 + p11 * off_1 + p12 * off_2)
+        belt[1, FIRST_DEPARTURE + cause] += dt * dt * (with_2 + p21 * off_1 + p22 * off_2)
 
 
 @inlined
@@ -83,6 +126,7 @@ def advance_two_nodes(
             slope_2 += cooling * per_skin * ambient_std
         belt[0, column] = first + dt * (m11 * slope_1 + m12 * slope_2)
         belt[1, column] = second + dt * (m21 * slope_1 + m22 * slope_2)
+    fading(belt, assembly, (slope, cooling * per_capacity, cooling * per_skin), (j11, j12, j21, j22), f1, f2, dt)
     of_mean, of_both, of_skin = walked(j11, j12, j21, j22, dt)
     rate = squared(k.number.process_noise)
     add_noise(belt, rate * of_mean, rate * of_both, rate * of_skin)
