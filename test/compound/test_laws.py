@@ -3,6 +3,7 @@
 
 """Laws of superposition, of Prony series, and of a fit: what went in comes out, within its intervals."""
 
+import re
 from contextlib import suppress
 from dataclasses import replace
 from itertools import count
@@ -13,12 +14,12 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from sweeps import FERRY_K, moduli, published, sweep
+from sweeps import FERRY_K, FREQUENCIES, moduli, published, sweep
 
 from trackres_ros.compound.fitting import ARRHENIUS, KEPT, WLF, fit_compound
 from trackres_ros.compound.reading import read_sweep
 from trackres_ros.compound.shift import ABSOLUTE_ZERO_DEGC, GAS_CONSTANT, Shift
-from trackres_ros.compound.writing import ALIKE_K, MOST_MEASURED_ROWS, ROWS_K, files_of, table_degc, write_compound
+from trackres_ros.compound.writing import ALIKE_K, MOST_MEASURED_ROWS, ROWS_K, files_of, prony_text, table_degc, write_compound
 from trackres_ros.files.resources import config_dir
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.vehicle import load
@@ -176,6 +177,27 @@ def test_a_prony_series_keeps_its_rms_between_the_rows(vehicle):
     for found, curve, rms in zip(series, master.moduli(degc), prony.rms, strict=True):
         assert np.sqrt(np.mean((found / curve - 1.0) ** 2)) < 1.05 * rms
         assert np.abs(found / curve - 1.0).max() < 6.0 * rms
+
+
+@pytest.mark.parametrize("warmer", [0.0, 105.0])
+def test_the_prony_file_alone_gives_the_moduli(vehicle, natural_rubber, warmer):
+    """Its head and its rows, above the glass transition; one is above room temperature."""
+    data = natural_rubber.sweep
+    fit = fit_compound(replace(data, temp_degc=data.temp_degc + warmer), vehicle) if warmer else natural_rubber
+    text = prony_text(fit)
+    found = re.search(r"log10 a_T = -(\S+) \(T ([+-]) (\S+)\) / \((\S+) \+ T \2 \3\), T in degC, above (\S+) degC", text)
+    c1, c2, glass, reference = (float(found[i]) for i in (1, 4, 5, 3))
+    reference = -reference if found[2] == "+" else reference
+    rows = text[text.index("tau_s,") :].splitlines()
+    tau, strength = np.genfromtxt(rows, delimiter=",", skip_header=1).T[:2]
+    frequency, degc = (x.ravel() for x in np.meshgrid(FREQUENCIES, np.arange(glass, 60.0 + warmer, 10.0)))
+    away = degc - reference
+    x2 = (2.0 * np.pi * frequency * 10.0 ** (-c1 * away / (c2 + away)) * tau[1:, None]) ** 2
+    series = strength[0] + strength[1:] @ (x2 / (1.0 + x2)), strength[1:] @ (np.sqrt(x2) / (1.0 + x2))
+    curve = fit.master.moduli(fit.shift.equivalent_degc(frequency, degc, fit.master.at_frequency))
+    for found, expected, rms in zip(series, curve, fit.prony.rms, strict=True):
+        assert np.abs(1e6 * found / expected - 1.0).max() < 6.0 * rms
+    assert f"at {reference:.6g} degC" in text
 
 
 def test_moduli_that_do_not_belong_together_have_no_prony_series(vehicle, natural_rubber):

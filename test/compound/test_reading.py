@@ -62,6 +62,10 @@ FORMS = {
     "a column twice": text(
         ["Temp [C]", "f [Hz]", "E_prime [Pa]", "E_double_prime [Pa]", "Temp [C]"], [T, F, E1, E2, T], "\t"
     ),
+    "logarithms beside the values": text(
+        ["log10 Frequency [Hz]", "lg storage modulus [Pa]", *PLAIN, "log tan delta"],
+        [np.log10(F), np.log10(E1), T, F, E1 / 1e6, E2 / 1e6, np.log10(E2 / E1)],
+    ),
     "a column without numbers": text([*PLAIN, "tan delta"], [T, F, E1 / 1e6, E2 / 1e6, T * np.nan]),
 }  # fmt: skip
 
@@ -134,6 +138,14 @@ BAD = {
     "twice": (GOOD.replace("Loss Modulus", "Storage Modulus"), "line 1, column 4: .*one column of storage modulus"),
     "an empty cell between spaces": (FORMS["spaces, a line of prose"].replace("   5   ", "   ", 1), "line 4: .*4 cells"),
     "two of a kind": (GOOD.replace("Loss Modulus", "E'"), "line 1, column 4: .*one column of storage modulus"),
+    "one modulus in shear": (GOOD.replace("Storage", "Shear storage"), "'Shear storage .* in shear, Loss .* in tension'"),
+    **{
+        f"{log} of column {place + 1}": (
+            GOOD.replace(name, log.format(name), 1), f"line 1, column {place + 1}: .*itself, not its logarithm",
+        )
+        for place, name in enumerate(GOOD.splitlines()[0].split(","))
+        for log in ("log {}", "log10({})", "lg {}", "LN_{}", "Log{}", "{} (log)")
+    },
     "too few": ("\n".join(GOOD.splitlines()[:5]), "4 rows at 2 temperatures over 15 K"),
 }  # fmt: skip
 

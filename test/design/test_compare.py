@@ -4,14 +4,14 @@
 """Two designs side by side."""
 
 import json
-from dataclasses import astuple, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 
 import trackres_ros as tr
-from trackres_ros.design.compare import asked_of
+from trackres_ros.design.compare import asked_of, compare_designs
 from trackres_ros.design.compare_text import designs_text, draw_designs
 from trackres_ros.design.steady import FileErrors, held, solver, steady
 from trackres_ros.design.uncertain import difference_std, moved, slopes_of
@@ -147,13 +147,13 @@ def test_a_differences_std_moves_shared_values_in_both_vehicles(good, tmp_path):
 
     def of(vehicle, by=()):
         values = {path: vehicle.parameters[path].value + step for path, step in by}
-        return np.array(astuple(steady(variants(vehicle)(values), speed, air)))
+        return np.array(steady(variants(vehicle)(values), speed, air).outcomes)
 
     moves = []
     for vehicle in (one, other):
         found = of(vehicle)
         slopes = slopes_of(vehicle, speed, np.array([air, found[2]]))
-        off = moved(slopes, lambda by, _, of=vehicle: np.array(astuple(held(of, speed, air).solve(by))), [air, *[found[2]] * 3])
+        off = moved(slopes, lambda by, _, of=vehicle: np.array(held(of, speed, air).solve(by).outcomes), [air, *[found[2]] * 3])
         exact = {}
         for path in paths:
             std = vehicle.parameters[path].standard_deviation
@@ -173,14 +173,14 @@ def test_ranges_inside_a_belt_move_its_steady_state(thermal):
     certain = {path: replace(q, low=q.value, high=q.value) for path, q in whole.parameters.items() if path not in paths}
     vehicle = replace(whole, parameters={**whole.parameters, **certain})
     own = held(vehicle, speed, air)
-    found, (kind,) = np.array(astuple(own.solve())), own.kinds
+    found, (kind,) = np.array(own.solve().outcomes), own.kinds
     slopes = slopes_of(vehicle, speed, np.array([air, found[2]]))
-    off = moved(slopes, lambda by, _: np.array(astuple(own.solve(by))), np.array([air, *[found[2]] * 3]))
+    off = moved(slopes, lambda by, _: np.array(own.solve(by).outcomes), np.array([air, *[found[2]] * 3]))
     for path in paths:
         quantity = vehicle.parameters[path]
         network = belt_network(variants(vehicle)({path: quantity.value + 0.1 * quantity.standard_deviation}), kind.track)
         other = replace(kind, network=network, film=kind.film / kind.network.area * network.area)
-        exact = (np.array(astuple(replace(own, kinds=(other,)).solve())) - found) / 0.1
+        exact = (np.array(replace(own, kinds=(other,)).solve().outcomes) - found) / 0.1
         assert off[path] == pytest.approx(exact, rel=0.05, abs=1e-9)
         assert exact[2] < -0.3 or (thermal == "lumped" and path == paths[0])
 
@@ -190,13 +190,13 @@ def test_errors_of_a_file_act_with_its_effects():
     plain, speed, air, share = load("agri3t"), 4.0, 5.0, 0.5
     vehicle = replace(plain, effects=(Active(catalogue()["air_drag"], {"share": share}),))
     solvers, track = [solver(one, speed, air) for one in (plain, vehicle)], plain.assemblies[0].track
-    before = [np.array(astuple(solve(FileErrors()))) for solve in solvers]
+    before = [np.array(solve(FileErrors()).outcomes) for solve in solvers]
     for change, factor in (({"loss": 1.1}, 1.0), ({"film": 1.1}, 1.0), ({"drag_area": 1.0}, 1.0 + share)):
-        one, other = (astuple(solve(FileErrors(track, **change))) - at for solve, at in zip(solvers, before, strict=True))
+        one, other = (solve(FileErrors(track, **change)).outcomes - at for solve, at in zip(solvers, before, strict=True))
         assert np.abs(one).max() > 1.0
         assert other[[0, 1, 3]] == pytest.approx(factor * one[[0, 1, 3]], rel=0.02, abs=1e-3)
         assert other[2] == pytest.approx(one[2], rel=0.02, abs=0.1)
-        assert astuple(solvers[1](FileErrors("another", **change | {"drag_area": 0.0}))) == tuple(before[1])
+        assert solvers[1](FileErrors("another", **change | {"drag_area": 0.0})).outcomes == tuple(before[1])
 
 
 def test_the_same_design_twice_is_the_same(good, softer):
@@ -227,6 +227,16 @@ def test_the_same_design_twice_is_the_same(good, softer):
 )
 def test_what_cannot_be_is_one_line(refused, given, part):
     assert part in refused("compare", *given)
+
+
+@pytest.mark.parametrize(("degc", "outside"), [(-60, True), (10, False)])
+def test_each_part_of_a_comparison_says_that_it_extrapolates(tmp_path, degc, outside):
+    (tmp_path / "drive.csv").write_text("time_s,speed_kmh\n0,50\n9,50\n")
+    conditions = {"speed_kmh": "50", "belt_degc": str(degc), "ambient_degc": str(degc), "cycle": (str(tmp_path / "drive.csv"),)}
+    found = compare_designs(asked_of(("xgd24d", "xgd24d"), **conditions))
+    parts = ["xgd24d", "xgd24d, table of resistance", "xgd24d on drive.csv"] if outside else []
+    assert {text.partition(": track")[0] for text in found["remarks"]} == set(parts)
+    assert all(f"  ! {text}" in designs_text(found) for text in found["remarks"])
 
 
 def test_vehicles_without_belts_compare_resistance_and_energy(good):

@@ -6,7 +6,7 @@
 import json
 import math
 from copy import deepcopy
-from dataclasses import astuple, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -131,7 +131,7 @@ def test_energy_is_that_of_each_assembly_at_its_own_sprocket(mixed, tmp_path):
     assert rows.as_dict()["drive"]["energy_mj"] == pytest.approx(1e-6 * of["resistance"])
     in_fleet = _replayed(recording, turned)
     assert {part: in_fleet[f"{part}_mj"] for part in of} == pytest.approx({part: 1e-6 * energy for part, energy in of.items()})
-    assert astuple(steady(turned, SPEED, AIR)) == pytest.approx(astuple(steady(vehicle, SPEED, AIR)))
+    assert steady(turned, SPEED, AIR).outcomes == pytest.approx(steady(vehicle, SPEED, AIR).outcomes)
 
 
 @pytest.mark.parametrize("step_s", [0.1, 1.0, 4.0, 20.0])
@@ -208,7 +208,7 @@ def test_an_effect_of_no_size_leaves_a_steady_state_as_it_is():
     vehicle = load("xgd24d", {"chassis.axles.front.load": 80e3, "chassis.axles.rear.load": 150e3})
     drag = catalogue()["coulomb_friction"]
     with_drag = replace(vehicle, effects=(Active(drag, {**drag.values(), "friction": 1e-3}),))
-    assert astuple(steady(with_drag, SPEED, AIR)) == pytest.approx(astuple(steady(vehicle, SPEED, AIR)), rel=1e-4)
+    assert steady(with_drag, SPEED, AIR).outcomes == pytest.approx(steady(vehicle, SPEED, AIR).outcomes, rel=1e-4)
 
 
 def test_a_belt_that_finds_no_balance_has_no_steady_state():
@@ -319,6 +319,32 @@ def test_a_value_that_ends_the_balance_is_varied(monkeypatch, vary):
     assert hot in found.indices["belt_degc"]
 
 
+@pytest.mark.parametrize(("air", "outside"), [(AIR, 0), (125.0, 24)])
+def test_sensitivity_counts_the_vehicles_that_extrapolate(vary, air, outside):
+    vary("rubber.loss_modulus_scale")
+    found = sensing.sensitivity("agri3t", 2.5, air, 8)
+    drawn = [text for text in found.remarks if text.startswith(f"{outside} of {found.drawn} drawn vehicles")]
+    assert len(found.remarks) == 3 * len(drawn) == (3 if outside else 0)  # of the file's, cold and settled, and of those
+    assert (
+        list(found.remarks)
+        == found.as_dict()["remarks"]
+        == [x[4:] for x in found.text("warm_nm").splitlines() if x[:4] == "  ! "]
+    )
+
+
+@pytest.mark.parametrize(("speed", "air", "outside"), [(14.0, 60.0, [1, 2]), (16.0, -60.0, [0, 1, 2]), (6.0, 15.0, [])])
+def test_a_point_extrapolates_where_explain_says_so(speed, air, outside):
+    swept = sweep(SweepRequest("xgd24d", (varied(load("xgd24d"), "axles.load=-10%,+100%,+150%"),), speed, air))
+    assert list(swept.remarks) == np.flatnonzero(swept.columns["beyond_data"]).tolist() == outside
+    assert list(swept.as_dict()["remarks"]) == [str(number) for number in outside]
+    for number, values in enumerate(swept.asked.points):
+        belts = air, swept.columns["belt_degc"][number]
+        told = [text for belt in belts for text in explain(load("xgd24d", values), speed, belt, air)["remarks"]]
+        assert swept.remarks.get(number, []) == list(dict.fromkeys(told))
+    rows = swept.text().splitlines()[2:5]
+    assert [number for number, row in enumerate(rows) if row.endswith("!")] == outside
+
+
 LOSS, FILM, DRAG = "rubber.loss_modulus_scale", "tracks.low.belt.film_offset", "chassis.drag_coefficient"
 THICKNESS, EXPOSED, AREA = "tracks.low.belt.thickness", "tracks.low.belt.exposed_share", "chassis.frontal_area"
 
@@ -422,8 +448,8 @@ def test_the_command_sweeps_says_what_cannot_be_and_draws(good, tmp_path, monkey
     assert "Written: sweep.csv, sweep.png" in shown
     assert (tmp_path / "sweep.png").stat().st_size > 10000
     lines = (tmp_path / "sweep.csv").read_text().splitlines()
-    assert lines[0] == "tracks.triangular.belt.thickness,cold_nm,warm_nm,belt_degc,kwh_per_km"
-    assert lines[3] == "5.0,,,,"
+    assert lines[0] == "tracks.triangular.belt.thickness,cold_nm,warm_nm,belt_degc,kwh_per_km,beyond_data"
+    assert lines[3] == "5.0,,,,,"
 
 
 def test_the_command_says_what_to_measure_first(good, tmp_path, vary):

@@ -229,6 +229,18 @@ def test_from_a_written_file_it_goes_on(left, tmp_path):
         assert text.count("# The reference vehicle") == 1
 
 
+@pytest.mark.parametrize("acting", [(), ("squeak",), ("squeak", "hum")], ids=len)
+def test_effect_files_go_along_whether_they_act_or_not(acting, own, tmp_path):
+    (own / "hum.py").write_text((own / "squeak.py").read_text().replace("squeak", "hum"))
+    content = yaml.safe_load(load_any("husky").source.read_text())
+    content |= {"effect_files": ["squeak.py", "hum.py"], "effects": {name: {"torque": 5.0} for name in acting}}
+    (own / "v.yaml").write_text(yaml.safe_dump(content))
+    written = load_base(own / "v.yaml").base.write(tmp_path / "new" / "v.yaml", FileChanges(None, (), {}), "Nothing.")
+    shutil.rmtree(own)
+    assert {a.effect.name for a in load_any(tmp_path / "new" / "v.yaml").effects} == set(acting)
+    assert [path.name for path in written] == ["v.yaml", "squeak.py", "hum.py"]
+
+
 def test_a_road_load_file_too(tmp_path, own):
     first = load_base("husky").base
     known = catalogue(own, size=first.facts.weight * first.facts.radius, on_tyres=True)

@@ -66,13 +66,30 @@ def test_entries_join_a_mapping_however_it_is_written(there, after):
     assert [line for line in text.splitlines() if line.lstrip().startswith("#") and line not in changed.splitlines()] == []
 
 
-def test_what_is_shared_is_not_changed_in_one_place_for_all():
-    text = "a: &x {value: 1.0, unit: m}\nb: {<<: *x, unit: km}\nc: *x\n"
-    document = Document(text)
-    document.set(("b", "value"), 2.0)
-    assert document.text() is None
-    plain = yaml.safe_load(document.plain())
-    assert plain == {"a": {"value": 1.0, "unit": "m"}, "b": {"value": 2.0, "unit": "km"}, "c": {"value": 1.0, "unit": "m"}}
-    document = Document(text)
+SHARED = """a: &x {value: 1.0, unit: m}
+b: {<<: *x, unit: km}
+c: *x
+d: &y {belt: {film: *x, width: &w 2.0}}  # of both
+e: {<<: *y, wheels: 3}
+f: *w
+"""
+
+
+def leaves(content, path=()):
+    if not isinstance(content, dict):
+        return {path: content}
+    return {leaf: value for key, inner in content.items() for leaf, value in leaves(inner, (*path, key)).items()}
+
+
+@pytest.mark.parametrize("path", leaves(yaml.safe_load(SHARED)), ids=".".join)
+def test_exactly_what_is_set_changes_however_it_is_shared(path):
+    document = Document(SHARED)
+    document.set(path, "new")
+    changed = yaml.safe_load(document.text() or document.plain())
+    assert leaves(changed) == {**leaves(yaml.safe_load(SHARED)), path: "new"}
+
+
+def test_a_key_of_its_own_changes_beside_a_merged_one():
+    document = Document(SHARED)
     document.set(("b", "unit"), "cm")
-    assert yaml.safe_load(document.text())["b"] == {"value": 1.0, "unit": "cm"}
+    assert "b: {<<: *x, unit: cm}" in document.text()

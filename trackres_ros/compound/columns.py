@@ -25,6 +25,7 @@ NAMES = (
 )
 SHEAR = re.compile(r"^g\b|^g['\"12_]|shear|schub|\bg['\"]")
 ANGULAR = re.compile(r"omega|\u03c9|angular|kreis|puls", re.IGNORECASE)
+LOGARITHM = re.compile(r"(?<![a-z])(log(?!g[ei])|l[gn](?![a-z]{2}))", re.IGNORECASE)  # none of a logger or the length
 UNLIKE = re.compile(r"complex|\|?[eg]\*|beta\b|viscos|complian|stiffness|strain|stress|force")
 OF_OTHERS = re.compile(r"[tTfF]\s*[\[(/_ ]\s*[\[(]?(s|sec|min|h|N|mN)\b")  # a time, a force
 QUOTES = str.maketrans(
@@ -117,15 +118,20 @@ def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) ->
     """The columns in use, by their names and the line of units below them, if any.
 
     `names`, `units`: the cells of both lines; `where`: file and line of the names, for messages. Raises InputError for a unit
-    that is missing or does not fit its quantity; a second column of a quantity with another name or unit.
+    that is missing or does not fit its quantity; a second column of a quantity with another name or unit; a quantity only as a
+    logarithm; a modulus in shear beside one in tension.
     """
     found: list[DmaColumn] = []
+    logarithms: dict[tuple[str, float | None], int] = {}  # place by role and frequency
     for place, name in enumerate(names):
         role = role_of(name)
         below = units[place] if units and place < len(units) else ""
         if role is None or OF_OTHERS.match(f"{name} {below}"):
             continue
         frequency = frequency_in(name) if role in (*MODULI, TANGENT) else None
+        if LOGARITHM.search(f"{name} {below}"):
+            logarithms.setdefault((role, frequency), place)
+            continue
         scale, offset = _unit(name, below, role, where)
         if role == FREQUENCY and ANGULAR.search(name) and re.search(r"1\s*/\s*s", f"{name} {below}"):
             scale = UNITS[FREQUENCY]["rad/s"][0]
@@ -135,6 +141,15 @@ def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) ->
         if first is not None and replace(first, place=place) != column:
             raise another_column(column, first, where)
         found.append(column if first is None else replace(column, again=True))
+    for (role, frequency), place in logarithms.items():
+        enough = (LOSS, TANGENT) if role in (LOSS, TANGENT) else (role,)
+        if not any(c.role in enough and c.frequency == frequency for c in found):
+            allowed = f"the {role} itself, not its logarithm"
+            raise InputError(f"{where}, column {place + 1}", names[place].strip(), allowed, "convert the column, and rename it")
+    moduli = {c.shear: c for c in found if c.role in MODULI}
+    if len(moduli) > 1:
+        given = f"{moduli[True].name.strip()} in shear, {moduli[False].name.strip()} in tension"
+        raise InputError(where, given, "all moduli in shear, or all in tension", "rename the columns, or give tan delta alone")
     return found
 
 

@@ -54,6 +54,7 @@ class Prony:
 def fit_prony(sweep: Sweep, shift: Shift, master: MasterCurve) -> Prony:
     """Fit both moduli of a shifted sweep at once, each relative to its value and error."""
     reference = float(np.clip(REFERENCE_DEGC, sweep.temp_degc.min(), sweep.temp_degc.max()))
+    reference = max(reference, shift.glass_transition)  # WLF cannot be written about a temperature in the glass
     moved = shift.log_shift(sweep.temp_degc) - shift.log_shift(reference)
     log_f = np.log10(sweep.frequency) + moved
     low, high = -log_f.max() - BEYOND - np.log10(2.0 * np.pi), -log_f.min() + BEYOND - np.log10(2.0 * np.pi)

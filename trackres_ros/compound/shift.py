@@ -37,9 +37,9 @@ class Shift:
         """From the values of a vehicle file, which are about Tg + 50 K."""
         return cls(c1 * c2, glass_transition + REFERENCE_ABOVE_TG - c2, glass_transition)
 
-    def wlf(self) -> tuple[float, float]:
-        """C1 and C2 [K] about Tg + 50 K."""
-        c2 = self.glass_transition + REFERENCE_ABOVE_TG - self.pole
+    def wlf(self, about_degc: float | None = None) -> tuple[float, float]:
+        """C1 and C2 [K] about a temperature [degC], by default Tg + 50 K."""
+        c2 = (self.glass_transition + REFERENCE_ABOVE_TG if about_degc is None else about_degc) - self.pole
         return self.strength / c2, c2
 
     @property

@@ -67,7 +67,7 @@ def write_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -
     try:
         files["rubber"].parent.mkdir(parents=True, exist_ok=True)
         rubber = write_numbered(files["rubber"], _rubber_text(fit).encode())
-        write(files["prony"], _prony_text(fit).encode())
+        write(files["prony"], prony_text(fit).encode())
         with_rubber = replace(vehicle, name=_name(vehicle, files["vehicle"].stem), rubber_source=rubber)
         changes = FileChanges(None, (), {}, by="trackres compound", amend=lambda text: _with_rubber(text, with_rubber, fit))
         write_track_vehicle(with_rubber, files["vehicle"], changes, "\n".join(_provenance(fit)))
@@ -147,15 +147,16 @@ def _cells(row: Sequence[float]) -> list[str]:
     return [f"{row[0]:.2f}", *(f"{x:.6g}" for x in row[1:])]
 
 
-def _prony_text(fit: CompoundFit) -> str:
-    prony = fit.prony
-    c1, c2 = fit.shift.wlf()
-    reference = fit.shift.glass_transition + 50.0
+def prony_text(fit: CompoundFit) -> str:
+    """The Prony series for other programs: relaxation times and strengths, below a head with their temperature and shift."""
+    prony, reference = fit.prony, fit.prony.reference_degc
+    c1, c2 = fit.shift.wlf(reference)
+    away = f"T {'+' if reference < 0.0 else '-'} {abs(reference):.6g}"
     head = [
         *_provenance(fit),
-        f"Relaxation strengths in tension at {prony.reference_degc:.1f} degC; tau_s inf is the modulus of infinite time.",
-        f"Shift: log10 a_T = -{c1:.6g} (T - {reference:.6g}) / ({c2:.6g} + T - {reference:.6g}), T in degC, "
-        f"above {fit.shift.glass_transition:.6g} degC.",
+        f"Relaxation strengths in tension at {reference:.6g} degC; tau_s inf is the modulus of infinite time.",
+        f"Shift of these times: log10 a_T = -{c1:.6g} ({away}) / ({c2:.6g} + {away}), T in degC, "
+        f"above {fit.shift.glass_transition:.6g} degC, below it its tangent.",
         "low and high: 95 % intervals; strengths of 0 are left out.",
     ]
     lines = ["tau_s,E_MPa,E_low_MPa,E_high_MPa"]

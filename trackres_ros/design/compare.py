@@ -8,21 +8,21 @@ difference.
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from trackres_ros.design.drives import STAGES, DriveCycle, check_weight, driven, read_cycle, with_factors
-from trackres_ros.design.steady import J_PER_KWH, WARMEST_K, Array, FileErrors, Steady, solver, steady
+from trackres_ros.design.drives import STAGES, DriveCycle, check_weight, columns_on, driven, read_cycle, totals_on, with_factors
+from trackres_ros.design.steady import J_PER_KWH, WARMEST_K, Array, FileErrors, Steady, remarks_on, solver, steady
 from trackres_ros.design.uncertain import LogDerivatives, difference_std, half_width, moved, slopes_of
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
-from trackres_ros.model.coverage import OVERSPEED
+from trackres_ros.model.coverage import OVERSPEED, beyond, beyond_data
 from trackres_ros.model.operating_point import INACTIVE, explain_road, left_out_at, vehicle_state
 from trackres_ros.text.numbers import figures
 from trackres_ros.text.table import table
@@ -158,18 +158,22 @@ def compare_designs(asked: ComparisonRequest, advance: Callable[[float], None] =
         Ready for JSON. `designs`: of each vehicle torque [Nm] and coefficient (resistance over weight) by belt temperature and
         speed, and the totals of the first drive. `steady` and `drives`: a row for each condition and outcome with both values
         and their difference. Its standard deviations are those by the ranges that both files have in common, and by all.
+        `remarks`: on belts outside the rubber data and loads outside the table.
     """
     names = shown_names(asked.vehicles)
     slopes = _Slopes(asked)
     estimators = [Estimator(vehicle) for vehicle in asked.vehicles]
-    rows_steady, rows_driven = [], []
+    rows_steady, rows_driven, states, remarks = [], [], [], []
     for air, weight in itertools.product(asked.ambients_degc, asked.weights_n):
         where = {"ambient_degc": air, "weight_kn": [(v.weight if weight is None else weight) / 1e3 for v in asked.vehicles]}
         for kmh in asked.steady_kmh:
-            rows_steady += _rows({"speed_kmh": kmh, **where}, STEADY, *_steady(asked, slopes, kmh, air, weight))
+            settled = [steady(vehicle, kmh / KMH_PER_MPS, air, weight) for vehicle in asked.vehicles]
+            states.append((kmh / KMH_PER_MPS, air, settled))
+            rows_steady += _rows({"speed_kmh": kmh, **where}, STEADY, *_steady(asked, slopes, kmh, air, weight, settled))
             advance(2)
         for cycle in asked.cycles:
-            found = _driven(asked, slopes, estimators, cycle, air, weight)
+            found, outside = _driven(asked, slopes, estimators, cycle, air, weight)
+            remarks += [f"{name} on {cycle.name}: {text}" for name, texts in zip(names, outside, strict=True) for text in texts]
             rows_driven += _rows({"cycle": cycle.name, "recorded": cycle.conditions(asked.given), **where}, DRIVEN, *found)
             advance(2)
     designs = [_grid(asked, vehicle, name, advance) for vehicle, name in zip(asked.vehicles, names, strict=True)]
@@ -182,7 +186,23 @@ def compare_designs(asked: ComparisonRequest, advance: Callable[[float], None] =
     return {
         "speeds_kmh": list(asked.speeds_kmh), "belts_degc": list(asked.belts_degc), "designs": designs, "steady": rows_steady,
         "drives": rows_driven, "notes": notes,
+        "remarks": [*_remarks(asked, names, states), *dict.fromkeys(remarks)],
     }  # fmt: skip
+
+
+def _remarks(
+    asked: ComparisonRequest, names: Sequence[str], states: Sequence[tuple[float, float, Sequence[Steady]]]
+) -> list[str]:
+    """Sentences on belts outside the rubber data, of steady states with speed [m/s] and air [degC], and of the table."""
+    speeds, air, settled = zip(*states, strict=True)
+    belts, of_table = (x.ravel() for x in np.meshgrid(asked.belts_degc, np.array(asked.speeds_kmh) / KMH_PER_MPS))
+    found = []
+    for vehicle, name, of_vehicle in zip(asked.vehicles, names, zip(*settled, strict=True), strict=True):
+        texts = remarks_on(vehicle, speeds, air, of_vehicle)
+        found += [f"{name}: {text}" for text in texts]
+        texts = beyond_data(vehicle, of_table, {one.name: belts for one in vehicle.assemblies})
+        found += [f"{name}, table of resistance: {text}" for text in texts]
+    return found
 
 
 def shown_names(vehicles: Sequence[Vehicle]) -> list[str]:
@@ -205,20 +225,20 @@ class _Slopes:
 
 
 def _steady(
-    asked: ComparisonRequest, slopes: _Slopes, kmh: float, air: float, weight: float | None
+    asked: ComparisonRequest, slopes: _Slopes, kmh: float, air: float, weight: float | None, settled: Sequence[Steady]
 ) -> tuple[list[Array], Array, Array]:
     """Outcomes of both vehicles, and how sure the difference is."""
     speed, values, changes = kmh / KMH_PER_MPS, [], []
-    for number, vehicle in enumerate(asked.vehicles):
-        found, solve = steady(vehicle, speed, air, weight), solver(vehicle, speed, air, weight)
+    for number, (vehicle, found) in enumerate(zip(asked.vehicles, settled, strict=True)):
+        solve = solver(vehicle, speed, air, weight)
 
         def outcomes(
             off: FileErrors, _capacity: float, solve: Callable[[FileErrors], Steady] = solve, found: Steady = found
         ) -> Array:
-            return np.array(astuple(found if off == FileErrors(off.track) else solve(off)))
+            return np.array((found if off == FileErrors(off.track) else solve(off)).outcomes)
 
         warm = found.belt_degc if math.isfinite(found.belt_degc) else air
-        values.append(np.array(astuple(found)))
+        values.append(np.array(found.outcomes))
         changes.append(moved(slopes(number, speed), outcomes, np.array([air, warm, warm, warm])))
     return values, *difference_std(asked.vehicles, (changes[0], changes[1]))
 
@@ -226,8 +246,8 @@ def _steady(
 def _driven(
     asked: ComparisonRequest, slopes: _Slopes, estimators: Sequence[Estimator], cycle: DriveCycle, air: float,
     weight: float | None,
-) -> tuple[list[Array], Array, Array]:  # fmt: skip
-    values, changes = [], []
+) -> tuple[tuple[list[Array], Array, Array], list[list[str]]]:  # fmt: skip
+    values, changes, remarks = [], [], []
     ambient = None if "ambient" in cycle.conditions(asked.given) else air
     for number, estimator in enumerate(estimators):
 
@@ -236,12 +256,14 @@ def _driven(
             # The radius does not affect the drive itself: it scales the torque, but not the energy.
             return np.array([found[name] * (off.radius if name.endswith("_nm") else 1.0) for name in DRIVEN])
 
-        found = driven(estimator, cycle, weight, ambient)
+        columns = columns_on(estimator, cycle, weight, ambient)
+        found = totals_on(estimator, cycle, columns)
+        remarks.append(beyond(estimator.vehicle, columns))
         values.append(np.array([found[name] for name in DRIVEN]))
         speed = found["distance_m"] / max(found["under_way_s"], 1.0)
         mean = 0.5 * (found["coldest_belt_degc"] + found["warmest_belt_degc"])
         changes.append(moved(slopes(number, speed), outcomes, np.full(len(DRIVEN), mean)))
-    return values, *difference_std(asked.vehicles, (changes[0], changes[1]))
+    return (values, *difference_std(asked.vehicles, (changes[0], changes[1]))), remarks
 
 
 def _rows(

@@ -26,7 +26,7 @@ HEAD = ("difference", "+- 95 %", "+- 95 % with\nchanged values", "change")
 def designs_text(found: Mapping[str, Any]) -> str:
     """The headline, steady states, drives, and resistance over speed and belt temperature."""
     names = [design["vehicle"] for design in found["designs"]]
-    parts = [f"note: {note}" for note in found["notes"]]
+    parts = [*(f"note: {note}" for note in found["notes"]), *(f"  ! {remark}" for remark in found["remarks"])]
     first, at = found["drives"][0], _which(found["drives"])
     parts.append(headline({**first, "cycle": first["cycle"] + at}, names))
     parts += _conditions("Steady", found["steady"], "speed_kmh", "km/h", STEADY, names)

@@ -6,7 +6,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros import checks
-from trackres_ros.design.steady import WARMEST_K, Array, steady
-from trackres_ros.design.sweep import OUTCOMES
+from trackres_ros.design.steady import OUTCOMES, WARMEST_K, Array, remarks_on, steady
 from trackres_ros.design.uncertain import absorbed
 from trackres_ros.design.values import scalars, short
 from trackres_ros.engine.executor import LOCAL, results
@@ -75,6 +74,7 @@ class SensitivityResult:
     # draws left out, as one of their vehicles is impossible; and the reason for the first
     lost: int
     why_lost: str
+    remarks: tuple[str, ...]  # on belts outside the rubber data: of the vehicle itself, and how many drawn ones have any
 
     def ranked(self, outcome: str) -> list[str]:
         """Paths, by decreasing share of the uncertainty."""
@@ -109,7 +109,7 @@ class SensitivityResult:
             lines.append(
                 f"{self.lost} of {self.samples} draws are dropped, because their vehicles are impossible: {self.why_lost}"
             )
-        return "\n".join(lines)
+        return "\n".join([*lines, *(f"  ! {remark}" for remark in self.remarks)])
 
     def _advice(self, names: Sequence[str], largest: Sequence[Index]) -> str:
         """What to measure first, of the values with the largest shares."""
@@ -129,7 +129,7 @@ class SensitivityResult:
             "indices": {
                 outcome: {path: asdict(index) for path, index in of.items()} for outcome, of in self.indices.items()
             },
-            "held": dict(self.held),
+            "held": dict(self.held), "remarks": list(self.remarks),
         }  # fmt: skip
 
 
@@ -152,6 +152,7 @@ def sensitivity(
     vehicle = load(find_vehicle(file))
     source, air = str(vehicle.source), vehicle.chassis.ambient if ambient is None else ambient
     nominal = _outcomes(variants(vehicle), {}, speed, air)
+    remarks = remarks_on(vehicle, speed, air, [steady(vehicle, speed, air)])
     ends, held = _ends(vehicle, speed, air, progress)
     reach = {path: np.abs(np.array(both) - nominal).max(axis=0) for path, both in ends.items()}
     most = np.fmax.reduce([np.zeros(len(OUTCOMES)), *reach.values()])
@@ -169,7 +170,7 @@ def sensitivity(
     def model(rows: Array) -> Array:
         nonlocal lost, why
         pieces = [(i, rows[i : i + PIECE]) for i in range(0, len(rows), PIECE)]
-        advance, found = progress("vehicles", len(rows)), np.empty((len(rows), len(OUTCOMES)))
+        advance, found = progress("vehicles", len(rows)), np.empty((len(rows), len(OUTCOMES) + 1))
         for (i, piece), result in results(partial(outcomes_of, source, paths, speed, air), pieces, LOCAL):
             found[i : i + PIECE] = result
             advance(len(piece))
@@ -180,7 +181,10 @@ def sensitivity(
         if lost > MOST_LOST * samples:
             given = f"ranges in which {lost} of {samples} draws give an impossible vehicle, because {why}"
             raise InputError(file, given, f"at most {MOST_LOST:.0%}", "narrow the ranges of values that depend on each other")
-        return found
+        if outside := int(np.nansum(found[:, -1])):
+            told = "drawn vehicles have belts outside the rubber data: their torque is extrapolated"
+            remarks.append(f"{outside} of {len(rows)} {told}")
+        return found[:, :-1]
 
     of_all, drawn = sobol(paths, bounds, model, samples, seed)
     indices = {
@@ -190,9 +194,10 @@ def sensitivity(
         for i, outcome in enumerate(OUTCOMES)
     }  # fmt: skip
     std = dict(zip(OUTCOMES, of_all.std, strict=True))
+    named = dict(zip(OUTCOMES, nominal, strict=True))
     return SensitivityResult(
-        vehicle.name, speed, air, dict(zip(OUTCOMES, nominal, strict=True)), std, indices, held, samples, drawn, lost, why
-    )
+        vehicle.name, speed, air, named, std, indices, held, samples, drawn, lost, why, tuple(remarks)
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,14 +241,16 @@ def sobol(
 
 
 def outcomes_of(file: str, paths: Sequence[str], speed: float, ambient: float, piece: tuple[int, Array]) -> Array:
-    """Outcomes of vehicles with values by path, shape (n, outcomes); nan for an impossible one.
+    """Outcomes of vehicles with values by path, and 1 if there are remarks, shape (n, outcomes + 1); nan for an impossible one.
 
     `piece`: number of the first one, and the values of each, shape (n, paths).
     """
-    make, found = variants(load(file)), np.full((len(piece[1]), len(OUTCOMES)), np.nan)
+    make, found = variants(load(file)), np.full((len(piece[1]), len(OUTCOMES) + 1), np.nan)
     for row, into in zip(piece[1], found, strict=True):
         with suppress(InputError):
-            into[:] = _outcomes(make, dict(zip(paths, map(float, row), strict=True)), speed, ambient)
+            vehicle = make(dict(zip(paths, map(float, row), strict=True)))
+            state = steady(vehicle, speed, ambient)
+            into[:] = *state.outcomes, bool(remarks_on(vehicle, speed, ambient, [state]))
     return found
 
 
@@ -258,7 +265,7 @@ def _why_not(vehicle: Vehicle, values: Mapping[str, float], speed: float, ambien
 def _outcomes(
     make: Callable[[Mapping[str, float]], Vehicle], values: Mapping[str, float], speed: float, ambient: float
 ) -> tuple[float, ...]:
-    return astuple(steady(make(values), speed, ambient))
+    return steady(make(values), speed, ambient).outcomes
 
 
 def _ends(

@@ -3,17 +3,17 @@
 
 """A vehicle at constant speed: resistance with cold belts, steady belt temperature, and resistance with warm belts."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 from trackres_ros.model import resistance
-from trackres_ros.model.coverage import check_speed
+from trackres_ros.model.coverage import beyond_data, check_speed
 from trackres_ros.model.operating_point import DRIVE_PASSES, VehicleState, vehicle_state
 from trackres_ros.model.thermal import ThermalNetwork, film_coefficient
 from trackres_ros.model.track import track_model
@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 WARMEST_K = 140.0  # above the air, up to which a balance is looked for
 NODES = 15  # belt temperatures at which the loss is computed
 J_PER_KWH = 3.6e6
+OUTCOMES = "cold_nm", "warm_nm", "belt_degc", "kwh_per_km"
 TOLERANCE_K, PASSES = 0.01, 10  # of a balance with effects, and of several kinds of track in turn
 
 
@@ -36,14 +37,20 @@ class Steady:
     warm_nm: float
     belt_degc: float  # steady temperature, mean of the assemblies [degC]
     kwh_per_km: float  # energy in steady state
+    belts_degc: Mapping[str, float] = field(default_factory=dict)  # steady temperature of each assembly, by its name
+
+    @property
+    def outcomes(self) -> tuple[float, ...]:
+        """Values of `OUTCOMES`."""
+        return tuple(getattr(self, name) for name in OUTCOMES)
 
 
 @dataclass(frozen=True, eq=False)
 class SteadyAssembly:
-    """Equal assemblies at one speed: name of the track, number, and the forces of each."""
+    """Equal assemblies at one speed: name of the track, their names, and the forces of each."""
 
     track: str
-    count: int
+    names: tuple[str, ...]
     radius: float
     course: PchipInterpolator  # logarithm of the loss [N] over the belt temperature
     # loss with the belt at the air's temperature, bearing friction and air drag [N]
@@ -84,7 +91,8 @@ class Held:
     def solve(self, off: FileErrors = AS_IT_IS) -> Steady:
         """Its steady state, with some of it off."""
         way = float(resistance.direction(self.speed))
-        cold = warm = force = belts = 0.0
+        cold = warm = force = 0.0
+        belts: dict[str, float] = {}
         for kind in self.kinds:
             here = off if off.track in ("", kind.track) else AS_IT_IS
             others = kind.bearing + kind.wind
@@ -101,12 +109,13 @@ class Held:
             hottest = self.ambient + WARMEST_K
             belt = float(brentq(excess, self.ambient, hottest)) if excess(hottest) < 0.0 else np.nan
             at_last = loss(belt) * way + others
-            cold += kind.count * radius * (here.loss * kind.cold_loss * way + others)
-            warm += kind.count * radius * at_last
-            force += kind.count * at_last
-            belts += kind.count * belt
-        count = sum(kind.count for kind in self.kinds)
-        return Steady(float(cold), float(warm), belts / count, float(force) * 1000.0 / J_PER_KWH)
+            count = len(kind.names)
+            cold += count * radius * (here.loss * kind.cold_loss * way + others)
+            warm += count * radius * at_last
+            force += count * at_last
+            belts |= dict.fromkeys(kind.names, belt)
+        mean = sum(belts.values()) / len(belts)
+        return Steady(float(cold), float(warm), mean, float(force) * 1000.0 / J_PER_KWH, belts)
 
 
 def steady(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = None) -> Steady:
@@ -118,6 +127,17 @@ def steady(vehicle: Vehicle, speed: float, ambient: float, weight: float | None 
     """
     check_speed(vehicle, speed)
     return solver(vehicle, speed, ambient, weight)(AS_IT_IS)
+
+
+def remarks_on(vehicle: Vehicle, speed: ArrayLike, ambient: ArrayLike, states: Sequence[Steady]) -> list[str]:
+    """Sentences on belts outside the rubber data in steady states, as cold as the air or settled; see `beyond_data`.
+
+    `speed`, `ambient`: of each state [m/s], [degC], shape (states,).
+    """
+    names = [one.name for one in vehicle.assemblies]
+    cold = dict.fromkeys(names, np.atleast_1d(ambient))
+    settled = {name: np.array([one.belts_degc.get(name, np.nan) for one in states]) for name in names}
+    return list(dict.fromkeys(text for belts in (cold, settled) for text in beyond_data(vehicle, speed, belts)))
 
 
 def solver(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = None) -> Callable[[FileErrors], Steady]:
@@ -151,7 +171,7 @@ def held(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = 
     for assembly, load in zip(vehicle.assemblies, loads, strict=True):
         known = kinds.get((assembly.track, float(load)))
         if known is not None:
-            kinds[assembly.track, float(load)] = replace(known, count=known.count + 1)
+            kinds[assembly.track, float(load)] = replace(known, names=(*known.names, assembly.name))
             continue
         model = track_model(vehicle, assembly.track)
         radius, network = model.track.sprocket_radius, model.network
@@ -166,7 +186,7 @@ def held(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = 
         film = float(film_coefficient(speed, network.film_offset, network.film_slope)) * network.area
         course = PchipInterpolator(belts, np.log(loss))
         forces = float(loss[0]), bearing, float(drag), bearing_each, float(drag_each)
-        of = SteadyAssembly(assembly.track, 1, radius, course, *forces, film, network)
+        of = SteadyAssembly(assembly.track, (assembly.name,), radius, course, *forces, film, network)
         kinds[assembly.track, float(load)] = of
     return Held(speed, ambient, tuple(kinds.values()))
 
@@ -196,7 +216,8 @@ def _with_effects(vehicle: Vehicle, speed: float, ambient: float, weight: float 
         if len(belts) == 1 or all(map(settled, belts)):
             break
     warm = at(belts)
-    return Steady(cold, float(warm.torque["resistance"]), warm.belt_degc, warm.force * 1000.0 / J_PER_KWH)
+    settled_degc = {one.name: belts[kind] for one, kind in zip(vehicle.assemblies, kinds, strict=True)}
+    return Steady(cold, float(warm.torque["resistance"]), warm.belt_degc, warm.force * 1000.0 / J_PER_KWH, settled_degc)
 
 
 def _balance(excess: Callable[[float], float], ambient: float) -> float:

@@ -4,21 +4,22 @@
 """Varies values of a vehicle: effects on resistance, temperature and energy."""
 
 import itertools
-from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from trackres_ros.design.drives import driven, read_cycle
-from trackres_ros.design.steady import Array, Steady, steady
+from trackres_ros.design.drives import columns_on, read_cycle, totals_on
+from trackres_ros.design.steady import OUTCOMES, Array, remarks_on, steady
 from trackres_ros.design.values import Varied, short
 from trackres_ros.engine.executor import LOCAL, results
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
+from trackres_ros.model.coverage import beyond
 from trackres_ros.model.operating_point import INACTIVE, left_out_at
 from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.text.table import table
@@ -27,10 +28,10 @@ from trackres_ros.vehicle import load
 
 MOST_POINTS = 100_000
 ALONE = 200  # points without a drive that this process makes itself: an engine takes longer to begin
-OUTCOMES = tuple(field.name for field in fields(Steady))
 MOST_TICKS = 5  # of the first value: more would touch
 MOST_LINES, MANY = 8, 40  # lines of a picture, and points of one that are no longer marked
 DRIVE = "drive_kwh_per_km"
+BEYOND = "beyond_data"  # 1 for a point with remarks
 HEADS = {
     "cold_nm": "cold\nNm",
     "warm_nm": "warm\nNm",
@@ -68,9 +69,11 @@ class Swept:
     """Results of a sweep."""
 
     asked: SweepRequest
-    columns: dict[str, Array]  # by name, shape (points,): the values by path, then outcomes; nan for an impossible vehicle
+    columns: dict[str, Array]  # by name, shape (points,): the values by path, outcomes, `BEYOND`; nan for an impossible vehicle
     refused: dict[int, str]  # the reason, by the number of the point
     effects_left_out: tuple[str, ...] = ()  # of the steady states, with the values of the file
+    # on belts outside the rubber data and loads outside the table, by the number of the point
+    remarks: Mapping[int, list[str]] = field(default_factory=dict)
 
     @property
     def outcomes(self) -> list[str]:
@@ -81,18 +84,25 @@ class Swept:
         """The table; of a long one its first rows."""
         paths = self.asked.paths
         head = [f"{short(path, paths)}\n{one.unit}" for one in self.asked.varied for path in one.paths]
-        head += [HEADS[name] for name in self.outcomes]
+        head += [*(HEADS[name] for name in self.outcomes), *([""] if self.remarks else [])]
         count = len(self.columns[paths[0]])
         rows = [
-            [*(figures(self.columns[p][i], 5) for p in paths), *(decimals(self.columns[o][i], PLACES[o]) for o in self.outcomes)]
+            [
+                *(figures(self.columns[p][i], 5) for p in paths),
+                *(decimals(self.columns[o][i], PLACES[o]) for o in self.outcomes),
+                *(["!" if i in self.remarks else ""] if self.remarks else []),
+            ]
             for i in range(min(count, most))
         ]
         lines = [table(rows, head)]
         if count > most:
             lines.append(f"and {count - most} more")
         for number, why in self.refused.items():
-            at = ", ".join(f"{short(p, paths)} {figures(self.columns[p][number], 5)}" for p in paths)
-            lines.append(f"skipped: {at}: {why}")
+            lines.append(f"skipped: {self._at(number)}: {why}")
+        if self.remarks:
+            number, texts = next(iter(self.remarks.items()))
+            lines.append(f"  ! points outside the data: {len(self.remarks)} of {count}; the first, {self._at(number)}:")
+            lines += [f"  ! {text}" for text in texts]
         kmh = KMH_PER_MPS * self.asked.speed
         lines.append(
             f"Steady at {kmh:g} km/h, air {self.asked.ambient:g} degC; cold: belts at air temperature, "
@@ -102,6 +112,10 @@ class Swept:
             lines.append(f"{', '.join(self.effects_left_out)}: {INACTIVE}")
         return "\n".join(lines)
 
+    def _at(self, number: int) -> str:
+        paths = self.asked.paths
+        return ", ".join(f"{short(p, paths)} {figures(self.columns[p][number], 5)}" for p in paths)
+
     def as_dict(self) -> dict[str, Any]:
         """Ready for JSON."""
         plain = {name: [None if np.isnan(x) else float(x) for x in values] for name, values in self.columns.items()}
@@ -109,6 +123,7 @@ class Swept:
             "vehicle": self.asked.file, "speed_mps": self.asked.speed, "ambient_degc": self.asked.ambient,
             "columns": plain, "refused": {str(number): why for number, why in self.refused.items()},
             "effects_left_out": list(self.effects_left_out),
+            "remarks": {str(number): texts for number, texts in self.remarks.items()},
         }  # fmt: skip
 
 
@@ -127,7 +142,7 @@ def sweep(
         raise InputError("--vary", f"{len(points)} points", f"at most {MOST_POINTS} in all")
     of_each = partial(point, replace(asked, file=str(find_vehicle(asked.file)), varied=()))
     left_out = left_out_at(load(asked.file), asked.speed, asked.ambient)
-    found: list[tuple[float, ...] | str] = [""] * len(points)
+    found: list[tuple[tuple[float, ...], list[str]] | str] = [""] * len(points)
     few = asked.cycle is None and len(points) <= ALONE
     for (number, _), result in results(of_each, list(enumerate(points)), address, workers, few):
         found[number] = result
@@ -136,20 +151,25 @@ def sweep(
     refused = {number: result for number, result in enumerate(found) if isinstance(result, str)}
     if len(refused) == len(found):
         raise InputError("--vary", f"{len(found)} points", "at least one possible vehicle", next(iter(refused.values())))
-    rows = np.array([[np.nan] * len(names) if isinstance(result, str) else result for result in found])
+    names.append(BEYOND)
+    rows = np.array([[np.nan] * len(names) if isinstance(one, str) else (*one[0], float(bool(one[1]))) for one in found])
     columns = {path: np.array([values[path] for values in points]) for path in asked.paths}
-    return Swept(asked, {**columns, **dict(zip(names, rows.T, strict=True))}, refused, tuple(left_out))
+    remarks = {number: one[1] for number, one in enumerate(found) if not isinstance(one, str) and one[1]}
+    return Swept(asked, {**columns, **dict(zip(names, rows.T, strict=True))}, refused, tuple(left_out), remarks)
 
 
-def point(asked: SweepRequest, numbered: tuple[int, dict[str, float]]) -> tuple[float, ...] | str:
-    """Outcomes of one point, a number and values, or why a vehicle cannot be so."""
+def point(asked: SweepRequest, numbered: tuple[int, dict[str, float]]) -> tuple[tuple[float, ...], list[str]] | str:
+    """Outcomes and remarks of one point, a number and values, or why a vehicle cannot be so."""
     try:
         vehicle = load(asked.file, numbered[1])
-        found = astuple(steady(vehicle, asked.speed, asked.ambient))
+        found = steady(vehicle, asked.speed, asked.ambient)
+        remarks = remarks_on(vehicle, asked.speed, asked.ambient, [found])
         if asked.cycle is None:
-            return found
-        cycle = read_cycle(asked.cycle, vehicle.chassis.max_speed)
-        return (*found, driven(Estimator(vehicle), cycle, None, asked.ambient)["kwh_per_km"])
+            return found.outcomes, remarks
+        cycle, estimator = read_cycle(asked.cycle, vehicle.chassis.max_speed), Estimator(vehicle)
+        columns = columns_on(estimator, cycle, None, asked.ambient)
+        energy = totals_on(estimator, cycle, columns)["kwh_per_km"]
+        return (*found.outcomes, energy), [*remarks, *beyond(vehicle, columns)]
     except InputError as error:
         return one_line(str(error))
 

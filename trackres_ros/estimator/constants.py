@@ -259,7 +259,7 @@ def _tracks(vehicle: Vehicle, cache: Path | None, uncertain: bool) -> Running:
     tables = [loss_table(vehicle, name, cache) for name in names]
     for name, table in zip(names, tables, strict=True):
         check_heat(vehicle, name, table)
-    covered = [coverage(vehicle, name, cache) for name in names]
+    covered = [coverage(vehicle, name) for name in names]
     unused = ParameterUncertainty(np.eye(4))
     spreads = {name: spread(vehicle, name, cache) if uncertain else unused for name in names}
     axle_names = [axle.name for axle in vehicle.axles]

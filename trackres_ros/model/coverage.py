@@ -13,17 +13,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
-from trackres_ros.files.cached_arrays import cached_arrays
 from trackres_ros.model.contact import half_length_for_force
 from trackres_ros.model.loads import wheel_loads
-from trackres_ros.model.loss_table import LossTable, fingerprint, log_speeds
+from trackres_ros.model.loss_table import LossTable, log_speeds
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient
 from trackres_ros.model.track import belt_network, load_range
@@ -58,19 +56,23 @@ class Coverage:
         return high
 
 
-def coverage(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> Coverage:
-    """Range of the sweep for a kind of track at nominal load; its coldest modulus is kept in the cache, as the loss table is."""
-    track, rubber = vehicle.tracks[track_name], RubberModel(vehicle.rubber)
-    wheels, sweep = track.road_wheels, vehicle.rubber.sweep_degc
+def coverage(vehicle: Vehicle, track_name: str) -> Coverage:
+    """Range of the sweep for a kind of track at nominal load."""
+    track, rubber = vehicle.tracks[track_name], vehicle.rubber
+    wheels, sweep = track.road_wheels, rubber.sweep_degc
     loads = wheel_loads(track, load_range(vehicle, track_name).nominal)
-
-    def coldest() -> dict[str, Array]:
-        return {"modulus": rubber.dynamic_modulus(vehicle.rubber.sweep_frequency, sweep[0])}
-
-    modulus = cached_arrays(f"coldest-{fingerprint(vehicle, track_name)}", {"modulus": ()}, coldest, cache)["modulus"]
+    # `RubberModel.dynamic_modulus` of the coldest row, without scipy, which takes half a second to load
+    modulus = np.hypot(rubber.storage_pa[0], rubber.loss_pa[0] * rubber.loss_modulus_scale) * rubber.layer_stiffening
     half_length = half_length_for_force(loads.mean(), modulus, wheels.radius, wheels.contact_length, track.belt.thickness)
-    reach = float(rubber.log_shift(sweep[0]) + np.log10(2.0 * half_length * vehicle.rubber.sweep_frequency))
-    return Coverage(min(float(sweep[-1]), LIVES_DEGC), min(reach, log_speeds(rubber)[1]))
+    model = RubberModel(rubber)
+    reach = float(model.log_shift(sweep[0]) + np.log10(2.0 * half_length * rubber.sweep_frequency))
+    return Coverage(min(float(sweep[-1]), LIVES_DEGC), min(reach, log_speeds(model)[1]))
+
+
+def beyond(vehicle: AnyVehicle, columns: Mapping[str, Array]) -> list[str]:
+    """Sentences on belts outside the rubber data and loads outside the table, of an estimator's columns by name."""
+    belts, loads = ({a.name: columns[f"{column}/{a.name}"] for a in vehicle.assemblies} for column in ("belt_degc", "load_n"))
+    return [*beyond_data(vehicle, columns["speed_mps"], belts), *beyond_loads(vehicle, loads)]
 
 
 def beyond_data(vehicle: AnyVehicle, speed: ArrayLike, belt_degc: Mapping[str, ArrayLike]) -> list[str]:

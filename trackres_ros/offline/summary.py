@@ -16,7 +16,7 @@ from trackres_ros.learning.columns import lines as lines_of
 from trackres_ros.learning.columns import ranges_of, shown
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.vehicle_file import LearnedFile
-from trackres_ros.model.coverage import beyond_data, beyond_loads
+from trackres_ros.model.coverage import beyond
 from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.offline.energy import taken_text
 from trackres_ros.offline.replay import Replayed
@@ -116,10 +116,7 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
 def _remarks(result: Replayed) -> list[str]:
     """Speeds that no such vehicle has, belts outside of the rubber data, loads outside of the table; of the picture's samples."""
     estimator = result.session.estimator
-    columns = picture_columns(estimator.columns, result.picture)
-    belts, loads = ({name: columns[f"{column}/{name}"] for name in estimator.assemblies} for column in ("belt_degc", "load_n"))
-    vehicle = estimator.vehicle
-    return [*_too_fast(result), *beyond_data(vehicle, columns["speed_mps"], belts), *beyond_loads(vehicle, loads)]
+    return [*_too_fast(result), *beyond(estimator.vehicle, picture_columns(estimator.columns, result.picture))]
 
 
 def _too_fast(result: Replayed) -> Iterator[str]:

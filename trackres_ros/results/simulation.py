@@ -16,7 +16,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
-from trackres_ros.model.coverage import beyond_data, beyond_loads
+from trackres_ros.model.coverage import beyond
 from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.offline.energy import taken
 from trackres_ros.offline.simulate import SimulatedDrive, by_column, series_of
@@ -77,11 +77,7 @@ class SimulationResult(SeriesResult):
         reasons = self._rows[:, index["reasons"]].astype(np.int64)
         counts = {reason: int(np.count_nonzero(reasons & int(reason))) for reason in at.REASON_TEXT if not reason & UNSHOWN}
         texts = [f"{at.REASON_TEXT[reason]} ({number_of(count, 'step')})" for reason, count in counts.items() if count]
-        belts, loads = (
-            {name: self._rows[:, index[f"{column}/{name}"]] for name in self.estimator.assemblies}
-            for column in ("belt_degc", "load_n")
-        )
-        return [*beyond_data(self.vehicle, self["speed_mps"], belts), *beyond_loads(self.vehicle, loads), *texts]
+        return [*beyond(self.vehicle, by_column(self.estimator, self._rows)), *texts]
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -39,7 +39,7 @@ from trackres_ros.jit.compiled import entry, inlined
 from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle.road import SLOW_SHARE
 from trackres_ros.vehicle.writing.changes import FileChanges
-from trackres_ros.vehicle.writing.vehicle_file import finish
+from trackres_ros.vehicle.writing.vehicle_file import finish, sources_of
 from trackres_ros.vehicle.writing.yaml_edit import Document, flow
 
 Torque = Callable[[DriveSession, Values], Array]
@@ -172,7 +172,7 @@ class OwnBase(Base):
         for name, (value, low, high, unit) in self.with_kept(kept).parameters.items():
             span = kept.range_of(name) if kept.values is not None else None
             lines.append(f"  {name}: {flow({'value': value, 'unit': unit, 'range': list(span or (low, high))})}")
-        return finish(Document("\n".join(lines) + "\n"), self.name, self.model.effects, (), path, kept, text)
+        return finish(Document("\n".join(lines) + "\n"), self.name, sources_of(self.model.effects), (), path, kept, text)
 
 
 def _handed_out(session: DriveSession) -> DriveSession:

@@ -18,7 +18,7 @@ from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.files.own_files import write
 from trackres_ros.files.small_files import read_text
-from trackres_ros.files.yamls import MOST_BYTES
+from trackres_ros.files.yamls import MOST_BYTES, read_yaml
 from trackres_ros.route.learned import RouteMap
 from trackres_ros.route.table import write_route
 from trackres_ros.vehicle import Quantity, RoadVehicle, Vehicle
@@ -54,7 +54,7 @@ def write_track_vehicle(vehicle: Vehicle, path: Path, kept: FileChanges, text: s
         document.set(("model", key), method)
     if kept.values is not None:
         _set_values(document, vehicle, kept.values, kept)
-    files = finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text, vehicle.route)
+    files = finish(document, vehicle.name, _effect_files(vehicle.source), vehicle.surroundings, path, kept, text, vehicle.route)
     return [*files, path.parent / rubber]
 
 
@@ -64,7 +64,7 @@ def write_road_vehicle(vehicle: RoadVehicle, path: Path, kept: FileChanges, text
     for name, value in (kept.values or {}).items():
         old = vehicle.parameters[f"{SECTION}.{name}"]
         set_quantity(document, (SECTION, name), old, value, kept.range_of(name), ROAD_LOAD[name], kept.by)
-    return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text, vehicle.route)
+    return finish(document, vehicle.name, _effect_files(vehicle.source), vehicle.surroundings, path, kept, text, vehicle.route)
 
 
 def _set_values(document: Document, vehicle: Vehicle, values: Mapping[str, float], kept: FileChanges) -> None:
@@ -154,15 +154,14 @@ def set_quantity(
 def finish(
     document: Document,
     name: str,
-    effects: Sequence[Active],
+    effect_files: Sequence[Path],
     surroundings: Sequence[Active],
     path: Path,
     kept: FileChanges,
     text: str,
     route: Sequence[RouteMap] = (),
 ) -> list[Path]:
-    """Write the file of a vehicle of a name, with its present effects, surroundings and route; see
-    `write_track_vehicle`.
+    """Write the file of a vehicle of a name, with its present effect files, surroundings and route; see `write_track_vehicle`.
 
     Only a diagnosis writes, replaces or removes surroundings. For any other command the given ones stay where they are: they
     hold for the new vehicle file too.
@@ -172,15 +171,15 @@ def finish(
     diagnosed = kept.by == DIAGNOSE
     added = kept.of("vehicle")
     around = [*surroundings, *kept.of("surroundings")] if diagnosed else []
-    copied = _copied_effects([*effects, *added, *around], path.parent)
+    own = [*effect_files, *sources_of(added)]
+    names = _copied([*own, *sources_of(around)], path.parent)
     document.add("effects", {active.effect.name: _values(active) for active in added})
-    files = _files_of([*effects, *added], copied)
-    if files:
-        document.set(("effect_files",), files)
+    if own:
+        document.set(("effect_files",), _named(own, names))
     edited = document.text()
     note = "" if edited is not None else "Its comments could not be kept: they stand in the file it was made from.\n"
     write(path, kept.amend(_comment(note + text) + (edited or document.plain())).encode())
-    copies = [path.parent / name for name in copied.values()]
+    copies = [path.parent / name for name in names.values()]
     if not diagnosed:
         return [path, *copies]
     site_file, route_file = _free_places(path)
@@ -194,7 +193,7 @@ def finish(
                 route_file.unlink(missing_ok=True)
         return [path, *copies]
     lines = [f"schema: {SCHEMA}", f"vehicle: {flow(name)}"]
-    files = _files_of(around, copied)
+    files = _named(sources_of(around), names)
     lines += [f"effect_files: {flow(files)}"] if files else []
     lines += [f"route: {route_file.name}"] if route else []
     lines += ["effects:" if around else "effects: {}"]
@@ -250,14 +249,23 @@ def _figures(value: float) -> float:
     return float(f"{value:.{FIGURES}g}")
 
 
-def _copied_effects(effects: Iterable[Active], folder: Path) -> dict[Path, str]:
+def _effect_files(source: Path) -> list[Path]:
+    """Files of a user's own effects that a vehicle file names, also those none of whose effects acts."""
+    return [(source.parent / name).resolve() for name in read_yaml(source).get("effect_files", [])]
+
+
+def sources_of(effects: Iterable[Active]) -> list[Path]:
+    """Files of effects of the user's own."""
+    return [active.effect.source for active in effects if active.effect.source is not None]
+
+
+def _copied(sources: Iterable[Path], folder: Path) -> dict[Path, str]:
     """Copies the files of effects of the user's own; the name of each copy, relative to the folder."""
-    sources = dict.fromkeys(active.effect.source for active in effects if active.effect.source is not None)
-    return {source: copied(source, folder, Path("effects") / source.name) for source in sources}
+    return {source: copied(source, folder, Path("effects") / source.name) for source in dict.fromkeys(sources)}
 
 
-def _files_of(effects: Iterable[Active], copied: Mapping[Path, str]) -> list[str]:
-    return list(dict.fromkeys(copied[active.effect.source] for active in effects if active.effect.source is not None))
+def _named(sources: Iterable[Path], names: Mapping[Path, str]) -> list[str]:
+    return list(dict.fromkeys(names[source] for source in sources))
 
 
 def copied(source: Path, folder: Path, relative: Path) -> str:

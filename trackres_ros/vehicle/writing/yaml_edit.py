@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -23,7 +22,7 @@ class Document:
     def __init__(self, text: str) -> None:
         self._text = text
         self._root = yaml.compose(text, Loader=LOADER)
-        self._wanted = copy.deepcopy(yaml.load(text, LOADER))
+        self._wanted = _unshared(yaml.load(text, LOADER))
         self._edits: dict[tuple[int, int], str] = {}
 
     def set(self, path: Path, value: Any) -> None:
@@ -113,6 +112,13 @@ def _end(node: yaml.Node) -> int:
         last = node.value[-1]
         node = last[1] if isinstance(node, yaml.MappingNode) else last
     return node.end_mark.index
+
+
+def _unshared(content: Any) -> Any:
+    """Content with every alias written out: what has an alias would otherwise change in all its places."""
+    if isinstance(content, dict):
+        return {key: _unshared(value) for key, value in content.items()}
+    return [_unshared(value) for value in content] if isinstance(content, list) else content
 
 
 def _inside(content: Any, path: Path) -> Any:
