@@ -24,8 +24,9 @@ from trackres_ros.effects.effect import Active, Parameter, VehicleConstants
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.export.c_source import TEMPLATES, CSource, filled, in_c
+from trackres_ros.export.c_source import CSource, filled, in_c
 from trackres_ros.export.exporting import Request, translated
+from trackres_ros.export.functions import TEMPLATES
 from trackres_ros.files.output_files import output_file
 from trackres_ros.files.own_files import write
 from trackres_ros.model.thermal import parting_resistance
