@@ -105,10 +105,11 @@ class AsItIs(SourceFileLoader):
 class AsCompiled(AsItIs):
     """Loads a file with the arithmetic of compiled code."""
 
-    def get_code(self, fullname: str) -> CodeType:  # noqa: ARG002
+    def get_code(self, fullname: str) -> CodeType:
         """Compile with other operators."""
-        tree = _Operators().visit(ast.parse(self.get_data(self.path), self.path))
-        return self.source_to_code(ast.fix_missing_locations(tree), self.path)
+        path = self.get_filename(fullname)
+        tree = _Operators().visit(ast.parse(self.get_data(path), path))
+        return self.source_to_code(ast.fix_missing_locations(tree), path)
 
     def exec_module(self, module: ModuleType) -> None:
         """Run the file, and replace what it imported of `math`."""
