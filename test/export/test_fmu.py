@@ -11,6 +11,7 @@ import pytest
 from built import EQUAL, difference, have
 
 import trackres_ros as tr
+from trackres_ros.estimator.columns import Reason
 from trackres_ros.export import fmu
 from trackres_ros.export.c_source import CSource
 from trackres_ros.export.parts import Parts
@@ -52,6 +53,7 @@ def instance(model, tmp_path):
     number = {v.name: v.valueReference for v in description.modelVariables}
     slave.get = lambda name: slave.getFloat64([number[name]])[0]
     slave.put = lambda name, value: slave.setFloat64([number[name]], [value])
+    slave.is_quantised = lambda: slave.getUInt32([number["reasons"]])[0] & Reason.SPEED_QUANTISED
     slave.instantiate()
     slave.enterInitializationMode()
     slave.exitInitializationMode()
@@ -112,6 +114,7 @@ def test_a_long_step_feeds_forward_what_short_steps_do(instance):
         for i in range(round(20.0 / step)):
             instance.put("inputs.speed_mps", min(3.0, (i + 1) * step))
             instance.doStep(i * step, step)
+            assert not instance.is_quantised()
         found.append(instance.get("feedforward_torque_nm"))
     assert found[0] > 100.0
     assert found[1] == pytest.approx(found[0], rel=1e-3)

@@ -210,6 +210,7 @@ class Effect(ABC):
     parameters: tuple[Parameter, ...]
     belt_only: ClassVar[bool] = False  # whether it makes sense only where there is a belt
     only_of: ClassVar[Literal["", "rolls", "slides"]] = ""  # where it makes sense only of what rolls, or of what does not
+    plain: Effect | None = None  # of a user's own: the same for plain Python, with the arithmetic of compiled code
     source: Path | None = None  # the file of an effect of the user's own; None for those of the catalogue
 
     def lag(self, at: Conditions, p: Values) -> Lag | None:  # noqa: ARG002 - most have none
@@ -233,6 +234,11 @@ class Effect(ABC):
     def has_lag(self) -> bool:
         """Whether it has its own state."""
         return type(self).lag is not Effect.lag
+
+    @property
+    def in_python(self) -> Effect:
+        """The effect whose `lag` and `terms` plain Python calls."""
+        return self.plain or self
 
     @property
     def pack(self) -> Any:
@@ -285,11 +291,11 @@ class Active:
 
     def terms(self, at: Conditions, own: float = 0.0) -> Terms:
         """Its terms, given its own state."""
-        return self.effect.terms(at._replace(own=own), self.effect.pack(*self.numbers))
+        return self.effect.in_python.terms(at._replace(own=own), self.effect.pack(*self.numbers))
 
     def lag(self, at: Conditions) -> Lag | None:
         """Target of its own state, if it has one."""
-        return self.effect.lag(at, self.effect.pack(*self.numbers))
+        return self.effect.in_python.lag(at, self.effect.pack(*self.numbers))
 
     def shifted(self) -> list[Active]:
         """Copies with one parameter moved by a standard deviation, for each that has a range (+-2 standard deviations)."""
@@ -307,7 +313,7 @@ class Active:
 def terms_by_parameters(effects: tuple[Effect, ...], numbers: tuple[tuple[float, ...], ...], facts: VehicleConstants) -> Terms:
     """Terms of effects together that depend on their parameters alone: of sensors, and the resistance inside a belt."""
     at = conditions(facts)
-    return together([effect.terms(at, effect.pack(*of)) for effect, of in zip(effects, numbers, strict=True)])
+    return together([effect.in_python.terms(at, effect.pack(*of)) for effect, of in zip(effects, numbers, strict=True)])
 
 
 def together(terms: Sequence[Terms]) -> Terms:

@@ -16,12 +16,13 @@ from collections.abc import Callable
 from functools import cache
 from importlib import import_module
 from inspect import unwrap
-from types import CodeType, FunctionType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any, cast
 
 import numpy as np
 
 from trackres_ros.arrays import Array
+from trackres_ros.effects.as_compiled import LARGEST_WHOLE
 from trackres_ros.effects.effect import Conditions, Effect, Lag, Terms, VehicleConstants, values_type
 from trackres_ros.jit.code_cache import CodeCache
 from trackres_ros.jit.compiled import HAVE_NUMBA, code_folder, inlined, part
@@ -46,6 +47,11 @@ def is_compiled(effect: Effect) -> bool:
     """Whether the step calls machine code for an effect, not plain Python."""
     methods = ("terms", "lag") if effect.has_lag else ("terms",)
     return all(_machine_code(effect, method) is not None for method in methods)
+
+
+def is_of_user(kind: type[Effect]) -> bool:
+    """Whether an effect is of a file of the user's own, not of the catalogue."""
+    return not kind.__module__.startswith(f"{__package__}.")
 
 
 def reads_drag_area(effect: Effect) -> bool:
@@ -79,7 +85,7 @@ def _callback(effect: Effect, method: str) -> Any:
 
 def _python_function(effect: Effect, method: str, answered: int) -> Callable[[int, int, int], None]:
     """An effect's method behind the signature of machine code; after a failure the result is nan."""
-    run, pack, count = getattr(effect, method), effect.pack, len(effect.parameters)
+    run, pack, count = getattr(effect.in_python, method), effect.pack, len(effect.parameters)
     given, wanted, out = (ctypes.c_double * n for n in (LOOKED_AT, count, answered))
 
     def call(looked_at_: int, values_: int, answer_: int) -> None:
@@ -134,29 +140,51 @@ if HAVE_NUMBA:
 
     _terms = _terms_in_code()
 
+    def _whole(python: Any) -> Any:
+        """A function of Python that gives whole numbers, with its error where there is none: compiled code has a number."""
+
+        def whole(x: Any) -> Any:
+            if not abs(x) < LARGEST_WHOLE:
+                raise ValueError
+            return python(x)
+
+        return part(cast(FunctionType, whole))
+
+    _WHOLE: dict[int, Any] = {id(python): _whole(python) for python in (int, math.floor, math.ceil, math.trunc)}
+    _WHOLE[id(math)] = ModuleType("math")
+    _WHOLE[id(math)].__dict__.update({name: _WHOLE.get(id(value), value) for name, value in vars(math).items()})
+
+    def _with_errors(names: dict[str, Any]) -> dict[str, Any]:
+        """Names of a user's file, with the functions that give whole numbers as `_whole`."""
+        replaced = {name: _WHOLE.get(id(value), value) for name, value in names.items()}
+        return {"int": _WHOLE[id(int)], **replaced}
+
     @cache
     def _machine(kind: type[Effect], method: str, names: tuple[str, ...]) -> Any:
         """A method of an effect as a machine function; None if that is impossible, as for some users' effects."""
         try:
             return _compile(kind, method, names, ANSWERS[method])
         except Exception:
-            if kind.__module__.startswith(f"{__package__}."):
+            if not is_of_user(kind):
                 raise
             return None
 
     def _compile(kind: type[Effect], method: str, names: tuple[str, ...], answered: int) -> Any:
-        python = getattr(kind, method)
-        of_file = FunctionType(python.__code__, {**python.__globals__, "Terms": _terms}, python.__name__)
+        python, by_user = getattr(kind, method), is_of_user(kind)
+        known_names = _with_errors(python.__globals__) if by_user else python.__globals__
+        of_file = FunctionType(python.__code__, {**known_names, "Terms": _terms}, python.__name__)
         of_file.__module__ = __name__  # that of a user's file cannot be imported when the code is read again
-        inner = part(of_file)
+        inner = part(of_file, by_user)
         known = [f"x[{i}]" for i in range(LOOKED_AT)]
         lines = [
-            "def call(x, p, out):",
-            f"    at = Conditions(VehicleConstants({', '.join(known[:FACTS])}), {', '.join(known[FACTS:])})",
-            f"    found = run(None, at, pack({', '.join(f'p[{i}]' for i in range(len(names)))}))",
-            *(f"    out[{i}] = found[{i}]" for i in range(answered)),
+            f"at = Conditions(VehicleConstants({', '.join(known[:FACTS])}), {', '.join(known[FACTS:])})",
+            f"found = run(None, at, pack({', '.join(f'p[{i}]' for i in range(len(names)))}))",
+            *(f"out[{i}] = found[{i}]" for i in range(answered)),
         ]
-        namespace: dict[str, Any] = {"Conditions": Conditions, "run": inner}
+        if by_user:
+            lines = ["try:", *(f"    {line}" for line in lines), "except Exception:", "    out[0] = nan"]
+        lines = ["def call(x, p, out):", *(f"    {line}" for line in lines)]
+        namespace: dict[str, Any] = {"Conditions": Conditions, "run": inner, "nan": math.nan}
         namespace["VehicleConstants"] = VehicleConstants
         namespace["pack"] = values_type(names)
         exec("\n".join(lines), namespace)
@@ -167,7 +195,6 @@ if HAVE_NUMBA:
         function.__module__ = __name__
         function.__qualname__ = f"{kind.__name__}.{method}.{hashlib.sha256(known_as.encode()).hexdigest()[:16]}"
         found = ccallback.CFunc(function, _SIGNATURE, locals={}, options={"nopython": True, "error_model": "numpy"})
-        by_user = not kind.__module__.startswith(f"{__package__}.")
         if frozen is not None or not by_user:
             found._cache = CodeCache(function, code_folder, by_user)
         found.compile()

@@ -12,7 +12,6 @@ import keyword
 import math
 import pkgutil
 from collections.abc import Mapping, Sequence
-from importlib.machinery import SourceFileLoader
 from itertools import pairwise
 from numbers import Real
 from os import PathLike
@@ -21,6 +20,7 @@ from types import ModuleType
 from typing import Any
 
 from trackres_ros import checks
+from trackres_ros.effects.as_compiled import AsCompiled, AsItIs
 from trackres_ros.effects.effect import (
     ACTS_ON,
     ALL_KNOWN,
@@ -74,7 +74,8 @@ def catalogue(
         own = _effects_in(_module_of(path))
         if not own:
             raise InputError(str(path), "no class derived from trackres_ros.effects.Effect", "at least one in each file")
-        for effect in (_own(kind, path) for kind in own):
+        in_python = _effects_in(_module_of(path, AsCompiled))
+        for effect in (_own(kind, plain, path) for kind, plain in zip(own, in_python, strict=True)):
             if effect.name in effects or effect.name in LEARNED:
                 raise InputError(f"{path}: name", effect.name, "a name that no other effect has")
             effects[effect.name] = effect
@@ -158,10 +159,11 @@ def _effects_in(module: ModuleType) -> list[type[Effect]]:
     ]
 
 
-def _own(kind: type[Effect], path: Path) -> Effect:
-    """An effect of a user's file. Raises InputError whatever is wrong with it."""
+def _own(kind: type[Effect], plain: type[Effect], path: Path) -> Effect:
+    """An effect of a user's file, and of the same file as plain Python has it. Raises InputError whatever is wrong with it."""
     try:
         effect = kind()
+        effect.plain = plain()
         _check(effect, path)
         hash(effect)  # its functions are kept by it
         effect.source = path.resolve()
@@ -180,17 +182,9 @@ def _python_files(folder: Path) -> list[Path]:
     return files
 
 
-class _AsItIs(SourceFileLoader):
-    """Loads a file in its present version: cached bytecode is compared with its file only by whole seconds and size."""
-
-    def path_stats(self, path: str) -> Mapping[str, Any]:
-        """Return no path of bytecode."""
-        raise OSError(path)
-
-
-def _module_of(path: Path) -> ModuleType:
+def _module_of(path: Path, loader: type[AsItIs] = AsItIs) -> ModuleType:
     name = f"own_effect_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path, loader=_AsItIs(name, str(path)))
+    spec = importlib.util.spec_from_file_location(name, path, loader=loader(name, str(path)))
     if spec is None or spec.loader is None:
         raise InputError(str(path), "a file that Python does not know how to import", "a Python file, .py")
     module = importlib.util.module_from_spec(spec)

@@ -10,18 +10,16 @@ import json
 import re
 import textwrap
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 
+from trackres_ros.effects.as_compiled import LARGEST_WHOLE
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.export.functions import Instance
+from trackres_ros.export.functions import TEMPLATES, Instance
 from trackres_ros.export.kinds import INT, REAL, WIDE, Record, safe
 from trackres_ros.export.parts import Parts, StateArray
 from trackres_ros.recording.role_units import UNITS
 from trackres_ros.recording.roles import ROLES
 
-TEMPLATES = Path(__file__).parent / "templates"
-LARGEST_WHOLE = 9.2e18  # inside of 64 bits
 OF_MESSAGE = {"channel": "channel", "stamp": "stamp_ns", "arrival": "arrival_ns", "value": "value"}
 CHECKED_BYTES = 8  # version and checksum, before the arrays
 
@@ -123,6 +121,7 @@ class CSource:
             "REAL_LEAST": self.translator.literal(-LARGEST_WHOLE),
             "REAL_MOST": self.translator.literal(LARGEST_WHOLE),
             "FLOOR": self.translator.call("floor"),
+            "HALF": self.translator.literal(0.5),
             "FMOD": self.translator.call("fmod"),
         }
         return {

@@ -15,10 +15,14 @@ import numpy as np
 
 from trackres_ros.export.expressions import UNARY, Value
 from trackres_ros.export.kinds import (
+    ASKED,
     BOOL,
+    FAILED,
     INT,
     REAL,
     REALS,
+    SAME_IN_C,
+    TO_WHOLE,
     ArrayOf,
     Const,
     Kind,
@@ -32,12 +36,11 @@ from trackres_ros.export.kinds import (
 from trackres_ros.export.operators import Operators
 from trackres_ros.jit.rows import Row
 
-SAME_IN_C = (
-    "sqrt", "exp", "expm1", "log", "log1p", "log2", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh",
-    "asinh", "acosh", "atanh", "erf", "erfc", "fabs", "hypot", "atan2", "pow", "fmod", "copysign", "cbrt",
-)  # fmt: skip
-"""Functions of `math` with the same name in C, all of real numbers."""
 OF_NUMPY = {"abs": "fabs", "absolute": "fabs", "arctan": "atan", "arctan2": "atan2", "arcsin": "asin", "arccos": "acos"}
+OF_MATH = ("trunc", *TO_WHOLE, *ASKED, *SAME_IN_C)
+ALLOWED = f"abs, min, max, int, float, bool, and of math {', '.join(OF_MATH)}, of one number or two"
+
+REMAINDERS = ("remainder", "mod")  # of numpy
 
 
 class Calls(Operators):
@@ -93,7 +96,7 @@ class Calls(Operators):
         if not one.writes and (one.returns is None or isinstance(one.returns, Const)):
             return self.const(one.returns.value if isinstance(one.returns, Const) else None)
         self.calls.append(one)
-        codes = [self.argument(given[name], kind) for name, kind in one.given]
+        codes = [self.argument(given[name], kind) for name, kind in one.given] + [FAILED] * one.fails
         kind = Const(None) if one.returns is None else one.returns
         return Value(kind, f"{one.name}({', '.join(codes)})")
 
@@ -130,35 +133,40 @@ class Calls(Operators):
                 pass
         found = self._of_numbers(function, values)
         if found is None:
-            allowed = f"abs, min, max, int, float, round, and {', '.join(SAME_IN_C)} of math"
-            raise self.refuse(node, ast.unparse(node)[:80], allowed)
+            raise self.refuse(node, ast.unparse(node)[:80], ALLOWED)
         return found
 
     def _of_numbers(self, function: Any, values: list[Value]) -> Value | None:
         first, name = values[0], getattr(function, "__name__", "")
         module = "numpy" if isinstance(function, np.ufunc) else getattr(function, "__module__", "")
         name = OF_NUMPY.get(name, name) if module == "numpy" else name
+        if function in (min, max) and len(values) > 1:
+            return self._extreme(name, values)
+        if module not in ("math", "numpy", "builtins") or len(values) != SAME_IN_C.get(name, 2 if name in REMAINDERS else 1):
+            return None
         if function is float:
             return Value(REAL, self.as_real(first), first.binds if first.kind == REAL else UNARY)
         if function in (int, math.trunc):
-            return first if first.kind not in REALS else Value(INT, f"tr_whole({self.as_real(first)})")
+            return first if first.kind not in REALS else self._whole(self.as_real(first))
         if function is bool:
             return self.truth(ast.Constant(0), first)
         if function is abs or name == "fabs":
             if widened(first.kind) == INT:
                 return Value(INT, f"tr_abs_int({first.code})")
             return Value(REAL, f"{self.translator.call('fabs')}({self.as_real(first)})")
-        if function in (min, max) and len(values) > 1:
-            return self._extreme(name, values)
-        if function in (math.floor, math.ceil):
-            return Value(INT, f"tr_whole({self.translator.call(name)}({self.as_real(first)}))")
-        if name in ("isnan", "isfinite", "isinf"):
-            return Value(BOOL, f"{name}({first.code})")
-        if function in (np.remainder, np.mod):
+        if module == "math" and name in TO_WHOLE:
+            return self._whole(f"{self.translator.call(name)}({self.as_real(first)})")
+        if name in ASKED:
+            return Value(BOOL, f"{name}({self.as_real(first)})")
+        if name in REMAINDERS and module == "numpy":
             return self.helped("modulo_real", values, REAL)
-        if name in SAME_IN_C and module in ("math", "numpy"):
+        if name in SAME_IN_C:
             return Value(REAL, f"{self.translator.call(name)}({', '.join(map(self.as_real, values))})")
         return None
+
+    def _whole(self, code: str) -> Value:
+        """A whole number; what is none leaves an effect out, as in Python."""
+        return Value(INT, f"tr_whole_number({code}, {FAILED})" if self.translator.checked else f"tr_whole({code})")
 
     def _extreme(self, name: str, values: list[Value]) -> Value:
         kind = narrowed(joined(joined(INT, widened(values[0].kind)), widened(values[1].kind)) or REAL)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import ast
 import builtins
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -17,7 +17,22 @@ import numpy as np
 
 from trackres_ros.errors import InputError
 from trackres_ros.export.functions import Instance, Translator, refused
-from trackres_ros.export.kinds import BOOL, INT, REAL, REALS, WIDE, ArrayOf, Const, Kind, Record, Scalar, narrowed, safe, widened
+from trackres_ros.export.kinds import (
+    BOOL,
+    FAILED,
+    INT,
+    REAL,
+    REALS,
+    WIDE,
+    ArrayOf,
+    Const,
+    Kind,
+    Record,
+    Scalar,
+    narrowed,
+    safe,
+    widened,
+)
 
 # Precedence in C: a part with a lower one than its expression gets parentheses.
 TERNARY, OR, AND, BITS, COMPARED, SHIFTED, SUM, PRODUCT, UNARY, ATOM = range(10)
@@ -73,6 +88,10 @@ class Expressions:
             raise self.refuse(node, ast.unparse(node)[:80], "an expression of numbers, arrays and calls")
         found: Value = method(node)
         return found
+
+    def later(self, node: ast.expr, read: Callable[[ast.expr], Value]) -> Value:
+        """Translate a part of an expression that Python computes only sometimes."""
+        return read(node)
 
     def const(self, value: Any) -> Value:
         """A value known at translation."""
@@ -211,9 +230,11 @@ class Expressions:
         if isinstance(of.const, tuple) or isinstance(of.kind, Record):
             index = self.value(indices[0])
             if index.is_const and isinstance(index.const, int):
-                return self.parts(node, of)[index.const]
-            if isinstance(of.const, tuple) and all(isinstance(x, int | float) for x in of.const):
-                return Value(widened(Const(sum(of.const))), f"{self.table(of, ast.unparse(node.value))}[{index.code}]")
+                parts = self.parts(node, of)
+                return parts[self._known_place(node, index.const, len(parts))]
+            if of.const and isinstance(of.const, tuple) and all(isinstance(x, int | float) for x in of.const):
+                place = self.offset(node, ArrayOf(REAL, (len(of.const),)), [index], indices)
+                return Value(widened(Const(sum(of.const))), f"{self.table(of, ast.unparse(node.value))}[{place}]")
             raise self.refuse(node, ast.unparse(node)[:80], "a place in a tuple that is known")
         array = self.array_kind(node, of)
         if len(indices) > len(array.shape):
@@ -222,7 +243,8 @@ class Expressions:
             return self._view(node, of, array, indices)
         places = [self.value(index) for index in indices]
         if len(places) == len(array.shape) and isinstance(of.const, np.ndarray) and all(p.is_const for p in places):
-            return self.const(of.const[tuple(p.const for p in places)].item())
+            known = [self._known_place(node, p.const, n) for p, n in zip(places, array.shape, strict=True)]
+            return self.const(of.const[tuple(known)].item())
         name = self.table(of, ast.unparse(node.value)) if isinstance(of.const, np.ndarray) else self.within(of, ATOM)
         offset = self.offset(node, array, places, indices)
         if len(places) == len(array.shape):
@@ -237,18 +259,35 @@ class Expressions:
             return ArrayOf(INT if of.const.dtype.kind in "iu" else REAL, of.const.shape)
         raise self.refuse(node, ast.unparse(node)[:80], "an array or a tuple")
 
-    def offset(self, node: ast.AST, array: ArrayOf, places: Sequence[Value], nodes: Sequence[ast.expr]) -> str:
-        """Index of an entry of an array in C order."""
+    def _known_place(self, node: ast.AST, place: int, length: int | None) -> int:
+        """A place that is known, counted from the first entry; of a length that may be unknown."""
+        if place >= 0 if length is None else -length <= place < length:
+            return place if length is None else place % length
+        raise self.refuse(node, ast.unparse(node)[:80], "a place that the array or tuple has")
+
+    def _place(self, node: ast.AST, place: Value, length: int | None) -> Value:
+        """A place in an axis as Python counts it; kernels have only those within it."""
+        if not self.translator.checked:
+            return place
+        if length is None:
+            raise self.refuse(node, ast.unparse(node)[:80], "places that are known, or an array of known length")
+        return Value(INT, f"tr_place({place.code}, {length}, {FAILED})")
+
+    def offset(
+        self, node: ast.AST, array: ArrayOf, places: Sequence[Value], nodes: Sequence[ast.expr], sliced: bool = False
+    ) -> str:
+        """Index of an entry of an array in C order, or of the first one of a slice of its last axis."""
         known, terms = 0, []
         for axis, place in enumerate(places):
-            inner = array.shape[axis + 1 :]
+            inner, length = array.shape[axis + 1 :], None if sliced and axis == len(places) - 1 else array.shape[axis]
             if None in inner or not (place.kind in (INT, BOOL) or isinstance(place.const, int)):
                 raise self.refuse(node, ast.unparse(node)[:80], "whole numbers as places, in an array of known shape")
             stride = math.prod(n for n in inner if n is not None)
             if place.is_const:
-                known += stride * place.const
+                known += stride * self._known_place(node, place.const, length)
             else:
-                terms.append(f"{self.within(place, PRODUCT)} * {stride}" if stride != 1 else self.within(place, SUM))
+                found = self._place(node, place, length)
+                terms.append(f"{self.within(found, PRODUCT)} * {stride}" if stride != 1 else self.within(found, SUM))
         named = [ast.unparse(n).rpartition(".")[2] for n in nodes if isinstance(n, ast.Name | ast.Attribute)]
         named = [name for name in named if name.isupper()]
         text = [*terms, f"{known}{f' /* {named[-1]} */' if named else ''}"] if known or not terms or named else terms
@@ -261,11 +300,17 @@ class Expressions:
             raise self.refuse(node, ast.unparse(node)[:80], "a slice of the last axis, without a step")
         first = self.value(last.lower) if last.lower else self.const(0)
         end = self.value(last.upper) if last.upper else self.const(array.shape[-1])
-        known = first.is_const and end.is_const and end.const is not None
-        length = max(min(end.const, array.shape[-1] or end.const) - first.const, 0) if known else None
+        count, length = array.shape[-1], None
+        if first.is_const and end.is_const and end.const is not None:
+            if count is not None:
+                begin, stop, _ = slice(first.const, end.const).indices(count)
+                first, end = self.const(begin), self.const(stop)
+            length = max(self._known_place(node, end.const, None) - first.const, 0)
+        elif self.translator.checked:
+            raise self.refuse(node, ast.unparse(node)[:80], "a slice with known ends, of an array of known length")
         places = [*(self.value(index) for index in indices[:-1]), first]
         name = self.table(of, ast.unparse(node.value)) if isinstance(of.const, np.ndarray) else self.within(of, ATOM)
-        offset = self.offset(node, array, places, [*indices[:-1], *([last.lower] if last.lower else [])])
+        offset = self.offset(node, array, places, [*indices[:-1], *([last.lower] if last.lower else [])], True)
         return Value(ArrayOf(array.of, (length,)), f"&{name}[{offset}]", UNARY, of.root)
 
     def note_written(self, value: Value) -> None:

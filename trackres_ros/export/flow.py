@@ -8,9 +8,9 @@ from __future__ import annotations
 import ast
 from typing import Any
 
-from trackres_ros.export.expressions import Value
+from trackres_ros.export.expressions import UNARY, Value
 from trackres_ros.export.functions import Instance, Translator
-from trackres_ros.export.kinds import INT, ArrayOf, Const, Kind, Scalar, joined, narrowed, safe, widened
+from trackres_ros.export.kinds import FAILED, INT, ArrayOf, Const, Kind, Scalar, joined, narrowed, safe, widened
 from trackres_ros.export.statements import Statements
 
 MOST_PASSES = 12
@@ -26,6 +26,7 @@ def translate_body(translator: Translator, one: Instance) -> None:
             break
         before = body.found
     one.text = body.text
+    one.fails = FAILED in one.text
     one.calls = [called for called in body.calls if f"{called.name}(" in one.text or "tr_call_effect(" in one.text]
 
 
@@ -33,7 +34,14 @@ class Body(Statements):
     """The whole body of one function."""
 
     def _if_statement(self, node: ast.If, depth: int, chained: str = "") -> bool:
-        test = self.truth(node.test, self.value(node.test))
+        before = len(self._lines)
+        test = self.condition(node.test)
+        if chained and len(self._lines) > before:  # what the test needs is computed only where it is reached
+            del self._lines[before:]
+            self.line("} else {", depth)
+            ended = self.inner([node], depth + 1)
+            self.line("}", depth)
+            return ended
         if test.is_const:
             taken = node.body if test.const else node.orelse
             if not chained:
@@ -83,6 +91,8 @@ class Body(Statements):
     def _for_statement(self, node: ast.For, depth: int) -> bool:
         if not isinstance(node.target, ast.Name):
             raise self.refuse(node, ast.unparse(node.target), "one variable in a loop")
+        if node.target.id in self._within:
+            raise self.refuse(node, f"{node.target.id} of a loop within its own", "a name of its own for each loop")
         of_range = isinstance(node.iter, ast.Call) and isinstance(node.iter.func, ast.Name) and node.iter.func.id == "range"
         head = self._range(node, depth) if of_range else self._entries(node, depth)
         if head is None:
@@ -119,7 +129,7 @@ class Body(Statements):
             raise self.refuse(node, ast.unparse(node.iter), "a range of whole numbers with a step that is known")
         if first.is_const and until.is_const and not range(first.const, until.const, step.const):
             return None
-        if not until.is_const and not until.code.isidentifier():
+        if not until.is_const:  # the loop may change what it is computed from
             name = self.temporary("until")
             self.line(f"const int64_t {name} = {until.code};", depth)
             until = Value(INT, name)
@@ -143,12 +153,22 @@ class Body(Statements):
     def _while_statement(self, node: ast.While, depth: int) -> bool:
         if node.orelse:
             raise self.refuse(node, "else of a while", "a while without else")
-        test = self.truth(node.test, self.value(node.test))
+        before = len(self._lines)
+        test = self.condition(node.test)
         if test.is_const and not test.const:
             return False
-        self.line(f"while ({test.code}) {{", depth)
+        each_time = len(self._lines) > before  # what the test needs is computed before each round
+        del self._lines[before:]
+        self.line(f"while ({'true' if each_time else test.code}) {{", depth)
         self._loops.append("")
-        self.inner(node.body, depth + 1)
+        with self.braces():
+            if each_time:
+                self._depth = depth + 1
+                test = self.condition(node.test)
+                self.line(f"if (!{self.within(test, UNARY)}) {{", depth + 1)
+                self.line("    break;", depth + 1)
+                self.line("}", depth + 1)
+            self.block(node.body, depth + 1)
         self._loops.pop()
         self.line("}", depth)
         return False

@@ -22,10 +22,13 @@ import trackres_ros as tr
 from trackres_ros.effects import native, stepping
 from trackres_ros.effects.effect import Active, Parameter, VehicleConstants
 from trackres_ros.errors import InputError
+from trackres_ros.estimator.columns import Motion
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.motion_step import LARGEST_QUANTUM
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.export.c_source import TEMPLATES, CSource, filled, in_c
+from trackres_ros.export.c_source import CSource, filled, in_c
 from trackres_ros.export.exporting import Request, translated
+from trackres_ros.export.functions import TEMPLATES
 from trackres_ros.files.output_files import output_file
 from trackres_ros.files.own_files import write
 from trackres_ros.model.thermal import parting_resistance
@@ -193,7 +196,8 @@ def _places(source: CSource, variables: list[Variable], token: str) -> dict[str,
         low, high = v.limits or (0.0, 0.0)
         values = f"{v.place}, {v.rows}, {v.stride}, {v.also}, {v.causality.upper()}, {low!r}, {high!r}"
         lines.append(f"    {{{values}}}, /* {v.name} */")
-    counts = {"VARIABLE_COUNT": len(variables), "OF_REASONS": len(variables), "OF_LEVEL": len(variables) + 1}
+    counts = {"SMALLEST_STEP": Motion.quantum, "LARGEST_QUANTUM": LARGEST_QUANTUM}
+    counts |= {"VARIABLE_COUNT": len(variables), "OF_REASONS": len(variables), "OF_LEVEL": len(variables) + 1}
     longest = repr(float(source.estimator.settings.speed_max_age_s))
     texts = {"TOKEN": token, "LONGEST_S": longest, "VARIABLES": "\n".join(lines)}
     return texts | {name: str(count) for name, count in counts.items()}

@@ -17,16 +17,19 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from pathlib import Path
 from types import FunctionType
 from typing import Any, cast
 
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.export.kinds import BOOL, INT, REAL, WIDE, ArrayOf, Const, Kind, Record, Scalar, literal, safe, words
+from trackres_ros.export.kinds import BOOL, FAILED, INT, REAL, WIDE, ArrayOf, Const, Kind, Record, Scalar, literal, safe, words
 
 MOST_COLUMNS = 130  # of a line of C
+TEMPLATES = Path(__file__).parent / "templates"
 A_LINE = 5  # numbers of a table
+NAMES_OF_HELPERS = re.findall(r"\btr_\w+", "".join(path.read_text(encoding="utf-8") for path in TEMPLATES.glob("*.c")))
 REMEDY = "write it with numbers, if, for, while and math, as docs/own-effect.md shows"
 
 
@@ -67,6 +70,7 @@ class Instance:
     reads: set[str] = field(default_factory=set)  # parameters that it reads
     writes: set[str] = field(default_factory=set)  # arrays among them that it changes
     calls: list[Instance] = field(default_factory=list)  # the instances that it calls
+    fails: bool = False  # whether it, or a function that it calls, may note a failure
     done: bool = False
 
     @property
@@ -90,7 +94,8 @@ def _read(function: FunctionType) -> Source:
 class Translator:
     """Keeps translated functions with their structs and tables.
 
-    `translate` fills in an instance: `flow.translate_body`. With `single`, numbers are `float` in C instead of `double`.
+    `translate` fills in an instance: `flow.translate_body`. With `single`, numbers are `float` in C instead of `double`. While
+    `checked`, functions may have any places and numbers, as Python; else they are kernels, which keep within their arrays.
     """
 
     def __init__(self, translate: Callable[[Translator, Instance], None], single: bool = False) -> None:
@@ -101,7 +106,8 @@ class Translator:
         self.intrinsics: dict[Any, Callable[..., Any]] = {}
         self.sources: dict[Any, Source] = {}
         self.table_names: dict[int, str] = {}
-        self._names: set[str] = set()
+        self.checked = True
+        self._names = set(NAMES_OF_HELPERS)
         self._running: list[Instance] = []
 
     # Functions
@@ -114,7 +120,7 @@ class Translator:
         InputError
             With file and line, if it cannot be written in C.
         """
-        key = (id(function), tuple(kinds))
+        key = (id(function), tuple(kinds), self.checked)
         if key not in self.instances:
             source = self.source(function)
             names = [argument.arg for argument in source.tree.args.args]
@@ -249,6 +255,8 @@ class Translator:
                 parameters.append(f"const {self.struct(kind)} *{safe(name)}")
             else:
                 parameters.append(f"{self.declared(kind, name in one.writes)}{safe(name)}")
+        if one.fails:
+            parameters.append(f"bool *{FAILED}")
         returns = None if isinstance(one.returns, Const) else one.returns
         return f"static {self.declared(returns)}{one.name}({', '.join(parameters) or 'void'})"
 

@@ -13,11 +13,23 @@ from typing import Any
 
 import numpy as np
 
+FAILED = "tr_failed"
+"""In C: where a function notes that Python would have raised an error."""
+OF_ONE_NUMBER = (
+    "sqrt", "exp", "expm1", "log", "log1p", "log2", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh",
+    "asinh", "acosh", "atanh", "erf", "erfc", "fabs", "cbrt",
+)  # fmt: skip
+OF_TWO_NUMBERS = ("hypot", "atan2", "pow", "fmod", "copysign")
+SAME_IN_C = {**dict.fromkeys(OF_ONE_NUMBER, 1), **dict.fromkeys(OF_TWO_NUMBERS, 2)}
+"""Functions of `math` with the same name in C, all of real numbers, and how many these are."""
+TO_WHOLE = ("floor", "ceil")
+ASKED = ("isnan", "isfinite", "isinf")
 MOST_OF_INT = 2**31 - 1
 NOT_FOR_NAMES = frozenset((
     "auto", "bool", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern", "false",
     "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed", "sizeof",
     "static", "struct", "switch", "true", "typedef", "union", "unsigned", "void", "volatile", "while",
+    "NAN", "INFINITY", *ASKED, *(f"{name}{single}" for name in (*SAME_IN_C, *TO_WHOLE) for single in ("", "f")),
 ))  # fmt: skip
 
 
@@ -154,5 +166,5 @@ def literal(value: Any, single: bool) -> str:
 
 
 def safe(name: str) -> str:
-    """A name that is no word of C."""
-    return f"{name}_" if name in NOT_FOR_NAMES else name
+    """A name that is no word of C, nor one of math.h or of the file itself."""
+    return f"{name}_" if name.rstrip("_") in NOT_FOR_NAMES or name.lower().startswith("tr_") else name

@@ -41,6 +41,7 @@ OPERATORS: dict[type, tuple[str, int, Callable[..., Any]]] = {
     ast.LShift: ("<<", SHIFTED, operator.lshift),
     ast.RShift: (">>", SHIFTED, operator.rshift),
 }
+BITS_OF_INT = 63
 OF_WHOLE_NUMBERS = ("&", "|", "^", "<<", ">>")
 COMPARISONS: dict[type, tuple[str, Callable[..., Any]]] = {
     ast.Lt: ("<", operator.lt),
@@ -90,6 +91,8 @@ class Operators(Expressions):
                 left = Value(REAL, self.as_real(left), UNARY)
         if sign in OF_WHOLE_NUMBERS and kind in REALS:
             raise self.refuse(node, ast.unparse(node)[:80], "whole numbers")
+        if self.translator.checked and sign in ("<<", ">>") and not (right.is_const and 0 <= right.const < BITS_OF_INT):
+            raise self.refuse(node, ast.unparse(node)[:80], f"a known number of bits below {BITS_OF_INT}")
         if sign in OF_WHOLE_NUMBERS and left.kind == right.kind == BOOL:
             kind = BOOL
         if kind in REALS:
@@ -120,33 +123,51 @@ class Operators(Expressions):
         return Value(REAL, f"{self.translator.call('pow')}({self.as_real(base)}, {self.as_real(exponent)})")
 
     def _unaryop(self, node: ast.UnaryOp) -> Value:
-        of = self.value(node.operand)
         if isinstance(node.op, ast.Not):
-            truth = self.truth(node, of)
+            truth = self.condition(node.operand)
             return self.const(not truth.const) if truth.is_const else Value(BOOL, f"!{self.within(truth, UNARY)}", UNARY)
+        of = self.value(node.operand)
         if not isinstance(widened(of.kind), Scalar) or not isinstance(node.op, ast.USub | ast.UAdd):
             raise self.refuse(node, ast.unparse(node)[:80], "a number with a sign, or not")
         if isinstance(node.op, ast.UAdd):
             return of
         return self.const(-of.const) if of.is_const else Value(widened(of.kind), f"-{self.within(of, ATOM)}", UNARY)
 
-    def _boolop(self, node: ast.BoolOp) -> Value:
-        stops = isinstance(node.op, ast.Or)  # the value that decides
-        kept: list[Value] = []
+    def condition(self, node: ast.expr) -> Value:
+        """An expression of which only its truth is asked."""
+        if isinstance(node, ast.BoolOp):
+            return self._logical(node, self._until_decided(node, self.condition))
+        return self.truth(node, self.value(node))
+
+    def _until_decided(self, node: ast.BoolOp, read: Callable[[ast.expr], Value]) -> list[Value]:
+        """The operands of `and` or `or`, up to one that is known to decide."""
+        found: list[Value] = []
         for one in node.values:
-            truth = self.truth(one, self.value(one))
-            if truth.is_const:
-                if truth.const is stops:
-                    kept.append(truth)
-                    break
-                continue
-            kept.append(truth)
-        if not kept or (len(kept) == 1 and kept[0].is_const):
+            found.append(self.later(one, read) if found else read(one))
+            if self.truth(one, found[-1]).const is isinstance(node.op, ast.Or):
+                break
+        return found
+
+    def _logical(self, node: ast.BoolOp, values: Sequence[Value]) -> Value:
+        """Operands that are truth values."""
+        stops = isinstance(node.op, ast.Or)  # the value that decides
+        kept = [v for v in values if not v.is_const or v.const is stops]
+        if len(kept) < 2:
             return kept[0] if kept else self.const(not stops)
-        if len(kept) == 1:
-            return kept[0]
         sign, binds = ("||", OR) if stops else ("&&", AND)
         return Value(BOOL, f" {sign} ".join(self.within(v, COMPARED) for v in kept), binds)
+
+    def _boolop(self, node: ast.BoolOp) -> Value:
+        values = self._until_decided(node, self.value)
+        if all(widened(v.kind) == BOOL for v in values):
+            return self._logical(node, values)
+        result = values[-1]
+        for value in values[-2::-1]:  # the answer is an operand, not its truth
+            if any(one.writes and f"{one.name}(" in value.code for one in self.calls):
+                raise self.refuse(node, ast.unparse(node)[:80], "operands that change nothing")
+            both = (value, result) if isinstance(node.op, ast.Or) else (result, value)
+            result = self._choice(node, self.truth(node, value), *both)
+        return result
 
     def _compare(self, node: ast.Compare) -> Value:
         values = [self.value(one) for one in (node.left, *node.comparators)]
@@ -167,10 +188,15 @@ class Operators(Expressions):
         return Value(BOOL, found[0], COMPARED) if len(found) == 1 else Value(BOOL, " && ".join(found), AND)
 
     def _ifexp(self, node: ast.IfExp) -> Value:
-        test = self.truth(node.test, self.value(node.test))
+        test = self.condition(node.test)
         if test.is_const:
             return self.value(node.body if test.const else node.orelse)
-        one, other = self.value(node.body), self.value(node.orelse)
+        return self._choice(node, test, self.later(node.body, self.value), self.later(node.orelse, self.value))
+
+    def _choice(self, node: ast.AST, test: Value, one: Value, other: Value) -> Value:
+        """One of two values, by a condition."""
+        if test.is_const:
+            return one if test.const else other
         kind = joined(widened(one.kind), other.kind)
         if kind is None or isinstance(kind, Const):
             raise self.refuse(node, ast.unparse(node)[:80], "two values of one kind")

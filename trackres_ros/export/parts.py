@@ -58,6 +58,7 @@ class Parts:
         self._by_name = {array.name: array for array in self.arrays}
         self.arrays = [array for array in self.arrays if array.start.size]
         self.translator = Translator(translate_body, single)
+        self.translator.checked = False
         self.effects: dict[int, Instance] = {}
         self.translator.intrinsics[native.call_at] = self._call_effect
         self._translate_effects()
@@ -107,7 +108,10 @@ class Parts:
         function: FunctionType = namespace[name]
         self.translator.add_text(function, text)
         values = ArrayOf(REAL, (len(names),), names)
-        return self.translator.instance(function, [ArrayOf(REAL, (looked_at,)), values, ArrayOf(REAL, (answered,))])
+        self.translator.checked = native.is_of_user(cls)
+        found = self.translator.instance(function, [ArrayOf(REAL, (looked_at,)), values, ArrayOf(REAL, (answered,))])
+        self.translator.checked = False
+        return found
 
     def _call_effect(self, body: Expressions, values: Sequence[Value]) -> str:
         number, looked_at, parameters, answer = values
@@ -122,8 +126,11 @@ class Parts:
         real = self.translator.number(REAL)
         cases = ""
         for number, one in self.effects.items():
-            given = ", ".join({"x": "looked_at", "p": "values", "out": "answer"}[name] for name, _ in one.given)
-            cases += f"    case {number}:\n        {one.name}({given});\n        break;\n"
+            given = [{"x": "looked_at", "p": "values", "out": "answer"}[name] for name, _ in one.given] + ["&failed"] * one.fails
+            cases += f"    case {number}:\n        {one.name}({', '.join(given)});\n        break;\n"
+        fails = any(one.fails for one in self.effects.values())
+        begun = "    bool failed = false;\n" if fails else ""
+        ended = "    answer[0] = failed ? NAN : answer[0];\n" if fails else ""
         unused = [
             f"    (void){name};\n"
             for short, name in (("x", "looked_at"), ("p", "values"))
@@ -132,7 +139,9 @@ class Parts:
         return (
             "/* What an effect does now, by its number. */\n"
             f"static void tr_call_effect(int64_t number, const {real} *looked_at, const {real} *values, {real} *answer)\n"
-            f"{{\n{''.join(unused)}    switch (number) {{\n{cases}    default:\n        break;\n    }}\n}}\n"
+            f"{{\n{''.join(unused)}{begun}"
+            f"    switch (number) {{\n{cases}    default:\n        break;\n    }}\n"
+            f"{ended}}}\n"
         )
 
     # The step

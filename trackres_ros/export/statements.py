@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -81,13 +81,22 @@ class Statements(Calls):
     def temporary(self, name: str) -> str:
         """A new name."""
         self._number += 1
-        return f"{name}_{self._number}"
+        found = f"{name}_{self._number}"
+        return self.temporary(name) if found in self._stores or found in self._parameters else found
 
     def hoisted(self, value: Value, kind: Kind) -> str:
         """See `Calls`."""
         name = self.temporary("given")
         self.line(f"const {self.translator.declared(kind)}{name} = {self.as_kind(value, kind)};", self._depth)
         return name
+
+    def later(self, node: ast.expr, read: Callable[[ast.expr], Value]) -> Value:
+        """See `Expressions`."""
+        before = len(self._lines)
+        value = read(node)
+        if len(self._lines) > before:
+            raise self.refuse(node, ast.unparse(node)[:80], "a call with a tuple in a statement of its own, or in an if")
+        return value
 
     def note_place(self, name: str) -> None:
         """See `Expressions`."""

@@ -109,9 +109,9 @@ def inlined(function: Function) -> Function:
     return _compile(function, True)
 
 
-def part(function: FunctionType) -> Any:
+def part(function: FunctionType, boundscheck: bool = False) -> Any:
     """A function that becomes part of one cached function, or of none; needs numba."""
-    return _Part(function, {}, {"nogil": True, "error_model": "numpy", **_OF_PART})
+    return _Part(function, {}, {"nogil": True, "error_model": "numpy", **_OF_PART, "boundscheck": boundscheck})
 
 
 def _compile(function: Function, into_callers: bool) -> Function:

@@ -173,17 +173,22 @@ EXPORTED fmi3Status fmi3Reset(fmi3Instance instance)
     return fmi3OK;
 }
 
-/* One step in pieces, so that no speed in it is too old for the feed-forward. Along them the speed changes evenly. */
+/* One step in pieces, so that no speed in it is too old for the feed-forward. Along them the speed changes evenly, in steps that
+ * are no resolution of a sensor: the smallest step known of the speed stays as it is. */
 static int step_in_pieces(struct instance *one, double step)
 {
     const int pieces = (int)fmin(ceil(step / longest_s), most_pieces);
     const double change = one->inputs.speed_mps - one->speed; /* NAN where one of them is not known */
     const double even = isfinite(change) ? change : 0.0;
     trackres_inputs inputs = one->inputs;
+    double *const smallest = &one->state.motion[@SMALLEST_STEP@];
     int result = TRACKRES_WAITED;
     for (int left = pieces - 1; left >= 0 && result >= 0; left--) {
+        const double known = *smallest;
         inputs.speed_mps = one->inputs.speed_mps - even * left / pieces;
+        *smallest = pieces > 1 && known >= @LARGEST_QUANTUM@ ? 0.0 : known;
         result = trackres_step(&one->state, &inputs, step / pieces, &one->outputs);
+        *smallest = pieces > 1 ? fmax(*smallest, known) : *smallest;
     }
     one->speed = one->inputs.speed_mps;
     return result;
