@@ -83,6 +83,23 @@ def test_resumed_a_hundred_days_later_it_is_less_sure(halves, tmp_path):
     assert stds[1] - stds[0] == pytest.approx(np.minimum(0.5 * most * 100.0 / 365.0, most - stds[0]), rel=0.3)
 
 
+def test_a_run_without_learning_stops_no_ageing(halves, tmp_path):
+    """Fifty days, such a run, and fifty days, or a hundred at once."""
+    second, state = halves
+    head, *lines = second.read_text().splitlines()[:301]
+    begins = float(lines[0].split(",", 1)[0])
+    rows = [line.split(",", 1) for line in lines]
+    between = tmp_path / "between.json"
+    stds = []
+    for days, resumes in ((50.0, state), (50.0, between), (100.0, state)):
+        path, learning = tmp_path / "short.csv", "off" if resumes is state and days == 50.0 else "watch"
+        of_row = (f"{float(time) - begins:.1f},{rest},{days * 86400.0:g}" for time, rest in rows)
+        path.write_text("\n".join([f"{head},stood_s", *of_row]))
+        done = tr.replay(path, "xgd24d", learning=learning, resume=resumes, save_state=between if learning == "off" else None)
+        stds += [done.learner.learned.covariance[at.OF_DRAG, at.OF_DRAG] ** 0.5] if done.learner else []
+    assert stds[0] == pytest.approx(stds[1], rel=0.01)
+
+
 def test_resumed_no_learned_value_acts_in_another_mode_than_on(recording, on, halves):
     second, state = halves
     off, watched = (tr.replay(second, "xgd24d", learning=mode, resume=state) for mode in ("off", "watch"))
@@ -114,7 +131,7 @@ def test_the_vehicle_file_it_leaves_starts_from_what_was_learned(recording, watc
     again = tr.replay(recording, recording.with_name("learned.yaml"))
     late = slice(-600, None)  # with values learned by then, over the whole distance
     assert again["resistance_torque_nm"][late] == pytest.approx(watched["learned_resistance_torque_nm"][late], rel=0.02)
-    assert again["resistance_std_nm"][-1] < 0.5 * watched["resistance_std_nm"][-1]
+    assert again["resistance_std_nm"][-1] < 0.6 * watched["resistance_std_nm"][-1]
 
 
 def test_the_vehicle_file_has_what_is_printed_even_if_that_lags(watched, tmp_path):

@@ -92,7 +92,7 @@ def replay(
     from trackres_ros.estimator import columns as at
     from trackres_ros.estimator.estimate import Steps
     from trackres_ros.estimator.estimator import Estimator
-    from trackres_ros.estimator.snapshot import read_learning, save, state_file
+    from trackres_ros.estimator.snapshot import save, state_file
     from trackres_ros.estimator.topic_settings import settings_for
     from trackres_ros.estimator.warm_up import BLOCKS, LIVE, first_run
     from trackres_ros.files.output_files import BAG_SUFFIX, no_two_alike, not_an_input, output_file
@@ -140,8 +140,8 @@ def replay(
         learner = Learner(estimator, learning) if learns else None
         session = learned_before = off_s = None
         if before is not None:
-            (session, off_s), learned_before = resumed(source, estimator, before), read_learning(estimator, before)
-            go_on_from(before, session, learner, learned_before, off_s)
+            session, off_s, learned_before, unlearned_s = resumed(source, estimator, before)
+            go_on_from(before, session, learner, learned_before, unlearned_s)
         write = kept.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
         done = run(source, estimator, write, session, progress, learner, warm_up.finished)
     written = [one for one in (file, state) if one is not None]

@@ -32,7 +32,7 @@ from trackres_ros.files import own_files
 from trackres_ros.files.jsons import parse_json
 
 FORMAT = "trackres-state"
-VERSION = 13
+VERSION = 14
 HEAD = json.dumps({"format": FORMAT}).encode()[:-1]  # first bytes of each state file
 REMEDY = "give a state of this vehicle, or none"
 LARGEST = 4 << 20  # bytes; a vehicle with four assemblies has 10 thousand

@@ -38,7 +38,7 @@ class ResidualBlock:
 
     seconds: int = 0
     weight: float = 0.0
-    residual: float = 0.0  # measured less the file's expectation [Nm]
+    residual: float = 0.0  # measured less the file's expectation and the slope that an altitude or an IMU shows [Nm]
     gain: float = 0.0  # how much smaller a second's residual is with values learned by then than with the file [Nm]
     sign: float = 0.0
     looks: Array = field(default_factory=lambda: np.zeros(STATES))

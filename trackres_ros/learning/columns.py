@@ -14,8 +14,8 @@ from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import DELAY, VEHICLES_OWN, Learnable
 from trackres_ros.text.numbers import figures
 
-LEARNING, LEARNED, FROZEN = range(3)
-STATES_OF = ("learning", "learned", "frozen")
+LEARNING, LEARNED, FROZEN, HELD = range(4)
+STATES_OF = ("learning", "learned", "frozen", "at its bound")
 TORQUE, COVERAGE, ACTS = "learned_resistance_torque_nm", "learned_coverage", "learned_acts"
 Line = tuple[str, str, tuple[tuple[str, str], ...]]
 """Name, message and values of a status."""
@@ -70,14 +70,15 @@ def columns_of(one: Learnable) -> tuple[str, str, str]:
 def shown(learner: Learner) -> list[float]:
     """The columns but for the torque, which change once a second."""
     found = [learner.buckets.share, float(learner.acts)]
-    frozen, counted = bool(learner.frozen), learner.counted
+    frozen, counted, held = bool(learner.frozen), learner.counted, learner.held
     stds = learner.stds(learner.learned.covariance, learner.own)
     for one in learner.learnables:
         if one.state == DELAY:
             found += [*learner.delay.kept.value, float(LEARNED if learner.delay.kept.known else LEARNING)]
             continue
         counts = one.state in VEHICLES_OWN and bool(counted[one.state])
-        state = FROZEN if frozen and one.state in VEHICLES_OWN else LEARNED if counts else LEARNING
+        known = HELD if counts and held[one.state] else LEARNED if counts else LEARNING
+        state = FROZEN if frozen and one.state in VEHICLES_OWN else known
         found += [one.value(float(learner.learned.mean[one.state])), one.size(float(stds[one.state])), float(state)]
     return found
 

@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import math
 
-from trackres_ros.learning.blocks import CONFIRMED, LEAST_BLOCKS, STEP_SHARE, STEP_STDS, ResidualBlock
-from trackres_ros.learning.filter import expected
+import numpy as np
+
+from trackres_ros.learning.blocks import BLOCK_S, CONFIRMED, LEAST_BLOCKS, STEP_SHARE, STEP_STDS, ResidualBlock
+from trackres_ros.learning.filter import expected, spread
 from trackres_ros.learning.learned import SLOW_KEEPS, LearnerState
-from trackres_ros.learning.parameters import GAIN, SLOW, STEP
+from trackres_ros.learning.parameters import GAIN, REACH_STD, SLOPE, SLOW, STATES, STEP, VEHICLES_OWN, Prior
 from trackres_ros.vehicle import Disturbance, Spells
 
 FIRST_SHARE = 0.015  # of the rolling resistance: prior difference of blocks
 STEP_HOLDS_S = 600.0  # driving after a step during which no vehicle parameter is learned
+GOES_S = 600.0  # assumed: typical driving on a disturbance, such as a climb, that was there from the start on
 GAIN_STEP_STD = 0.05  # of a sensor that was replaced
 DISAGREES_SHARE, DISAGREES_S = 0.08, 60.0  # of the samples of a minute that disagree with the others
 ALIKE_SHARE = 0.3  # allowed difference of a step from a spell in the vehicle file
@@ -26,18 +29,23 @@ SAID_SHARE, SAID_STDS = 0.02, 3.0  # of the rolling resistance, and of a minute'
 FADES = 0.5  # remaining share a second later without a torque
 
 
-def close_block(s: LearnerState) -> None:
-    """Finish a block: check for a step, and whether learned values explain more than the file."""
+def close_block(s: LearnerState, prior: Prior) -> bool:
+    """Finish a block: check for a step, and whether learned values explain more than the file.
+
+    Returns whether learning began anew, because the vehicle's parameters cannot be told from what came or went.
+    """
     s.blocks += 1
     block, before = s.block, s.last_block
-    if before.seconds:
-        _judge(s, _level(s, block), _level(s, before))
+    s.last_block, s.block = block, ResidualBlock()
+    if before.seconds and _judge(s, _level(s, block), _level(s, before), prior):
+        return True
     s.past.see(_level(s, block) - float(s.mean[STEP]), SLOW_KEEPS)
     _tell(s)
     s.contest.see(block.gain)
     s.fresh.see(block.gain)
-    s.last_block, s.block = block, ResidualBlock()
+    s.weigh_again(prior)
     s.keep_before()
+    return False
 
 
 def _level(s: LearnerState, block: ResidualBlock) -> float:
@@ -45,45 +53,62 @@ def _level(s: LearnerState, block: ResidualBlock) -> float:
     return (block.residual - expected(s.mean[:SLOW], block.looks[:SLOW])) * block.sign
 
 
-def _judge(s: LearnerState, level: float, last: float) -> None:
+def _judge(s: LearnerState, level: float, last: float, prior: Prior) -> bool:
+    """Follow the levels of the present block and of the last; whether learning begins anew."""
     least = s.least_variance if s.wandering.blocks else (FIRST_SHARE * s.rolling) ** 2
     threshold = max(STEP_SHARE * s.rolling, STEP_STDS * s.wandering.std(least))
     if s.suspect:
-        still = (level - s.suspect_level) / s.suspect
-        if still > CONFIRMED:
-            _step_found(s, level - s.suspect_level)
-        else:
-            s.wandering.see(s.suspect, least)
-        s.suspect = 0.0
-        return
+        size, s.suspect = s.suspect, 0.0
+        if (level - s.suspect_level) / size > CONFIRMED:
+            return _step_found(s, level - s.suspect_level, prior)
+        s.wandering.see(size, least)
+        return False
     difference = level - last
     if min(s.wandering.blocks, s.blocks) >= LEAST_BLOCKS and abs(difference) > threshold:
         s.suspect, s.suspect_level = difference, last
-        return
-    s.wandering.see(difference, least)
+    else:
+        s.wandering.see(difference, least)
+    return False
 
 
-def _step_found(s: LearnerState, size: float) -> None:
-    """Take it for a disturbance, or for another sensor: go back to before it, and let those two take it up."""
+def _step_found(s: LearnerState, size: float, prior: Prior) -> bool:
+    """Take it for a disturbance, or for another sensor: go back to before it, and let those two take it up.
+
+    What it left may have been the disturbance, such as a hill, for it lasts for a while only. So the less was driven before,
+    the more does a step make the vehicle's parameters uncertain. Beyond their ranges, nothing is known of them.
+    """
+    own, looks = list(VEHICLES_OWN), np.zeros(STATES)
+    looks[own] = s.last_block.looks[own]
+    tied, total = spread(prior.covariance, looks)
+    doubt = abs(size) * math.exp(-0.5 * s.seconds / GOES_S)
+    share = doubt * doubt / (REACH_STD * REACH_STD * total) if total else 0.0
+    if share > 1.0:
+        s.learn_anew(prior)
+        return True
     s.mean[:], s.covariance[:] = s.before_mean, s.before_covariance
+    s.mean[own] *= 1.0 - share
     s.covariance[STEP, STEP] += max(size * size, (LASTING_SHARE * s.rolling) ** 2)
     s.covariance[GAIN, GAIN] += GAIN_STEP_STD**2
+    s.covariance += np.outer(tied, tied) * (share * REACH_STD * REACH_STD / max(total, 1e-12))
     s.mean[STEP] += size
     s.past.pause()
     s.ground.lost()
-    s.step_s, s.step_nm, s.step_second = 0.0, size, s.second
+    s.step_s, s.step_nm = 0.0, size
     s.recent_mean[:], s.recent_covariance[:] = s.mean, s.covariance
+    return False
 
 
 def _tell(s: LearnerState) -> None:
-    """Whether the mean residual of a minute exceeds the short disturbances."""
+    """Whether the mean residual of a minute exceeds the short disturbances and the error of the slope."""
     mean, std = s.past.of_late()
+    std = math.hypot(std, math.sqrt(s.covariance[SLOPE, SLOPE]) * s.last_block.looks[SLOPE])  # a slope that is followed
     least = SAID_SHARE * s.rolling
-    if not abs(mean) > 0.5 * least:
-        s.disturbed_since = -1
-    elif s.disturbed_since < 0 and abs(mean) > max(least, SAID_STDS * std):
-        s.disturbed_since = s.second
-    s.disturbance_nm = mean if s.disturbed_since >= 0 else 0.0
+    if not (abs(mean) > max(0.5 * least, std) and mean * s.disturbance_nm > 0.0):  # gone, or another
+        s.disturbed_s = 0.0
+    if s.disturbed_s or abs(mean) > max(least, SAID_STDS * std):
+        s.disturbance_nm, s.disturbed_s = mean, s.disturbed_s + BLOCK_S
+    else:
+        s.disturbance_nm = 0.0
 
 
 def let_last(s: LearnerState, compared: bool) -> None:
@@ -101,35 +126,26 @@ def let_last(s: LearnerState, compared: bool) -> None:
     s.lasting_nm += 0.1 * (aim - s.lasting_nm)
 
 
-def why_frozen(s: LearnerState, now: int, known: Disturbance | None) -> str:
-    """Reason why learning is paused; empty if it is not.
-
-    Parameters
-    ----------
-    now
-        The present second.
-    known
-        The disturbance of the vehicle file.
-    """
+def why_frozen(s: LearnerState, known: Disturbance | None) -> str:
+    """Reason why learning is paused; empty if it is not. `known` is the disturbance of the vehicle file."""
     if s.disagrees > DISAGREES_SHARE:
         return f"{100.0 * s.disagrees:.0f} % of the measured torques disagree with the others"
     if s.suspect:
         return f"a step of {s.suspect:+.0f} Nm is being checked"
     if s.step_s < STEP_HOLDS_S:
-        since = max(now - s.step_second, 0)
-        return f"{said(s.step_nm, since, known)}: caused by a sensor, brake, load or the ground, not by the belts"
+        return f"{said(s.step_nm, s.step_s, known)}: caused by a sensor, brake, load or the ground"
     return ""
 
 
-def disturbance_text(s: LearnerState, now: int, known: Disturbance | None) -> str:
+def disturbance_text(s: LearnerState, known: Disturbance | None) -> str:
     """Text on an unmodelled torque outside the vehicle's parameters; empty without one. See `why_frozen`."""
-    return "" if s.disturbed_since < 0 else said(s.disturbance_nm, max(now - s.disturbed_since, 0), known)
+    return said(s.disturbance_nm, s.disturbed_s, known) if s.disturbance_nm else ""
 
 
-def said(torque_nm: float, since_s: int, known: Disturbance | None) -> str:
-    """A disturbance in words, with a remark if it is as large as the vehicle file's."""
+def said(torque_nm: float, driven_s: float, known: Disturbance | None) -> str:
+    """A disturbance in words, with a remark if it is as large as the vehicle file's; `driven_s` is the driving with it."""
     kind = ""
     if isinstance(known, Spells):
         size = abs(known.level - known.rest)
         kind = f", of the kind seen before ({known.form})" if abs(abs(torque_nm) - size) < ALIKE_SHARE * size else ""
-    return f"a disturbance of {torque_nm:+.0f} Nm for {since_s} s{kind}"
+    return f"a disturbance of {torque_nm:+.0f} Nm for {driven_s:.0f} s{kind}"

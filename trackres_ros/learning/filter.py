@@ -23,6 +23,14 @@ def aged(mean: Array, covariance: Array, keep: Array, gained: Array) -> None:
     covariance[np.diag_indices_from(covariance)] += gained
 
 
+def widened(covariance: Array, stds: Array) -> None:
+    """Raise standard deviations to those given, shape (states,); the correlations stay. Changes the covariance."""
+    now = np.sqrt(np.diag(covariance))
+    share = np.divide(np.maximum(stds, now), now, out=np.ones(len(now)), where=now > 0.0)
+    covariance *= share[:, None]
+    covariance *= share[None, :]
+
+
 def expected(mean: Array, looks: Array) -> float:
     """Expected measurement: the sum of states times their sensitivities, shape (states,)."""
     return float((mean * looks).sum())
@@ -77,14 +85,4 @@ def given_others(mean: Array, covariance: Array, learned: Mask) -> Array:
     if left.any():
         ties = np.linalg.solve(covariance[np.ix_(left, left)], mean[left])
         found[learned] -= (covariance[np.ix_(learned, left)] * ties[None, :]).sum(axis=1)
-    return found
-
-
-def known_of_others(covariance: Array, learned: Mask) -> Array:
-    """Covariance of accepted parameters, given the file's values for all others, shape (states, states)."""
-    left = ~learned & (np.diag(covariance) > 0.0)
-    found = covariance.copy()
-    if left.any():
-        across = covariance[np.ix_(learned, left)]
-        found[np.ix_(learned, learned)] -= across @ np.linalg.solve(covariance[np.ix_(left, left)], across.T)
     return found

@@ -22,7 +22,7 @@ from trackres_ros.learning.blocks import BLOCK_S, ResidualBlock
 from trackres_ros.learning.buckets import ACCELERATES_MPS2, Buckets
 from trackres_ros.learning.delay import DelayEstimator
 from trackres_ros.learning.disturbances import DISAGREES_S, close_block, disturbance_text, let_last, why_frozen
-from trackres_ros.learning.filter import aged, corrected, expected, spread
+from trackres_ros.learning.filter import aged, corrected, expected, spread, widened
 from trackres_ros.learning.gate import AGAINST, OUTLYING, SPEED_UNSURE, TEXTS, Gate, Row
 from trackres_ros.learning.learned import SLOW_S, nothing_learned
 from trackres_ros.learning.parameters import (
@@ -48,6 +48,7 @@ WALK_PER_HOUR = 0.01  # of a prior standard deviation, per root of an hour of dr
 AGES_PER_S = 0.5 / (365 * 86400.0)  # assumed: growth of standard deviations while off, of the file's own
 PAUSE_S = 600.0  # without a usable torque: the vehicle may have been loaded or repaired
 AIMS_EVERY_S = 5.0
+NEAR = 0.1  # standard deviations to a bound: noise of a second moves a held value by less
 DEGREES_OF_FREEDOM = 4.0  # of Student's t
 NOISE_MEMORY_S = 120.0
 INERTIA_SHARE = 0.2  # of the inertia: an acceleration that is filtered from a speed lags
@@ -113,10 +114,7 @@ class Learner:
         covariance = self.learned.covariance
         stds, most = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(self.prior.covariance))
         # Wear goes one way: its possible change grows with time, not with its root, however that time is divided.
-        older = np.minimum(stds + AGES_PER_S * max(seconds, 0.0) * most, np.maximum(most, stds))
-        share = np.divide(older, stds, out=np.ones(STATES), where=stds > 0.0)
-        covariance *= share[:, None]
-        covariance *= share[None, :]
+        widened(covariance, np.minimum(stds + AGES_PER_S * max(seconds, 0.0) * most, most))
 
     def take(self, stamp_ns: int, row: Row, session: Session) -> None:
         """Take a step of the session; once a second learn from those before it, and let that act from the next step on."""
@@ -197,6 +195,7 @@ class Learner:
         self._pass(passed, session)
         free = self._free(second.accel / n)
         s.ground.feel(s.mean, s.covariance, second.felt / n, second.accel / n, free)
+        known_hill = float(s.mean[SLOPE] * looks[SLOPE])  # from an altitude or an IMU, before this torque has its say
         left = residual - expected(s.mean, looks)
         moved = float((s.applied * looks[: at.LEARNABLE]).sum())
         self._hear(residual - moved, passed)
@@ -207,9 +206,9 @@ class Learner:
         corrected(s.mean, s.covariance, looks, left, total / min(weight, 1.0) - known, free)
         np.clip(s.mean, self.prior.low, self.prior.high, out=s.mean)
         self.buckets.count(speed, second.belt_degc / n, second.weight / n, second.accel / n)
-        s.block.add(residual, moved, sign, looks, s.noise / variance)
-        if s.block.seconds >= BLOCK_S:
-            close_block(s)
+        s.block.add(residual - known_hill, moved, sign, looks, s.noise / variance)
+        if s.block.seconds >= BLOCK_S and close_block(s, self.prior):
+            self.buckets.clear()
 
     def _pass(self, seconds: float, session: Session) -> None:
         """Predict: the slow disturbance decays, wear adds uncertainty, a belt is as uncertain as the estimate says."""
@@ -252,12 +251,12 @@ class Learner:
     @property
     def frozen(self) -> str:
         """Reason why learning is paused; empty if it is not."""
-        return why_frozen(self.learned, self.gate.second.number, self._vehicle.disturbance)
+        return why_frozen(self.learned, self._vehicle.disturbance)
 
     @property
     def disturbance(self) -> str:
         """Text on an unmodelled torque outside the vehicle's parameters; empty without one."""
-        return disturbance_text(self.learned, self.gate.second.number, self._vehicle.disturbance)
+        return disturbance_text(self.learned, self._vehicle.disturbance)
 
     @property
     def left_out(self) -> str:
@@ -279,6 +278,13 @@ class Learner:
     def counted(self) -> Mask:
         """Accepted departures of the vehicle: covered, and known twice as well as by its file; (LEARNABLE,)."""
         return np.asarray(self.buckets.covered() & correction.sure(self.learned, self.prior))
+
+    @property
+    def held(self) -> Mask:
+        """Accepted departures that only their bounds hold, so that their error is unknown; (LEARNABLE,)."""
+        mean, near = self.learned.mean[: at.LEARNABLE], NEAR * np.sqrt(np.diag(self.learned.covariance)[: at.LEARNABLE])
+        within = (mean > self.prior.low[: at.LEARNABLE] + near) & (mean < self.prior.high[: at.LEARNABLE] - near)
+        return np.asarray(self.counted & ~within)
 
     def stds(self, covariance: Array, own: Sequence[int]) -> Array:
         """Reported standard deviations of the filter's first states by their covariance, see `correction.stds_of`."""
@@ -302,6 +308,10 @@ class Learner:
         s = self.learned
         if self.frozen:
             return f"frozen: {self.frozen}"
+        held = self.held
+        if held.any():
+            names = ", ".join(one.name for one in self.learnables if one.state in self.own and held[one.state])
+            return f"at the end of the plausible range, with an unknown error: {names}"
         second = self.gate.second
         if self.disturbance:
             return f"{self.disturbance}, separate from the vehicle's parameters"

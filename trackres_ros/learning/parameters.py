@@ -30,7 +30,7 @@ RADIUS_ROW = 3
 VEHICLES_OWN = (at.OF_LOSS, at.OF_COOLING, at.OF_CAPACITY, at.OF_BEARING, at.OF_DRAG, at.OF_MASS)
 
 LEAST_STD = 0.02  # assumed: rubber wears and oil ages, so that no value of a file stays exact
-REACH_STD = 2.0  # the ranges of a vehicle file are +-2 standard deviations: bounds of learned values, and what a file may hold
+REACH_STD = 2.0  # the ranges of a vehicle file are +-2 standard deviations
 LEAST_FACTOR = 0.2  # of the file's value, whatever the ranges say
 OFFSET_SHARE = 0.005  # assumed: of the torque that rolling takes, standard deviation of a transducer's zero
 GAIN_STD = 0.003  # assumed: class 0.5 is off by half a percent at most; a motor's current is no torque of its own, and worse
@@ -115,16 +115,19 @@ def limits_of(path: str) -> QuantityLimits:
     return {"rubber": RUBBER, "chassis": CHASSIS, SECTION: ROAD_LOAD}.get(section, BELT)[name]
 
 
-def _in_a_file(vehicle: AnyVehicle, one: Learnable) -> tuple[float, float]:
-    """Bounds of a departure within which all its values may be in a vehicle file."""
-    low, high = -np.inf, np.inf
+def _reach(vehicle: AnyVehicle, one: Learnable, std: float) -> tuple[float, float]:
+    """Bounds of a departure: its standard deviations, and the file's own range, within what a vehicle file may hold."""
+    low, high = -REACH_STD * std, REACH_STD * std
+    least, most = LEAST_FACTOR - 1.0, np.inf
     for path in one.paths:
-        value, limits = vehicle.parameters[path].value, limits_of(path)
-        assert isinstance(value, float)
-        if value:
-            ends = sorted((end / value - 1.0) / one.factor for end in (limits.low, limits.high))
-            low, high = max(low, ends[0]), min(high, ends[1])
-    return min(low, 0.0), max(high, 0.0)
+        own, limits = vehicle.parameters[path], limits_of(path)
+        assert isinstance(own.value, float)
+        if own.value:
+            ends = [(end / own.value - 1.0) / one.factor for end in (own.low, own.high, limits.low, limits.high)]
+            if path == one.paths[0]:
+                low, high = min(low, *ends[:2]), max(high, *ends[:2])
+            least, most = max(least, min(ends[2:])), min(most, max(ends[2:]))
+    return max(low, min(least, 0.0)), min(high, max(most, 0.0))
 
 
 def make_prior(estimator: Estimator) -> Prior:
@@ -148,9 +151,7 @@ def make_prior(estimator: Estimator) -> Prior:
     covariance[SLOW, SLOW] = (WANDERING_SHARE * rolling) ** 2
     low, high = np.full(STATES, -np.inf), np.full(STATES, np.inf)
     for state in own:
-        reach = REACH_STD * float(np.sqrt(covariance[state, state]))
-        least, most = _in_a_file(estimator.vehicle, own[state])
-        low[state], high[state] = max(-reach, LEAST_FACTOR - 1.0, least), min(reach, most)
+        low[state], high[state] = _reach(estimator.vehicle, own[state], float(np.sqrt(covariance[state, state])))
     return Prior(covariance, low, high, rolling)
 
 

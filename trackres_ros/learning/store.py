@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from trackres_ros.estimator.snapshot import FARTHEST_SAVED_AT, LEARNED_AT, REMED
 from trackres_ros.learning.correction import use_file
 from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import ON, Learner
-from trackres_ros.learning.parameters import REACH_STD, VEHICLES_OWN
+from trackres_ros.learning.parameters import VEHICLES_OWN
 
 LARGEST = 1e15  # for any number: a step between torques of -1 and 1 MNm adds 4e12 Nm^2; times in ns are stored as integers
 FARTHEST = 1 << 62
@@ -63,6 +62,35 @@ def since_learned(saved: object, now: float) -> float:
     if isinstance(learned_at, bool) or not isinstance(learned_at, int | float) or not abs(learned_at) <= FARTHEST_SAVED_AT:
         raise ValueError("learned parameters: no time of learning")
     return max(0.0, now - learned_at)
+
+
+def since_saved(path: Path, saved: Any, ended: float, begins: float, off_s: float | None) -> tuple[Any, float | None]:
+    """Learned values of a state file as of a recording with another clock, and the time since they were learned [s].
+
+    That is None in the same stream if the run before learned. Else it includes all runs since the last one that learned.
+
+    Parameters
+    ----------
+    ended, begins
+        End of the state and beginning of the recording, each by its own clock [s since 1970].
+    off_s
+        Time off between them [s]; None in the same stream.
+
+    Raises
+    ------
+    InputError
+        If the values do not say when they were learned.
+    """
+    if saved is None:
+        return None, off_s
+    try:
+        since = since_learned(saved, ended)
+    except ValueError as error:
+        raise InputError(f"state file {path}", str(error), "learned parameters saved by this program", REMEDY) from error
+    if off_s is None and not since:
+        return saved, None
+    since += max(begins - ended, 0.0) if off_s is None else off_s
+    return {**saved, LEARNED_AT: max(begins - since, -FARTHEST_SAVED_AT)}, since
 
 
 def go_on(session: Session, learner: Learner | None, saved: object, off_s: float | None = None) -> None:
@@ -160,11 +188,11 @@ def _check(learner: Learner) -> None:
             raise ValueError("an invalid covariance")
     for departures in (s.mean, s.recent_mean, s.before_mean, s.aim, s.applied):
         for state in VEHICLES_OWN:
-            if not abs(departures[state]) <= REACH_STD * math.sqrt(prior.covariance[state, state]) * REACH:
+            if not prior.low[state] * REACH <= departures[state] <= prior.high[state] * REACH:
                 raise ValueError("a departure outside of the vehicle file's ranges")
         np.clip(departures, prior.low[: len(departures)], prior.high[: len(departures)], out=departures)
-    sizes = [s.seconds, s.rolling, s.noise, s.disagrees, s.lasting_s, s.step_s, learner.gate.samples.deviation]
-    sizes += [s.wandering.variance, s.contest.variance, s.fresh.variance]
+    sizes = [s.seconds, s.rolling, s.noise, s.disagrees, s.lasting_s, s.step_s, s.disturbed_s, s.evidence, float(s.weighed)]
+    sizes += [learner.gate.samples.deviation, s.wandering.variance, s.contest.variance, s.fresh.variance]
     sizes += [s.ground.altitude_variance, s.ground.drift, s.ground.felt_variance, s.ground.slope_variance]
     if not all(size >= 0.0 for size in sizes) or s.past.slow < 0.0 or s.past.white < 0.0:
         raise ValueError("an invalid size")

@@ -9,11 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from trackres_ros.estimator import columns as at
 from trackres_ros.learning.correction import accepted
-from trackres_ros.learning.filter import known_of_others
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import REACH_STD, Learnable, limits_of
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle
@@ -42,15 +38,15 @@ def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> LearnedF
 
     It has the values that were learned. Those acting follow them at a limited rate, so they may be half-way.
     """
-    counts = [state for state in learner.own if learner.acts and learner.counted[state]]
+    counts = [state for state in learner.own if learner.acts and learner.counted[state] and not learner.held.any()]
     of_file = {one.state: one for one in learner.learnables}
     kept = {name: _value(vehicle, name) for state in learner.own if state not in counts for name in of_file[state].paths}
     if not counts:
         fits = "the learned parameters fit no better than the vehicle file"
-        return LearnedFile(path, (), {}, kept, fits if learner.counted.any() else learner.text)
+        return LearnedFile(path, (), {}, kept, fits if learner.counted.any() and not learner.held.any() else learner.text)
     minutes = learner.learned.seconds / 60.0
     comment = f"Written by trackres replay --save-vehicle, learned from {minutes:.0f} min of driving"
-    stds = _stds(learner, counts)
+    stds = learner.stds(learner.learned.covariance, counts).tolist()
     found = accepted(learner.learned, learner.prior, learner.counted).tolist()
     changed: dict[str, tuple[float, float]] = {}
 
@@ -72,15 +68,6 @@ def _value(vehicle: AnyVehicle, path: str) -> float:
     value = vehicle.parameters[path].value
     assert isinstance(value, float)
     return value
-
-
-def _stds(learner: Learner, counts: list[int]) -> dict[int, float]:
-    """Standard deviations of accepted parameters, given the file's values for all others."""
-    learned = np.zeros(at.LEARNABLE, dtype=bool)
-    learned[counts] = True
-    covariance = known_of_others(learner.learned.covariance[: at.LEARNABLE, : at.LEARNABLE], learned)
-    stds = learner.stds(covariance, counts)
-    return {state: float(stds[state]) for state in counts}
 
 
 def _set(document: Document, vehicle: AnyVehicle, one: Learnable, departure: float, std: float) -> dict[str, tuple[float, float]]:

@@ -13,6 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +24,11 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.entry_points import Entries
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.estimator.snapshot import rested, resume
+from trackres_ros.estimator.snapshot import read_learning, rested, resume
 from trackres_ros.files.output_files import BAG_SUFFIX
 from trackres_ros.learning.columns import LearningColumns, column_names
 from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.store import since_saved
 from trackres_ros.learning.vehicle_file import LearnedFile
 from trackres_ros.offline.disturbance import DisturbanceColumns
 from trackres_ros.offline.energy import DriveTotals, StepTimes
@@ -71,29 +73,35 @@ def channel_indices(session: Session, roles: Sequence[str], learns: bool = False
     return np.array([session.channel(r) if n else -1 for r, n in zip(roles, needed, strict=True)], dtype=np.int16)
 
 
-def resumed(source: Source, estimator: Estimator, path: Path) -> tuple[Session, float | None]:
-    """Go on from a state file: in the same stream, or after time off where the times of a source begin before its end.
+class Resumed(NamedTuple):
+    """What a recording continues."""
 
-    Returns
-    -------
-    session, off_s
-        The time off [s] is the source's standing time, 0 if it has none; None in the same stream.
+    session: Session
+    off_s: float | None  # its standing time, 0 if it has none; None in the same stream
+    learned: Any  # plain values of the state file, with their time by the clock of the recording; None without any
+    unlearned_s: float | None  # see `store.since_saved`
+
+
+def resumed(source: Source, estimator: Estimator, path: Path) -> Resumed:
+    """Go on from a state file: in the same stream, or after time off where the times of a source begin before its end.
 
     Raises
     ------
     InputError
         As `snapshot.resume`; if the source cannot be read, or its standing time is negative.
     """
-    session, first = resume(estimator, path), next(source.blocks(BLOCK_ROWS), None)
+    session, first, saved = resume(estimator, path), next(source.blocks(BLOCK_ROWS), None), read_learning(estimator, path)
     last, jump = at.Times(session.memory.times[at.SPEED]), estimator.constants.number.clock_jump_ns
     if first is None or not last.seen:
-        return session, None
-    if min(last.last_stamp - first.stamp_ns[0], last.last_arrival - first.arrival_ns[0]) <= jump:
-        return session, None
-    of_stood = [role == "stood" for role in source.roles]
-    off = standing_time(first.value[np.array(of_stood)[first.role]], source.name)
-    off = 0.0 if math.isnan(off) else off
-    return rested(session, off), off
+        return Resumed(session, None, saved, None)
+    off = None
+    if min(last.last_stamp - first.stamp_ns[0], last.last_arrival - first.arrival_ns[0]) > jump:
+        of_stood = [role == "stood" for role in source.roles]
+        off = standing_time(first.value[np.array(of_stood)[first.role]], source.name)
+        off = 0.0 if math.isnan(off) else off
+        session = rested(session, off)
+    ended, begins = int(last.last_arrival) * NANOSECOND, int(first.arrival_ns[0]) * NANOSECOND
+    return Resumed(session, off, *since_saved(path, saved, ended, begins, off))
 
 
 def replay(
