@@ -49,7 +49,7 @@ def check_vehicle(vehicle: AnyVehicle, points: int) -> dict[str, Any]:
         remarks += found
         if errors.max() > LARGEST_ERROR:
             remarks.append(
-                f"track {name}: the loss in estimates and exports is up to {errors.max():.1%} off, as the rubber's moduli change "
+                f"track {name}: the loss in estimates and exports is up to {errors.max():.1%} off. The rubber's moduli change "
                 "too steeply for its table: check the rubber file and the WLF constants"
             )
         stiffness = float(belt_model.axial_stiffness(track.belt, model.rubber.dynamic_modulus(10.0, vehicle.chassis.ambient)))

@@ -250,6 +250,7 @@ def filter_forward(
     v, a, vv, va, aa = 0.0, 0.0, 0.0, 0.0, 0.0
     r = noise * noise
     above, side, first, lasts = False, 0, -1, 0.0  # side of the last innovations, since when, and the first outlier among them
+    missed = 0.0  # what its outliers would add as usual innovations
     turns[:] = False
     while i < len(at):
         if begins[i]:
@@ -270,16 +271,19 @@ def filter_forward(
                 above, side, first = off > 0.0, i, -1
             if known > 3 and abs(off) > expected:
                 if first < 0:
-                    first = i
+                    first, missed = i, 0.0
                     lasts = LASTS_S if abs(off) < 2.0 * expected + FASTEST * (at[i] - at[i - 1]) else BREAKS_S
                 elif at[i] - at[first] >= lasts and not turns[first]:
                     while at[first] - at[side] > LASTS_S:
                         side += 1
                     turns[side] = turns[first] = True
-                    i, first = side, -1  # its deviance stays: a likely jerk needs few turns
+                    if lasts == LASTS_S:
+                        deviance += missed  # a likely jerk follows the vehicle
+                    i, first = side, -1
                     v, a = states[i - 1, 0], states[i - 1, 1]
                     vv, va, aa = states[i - 1, 2], states[i - 1, 3], states[i - 1, 4]
                     continue
+                missed += 0.5 * off * off / (vv + r)
             else:
                 first = -1
             s = max(vv + r, off * off / (OUTLIER * OUTLIER))
