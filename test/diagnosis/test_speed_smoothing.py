@@ -220,9 +220,9 @@ def test_a_braking_after_a_smooth_drive_is_followed(rate, step, brakes_s):
     true = (6.0 + 2.0 * np.sin(at / 41.0)) * np.clip((at[-1] - at) / brakes_s, 0.0, 1.0)
     times = np.arange(0.0, 599.5)
     smooth = smooth_speed(at, np.round(true / step) * step if step else true, times, GAP_S)
-    assert np.abs(smooth.speed - np.interp(times, at, true)).max() < max(
-        0.02, 7.0 * step
-    )  # at 100 Hz a rounded speed stays the same for seconds
+    error = np.abs(smooth.speed - np.interp(times, at, true))
+    assert error.max() < 0.35  # at the corner; a speed that is rounded at 100 Hz stays the same for seconds
+    assert error[:-15].max() < max(0.02, 2.0 * step)
 
 
 @pytest.mark.parametrize("lasts_s", [0.4, 3.0, 30.0])
