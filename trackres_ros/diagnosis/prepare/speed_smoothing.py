@@ -31,6 +31,7 @@ LONGEST_REPEAT, REGULAR = 50, 0.95  # samples of one value, and the share of cha
 OUTLIER = 5.0  # standard deviations beyond which an innovation gets less weight
 FASTEST = 10.0  # m/s^2: no vehicle's speed changes faster
 LASTS_S, BREAKS_S = 0.5, 5.0  # so long outliers on one side are motion; where they begin faster than that, a sensor's other level
+MISSED = 3.0  # times the deviance of a lost sample, for one of a motion that the jerk does not follow
 UNKNOWN = 1e4  # variance of speed and acceleration at the start of a stretch
 PIECE, MOST_PIECES = 2000, 30  # samples for estimating jerk and noise
 TURNS = 3
@@ -250,7 +251,7 @@ def filter_forward(
     v, a, vv, va, aa = 0.0, 0.0, 0.0, 0.0, 0.0
     r = noise * noise
     above, side, first, lasts = False, 0, -1, 0.0  # side of the last innovations, since when, and the first outlier among them
-    missed = 0.0  # what its outliers would add as usual innovations
+    missed = 0  # of its outliers
     turns[:] = False
     while i < len(at):
         if begins[i]:
@@ -271,19 +272,19 @@ def filter_forward(
                 above, side, first = off > 0.0, i, -1
             if known > 3 and abs(off) > expected:
                 if first < 0:
-                    first, missed = i, 0.0
+                    first, missed = i, 0
                     lasts = LASTS_S if abs(off) < 2.0 * expected + FASTEST * (at[i] - at[i - 1]) else BREAKS_S
                 elif at[i] - at[first] >= lasts and not turns[first]:
                     while at[first] - at[side] > LASTS_S:
                         side += 1
                     turns[side] = turns[first] = True
                     if lasts == LASTS_S:
-                        deviance += missed  # a likely jerk follows the vehicle
+                        deviance += MISSED * missed * 0.5 * OUTLIER * OUTLIER
                     i, first = side, -1
                     v, a = states[i - 1, 0], states[i - 1, 1]
                     vv, va, aa = states[i - 1, 2], states[i - 1, 3], states[i - 1, 4]
                     continue
-                missed += 0.5 * off * off / (vv + r)
+                missed += 1
             else:
                 first = -1
             s = max(vv + r, off * off / (OUTLIER * OUTLIER))
