@@ -76,7 +76,7 @@ class Guard:
 
     def inputs(self, outcome=ACCEPTED_IN_ORDER, started=1.0, quantum=0.0):
         motion = at.Motion(np.zeros(at.Motion.columns))
-        motion.started, motion.quantum = started, quantum
+        motion.started, motion.quantum, motion.last_speed = started, quantum, self.memory.values[at.SPEED]
         self.loads, self.belts = np.zeros(ASSEMBLIES), np.zeros(ASSEMBLIES)
         return gather(self.k, self.memory, outcome, 0, motion, self.loads, self.belts)
 

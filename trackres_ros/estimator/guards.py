@@ -318,7 +318,8 @@ def gather(
     unfed = not_enabled(k, memory, now)
     drive_on(k, tracked, speed, elapsed)
     silent = (now - memory.times[at.DISTANCE, LAST_ARRIVAL]) * NANOSECOND  # the odometer
-    if disagrees(k, memory.times, memory.values, speed, now) or (tracked.apart > 0.0 and silent <= k.number.bridge):
+    last_speed = motion.last_speed if motion.started > 0.0 else speed
+    if disagrees(k, memory.times, memory.values, last_speed, speed, now) or (tracked.apart > 0.0 and silent <= k.number.bridge):
         unfed |= SPEED_DISAGREES
     return Inputs(
         speed,
