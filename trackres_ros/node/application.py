@@ -157,11 +157,12 @@ class Application:
         return 0 if self.clock.simulated else arrival - int(self.session.memory.times[channel, at.Times.last_arrival])
 
     def _restored(self) -> bytes | None:
-        """State file from which a replay of all messages gives the live estimates; None for a cold start."""
-        if not self.session.started:
+        """State file from which a replay of all messages gives the live estimates; None for a start without a past."""
+        if not self.session.has_past:
             return None
         session = self.estimator.session()  # without the messages until now, which are in the replay
         session.begin(self.session.state)
+        session.motion[:] = self.session.motion
         return content(session, self._state_at, self.learning.stored())
 
     def _take(self, estimate: Estimate, steady: int, now: int, arrival: int) -> None:
