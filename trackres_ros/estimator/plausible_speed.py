@@ -139,7 +139,7 @@ def drive_on(k: Constants, tracked: Tracked, speed: float, elapsed: int) -> None
 
 @inlined
 def disagrees(k: Constants, times: IntArray, values: Array, last_speed: float, speed: float, now: int) -> bool:
-    """Whether, at an arrival [ns], the last two speeds [m/s] have contradicted all wheel speeds for longer than the speed may pause.
+    """Whether, at an arrival [ns], two speeds [m/s] have contradicted all wheel speeds for longer than the speed may pause.
 
     Only fresh wheel speeds are compared, up to the age that a speed may have: they came between the two. Without any the verdict
     stays, but no longer than a gap is bridged (ours).
