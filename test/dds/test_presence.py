@@ -23,9 +23,13 @@ from cyclonedds.util import duration
 from ros_messages import STORE
 from waiting import exit_code, wait_for
 
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.snapshot import save
 from trackres_ros.node.dds.participant import Participant, Publication
 from trackres_ros.node.dds.wire import type_hash
 from trackres_ros.node.endpoints import Quality
+from trackres_ros.vehicle import load
 
 FLOAT, TWIST = "std_msgs/msg/Float64", "geometry_msgs/msg/TwistStamped"
 
@@ -222,7 +226,10 @@ def test_a_publisher_that_offers_less_than_asked_is_remarked(wire, command, star
 
 
 def test_it_runs_in_the_last_domain_without_a_reader_of_its_log(command, start, tmp_path):
-    state = tmp_path / "state.json"
+    state, session = tmp_path / "state.json", Estimator(load("xgd24d")).session()
+    session.handle(at.SPEED, 1, 1, 8.0)
+    save(session, state, time.time())
+    before = state.read_bytes()
     node = start(command(state_file=str(state)), ROS_DOMAIN_ID="232")
     said = [node.stderr.readline()]
     while "nobody publishes" not in said[-1]:
@@ -231,7 +238,7 @@ def test_it_runs_in_the_last_domain_without_a_reader_of_its_log(command, start, 
     assert "failed" not in "".join(said)
     node.stderr.close()
     node.send_signal(signal.SIGUSR1)
-    assert wait_for(state.exists, working=node.pid)  # and then says so
+    assert wait_for(lambda: state.read_bytes() != before, working=node.pid)  # and then says so
     node.send_signal(signal.SIGTERM)
     assert exit_code(node) == 0
 

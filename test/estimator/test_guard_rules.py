@@ -76,7 +76,7 @@ class Guard:
 
     def inputs(self, outcome=ACCEPTED_IN_ORDER, started=1.0, quantum=0.0):
         motion = at.Motion(np.zeros(at.Motion.columns))
-        motion.started, motion.quantum = started, quantum
+        motion.started, motion.quantum, motion.last_speed = started, quantum, self.memory.values[at.SPEED]
         self.loads, self.belts = np.zeros(ASSEMBLIES), np.zeros(ASSEMBLIES)
         return gather(self.k, self.memory, outcome, 0, motion, self.loads, self.belts)
 
@@ -203,6 +203,28 @@ def test_the_third_agreeing_stamp_is_accepted_with_arrival_time(guard, jump, ref
     assert guard.counts() == {"ACCEPTED": 2, refused: 2, "CLOCK_JUMP": 1}
     assert guard.of(at.Times.suspects) == 0
     assert guard.send(jump + 60 * MS, arrival=80 * MS) == (ACCEPTED_IN_ORDER, 20 * MS)
+
+
+@pytest.mark.parametrize("channel", [at.SPEED, at.ENABLE])
+@pytest.mark.parametrize(("pause", "sent", "every"), [(40 * S, 25, 20 * MS), (8 * 3600 * S, 1, 20 * MS), (40 * S, 8, 300 * MS)])
+def test_what_waited_in_a_queue_is_as_old_as_its_stamp(guard, channel, pause, sent, every):
+    guard.send(0, 1.0, channel)
+    for i in range(1, sent + 1):
+        assert guard.send(i * every, 1.0, channel, arrival=pause + i * MS // 5) == (ACCEPTED_IN_ORDER, every)
+        assert guard.of(at.Times.last_arrival, channel) == T + i * every
+    assert guard.send(pause + S, 1.0, channel) == (ACCEPTED_IN_ORDER, pause + S - sent * every)
+    assert guard.counts(channel) == {"ACCEPTED": sent + 2}
+
+
+@pytest.mark.parametrize("every", [20 * MS, S])
+def test_stamps_that_stay_behind_are_those_of_a_set_clock(guard, every):
+    guard.send(0)
+    late = [guard.send(i * every, arrival=3600 * S + i * every) for i in range(1, 1 + JUMP // every + 2)]
+    assert late[:-1] == [(ACCEPTED_IN_ORDER, every)] * (len(late) - 1)
+    assert late[-1] == (ACCEPTED_AFTER_JUMP, 3600 * S + every)
+    assert guard.of(at.Times.last_arrival) == T + 3600 * S + len(late) * every
+    assert guard.counts() == {"ACCEPTED": len(late) + 1, "CLOCK_JUMP": 1}
+    assert guard.of(at.Times.suspects) == 0
 
 
 def test_time_never_goes_back_by_a_jump(guard):

@@ -220,6 +220,26 @@ def test_a_speed_beyond_all_wheel_speeds_is_not_fed_forward(speed, wheels, apart
         assert not drive.estimates[-1][1].reasons & Reason.SPEED_DISAGREES
 
 
+@pytest.mark.parametrize("lag", [10 * MS, 400 * MS, 600 * MS, 990 * MS])
+@pytest.mark.parametrize("period", [S, 2 * S])
+def test_wheels_as_slow_as_the_speed_are_compared_at_any_lag(period, lag):
+    drive = Drive(Estimator(VEHICLE, Settings(speed_max_age_s=2.5)))
+    for i in range(8):
+        drive.send(8.0, after=period - lag)
+        drive.send(4.0 if i > 1 else 8.0, "wheel_speed/front_left", after=lag)
+        assert bool(drive.estimates[-1][1].reasons & Reason.SPEED_DISAGREES) == (i > 2 and (i - 3) * period > 2.5 * S)
+
+
+@pytest.mark.parametrize("lag", [10 * MS, 400 * MS, 990 * MS])
+@pytest.mark.parametrize("change", [3.0, -6.0])
+def test_slow_wheels_agree_while_the_vehicle_changes_its_speed(change, lag):
+    drive = Drive(Estimator(VEHICLE, Settings(speed_max_age_s=1.5)))
+    for i in range(30):
+        drive.send(np.clip(8.0 + change * (i - 20), 0.0, 15.0), after=S - lag)
+        drive.send(np.clip(8.0 + change * (i - 20 + lag / S), 0.0, 15.0), "wheel_speed/front_left", after=lag)
+    assert not drive.held(Reason.SPEED_DISAGREES)
+
+
 def test_wheels_disagree_after_a_jump_of_the_clock_too():
     drive = with_wheels(8.0, {"front_left": 0.0})
     drive.clock, before = -30 * S, len(drive.estimates)

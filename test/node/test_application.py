@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.columns import Count
+from trackres_ros.estimator.columns import SPEED, Count
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.node import message_handler
 from trackres_ros.node.application import Application
@@ -308,6 +308,24 @@ def test_belts_cool_while_the_machine_is_suspended(desk, monkeypatch):
     d.drive(1.0, speed=0.0)
     assert d.last("track_temperature/front_left")[1][0] < 15.0 + 0.1 * (warm - 15.0)
     assert "CLOCK_JUMPED" not in d.names()
+
+
+@pytest.mark.parametrize(("rate", "pause_s"), [(0.0, 40.0), (50.0, 40.0), (50.0, 150.0)])
+def test_speeds_that_waited_while_the_node_was_stopped_are_old(desk, rate, pause_s):
+    d = desk(output_rate_hz=rate)
+    d.drive(300.0, speed=8.0, dt=0.1)
+    warm, began_s = d.last("track_temperature/front_left")[1][0], d.time_s
+    d.time_s, d.steady_s, sent = d.time_s + pause_s, d.steady_s + pause_s, len(d.published)
+    for i in range(1, 26):
+        d.send("speed", 8.0, stamp_s=began_s + 0.02 * i)
+    assert d.names() & {"SPEED_OLD", "CLOCK_OFFSET"} == {"SPEED_OLD"}
+    assert d.app._watch.accepted_ns[SPEED] < (d.steady_s - 0.9 * pause_s) * SECOND_NS
+    d.forward(0.5)
+    d.drive(2.0, speed=0.0)
+    assert "SPEED_OLD" not in d.names()
+    assert {values[0] for name, _, values in d.published[sent:] if name == "feedforward_torque_nm"} == {0.0}
+    assert not d.app.session.memory.counters[:, Count.IMPLAUSIBLE].any()
+    assert d.last("track_temperature/front_left")[1][0] < warm - 0.003 * pause_s
 
 
 def test_stamps_of_another_clock_are_remarked(desk):

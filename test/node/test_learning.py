@@ -149,11 +149,18 @@ def test_learned_values_stop_acting_where_the_estimate_restarts(desk, topics, by
     assert not acting.any()
 
 
-def test_a_sensor_that_disagrees_with_itself_is_said(desk, topics):
+@pytest.mark.parametrize(
+    ("torque", "why"),
+    [
+        (lambda i: 3000.0 + (6000.0 if i % 3 == 0 and i > 50 else i % 11), "disagree with the others"),
+        (lambda _: 2662.0, "the measured torque is stuck in"),
+    ],
+)
+def test_what_is_wrong_with_the_torque_sensor_is_said(desk, topics, torque, why):
     d = desk(topics=topics)
     for i in range(600):
-        d.drive(0.2, speed=8.0, dt=0.2, torque=3000.0 + (6000.0 if i % 3 == 0 and i > 50 else i % 11))
-    assert "LEARNING_FROZEN" in d.names()
+        d.drive(0.2, speed=8.0, dt=0.2, torque=torque(i))
+    assert [why in notice.text for notice in d.app.notices() if notice.name == "LEARNING_FROZEN"] == [True]
     assert KINDS["LEARNING_FROZEN"].meaning
 
 

@@ -151,10 +151,35 @@ def test_a_file_of_another_kind_is_never_replaced(desk, tmp_path, content):
 def test_what_a_power_cut_leaves_of_a_state_is_replaced(desk, warm, left):
     path, _ = warm
     path.write_bytes(left(path.read_bytes()))
+    before, d = path.read_bytes(), desk(state_file=str(path))
+    d.forward(40.0)
+    assert "no speed yet" in d.app.close()
+    assert path.read_bytes() == before
     d = desk(state_file=str(path))
     d.drive(1.0, dt=0.1)
     assert "saved" in d.app.close()
     assert first_belt(desk(state_file=str(path))) == pytest.approx(15.0, abs=0.5)
+
+
+def test_without_a_speed_there_is_no_state_file(desk, tmp_path):
+    d = desk(state_file=str(tmp_path / "state.json"))
+    d.forward(40.0)
+    assert "no speed yet" in d.app.close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_start_after_a_reset_at_rest_is_in_the_last_known_air(desk, tmp_path):
+    d = desk(state_file=str(tmp_path / "state.json"))
+    d.drive(60.0, dt=0.1, ambient=-20.0)
+    d.forward(2.0)
+    d.app.reset()
+    assert "saved" in d.app.close()
+    for _ in range(2):  # the first without a speed
+        d = desk(state_file=str(tmp_path / "state.json"))
+        assert "cold start in the last known air" in d.app.began_with
+        assert "restored" not in d.app.began_with
+        assert "saved" in d.app.close()
+    assert first_belt(d) == pytest.approx(-20.0, abs=0.05)
 
 
 def test_the_reason_of_a_cold_start_is_given_once(desk, warm):

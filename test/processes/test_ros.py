@@ -346,6 +346,7 @@ rclpy.init()
 node = EstimatorNode(make_parameters({"vehicle": "xgd24d"}))
 node.trigger_configure()
 node.trigger_activate()
+node.application.messages.receive_values(len(node.application.inputs) - 1, None, [8.0])  # the speed
 rclpy.shutdown()
 node.destroy_node()
 node.destroy_node()

@@ -101,8 +101,8 @@ def feed_all(
     for i in range(messages.channels.shape[0]):
         message = messages.channels[i], messages.stamps[i], messages.arrivals[i], messages.values[i]
         if feed(k, memory, carried, loads, belt_measured, *message, out[steps]):
-            out_stamps[steps] = Times(memory.times[at.SPEED]).last_stamp
-            out_arrivals[steps] = messages.arrivals[i]
+            of_speed = Times(memory.times[at.SPEED])
+            out_stamps[steps], out_arrivals[steps] = of_speed.last_stamp, of_speed.last_arrival
             steps += 1
     return steps
 

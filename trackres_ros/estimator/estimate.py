@@ -83,7 +83,7 @@ class Steps:
     """Results of a block of messages: one row a step."""
 
     stamp_ns: IntArray  # (steps,), time of measurement of the speed that made the step
-    arrival_ns: IntArray  # (steps,), of its logging
+    arrival_ns: IntArray  # (steps,), of its logging; of one that waited in a queue, by its stamp
     rows: Array  # (steps, columns), as `Estimator.columns` names them
 
     def __len__(self) -> int:

@@ -368,6 +368,11 @@ class Session:
         return bool(self.motion[at.Motion.started] > 0.0)
 
     @property
+    def has_past(self) -> bool:
+        """Whether there is something to go on with: belts, or after a reset the last known air."""
+        return self.started or bool(self.motion[at.Motion.started] == at.START_COLD)
+
+    @property
     def state(self) -> State:
         """A copy of the state now."""
         return State(self.belts.copy(), self.motion.copy(), self.effects.copy(), self.learned.copy())

@@ -4,7 +4,8 @@
 """Checks each message before use: order, age and plausibility. The policy is docs/robustness.md.
 
 A message is one number with its channel, its stamp and its arrival. It is accepted or refused, and increments
-exactly one counter. Times are stamps; the arrival only checks whether stamps can be right.
+exactly one counter. Times are stamps; the arrival only checks whether stamps can be right. A message that waited in a queue
+keeps the arrival that its stamp tells.
 """
 
 from __future__ import annotations
@@ -80,6 +81,20 @@ def new_memory(channels: int) -> Memory:
 
 
 @inlined
+def has_jumped(k: Constants, times: Times, stamp: int, arrival: int, is_behind: bool) -> bool:
+    """Whether enough messages in a row agree on a new offset between stamp and arrival; record one more.
+
+    A queue that was left full gives many at once, with stamps behind their arrivals. So these must also go on for a while (ours).
+    """
+    since, until = stamp - times.suspect_stamp, arrival - times.suspect_arrival
+    agrees = times.suspects > 0 and since > 0 and abs(since - until) <= k.number.clock_jump_ns
+    times.suspects = min(times.suspects + 1, k.number.jumps_to_accept) if agrees else 1
+    if not (agrees and is_behind):
+        times.suspect_stamp, times.suspect_arrival = stamp, arrival
+    return times.suspects >= k.number.jumps_to_accept and (not is_behind or until > k.number.clock_jump_ns)
+
+
+@inlined
 def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, value: float, quantum: float) -> tuple[int, int]:
     """Accept or refuse one message, count it, and keep its value. `quantum` is the smallest step observed in the speed [m/s].
 
@@ -101,7 +116,7 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
         stamp = arrival
         if times.seen:  # by the last message's offset between stamp and arrival
             stamp += times.last_stamp - times.last_arrival
-    outcome, elapsed = ACCEPTED_IN_ORDER, 0
+    outcome, elapsed, is_behind = ACCEPTED_IN_ORDER, 0, False
     if times.seen:
         forward, waited = stamp - times.last_stamp, arrival - times.last_arrival
         elapsed = forward
@@ -116,22 +131,22 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
             counters[RESET] += 1
             outcome, elapsed = ACCEPTED_AFTER_RESET, 0
             times.disagrees_since = 0
-        elif forward < 0 or (forward > k.number.clock_jump_ns and abs(forward - waited) > k.number.clock_jump_ns):
-            since, until = stamp - times.suspect_stamp, arrival - times.suspect_arrival
-            agrees = times.suspects > 0 and since > 0 and abs(since - until) <= k.number.clock_jump_ns
-            times.suspects = times.suspects + 1 if agrees else 1
-            times.suspect_stamp, times.suspect_arrival = stamp, arrival
-            if times.suspects < k.number.jumps_to_accept:
+        elif forward < 0 or max(forward - max(waited, 0), waited - forward) > k.number.clock_jump_ns:
+            is_behind = 0 < forward < waited
+            if has_jumped(k, times, stamp, arrival, is_behind):
+                outcome, elapsed, is_behind = ACCEPTED_AFTER_JUMP, max(waited, 0), False
+                if channel == at.SPEED:
+                    if not is_near(k, tracked, elapsed, value, quantum):  # the clock of who sends this is none to go by
+                        counters[IMPLAUSIBLE] += 1
+                        return -IMPLAUSIBLE, 0
+                    move_clock(times, forward - elapsed)
+                counters[CLOCK_JUMP] += 1
+            elif is_behind:
+                arrival = times.last_arrival + forward  # it waited: its age is that of its stamp
+            else:
                 refusal = FUTURE if forward > 0 else BACKWARD
                 counters[refusal] += 1
                 return -refusal, 0
-            outcome, elapsed = ACCEPTED_AFTER_JUMP, max(waited, 0)
-            if channel == at.SPEED:
-                if not is_near(k, tracked, elapsed, value, quantum):  # the clock of who sends this is none to go by
-                    counters[IMPLAUSIBLE] += 1
-                    return -IMPLAUSIBLE, 0
-                move_clock(times, forward - elapsed)
-            counters[CLOCK_JUMP] += 1
     if channel == at.SPEED:
         if not times.seen or outcome == ACCEPTED_AFTER_RESET:  # no earlier value to compare with
             trust(times, tracked, value)
@@ -147,7 +162,9 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
     if not times.seen or paused or value != memory.values[channel] or outcome != ACCEPTED_IN_ORDER:
         times.unchanged_since = stamp
     times.seen, times.last_stamp, times.last_arrival = 1, stamp, arrival
-    times.suspects, times.fresh = 0, 1
+    times.fresh = 1
+    if not is_behind:
+        times.suspects = 0
     memory.values[channel] = value
     counters[ACCEPTED] += 1
     return outcome, elapsed
@@ -301,7 +318,8 @@ def gather(
     unfed = not_enabled(k, memory, now)
     drive_on(k, tracked, speed, elapsed)
     silent = (now - memory.times[at.DISTANCE, LAST_ARRIVAL]) * NANOSECOND  # the odometer
-    if disagrees(k, memory.times, memory.values, speed, now) or (tracked.apart > 0.0 and silent <= k.number.bridge):
+    last_speed = motion.last_speed if motion.started > 0.0 else speed
+    if disagrees(k, memory.times, memory.values, last_speed, speed, now) or (tracked.apart > 0.0 and silent <= k.number.bridge):
         unfed |= SPEED_DISAGREES
     return Inputs(
         speed,

@@ -138,23 +138,25 @@ def drive_on(k: Constants, tracked: Tracked, speed: float, elapsed: int) -> None
 
 
 @inlined
-def disagrees(k: Constants, times: IntArray, values: Array, speed: float, now: int) -> bool:
-    """Whether, at an arrival [ns], the speed [m/s] has contradicted all wheel speeds for longer than the speed may pause.
+def disagrees(k: Constants, times: IntArray, values: Array, last_speed: float, speed: float, now: int) -> bool:
+    """Whether, at an arrival [ns], two speeds [m/s] have contradicted all wheel speeds for longer than the speed may pause.
 
-    Only fresh wheel speeds are compared. Between them the verdict stays, but no longer than a gap is bridged (ours).
+    Only fresh wheel speeds are compared, up to the age that a speed may have: they came between the two. Without any the verdict
+    stays, but no longer than a gap is bridged (ours).
     """
-    size, low, high, newest = abs(speed), math.inf, 0.0, 0
+    slow, fast, low, high, newest = min(abs(last_speed), abs(speed)), max(abs(last_speed), abs(speed)), math.inf, 0.0, 0
+    hold_ns = max(k.number.motion_hold_ns, k.number.disagreeing_ns)
     for channel in range(k.number.first_wheel, times.shape[0]):
         if times[channel, SEEN]:
             newest = max(newest, times[channel, LAST_ARRIVAL])
-            if now - times[channel, LAST_ARRIVAL] <= k.number.motion_hold_ns:
+            if now - times[channel, LAST_ARRIVAL] <= hold_ns:
                 low, high = min(low, abs(values[channel])), max(high, abs(values[channel]))
     of_speed = Times(times[SPEED])
     compared = low < math.inf
-    apart = size > (1.0 + SHARE) * high + SLOW_MPS or size < (1.0 - SHARE) * low - SLOW_MPS
+    apart = slow > (1.0 + SHARE) * high + SLOW_MPS or fast < (1.0 - SHARE) * low - SLOW_MPS
     if (compared and not apart) or (not compared and (now - newest) * NANOSECOND > k.number.bridge):
         of_speed.disagrees_since = 0
     elif compared and of_speed.disagrees_since == 0:
         of_speed.disagrees_since = now
-    until = min(now, newest + k.number.motion_hold_ns)
+    until = min(now, newest + hold_ns)
     return of_speed.disagrees_since != 0 and until - of_speed.disagrees_since > k.number.disagreeing_ns

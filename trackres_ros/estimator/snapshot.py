@@ -214,10 +214,13 @@ def after_time_off(estimator: Estimator, path: Path, now: float, ambient: float 
 
 
 def rested(before: Session, seconds: float, ambient: float | None = None) -> Session:
-    """A new session with the belts of another, cooled for some time [s] as in `after_time_off`."""
+    """A new session with the belts of another, cooled for some time [s] as in `after_time_off`; of a reset one, the air."""
     estimator, session = before.estimator, before.estimator.session()
     if before.started:
         session.begin(estimator.rest(before.state, ambient, min(max(0.0, seconds), LONGEST_OFF)))
+    elif before.has_past:
+        motion, air = at.Motion(session.motion), at.Motion(before.motion).air
+        motion.started, motion.air = at.START_COLD, air if ambient is None else ambient
     return session
 
 

@@ -43,7 +43,8 @@ def close_block(s: LearnerState, prior: Prior) -> bool:
     _tell(s)
     s.contest.see(block.gain)
     s.fresh.see(block.gain)
-    s.weigh_again(prior)
+    if not why_frozen(s, None):  # nothing is learned of the others, so they show nothing of what was learned
+        s.weigh_again(prior)
     s.keep_before()
     return False
 

@@ -40,7 +40,7 @@ from trackres_ros.node.setup import changed_parameters, read_setup
 from trackres_ros.node.state_keeper import StateKeeper, state_path
 from trackres_ros.node.transport import KeepMessage, Level, Peer, Reasons, Transport
 from trackres_ros.node.watch import Watch
-from trackres_ros.units import SECOND_NS
+from trackres_ros.units import NANOSECOND, SECOND_NS
 
 ACCEPTED, IMPLAUSIBLE = int(at.Count.ACCEPTED), int(at.Count.IMPLAUSIBLE)
 SPEED_IMPLAUSIBLE = int(at.Reason.SPEED_IMPLAUSIBLE)
@@ -141,7 +141,7 @@ class Application:
         before, doubted = counters[channel, ACCEPTED], counters[channel, IMPLAUSIBLE]
         estimate = self.session.feed(channel, stamp, arrival, value)
         if counters[channel, ACCEPTED] != before:
-            self._watch.accepted_ns[channel] = steady
+            self._watch.accepted_ns[channel] = steady - self._waited_ns(channel, arrival)
         elif counters[channel, IMPLAUSIBLE] != doubted:
             self._show(SPEED_IMPLAUSIBLE)
         if estimate is not None:
@@ -149,28 +149,37 @@ class Application:
                 self.guard("recording", self.on_restored, restored, arrival)
             self._take(estimate, steady, now, arrival)
 
+    def _waited_ns(self, channel: int, arrival: int) -> int:
+        """How long the last accepted message waited in a queue before it came, as while this process was stopped.
+
+        The steady clock does not know how long a simulated time is.
+        """
+        return 0 if self.clock.simulated else arrival - int(self.session.memory.times[channel, at.Times.last_arrival])
+
     def _restored(self) -> bytes | None:
-        """State file from which a replay of all messages gives the live estimates; None for a cold start."""
-        if not self.session.started:
+        """State file from which a replay of all messages gives the live estimates; None for a start without a past."""
+        if not self.session.has_past:
             return None
         session = self.estimator.session()  # without the messages until now, which are in the replay
         session.begin(self.session.state)
+        session.motion[:] = self.session.motion
         return content(session, self._state_at, self.learning.stored())
 
     def _take(self, estimate: Estimate, steady: int, now: int, arrival: int) -> None:
         values = estimate.row.tolist()
         if not all(math.isfinite(values[column]) for column in MUST_BE_FINITE):
             raise ArithmeticError(f"the estimate is not finite: {values}")
-        stamp = int(self.session.memory.times[at.SPEED, at.Times.last_stamp])
+        stamp, waited = int(self.session.memory.times[at.SPEED, at.Times.last_stamp]), self._waited_ns(at.SPEED, arrival)
         published = stamp + (0 if self.messages.reader.stamped else self.clock.set_by_ns(now, arrival))
-        self._publisher.take(values, published, steady)
-        new_reasons = self.guard("watching the reasons", self._watch.accepted, int(values[at.Results.reasons]), now - published)
+        self._publisher.take(values, published, steady, waited)
+        offset = now - waited - published
+        new_reasons = self.guard("watching the reasons", self._watch.accepted, int(values[at.Results.reasons]), offset)
         if new_reasons:
             self._reasons_seen = None
         if self.active and self._on_speed:
             self._next_output_ns = steady + int(LONGEST_PERIOD_S * SECOND_NS)
             self.guard.essential("publishing", self._publish, self.clock.steady_ns())
-        self._state_at = time.time()
+        self._state_at = time.time() - waited * NANOSECOND
         news = self.guard("the comparison with the measured torque", self.comparison.take, stamp, values)
         if news:
             self._reasons_seen = None

@@ -125,6 +125,8 @@ class LiveLearning:
 
     def notices(self) -> list[Notice]:
         """Present notices of the learning."""
-        if self.learner is None or self.mode == OFF or not self.learner.frozen:
+        if self.learner is None or self.mode == OFF:
             return []
-        return [Notice("LEARNING_FROZEN", f"learning is paused: {self.learner.frozen}")]
+        frozen, left_out = self.learner.frozen, self.learner.left_out
+        text = f"learning is paused: {frozen}" if frozen else f"learning skips samples: {left_out}"
+        return [Notice("LEARNING_FROZEN", text)] if frozen or left_out else []

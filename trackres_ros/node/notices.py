@@ -76,7 +76,7 @@ LIVE_KINDS = {
         Level.OK, "the vehicle file's intermittent torque is present now; the estimate does not include it"
     ),
     "LEARNING_FROZEN": NoticeKind(
-        Level.OK, "learning from the measured torque is paused; the learned parameters stay as they were"
+        Level.OK, "learning from the measured torque is paused, or skips many samples; its text says why"
     ),
     "STATE_NOT_SAVED": NoticeKind(
         Level.WARN, "the state file could not be written: a restart would use an older state or start cold"

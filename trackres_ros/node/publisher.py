@@ -62,10 +62,11 @@ class OutputPublisher:
         """Let the feed-forward go to zero from now on, at its rate, and within the time in which it fades."""
         self._withdrawn_ns = steady
 
-    def take(self, row: Row, stamp_ns: int, steady: int) -> None:
-        """Keep a row of results, and the time of its state."""
-        self.row, self.stamp_ns, self._taken_ns = row, nearest_usable(stamp_ns), steady
-        self._unfaded, self._left = self.feedforward, 1.0
+    def take(self, row: Row, stamp_ns: int, steady: int, waited_ns: int = 0) -> None:
+        """Keep a row of results, and the time of its state, whose speed waited in a queue before it came."""
+        self.row, self.stamp_ns, self._taken_ns = row, nearest_usable(stamp_ns), steady - waited_ns
+        if self.age_s(steady) <= self.estimator.settings.speed_max_age_s:
+            self._unfaded, self._left = self.feedforward, 1.0
 
     def age_s(self, steady: int) -> float:
         """Time since the last estimate was made [s]; infinite before the first."""

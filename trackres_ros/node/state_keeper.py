@@ -120,6 +120,8 @@ class StateKeeper:
         self.holds_at += off_s - since_s
         what = "belts" if estimator.assemblies else "temperatures of the effects"
         text = f"{what} restored from {file} and cooled for {off_s / 60.0:.1f} min"
+        if not session.started:
+            text = f"no {what} in {file}: cold start{' in the last known air' if session.has_past else ''}"
         try:
             learned = learning.go_on(session, read_learning(estimator, file), now)
         except ValueError as error:
@@ -137,8 +139,8 @@ class StateKeeper:
             self.unused += f"; before it is replaced it is copied to {self._aside}{how}"
 
     def _may_replace(self, session: Session) -> bool:
-        """Whether there is anything to save in place of a state that was not used."""
-        return self._aside is None or session.memory.counters[at.SPEED, at.Count.ACCEPTED] > 0
+        """Whether there is anything to save in place of what is there: after a speed, and before it what was restored."""
+        return (self._aside is None and session.has_past) or session.memory.counters[at.SPEED, at.Count.ACCEPTED] > 0
 
     def notices(self) -> list[Notice]:
         """Text that the state file cannot be written, or that the existing one could not be used."""
@@ -166,13 +168,12 @@ class StateKeeper:
         """Save now; return a text for the log. See `save_soon`.
 
         Raises InputError if no state is kept, the file cannot be written, or the disk takes longer than `patience_s`;
-        or if it would replace a state that was not used, without a speed yet.
+        or if there is nothing to save, as nothing was restored and there is no speed yet.
         """
         if self.path is None:
             raise InputError("state file", "none", "the node's parameter state_file set to a path or to auto")
         if not self._may_replace(session):
-            given = "a state that was not used, and no speed yet"
-            raise InputError(f"state file {self.path}", given, "an accepted speed before it is replaced")
+            raise InputError(f"state file {self.path}", "no speed yet", "an accepted speed before it is written")
         until = time.monotonic() + patience_s
         if not self._writer.wait(patience_s):
             raise InputError(f"state file {self.path}", "an earlier save that is still running", "a disk that responds")

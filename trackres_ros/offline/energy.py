@@ -45,7 +45,7 @@ class StepTimes:
         last_stamp, last_arrival = self._last or (int(stamp[0]), int(arrival[0]))
         self._last = int(stamp[-1]), int(arrival[-1])
         forward, waited = np.diff(stamp, prepend=last_stamp), np.diff(arrival, prepend=last_arrival)
-        jumped = (forward < 0) | ((forward > self._jump_ns) & (np.abs(forward - waited) > self._jump_ns))
+        jumped = (forward < 0) | (np.maximum(forward - np.maximum(waited, 0), waited - forward) > self._jump_ns)
         step = np.where(jumped, np.maximum(waited, 0), forward) * NANOSECOND
         return np.where(step <= self._bridge_s, step, 0.0)
 

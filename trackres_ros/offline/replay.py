@@ -199,11 +199,12 @@ class LearningSteps:
             estimate = session.feed(*message)
             if estimate is None:
                 continue
-            row, stamp = estimate.row.tolist(), int(session.memory.times[at.SPEED, at.Times.last_stamp])
+            row, of_speed = estimate.row.tolist(), at.Times(session.memory.times[at.SPEED])
+            stamp = int(of_speed.last_stamp)
             learner.take(stamp, row, session)
             rows.append([*row, *self._columns.of(row, session)])
             stamps.append(stamp)
-            arrivals.append(message[2])
+            arrivals.append(int(of_speed.last_arrival))
         width = len(session.estimator.columns) + len(self._columns.names)
         table = np.array(rows, dtype=float).reshape(-1, width)
         return Steps(np.array(stamps, dtype=np.int64), np.array(arrivals, dtype=np.int64), table)
