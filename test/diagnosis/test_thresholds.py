@@ -33,7 +33,7 @@ def test_time_lost_by_a_corrected_clock_is_excluded(recorded, loaded):
     recordings[0] = replace(recordings[0], series={**recordings[0].series, "torque": late})
     gated, _, before = prepared(recordings, loaded)
     lost = sum((s.used.sum() - t.used.sum()) * s.step for s, t in zip(before, gated.sessions, strict=True))
-    assert gated.excluded["no torque left by the correction of its clock"] == round(lost) > 0
+    assert gated.excluded["torque lost by the correction of its clock"] == round(lost) > 0
     assert any("corrected" in note for note in gated.notes)
 
 

@@ -428,7 +428,7 @@ def test_a_slow_residual_that_can_be_followed_is_a_drift():
     verdict = said(slow=NOISY, drift=drift(BETTER))
     assert (verdict.status, verdict.grade) == ("described", CONFIRMED)
     assert verdict.sentence.startswith("The residual drifts by 40 Nm. Look for a zero that drifts.")
-    assert "from 100 to 80 Nm. The feed-forward leaves out a drift: that error takes it from a live" in verdict.sentence
+    assert "from 100 to 80 Nm. The feed-forward leaves out a drift; this error includes it, taken from a live" in verdict.sentence
     for not_followed in (None, drift(UNSURE), drift(WORSE)):
         assert said(slow=NOISY, drift=not_followed).status == "unexplained"
     # The torque missing in a regime exceeds a drifting level, and a hardly visible one is none.
@@ -545,7 +545,7 @@ def test_an_error_with_an_unpredictable_term_says_its_source(form):
             of = replace(of, described=replace(of.described, form=form))
             sentence = said(terms=[of]).sentence
             assert ("60 Nm. The feed-forward leaves out" in sentence) == (not predictable and form in FROM)
-            assert ("takes it from a live estimate" in sentence) == (not predictable and form in (*FOLLOWED, "spells"))
+            assert ("taken from a live estimate" in sentence) == (not predictable and form in (*FOLLOWED, "spells"))
 
 
 def test_an_unconfirmed_term_is_suspected_and_a_weak_one_dropped():

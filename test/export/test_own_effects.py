@@ -43,12 +43,13 @@ class Own{number}(Effect):
 """
 VALUES = (0.0, 0.3, -2.5, 5.7, -60.0, 1e200, math.inf, math.nan)
 FAILING = (  # where there is no such whole number or place
-    "TABLE[int(x) - 1]", "float(int(y) // 2 + floor(z))", "float(math.ceil(x * y) % 3)", "TABLE[int(z) % 4]",
+    "2 ** int(y)", "TABLE[int(x) - 1]", "float(int(y) // 2 + floor(z))", "float(math.ceil(x * y) % 3)", "TABLE[int(z) % 4]",
 )  # fmt: skip
 SPECIAL = (
     "p.size * (1.0 - 1.0 / (1.0 + math.exp((x - 3.0) / 0.01)))", "math.exp(-1.0 / abs(y))", "p[-1] * TABLE[-3]", "x // 0.1",
     "exp + math.exp(y)", "x or y or 0.5", "(x and y) * z", "(-abs(x)) ** 0.5", "math.log(x) + math.log(-y)", "x // y + x % y",
     "math.sin(x) - math.hypot(y, z)", "x ** z", "1.0 if x and (y or z) else 2.0",
+    "pow(x, y)", "min(pow(abs(x), z), 2.0)",
 )  # fmt: skip
 FORMS = (
     "({a} + {b})", "({a} - {b})", "({a} * {b})", "({a} / {b})", "({a} // {b})", "({a} % {b})", "({a} or {b})", "({a} and {b})",

@@ -135,8 +135,10 @@ def remarks_on(vehicle: Vehicle, speed: ArrayLike, ambient: ArrayLike, states: S
     `speed`, `ambient`: of each state [m/s], [degC], shape (states,).
     """
     names = [one.name for one in vehicle.assemblies]
-    cold = dict.fromkeys(names, np.atleast_1d(ambient))
-    settled = {name: np.array([one.belts_degc.get(name, np.nan) for one in states]) for name in names}
+    ambient = np.broadcast_to(np.asarray(ambient, dtype=float), len(states))
+    cold = dict.fromkeys(names, ambient)
+    found = {name: np.array([one.belts_degc.get(name, np.nan) for one in states]) for name in names}
+    settled = {name: np.where(np.isnan(belts), ambient + WARMEST_K, belts) for name, belts in found.items()}  # if without balance
     return list(dict.fromkeys(text for belts in (cold, settled) for text in beyond_data(vehicle, speed, belts)))
 
 

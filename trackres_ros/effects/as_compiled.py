@@ -66,7 +66,10 @@ def _math() -> ModuleType:
 
 MATH = _math()
 REPLACED = {id(math): MATH, **{id(value): getattr(MATH, name) for name, value in vars(math).items() if callable(value)}}
-APPLIED = {kind.__name__: _without_errors(*both) for kind, both in OPERATORS.items()} | {"int": _whole(int)}
+APPLIED = {kind.__name__: _without_errors(*both) for kind, both in OPERATORS.items()} | {
+    "int": _whole(int), "round": _whole(round), "pow": _without_errors(pow, np.float_power)
+}  # fmt: skip
+BUILTINS = ("int", "round", "pow")
 
 
 class _Operators(ast.NodeTransformer):
@@ -83,8 +86,8 @@ class _Operators(ast.NodeTransformer):
 
     def visit_Call(self, node: ast.Call) -> ast.Call:
         self.generic_visit(node)
-        if isinstance(node.func, ast.Name) and node.func.id == "int":
-            node.func.id = "_int_of_numbers"
+        if isinstance(node.func, ast.Name) and node.func.id in BUILTINS:
+            node.func.id = f"_{node.func.id}_of_numbers"
         return node
 
     def _applied(self, node: Any, left: ast.expr, right: ast.expr) -> Any:
@@ -94,6 +97,16 @@ class _Operators(ast.NodeTransformer):
         return ast.copy_location(ast.Call(name, [left, right], []), node)
 
 
+class _RealPowers(ast.NodeTransformer):
+    """Powers of real numbers, as C has them: of whole ones, machine code gives 0 for 2 ** -1."""
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.BinOp:
+        self.generic_visit(node)
+        if isinstance(node.op, ast.Pow) and not (isinstance(node.right, ast.Constant) and isinstance(node.right.value, int)):
+            node.left = ast.copy_location(ast.Call(ast.Name("float", ast.Load()), [node.left], []), node.left)
+        return node
+
+
 class AsItIs(SourceFileLoader):
     """Loads a file in its present version: cached bytecode is compared with its file only by whole seconds and size."""
 
@@ -101,15 +114,22 @@ class AsItIs(SourceFileLoader):
         """Return no path of bytecode."""
         raise OSError(path)
 
+    def get_code(self, fullname: str) -> CodeType:
+        """Compile what `changed` gives."""
+        path = self.get_filename(fullname)
+        return self.source_to_code(ast.fix_missing_locations(self.changed(ast.parse(self.get_data(path), path))), path)
+
+    def changed(self, tree: ast.AST) -> Any:
+        """A file's tree as it is run: with powers of real numbers."""
+        return _RealPowers().visit(tree)
+
 
 class AsCompiled(AsItIs):
     """Loads a file with the arithmetic of compiled code."""
 
-    def get_code(self, fullname: str) -> CodeType:
-        """Compile with other operators."""
-        path = self.get_filename(fullname)
-        tree = _Operators().visit(ast.parse(self.get_data(path), path))
-        return self.source_to_code(ast.fix_missing_locations(tree), path)
+    def changed(self, tree: ast.AST) -> Any:
+        """With other operators too."""
+        return _Operators().visit(super().changed(tree))
 
     def exec_module(self, module: ModuleType) -> None:
         """Run the file, and replace what it imported of `math`."""

@@ -150,14 +150,14 @@ if HAVE_NUMBA:
 
         return part(cast(FunctionType, whole))
 
-    _WHOLE: dict[int, Any] = {id(python): _whole(python) for python in (int, math.floor, math.ceil, math.trunc)}
+    _WHOLE: dict[int, Any] = {id(python): _whole(python) for python in (int, round, math.floor, math.ceil, math.trunc)}
     _WHOLE[id(math)] = ModuleType("math")
     _WHOLE[id(math)].__dict__.update({name: _WHOLE.get(id(value), value) for name, value in vars(math).items()})
 
     def _with_errors(names: dict[str, Any]) -> dict[str, Any]:
         """Names of a user's file, with the functions that give whole numbers as `_whole`."""
         replaced = {name: _WHOLE.get(id(value), value) for name, value in names.items()}
-        return {"int": _WHOLE[id(int)], **replaced}
+        return {"int": _WHOLE[id(int)], "round": _WHOLE[id(round)], **replaced}
 
     @cache
     def _machine(kind: type[Effect], method: str, names: tuple[str, ...]) -> Any:

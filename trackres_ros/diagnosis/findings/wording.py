@@ -87,7 +87,7 @@ def confirmed_terms(
 def taken_from(t: UnnamedTerm) -> str:
     """Source of an unpredictable term in the error on hold-out laps; empty for a predictable one."""
     source = t.described.held_out_from
-    return f"The feed-forward leaves out {short(t)}: that error takes it from {source}" if source else ""
+    return f"The feed-forward leaves out {short(t)}; this error includes it, taken from {source}" if source else ""
 
 
 def _of(t: NamedEffect | UnnamedTerm, listed: Possible, distance_off: float) -> list[str]:

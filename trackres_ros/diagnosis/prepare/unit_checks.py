@@ -123,12 +123,12 @@ def _weight(recording: Recording, weight: float) -> list[str]:
     if not roles or not all(len(value) for value in values):
         return []
     share = sum(float(np.median(value)) for value in values) / weight
-    where, role, low, high = f"{recording.name}: {', '.join(roles)}", roles[0], *WEIGHTS
+    where, low, high = f"{recording.name}: {', '.join(roles)}", *WEIGHTS
     given = f"{share * weight:.4g} {ROLES['load'].unit}, {share:.2g} of the vehicle file's {weight:.4g} N"
     if not low <= share <= high:
-        for unit, other in _others(role).items():
+        for unit, other in _others("load").items():
             if 1.0 / AROUND < share * other.scale < AROUND:
-                _refuse(where, given, f"{low:g} to {high:g} of it", unit, role, recording.bindings)
+                _refuse(where, given, f"{low:g} to {high:g} of it", unit, "load", recording.bindings)
         remedy = "give the weight of the whole vehicle; for a payload, add the empty weight as offset in the topics file"
         raise InputError(where, given, f"{low:g} to {high:g} of it", remedy)
     if not USUAL_WEIGHTS[0] <= share <= USUAL_WEIGHTS[1]:

@@ -164,5 +164,5 @@ def prepared(
         refused += faulty
     check_torque(sessions, expected, resisting, vehicle.known)
     notes = (*gated.notes, *(note for _, note in moved if note), *inconsistent_scale_notes(sessions, expected))
-    corrected = with_fewer_steps(gated, sessions, "no torque left by the correction of its clock")
+    corrected = with_fewer_steps(gated, sessions, "torque lost by the correction of its clock")
     return replace(corrected, notes=notes), tuple(expected), passed.sessions
