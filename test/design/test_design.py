@@ -352,6 +352,12 @@ def test_a_point_extrapolates_where_explain_says_so(speed, air, outside):
     assert [number for number, row in enumerate(rows) if row.endswith("!")] == outside
 
 
+def test_belts_without_a_balance_are_outside_of_the_data():
+    swept = sweep(SweepRequest("xgd24d", (varied(load("xgd24d"), "axles.load=+100%,+300%"),), 14.0, 60.0))
+    assert np.isnan(swept.columns["belt_degc"]).tolist() == [False, True]
+    assert list(swept.remarks) == [0, 1]
+
+
 LOSS, FILM, DRAG = "rubber.loss_modulus_scale", "tracks.low.belt.film_offset", "chassis.drag_coefficient"
 THICKNESS, EXPOSED, AREA = "tracks.low.belt.thickness", "tracks.low.belt.exposed_share", "chassis.frontal_area"
 

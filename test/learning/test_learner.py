@@ -143,6 +143,19 @@ def test_a_disturbance_ends_at_its_change_of_sign(reference):
     assert s.disturbed_s > 0.0
 
 
+@pytest.mark.parametrize("disagrees", [1.0, 0.0])
+def test_blocks_that_teach_nothing_are_no_evidence(reference, disagrees):
+    """Their scatter makes what was learned from others before less certain only if the vehicle was learned from them too."""
+    learner, random, own = Learner(reference), np.random.default_rng(4), list(VEHICLES_OWN)
+    s = learner.learned
+    s.covariance[np.ix_(own, own)] *= 0.01
+    before, s.disagrees = np.diag(s.covariance)[own], disagrees
+    for _ in range(20):
+        s.block = ResidualBlock(BLOCK_S, 1.0, 0.3 * s.rolling * random.normal(), 0.0, 1.0, np.ones(STATES))
+        close_block(s, learner.prior)
+    assert np.array_equal(np.diag(s.covariance)[own], before) == bool(disagrees)
+
+
 def test_bumps_of_the_road_are_noise_and_hills_are_what_wanders(road):
     """Both of 100 Nm: one goes from block to block, the other within some minutes."""
     shares = []

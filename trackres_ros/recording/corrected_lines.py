@@ -47,7 +47,7 @@ def line_of(role: str, binding: TopicBinding) -> str:
 def line_to_write(role: str, by: Conversion, bindings: Mapping[str, TopicBinding]) -> str:
     """What to write in the topics file, for the end of a sentence."""
     lines = [line_of(one, binding) for one, binding in corrected(role, by, bindings).items()]
-    return f"its line in the topics file should be {' and '.join(lines)}"
+    return f"{'its line' if len(lines) == 1 else 'its lines'} in the topics file should be {' and '.join(lines)}"
 
 
 def _said(binding: TopicBinding) -> dict[str, Any]:
