@@ -3,18 +3,14 @@
 
 """Learning on ground that rises and falls: by an altitude, by an IMU, and by neither; on wheels as on tracks."""
 
-import math
-
 import numpy as np
 import pytest
 
 import trackres_ros as tr
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.learning.columns import LEARNED
 from trackres_ros.learning.parameters import HEIGHT, SLOPE, TILT
 from trackres_ros.learning.vehicle_file import write_learned
-from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import load_any
 
 MORE_ROLLING = 0.3
@@ -78,50 +74,6 @@ def test_hills_by_an_altitude_are_no_disturbance(car):
     driven = car(6.0, climb, altitude=0.3)
     for _ in range(20):
         assert driven.drive(0.5, speed=cruising, noise=5.0).learner.disturbance == ""
-
-
-TRUE_ROLLING = 0.0095
-
-
-@pytest.fixture(scope="module")
-def hour(tmp_path_factory):
-    """A bus on unrecorded slopes for an hour: its learned rolling coefficient, standard deviation and whether it is learned."""
-    file = tmp_path_factory.mktemp("hour") / "hour.csv"
-
-    def driven(slope):
-        random, time, speed = np.random.default_rng(1), np.arange(0.0, 4200.0, 0.5), [0.0]
-        while len(speed) < len(time):
-            goal, hold = random.choice([0.0, 6.0, 9.0, 12.0, 15.0, 17.0]), random.uniform(20.0, 60.0)
-            rise = np.arange(speed[-1], goal, math.copysign(0.35, goal - speed[-1]))[1:]
-            speed += [*rise.tolist(), *[float(goal)] * round(2.0 * hold)]
-        v = np.array(speed[: len(time)])
-        accel = np.gradient(v, 0.5)
-        forces = (TRUE_ROLLING + 5e-5 * v) * np.sign(v) + 1.08 * accel / GRAVITY + slope(np.cumsum(v) * 0.5)
-        wheel = (19000.0 * GRAVITY * forces + 0.5 * 1.15 * 6.0 * v * v) * 0.47
-        torque = np.where(wheel > 0.0, wheel / 0.96, wheel * 0.96) + random.normal(0.0, 30.0, len(v))
-        names = "time_s,speed_mps,accel_mps2,torque_nm,ambient_degc"
-        rows = np.column_stack([time, v, accel, torque, 0.0 * time + 12.0])
-        np.savetxt(file, rows, delimiter=",", header=names, comments="", fmt="%.4f")
-        done = tr.replay(file, "ztbus_hess19", learning="watch")
-        return [done[f"learned_rolling_coefficient{end}"][-1] for end in ("", "_std", "_state")]
-
-    return driven
-
-
-@pytest.mark.parametrize(("slope", "way"), [(0.015, 2500.0), (-0.008, 2500.0), (0.003, 2500.0), (0.015, 7000.0), (0.03, 1500.0)])
-def test_a_climb_at_the_start_is_gone_an_hour_later(hour, slope, way):
-    value, std, state = hour(lambda s: np.where(s < way, slope, 0.0))
-    assert abs(value - TRUE_ROLLING) < 2.0 * std
-    assert state == LEARNED or abs(slope) < 0.01
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_hills_without_records_are_in_the_stated_std(hour, seed):
-    random = np.random.default_rng(seed)
-    phases, lengths, size = random.uniform(0.0, 6.28, 6), random.uniform(400.0, 2500.0, 6), random.uniform(0.005, 0.02)
-    waves = lambda s: sum(np.sin(6.28 * s / length + phase) for length, phase in zip(lengths, phases, strict=True))  # noqa: E731
-    value, std, _ = hour(lambda s: size * np.sqrt(1.0 / 3.0) * waves(s))
-    assert abs(value - TRUE_ROLLING) < 2.0 * std
 
 
 def test_an_imu_and_an_altitude_find_slope_and_tilt(car):

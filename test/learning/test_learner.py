@@ -134,26 +134,13 @@ def test_a_disturbance_ends_at_its_change_of_sign(reference):
     for number in range(160):
         torque = 0.06 * s.rolling * (math.sin(number / 16.0) + 0.03 * random.normal())
         s.block = ResidualBlock(BLOCK_S, 1.0, torque, 0.0, 1.0)
-        close_block(s, learner.prior)
+        close_block(s)
         if learner.disturbance:
             since = number - math.floor(number / 16.0 / math.pi) * math.pi * 16.0  # the torque crossed zero
             nm, seconds = re.match(r"a disturbance of ([+-]\d+) Nm for (\d+) s", learner.disturbance).groups()
             assert int(seconds) <= BLOCK_S * (since + 1.0)
             assert float(nm) * torque > 0.0 or since <= LATE
     assert s.disturbed_s > 0.0
-
-
-@pytest.mark.parametrize("disagrees", [1.0, 0.0])
-def test_blocks_that_teach_nothing_are_no_evidence(reference, disagrees):
-    """Their scatter makes what was learned from others before less certain only if the vehicle was learned from them too."""
-    learner, random, own = Learner(reference), np.random.default_rng(4), list(VEHICLES_OWN)
-    s = learner.learned
-    s.covariance[np.ix_(own, own)] *= 0.01
-    before, s.disagrees = np.diag(s.covariance)[own], disagrees
-    for _ in range(20):
-        s.block = ResidualBlock(BLOCK_S, 1.0, 0.3 * s.rolling * random.normal(), 0.0, 1.0, np.ones(STATES))
-        close_block(s, learner.prior)
-    assert np.array_equal(np.diag(s.covariance)[own], before) == bool(disagrees)
 
 
 def test_bumps_of_the_road_are_noise_and_hills_are_what_wanders(road):
@@ -170,7 +157,7 @@ def test_bumps_of_the_road_are_noise_and_hills_are_what_wanders(road):
         learner = road("watch").drive(20.0, shown).learner
         past = learner.learned.past
         shares.append(past.slow / (past.slow + past.white))
-    assert shares[0] < 0.3
+    assert shares[0] < 0.2
     assert shares[1] > 0.5
 
 
@@ -331,7 +318,7 @@ def test_unrenewed_belt_departures_fade_but_not_the_vehicles(driven_before, how)
     elif how != "stopped":
         shown = lambda torque, i: None if how == "silent" else torque * (3.0 if i % 3 == 0 else 1.0)  # noqa: E731
         driven.drive(1.0, shown, speed)
-    s.applied[at.OF_BELT], s.seconds = 10.0, 9001.0
+    s.applied[at.OF_BELT], s.seconds = 10.0, 1.0
     s.aim[:] = s.applied
     before = s.applied.copy()
     driven.steps += 9000 if how == "stopped" else 0

@@ -9,17 +9,14 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from trackres_ros.learning.blocks import BLOCK_S, CONFIRMED, LEAST_BLOCKS, STEP_SHARE, STEP_STDS, ResidualBlock
-from trackres_ros.learning.filter import expected, spread
+from trackres_ros.learning.filter import expected
 from trackres_ros.learning.learned import SLOW_KEEPS, LearnerState
-from trackres_ros.learning.parameters import GAIN, REACH_STD, SLOPE, SLOW, STATES, STEP, VEHICLES_OWN, Prior
+from trackres_ros.learning.parameters import GAIN, SLOPE, SLOW, STEP
 from trackres_ros.vehicle import Disturbance, Spells
 
 FIRST_SHARE = 0.015  # of the rolling resistance: prior difference of blocks
 STEP_HOLDS_S = 600.0  # driving after a step during which no vehicle parameter is learned
-GOES_S = 600.0  # assumed: typical driving on a disturbance, such as a climb, that was there from the start on
 GAIN_STEP_STD = 0.05  # of a sensor that was replaced
 DISAGREES_SHARE, DISAGREES_S = 0.08, 60.0  # of the samples of a minute that disagree with the others
 ALIKE_SHARE = 0.3  # allowed difference of a step from a spell in the vehicle file
@@ -29,24 +26,18 @@ SAID_SHARE, SAID_STDS = 0.02, 3.0  # of the rolling resistance, and of a minute'
 FADES = 0.5  # remaining share a second later without a torque
 
 
-def close_block(s: LearnerState, prior: Prior) -> bool:
-    """Finish a block: check for a step, and whether learned values explain more than the file.
-
-    Returns whether learning began anew, because the vehicle's parameters cannot be told from what came or went.
-    """
+def close_block(s: LearnerState) -> None:
+    """Finish a block: check for a step, and whether learned values explain more than the file."""
     s.blocks += 1
     block, before = s.block, s.last_block
     s.last_block, s.block = block, ResidualBlock()
-    if before.seconds and _judge(s, _level(s, block), _level(s, before), prior):
-        return True
+    if before.seconds:
+        _judge(s, _level(s, block), _level(s, before))
     s.past.see(_level(s, block) - float(s.mean[STEP]), SLOW_KEEPS)
     _tell(s)
     s.contest.see(block.gain)
     s.fresh.see(block.gain)
-    if not why_frozen(s, None):  # nothing is learned of the others, so they show nothing of what was learned
-        s.weigh_again(prior)
     s.keep_before()
-    return False
 
 
 def _level(s: LearnerState, block: ResidualBlock) -> float:
@@ -54,49 +45,34 @@ def _level(s: LearnerState, block: ResidualBlock) -> float:
     return (block.residual - expected(s.mean[:SLOW], block.looks[:SLOW])) * block.sign
 
 
-def _judge(s: LearnerState, level: float, last: float, prior: Prior) -> bool:
-    """Follow the levels of the present block and of the last; whether learning begins anew."""
+def _judge(s: LearnerState, level: float, last: float) -> None:
+    """Follow the levels of the present block and of the last."""
     least = s.least_variance if s.wandering.blocks else (FIRST_SHARE * s.rolling) ** 2
     threshold = max(STEP_SHARE * s.rolling, STEP_STDS * s.wandering.std(least))
     if s.suspect:
         size, s.suspect = s.suspect, 0.0
         if (level - s.suspect_level) / size > CONFIRMED:
-            return _step_found(s, level - s.suspect_level, prior)
-        s.wandering.see(size, least)
-        return False
+            _step_found(s, level - s.suspect_level)
+        else:
+            s.wandering.see(size, least)
+        return
     difference = level - last
     if min(s.wandering.blocks, s.blocks) >= LEAST_BLOCKS and abs(difference) > threshold:
         s.suspect, s.suspect_level = difference, last
     else:
         s.wandering.see(difference, least)
-    return False
 
 
-def _step_found(s: LearnerState, size: float, prior: Prior) -> bool:
-    """Take it for a disturbance, or for another sensor: go back to before it, and let those two take it up.
-
-    What it left may have been the disturbance, such as a hill, for it lasts for a while only. So the less was driven before,
-    the more does a step make the vehicle's parameters uncertain. Beyond their ranges, nothing is known of them.
-    """
-    own, looks = list(VEHICLES_OWN), np.zeros(STATES)
-    looks[own] = s.last_block.looks[own]
-    tied, total = spread(prior.covariance, looks)
-    doubt = abs(size) * math.exp(-0.5 * s.seconds / GOES_S)
-    share = doubt * doubt / (REACH_STD * REACH_STD * total) if total else 0.0
-    if share > 1.0:
-        s.learn_anew(prior)
-        return True
+def _step_found(s: LearnerState, size: float) -> None:
+    """Take it for a disturbance, or for another sensor: go back to before it, and let those two take it up."""
     s.mean[:], s.covariance[:] = s.before_mean, s.before_covariance
-    s.mean[own] *= 1.0 - share
     s.covariance[STEP, STEP] += max(size * size, (LASTING_SHARE * s.rolling) ** 2)
     s.covariance[GAIN, GAIN] += GAIN_STEP_STD**2
-    s.covariance += np.outer(tied, tied) * (share * REACH_STD * REACH_STD / max(total, 1e-12))
     s.mean[STEP] += size
     s.past.pause()
     s.ground.lost()
     s.step_s, s.step_nm = 0.0, size
     s.recent_mean[:], s.recent_covariance[:] = s.mean, s.covariance
-    return False
 
 
 def _tell(s: LearnerState) -> None:

@@ -12,10 +12,9 @@ import numpy as np
 
 from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
-from trackres_ros.learning.blocks import BLOCK_S, PAST, Contest, Past, ResidualBlock, Wandering
-from trackres_ros.learning.filter import widened
+from trackres_ros.learning.blocks import BLOCK_S, Contest, Past, ResidualBlock, Wandering
 from trackres_ros.learning.ground import Ground
-from trackres_ros.learning.parameters import HEIGHT, SLOPE, SLOW, STATES, VEHICLES_OWN, WANDERING_SHARE, Prior
+from trackres_ros.learning.parameters import HEIGHT, SLOPE, SLOW, STATES, WANDERING_SHARE, Prior
 
 SLOW_S = 180.0  # time constant of the slow disturbance
 SLOW_KEEPS = math.exp(-BLOCK_S / SLOW_S)  # of it from one block to the next
@@ -53,8 +52,6 @@ class LearnerState:
     disturbed_s: float = 0.0  # driving with it
     lasting_s: float = 0.0
     lasting_nm: float = 0.0
-    evidence: float = 0.0  # of the blocks since nothing was learned: sum of 1 / variance, as each was weighed [1/Nm^2]
-    weighed: int = 0  # their number
     blocks: int = 0  # since the estimate began: during warm-up the residual changes without a step
     block: ResidualBlock = field(default_factory=ResidualBlock)
     last_block: ResidualBlock = field(default_factory=ResidualBlock)
@@ -93,32 +90,6 @@ class LearnerState:
             self.covariance[SLOPE, SLOPE] = self.ground.slope_variance
         self.keep_before()
         self.keep_before()
-
-    def learn_anew(self, prior: Prior) -> None:
-        """Forget the vehicle's parameters: what was learned so far may be a disturbance. The ground is kept."""
-        self.mean[:SLOPE] = self.aim[:] = self.applied[:] = 0.0
-        self.covariance[:SLOPE, :] = self.covariance[:, :SLOPE] = 0.0
-        self.covariance[:SLOPE, :SLOPE] = prior.covariance[:SLOPE, :SLOPE]
-        self.evidence, self.weighed, self.blocks, self.step_s = 0.0, 0, 0, math.inf
-        self.past, self.contest, self.fresh, self.disturbance_nm = Past(), Contest(), Contest(), 0.0
-        self.keep_before()
-        self.keep_before()
-
-    def weigh_again(self, prior: Prior) -> None:
-        """Count a finished block as evidence. If blocks scatter more than was assumed, all before it is less certain too."""
-        variance = self.block_variance
-        self.evidence, self.weighed = self.evidence + 1.0 / variance, self.weighed + 1
-        excess = self.evidence * variance / self.weighed
-        if excess > 1.0 and self.weighed <= PAST:  # the scatter is that of so many blocks
-            self.evidence /= excess
-            own, stds = list(VEHICLES_OWN), np.sqrt(np.diag(self.covariance))
-            stds[own] = np.minimum(math.sqrt(excess) * stds, np.sqrt(np.diag(prior.covariance)))[own]
-            widened(self.covariance, stds)
-
-    @property
-    def block_variance(self) -> float:
-        """Variance of a block as evidence on a lasting torque; a slow disturbance is in many blocks alike [Nm^2]."""
-        return self.second_variance / BLOCK_S + 2.0 * SLOW_S / BLOCK_S * self.slow_std**2
 
     @property
     def least_variance(self) -> float:

@@ -207,8 +207,8 @@ class Learner:
         np.clip(s.mean, self.prior.low, self.prior.high, out=s.mean)
         self.buckets.count(speed, second.belt_degc / n, second.weight / n, second.accel / n)
         s.block.add(residual - known_hill, moved, sign, looks, s.noise / variance)
-        if s.block.seconds >= BLOCK_S and close_block(s, self.prior):
-            self.buckets.clear()
+        if s.block.seconds >= BLOCK_S:
+            close_block(s)
 
     def _pass(self, seconds: float, session: Session) -> None:
         """Predict: the slow disturbance decays, wear adds uncertainty, a belt is as uncertain as the estimate says."""

@@ -191,8 +191,8 @@ def _check(learner: Learner) -> None:
             if not prior.low[state] * REACH <= departures[state] <= prior.high[state] * REACH:
                 raise ValueError("a departure outside of the vehicle file's ranges")
         np.clip(departures, prior.low[: len(departures)], prior.high[: len(departures)], out=departures)
-    sizes = [s.seconds, s.rolling, s.noise, s.disagrees, s.lasting_s, s.step_s, s.disturbed_s, s.evidence, float(s.weighed)]
-    sizes += [learner.gate.samples.deviation, s.wandering.variance, s.contest.variance, s.fresh.variance]
+    sizes = [s.seconds, s.rolling, s.noise, s.disagrees, s.lasting_s, s.step_s, s.disturbed_s, learner.gate.samples.deviation]
+    sizes += [s.wandering.variance, s.contest.variance, s.fresh.variance]
     sizes += [s.ground.altitude_variance, s.ground.drift, s.ground.felt_variance, s.ground.slope_variance]
     if not all(size >= 0.0 for size in sizes) or s.past.slow < 0.0 or s.past.white < 0.0:
         raise ValueError("an invalid size")
