@@ -19,6 +19,14 @@ from trackres_ros.model.thermal import phi_1, phi_2, phi_matrix
 LEAST_SPREAD = 1e-5  # of the rates, between the two of a belt
 
 
+@inlined
+def eigenvalues(j11: float, j12: float, j21: float, j22: float) -> tuple[float, float]:
+    """Middle of the two eigenvalues and half of their distance [1/s]; complex or equal ones count as close: the step is short."""
+    half = 0.5 * (j11 - j22)
+    least = LEAST_SPREAD * (abs(j11) + abs(j12) + abs(j21) + abs(j22))
+    return 0.5 * (j11 + j22), math.sqrt(max(half * half + j12 * j21, least * least))
+
+
 @compiled
 def walked(j11: float, j12: float, j21: float, j22: float, dt: float) -> tuple[float, float, float]:
     """Covariance [s] of mean and surface after dt [s] in which both gain 1 per second together: of mean, both, surface.
@@ -26,11 +34,9 @@ def walked(j11: float, j12: float, j21: float, j22: float, dt: float) -> tuple[f
     Notes
     -----
     It is the integral of (e^{Jt} 1)(e^{Jt} 1)'. With the eigenvalues l of J, e^{Jt} 1 = a e^{l_1 t} + b e^{l_2 t}, and
-    e^{(l_i + l_j) t} has the integral dt phi_1((l_i + l_j) dt). Complex or equal eigenvalues count as close: the step is short.
+    e^{(l_i + l_j) t} has the integral dt phi_1((l_i + l_j) dt).
     """
-    middle, half = 0.5 * (j11 + j22), 0.5 * (j11 - j22)
-    least = LEAST_SPREAD * (abs(j11) + abs(j12) + abs(j21) + abs(j22))
-    spread = math.sqrt(max(half * half + j12 * j21, least * least))
+    middle, spread = eigenvalues(j11, j12, j21, j22)
     first, second = middle + spread, middle - spread
     a1, a2 = 0.5 * (j11 + j12 - second) / spread, 0.5 * (j21 + j22 - second) / spread
     b1, b2 = 1.0 - a1, 1.0 - a2
@@ -63,13 +69,11 @@ def fading(
     """
     j11, j12, j21, j22 = jacobian
     by_power, mean_cools, skin_cools = by_heat
-    middle, half = 0.5 * (j11 + j22), 0.5 * (j11 - j22)
-    least = LEAST_SPREAD * (abs(j11) + abs(j12) + abs(j21) + abs(j22))
-    spread = math.sqrt(max(half * half + j12 * j21, least * least))
+    middle, spread = eigenvalues(j11, j12, j21, j22)
     first, second = (middle + spread) * dt, (middle - spread) * dt
     d11, d22 = phi_1(first) - phi_2(first), phi_1(second) - phi_2(second)
     d12 = (phi_1(first) - phi_1(second)) / (first - second)
-    across = 0.5 / spread
+    half, across = 0.5 * (j11 - j22), 0.5 / spread
     p11, p12, p21, p22 = 0.5 + half * across, j12 * across, j21 * across, 0.5 - half * across
     of_first_1, of_first_2 = p11 * f1 + p12 * f2, p21 * f1 + p22 * f2
     of_second_1, of_second_2 = f1 - of_first_1, f2 - of_first_2

@@ -38,12 +38,13 @@ def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> LearnedF
 
     It has the values that were learned. Those acting follow them at a limited rate, so they may be half-way.
     """
-    counts = [state for state in learner.own if learner.acts and learner.counted[state] and not learner.held.any()]
+    held, counted = learner.held.any(), learner.counted
+    counts = [state for state in learner.own if learner.acts and counted[state] and not held]
     of_file = {one.state: one for one in learner.learnables}
     kept = {name: _value(vehicle, name) for state in learner.own if state not in counts for name in of_file[state].paths}
     if not counts:
         fits = "the learned parameters fit no better than the vehicle file"
-        return LearnedFile(path, (), {}, kept, fits if learner.counted.any() and not learner.held.any() else learner.text)
+        return LearnedFile(path, (), {}, kept, fits if counted.any() and not held else learner.text)
     minutes = learner.learned.seconds / 60.0
     comment = f"Written by trackres replay --save-vehicle, learned from {minutes:.0f} min of driving"
     stds = learner.stds(learner.learned.covariance, counts).tolist()
