@@ -119,7 +119,7 @@ class World:
 
     def seen(self, name, start=None, d_prime=5.0, kept=0.8):
         effect = self.effects[name]
-        return EffectSensitivity(effect, start or effect.values(), ("size",), np.empty(0), kept, d_prime, 0.0, np.empty(0))
+        return EffectSensitivity(effect, start or effect.values(), np.empty(0), kept, d_prime, 0.0, np.empty(0))
 
     def screen(self, current, visible, replicates, rng, by_noise):
         before = self.gains_of(current.effect_names).sum()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -63,7 +63,7 @@ class Predicted:
 
 
 class Base(ABC):
-    """A base model of one vehicle. By default it has no rolling resistance, belt, surroundings or fixed parameters."""
+    """A base model of one vehicle. By default it has no rolling resistance, belt or surroundings."""
 
     name: str
     parameters: tuple[BaseParameter, ...]  # may be re-fitted
@@ -76,14 +76,14 @@ class Base(ABC):
 
     def __init__(self) -> None:
         self.parts: Mapping[str, float] = {}  # rotating ones, with their distance per turn [m]
-        self.fixed: Values = {}  # of parameters that no fit changes
+        self._by_default: Values = {}  # of parameters that a call does not give
+        self._last = dict[tuple[object, ...], tuple[list[Array], Sequence[DriveSession]]]()
 
     @property
     def nominal(self) -> dict[str, float]:
         """Values of `parameters` in the vehicle file."""
         return {q.name: q.nominal for q in self.parameters}
 
-    @abstractmethod
     def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """Simulate sessions in sequence.
 
@@ -95,7 +95,36 @@ class Base(ABC):
             Values of `parameters`, by name.
         effects
             Effects to add, sorted by `Acting`.
+
+        Notes
+        -----
+        The last simulation is kept, also for copies: calls of a fit often differ only by sensor effects.
         """
+        values = {**self._by_default, **values}
+        acting = Acting.of([*self._own_effects(values), *effects], self.facts)
+        stepped = tuple((active.effect, *active.numbers) for active in (*acting.stepped, *acting.slopes, *acting.torques))
+        key = (*map(id, sessions), *values.values(), acting.sensors.speed_factor, *stepped)
+        if key not in self._last:
+            simulated = self._simulate(sessions, values, acting)
+            self._last.clear()
+            self._last[key] = simulated, tuple(sessions)  # alive, so their identities stay unique
+        found = []
+        for i, (session, (simulated, belt, skin)) in enumerate(zip(sessions, self._last[key][0], strict=True)):
+            drive = acting.with_watched(simulated, i)
+            found.append(Predicted(self._shown(values) * acting.sensed(drive, session), drive, belt, skin))
+        return found
+
+    def _own_effects(self, _: Values) -> Sequence[Active]:
+        """Effects of the vehicle and its surroundings."""
+        return ()
+
+    def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
+        """Step through sessions: torque [Nm], belt and surface temperature [degC] of each, shape (3, n)."""
+        raise NotImplementedError
+
+    def _shown(self, _: Values) -> float:
+        """Shown over sensed torque."""
+        return 1.0
 
     @abstractmethod
     def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
@@ -118,25 +147,6 @@ class Base(ABC):
         found = copy.copy(self)
         found.parameters = parameters
         return found
-
-
-class LastSimulation:
-    """Cache of the last simulation, reused where only sensor effects differ."""
-
-    def __init__(self) -> None:
-        self._key: tuple[object, ...] = ()
-        self._rows: list[Array] = []
-
-    def rows(
-        self, sessions: Sequence[DriveSession], values: Values, acting: Acting, simulate: Callable[[], list[Array]]
-    ) -> list[Array]:
-        """Result of `simulate`, cached for the last arguments."""
-        stepped = tuple((active.effect, *active.numbers) for active in (*acting.stepped, *acting.slopes, *acting.torques))
-        key = (*map(id, sessions), *values.values(), acting.sensors.speed_factor, *stepped)
-        if key != self._key:
-            self._key, self._rows = key, simulate()
-            self._sessions = tuple(sessions)  # keeps them alive, so their identities stay unique
-        return self._rows
 
 
 @dataclass(frozen=True)

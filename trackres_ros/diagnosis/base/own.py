@@ -16,7 +16,7 @@ import numpy as np
 
 from trackres_ros import checks
 from trackres_ros.arrays import IntArray
-from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, LastSimulation, Predicted, Values
+from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, Values
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, with_unseen
 from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.effects.effect import Active, VehicleConstants
@@ -104,7 +104,7 @@ class OwnBase(Base):
     def __init__(self, model: OwnModel) -> None:
         super().__init__()
         self.model, self.name = model, model.name
-        self._simulated = LastSimulation()
+        self._by_default = {name: of[0] for name, of in model.parameters.items()}
         self.includes = (RotatingInertia.name, *(active.effect.name for active in model.effects))
         self.facts = VehicleConstants(
             radius=1.0, weight=model.known.weight, drag_area=0.0, air_density=0.0, contact_length=1.0, assemblies=1,
@@ -112,19 +112,10 @@ class OwnBase(Base):
         )  # fmt: skip
         self.parameters = tuple(_parameter(name, *of) for name, of in model.parameters.items() if of[1] < of[2])
 
-    def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
-        """See `base.Base`."""
-        values = {name: of[0] for name, of in self.model.parameters.items()} | {**self.fixed, **values}
-        acting = Acting.of([*self.model.effects, *effects], self.facts)
-        torques = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
-        found = []
-        for i, (session, simulated) in enumerate(zip(sessions, torques, strict=True)):
-            torque, nothing = acting.with_watched(simulated, i), np.full(len(session), np.nan)
-            found.append(Predicted(acting.sensed(torque, session), torque, nothing, nothing))
-        return found
+    def _own_effects(self, _: Values) -> Sequence[Active]:
+        return self.model.effects
 
     def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
-        """Step through sessions; the torque of each."""
         work, memory = new_work(self.facts), new_memory(len(acting.stepped))
         found = []
         for i, (session, unseen) in enumerate(with_unseen(sessions)):
@@ -142,7 +133,7 @@ class OwnBase(Base):
             if unseen:
                 memory[DISTANCE] = far
             else:
-                found.append(torque)
+                found.append(np.stack([torque, *np.full((2, len(session)), np.nan)]))
         return found
 
     def _own(self, session: DriveSession, values: Values) -> Array:

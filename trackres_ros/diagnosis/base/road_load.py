@@ -9,12 +9,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, LastSimulation, Predicted, Values
-from trackres_ros.diagnosis.base.simulated import simulated
+from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Values
+from trackres_ros.diagnosis.base.simulated import FileBase, simulated
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects.effect import Active
 from trackres_ros.effects.sensor.delay import Delay
@@ -22,12 +21,10 @@ from trackres_ros.effects.sensor.torque_gain import TorqueGain
 from trackres_ros.effects.sensor.torque_offset import TorqueOffset
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
 from trackres_ros.estimator.constants import make_constants
-from trackres_ros.estimator.kernel import PREDICTED_DRIVE
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.files.yamls import read_yaml
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import RoadVehicle
-from trackres_ros.vehicle.road import OF_SLIDES, SECTION, build_road, built_in
+from trackres_ros.vehicle.road import OF_SLIDES, SECTION, built_in
 from trackres_ros.vehicle.schema import ROAD_LOAD
 from trackres_ros.vehicle.writing.changes import FileChanges
 from trackres_ros.vehicle.writing.vehicle_file import write_road_vehicle
@@ -46,17 +43,16 @@ Its turning friction went to its bound. A car's mean error on hold-out laps fell
 """
 
 
-class RoadBase(Base):
+class RoadBase(FileBase):
     """Base model `road_load`; see `base.Base`."""
 
     name = "road_load"
+    vehicle: RoadVehicle
 
     def __init__(self, vehicle: RoadVehicle) -> None:
-        super().__init__()
-        self.vehicle = vehicle
+        super().__init__(vehicle)
         self._active = (*vehicle.effects, *vehicle.surroundings)
-        self._simulated = LastSimulation()
-        v = vehicle.values
+        self._by_default = v = vehicle.values
         self.torque_scale, self.rotating_mass_factor = v["torque_scale"], v["rotating_mass_factor"]
         self.facts = vehicle.constants
         self._constants = make_constants(vehicle, Settings())
@@ -77,51 +73,27 @@ class RoadBase(Base):
         chain = (Delay.name, *(effect.name for effect, *_ in built_in(v)), *([TORQUE_OFFSET] if TORQUE_OFFSET in v else []))
         self.includes = (*chain, *refitted, *(active.effect.name for active in self._active))
 
-    @property
-    def alone(self) -> RoadBase:
-        """See `base.Base`."""
-        return RoadBase(replace(self.vehicle, surroundings=(), route=())) if self.vehicle.surroundings else self
+    def _shown(self, values: Values) -> float:
+        return values["torque_scale"]
 
-    def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
-        """See `base.Base`."""
-        values = {**self.vehicle.values, **self.fixed, **values}
+    def _own_effects(self, values: Values) -> Sequence[Active]:
         chain = [Active(effect, {q: arm * values[name]}) for effect, q, name, arm in built_in(values)]
         chain.append(Active(DELAY, {"time": values["torque_delay"]}))
         if TORQUE_OFFSET in values:
             chain.append(Active(OFFSET, {"offset": values[TORQUE_OFFSET]}))
-        acting = Acting.of([*chain, *self._active, *effects], self.facts)
-        torques = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
-        found = []
-        for i, (session, rolling) in enumerate(zip(sessions, torques, strict=True)):
-            torque, nothing = acting.with_watched(rolling, i), np.full(len(session), np.nan)
-            found.append(Predicted(values["torque_scale"] * acting.sensed(torque, session), torque, nothing, nothing))
-        return found
+        return (*chain, *self._active)
 
     def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
-        """Step through sessions; the torque of each [Nm]."""
         number = self._constants.number._replace(
             bearing_friction=values["rolling_coefficient"],
             rolling_rise=values["rolling_rise"],
             drag_area=values["drag_area"],
             rotating_mass_factor=values["rotating_mass_factor"],
         )
-        k, empty = self._constants._replace(number=number), values["mass"] * GRAVITY
-
-        def weight(session: DriveSession) -> Array:
-            return session.weight if "load" in session.given else empty + session.payload
-
+        empty = values["mass"] * GRAVITY
+        loaded = [s if "load" in s.given else replace(s, weight=empty + s.payload) for s in sessions]
         facts = self.facts._replace(weight=empty, drag_area=values["drag_area"])
-        found = simulated(k, np.ones(1), 0, facts, sessions, weight, acting)
-        return [np.ascontiguousarray(rows[:, PREDICTED_DRIVE]) for rows in found]
-
-    def as_written(self, values: Values) -> RoadBase:
-        """See `base.Base`."""
-        now = self.vehicle
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "vehicle.yaml"
-            self.write(path, FileChanges(values, (), {}), "")
-            written = build_road(path, read_yaml(path))
-        return RoadBase(replace(written, effects=now.effects, surroundings=now.surroundings, route=now.route))
+        return simulated(self._constants._replace(number=number), np.ones(1), 0, facts, loaded, acting)
 
     def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
         """See `base.Base`."""

@@ -5,19 +5,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Self
 
 import numpy as np
 
-from trackres_ros.diagnosis.base.base import Acting
+from trackres_ros.diagnosis.base.base import Acting, Base, Values
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, with_unseen
 from trackres_ros.effects.effect import VehicleConstants
 from trackres_ros.effects.stepping import DISTANCE, UNUSABLE, new_memory
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants, kernel_arguments, work_space
 from trackres_ros.estimator.entry_points import COMPILED
-from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_OUTCOME
+from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
 from trackres_ros.estimator.records import DriveSeries, State
+from trackres_ros.vehicle import AnyVehicle, load_any
+from trackres_ros.vehicle.writing.changes import FileChanges
+
+
+class FileBase(Base):
+    """The base model of a vehicle file."""
+
+    def __init__(self, vehicle: AnyVehicle) -> None:
+        super().__init__()
+        self.vehicle = vehicle
+
+    @property
+    def alone(self) -> Self:
+        """See `base.Base`."""
+        return type(self)(replace(self.vehicle, surroundings=(), route=())) if self.vehicle.surroundings else self
+
+    def as_written(self, values: Values) -> Self:
+        """See `base.Base`."""
+        now = self.vehicle
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "vehicle.yaml"
+            self.write(path, FileChanges(values, (), {}), "")
+            return type(self)(replace(load_any(path), effects=now.effects, surroundings=now.surroundings, route=now.route))
 
 
 def simulated(
@@ -26,13 +53,12 @@ def simulated(
     belts: int,
     facts: VehicleConstants,
     sessions: Sequence[DriveSession],
-    weight: Callable[[DriveSession], Array],
     acting: Acting,
 ) -> list[Array]:
-    """Rows from `kernel.predict`, shape (n, `PREDICTED`), of each session.
+    """Torque at the sprockets [Nm], belt and surface temperature [degC] of each session by `kernel.predict`, shape (3, n).
 
     `k` has the constants of the step without effects, which come from `acting`. There are `count` assemblies of each kind, shape
-    (kinds,), of which `belts` kinds have a belt. `weight` is that of the whole vehicle along a session [N].
+    (kinds,), of which `belts` kinds have a belt.
     """
     table = acting.table
     k = k._replace(effects=table.rows, effect_values=table.values, work=work_space(facts, 0))
@@ -54,7 +80,7 @@ def simulated(
         series = DriveSeries(
             session.time,
             acting.speed(session),
-            weight(session),
+            session.weight,
             session.ambient,
             acting.accel(session),
             acting.grade(session, i),
@@ -71,5 +97,5 @@ def simulated(
         if unseen:
             state.effects[DISTANCE] = far
         else:
-            found.append(rows)
+            found.append(np.ascontiguousarray(rows[:, [PREDICTED_DRIVE, PREDICTED_BELT, PREDICTED_SKIN]].T))
     return found

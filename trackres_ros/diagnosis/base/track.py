@@ -10,22 +10,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, LastSimulation, Predicted, Values
-from trackres_ros.diagnosis.base.simulated import simulated
+from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Values
+from trackres_ros.diagnosis.base.simulated import FileBase, simulated
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects.effect import Active
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants, make_constants
-from trackres_ros.estimator.kernel import PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_SKIN
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import parting_resistance, thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.vehicle import Vehicle, load
+from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER
 from trackres_ros.vehicle.writing.changes import FileChanges
@@ -49,21 +47,20 @@ LESS_LOSS = 0.8  # times the file's loss modulus scale, for the derivative of th
 CAPACITY_STD = 0.15  # relative: thickness, lug section and specific heat of the file's ranges together
 
 
-class TrackBase(Base):
+class TrackBase(FileBase):
     """Base model `track`; see `base.Base`."""
 
     name = "track"
     has_belt = rolls = True
+    vehicle: Vehicle
 
     def __init__(self, vehicle: Vehicle) -> None:
-        super().__init__()
-        self.vehicle = vehicle
+        super().__init__(vehicle)
         self._constants = make_constants(vehicle, Settings(), uncertain=False)
         self._networks = {
             name: thermal_network(vehicle.thermal, track.belt, vehicle.rubber) for name, track in vehicle.tracks.items()
         }
         self._firsts, self._count = _kinds(self._constants)
-        self._simulated = LastSimulation()
         self._loss_tables: tuple[tuple[tuple[float, slice], Array], ...] = ()
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = vehicle_constants(vehicle)
@@ -110,29 +107,14 @@ class TrackBase(Base):
             of_surface = replace(of_surface, high=min(of_surface.high, MOST_AT_SURFACE))
             self.parameters += (known(CONDUCTIVITY, "rubber.conductivity"), of_surface)
 
-    @property
-    def alone(self) -> TrackBase:
-        """See `base.Base`."""
-        return TrackBase(replace(self.vehicle, surroundings=(), route=())) if self.vehicle.surroundings else self
-
-    def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
-        """See `base.Base`."""
-        values = {**self.fixed, **values}
-        acting = Acting.of([*self.vehicle.active, *effects], self.facts)
-        rows = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
-        found = []
-        for i, (session, of_session) in enumerate(zip(sessions, rows, strict=True)):
-            drive = acting.with_watched(np.ascontiguousarray(of_session[:, PREDICTED_DRIVE]), i)
-            belt, skin = of_session[:, PREDICTED_BELT].copy(), of_session[:, PREDICTED_SKIN].copy()
-            found.append(Predicted(acting.sensed(drive, session), drive, belt, skin))
-        return found
+    def _own_effects(self, _: Values) -> Sequence[Active]:
+        return self.vehicle.active
 
     def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
-        """Step through sessions; rows from `kernel.predict`, shape (n, `PREDICTED`), of each."""
         k, belts = self._with(values, acting, self._loads(sessions)), len(self._firsts)
         cooling, by_speed = (values[FILM] * each for each in (self.facts.cooling, self.facts.cooling_by_speed))
         facts = self.facts._replace(drag_area=k.number.drag_area, cooling=cooling, cooling_by_speed=by_speed)
-        return simulated(k, self._count, belts, facts, sessions, lambda session: session.weight, acting)
+        return simulated(k, self._count, belts, facts, sessions, acting)
 
     def _loads(self, sessions: Sequence[DriveSession]) -> slice:
         """Columns of the loss table between which the belts are loaded, with one more on either side."""
@@ -155,14 +137,6 @@ class TrackBase(Base):
             found[:, :, loads] = self._constants.loss[:, :, loads] * np.exp(power)  # faster than a power
             self._loss_tables = (((loss, loads), found), *self._loss_tables[: LOSS_TABLES - 1])
         return found
-
-    def as_written(self, values: Values) -> TrackBase:
-        """See `base.Base`."""
-        now = self.vehicle
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "vehicle.yaml"
-            self.write(path, FileChanges(values, (), {}), "")
-            return TrackBase(replace(load(path), effects=now.effects, surroundings=now.surroundings, route=now.route))
 
     @cached_property
     def _loss_power(self) -> Array:

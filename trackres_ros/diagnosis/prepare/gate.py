@@ -138,9 +138,9 @@ def _admitted(recording: Recording, hide: Sequence[str], settings: GateSettings)
     shown = {role: s for role, s in recording.series.items() if role not in hide and base_role(role) not in hide}
     logged, recording = recording, replace(recording, series=shown, order=None)
     shortest_s = SHORTEST_S * pace(step_for([recording], slowest_speed=settings.slowest))
-    check_compared(recording, shortest_s=shortest_s)
+    check_compared(recording, shortest_s)
     recording, notes = on_one_clock(recording)
-    check_compared(recording, shortest_s=shortest_s)
+    check_compared(recording, shortest_s)
     notes += [f"{recording.name}: {note}" for note in logged.wheel_notes(recording.series)]
     return _Admitted(recording, _stood(recording), notes)
 

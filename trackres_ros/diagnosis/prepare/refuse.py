@@ -135,9 +135,9 @@ def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
                 notes.append(WarningNote(text))
 
 
-def check_compared(recording: Recording, series: Mapping[str, Series] | None = None, shortest_s: float = SHORTEST_S) -> None:
-    """Refuse a recording without a torque, without a speed, or too short; `series`: its samples, if they were changed."""
-    name, series = recording.name, recording.series if series is None else series
+def check_compared(recording: Recording, shortest_s: float) -> None:
+    """Refuse a recording without a torque, without a speed, or too short."""
+    name, series = recording.name, recording.series
     if not any(role.partition("/")[0] == "torque" and np.isfinite(s.value).any() for role, s in series.items()):
         raise InputError(
             name,

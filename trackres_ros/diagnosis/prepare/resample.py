@@ -161,7 +161,7 @@ def resample(
         No torque, no speed, shorter than `shortest_s`, or another unit.
     """
     series = recording.series
-    check_compared(recording, series, shortest_s)
+    check_compared(recording, shortest_s)
     edges = np.arange(0.0, ordered(series["speed"], recording.start_ns)[0][-1] + 1e-9, step)
     notes += check_units(recording, settings.weight)
     grid = _Grid(recording.name, recording.bindings, series, recording.start_ns, edges, step, settings, notes, set())

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,8 +17,6 @@ from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.effects.effect import Active, Effect
 from trackres_ros.effects.learned import EmpiricalEffect
 from trackres_ros.progress import counted
-
-ColumnsOf = Callable[[Effect, Mapping[str, float]], Array]
 
 LEAST_KEPT, LEAST_D_PRIME = 0.1, 3.0
 ALIKE_COSINE = 0.95
@@ -33,7 +31,6 @@ class EffectSensitivity:
 
     effect: Effect
     start: Mapping[str, float]  # values of the linearisation
-    amplitudes: tuple[str, ...]  # names of the parameters of `columns`
     columns: Array  # change of the prediction per amplitude, of all segments concatenated, shape (n, amplitudes)
     kept: float  # share of it that no re-fit of the base absorbs
     d_prime: float  # visibility of a typical effect in standard deviations
@@ -103,7 +100,7 @@ def feasible(effects: Mapping[str, Effect], fit: Fit) -> tuple[list[Effect], lis
     return possible, not_visible
 
 
-def separability(effects: Mapping[str, Effect], fit: Fit, columns_of: ColumnsOf | None = None) -> Separability:
+def separability(effects: Mapping[str, Effect], fit: Fit, columns_of: EffectColumns | None = None) -> Separability:
     """Linearise all effects about a fit, and compare them with the fit's own parameters and with each other."""
     columns_of = columns_of or EffectColumns(fit)
     possible, not_visible = feasible(effects, fit)
@@ -192,9 +189,8 @@ class _Visibility:
 
     def _sensitivity(self, effect: Effect, start: Mapping[str, float], columns: Array) -> EffectSensitivity | None:
         """That to all amplitudes together, or to the most visible one; None without influence."""
-        amplitudes = [(q.name, q.start - q.off) for q in effect.parameters if q.off is not None]
-        names, best = tuple(name for name, _ in amplitudes), None
-        spanned = columns * np.array([span for _, span in amplitudes])
+        best = None
+        spanned = columns * np.array([q.start - q.off for q in effect.parameters if q.off is not None])
         for change in (spanned.sum(axis=1), *spanned.T):
             white = _white(change[:, np.newaxis], self._fit)[:, 0]
             whole = float(np.linalg.norm(white))
@@ -206,7 +202,7 @@ class _Visibility:
             rest = float(np.hypot(data, prior))
             if best is None or rest > best.d_prime:
                 direction = np.concatenate((left, pushed)) / max(rest, 1e-300)
-                best = EffectSensitivity(effect, start, names, columns, rest / whole, rest, prior, direction)
+                best = EffectSensitivity(effect, start, columns, rest / whole, rest, prior, direction)
         return best
 
 
