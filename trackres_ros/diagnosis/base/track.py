@@ -85,6 +85,11 @@ class TrackBase(FileBase):
         share = rubber_share(vehicle)
         learned = capacity.flag == FITTED
         capacity_std = share * capacity.standard_deviation / capacity.value if learned else CAPACITY_STD
+        # Factors on the belt's heat capacity from the rubber's share: by the limits of a file, and by the range of this one.
+        (least, most), by_file = (
+            (1.0 + share * (of.low / capacity.value - 1.0), 1.0 + share * (of.high / capacity.value - 1.0))
+            for of in (RUBBER["heat_capacity"], capacity)
+        )
         film_std = film.standard_deviation / film.value
         film_factors = _film_factors(vehicle, *PLAUSIBLE_FILM, by_file=False)
         self.parameters: tuple[BaseParameter, ...] = (
@@ -97,8 +102,9 @@ class TrackBase(FileBase):
                 "1",
                 1.0,
                 capacity_std,
-                *_capacity_factors(capacity.value, share),
-                _capacity_scales((capacity.low, capacity.high), capacity.value, share),
+                max(PLAUSIBLE_CAPACITY[0], least),
+                min(PLAUSIBLE_CAPACITY[1], most),
+                by_file,
             ),
         )
         if vehicle.thermal == "core_surface":
@@ -195,17 +201,4 @@ def _film_factors(vehicle: Vehicle, low: float, high: float, by_file: bool) -> t
             assert isinstance(q.value, float)
             if q.value > 0.0:
                 low, high = max(low, limit.low / q.value), min(high, limit.high / q.value)
-    return low, high
-
-
-def _capacity_factors(heat_capacity: float, share: float) -> tuple[float, float]:
-    """Bounds of the factor on the belt's heat capacity, with the rubber's share of it."""
-    (low, high), limit = PLAUSIBLE_CAPACITY, RUBBER["heat_capacity"]
-    least, most = _capacity_scales((limit.low, limit.high), heat_capacity, share)
-    return max(low, least), min(high, most)
-
-
-def _capacity_scales(ends: tuple[float, float], heat_capacity: float, share: float) -> tuple[float, float]:
-    """Factors on the belt's heat capacity, from the rubber's share and two heat capacities of the rubber."""
-    low, high = (1.0 + share * (end / heat_capacity - 1.0) for end in ends)
     return low, high

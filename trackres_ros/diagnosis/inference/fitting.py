@@ -234,38 +234,14 @@ def free_parameters(base: Base, effects: Sequence[Effect]) -> tuple[Free, ...]:
     return (*found[:of_sensors], *map(of_base, base.parameters), *found[of_sensors:])
 
 
-@dataclass(frozen=True, eq=False)
 class _Parameters:
     """The free parameters of a fit as one point, and the model there; `given` parameters are fixed."""
 
-    problem: Problem
-    instrument: tuple[Effect, ...]
-    effects: tuple[Effect, ...]
-    given: Mapping[tuple[str, str], float]
-
-    @property
-    def acting(self) -> tuple[Effect, ...]:
-        return (*self.instrument, *self.effects)
-
-    @cached_property
-    def free(self) -> tuple[Free, ...]:
-        return tuple(f for f in free_parameters(self.problem.base, self.acting) if f.key not in self.given)
-
-    @cached_property
-    def low(self) -> Array:
-        return np.array([f.low for f in self.free])
-
-    @cached_property
-    def high(self) -> Array:
-        return np.array([f.high for f in self.free])
-
-    @cached_property
-    def scale(self) -> Array:
-        return np.array([f.scale for f in self.free])
-
-    @cached_property
-    def std(self) -> Array:
-        return np.array([f.std for f in self.free])
+    def __init__(self, problem: Problem, acting: Sequence[Effect], given: Mapping[tuple[str, str], float]) -> None:
+        self.problem, self.acting, self.given = problem, acting, given
+        self.free = tuple(f for f in free_parameters(problem.base, acting) if f.key not in given)
+        columns = ("low", "high", "nominal", "std", "scale")
+        self.low, self.high, self.nominal, self.std, self.scale = (np.array([getattr(f, c) for f in self.free]) for c in columns)
 
     def start(self, given: Mapping[tuple[str, str], float]) -> Array:
         """Initial point: given, typical or nominal values within bounds."""
@@ -277,7 +253,7 @@ class _Parameters:
 
     def off_nominal(self, at: Array) -> Array:
         """Distance from the nominal values, in standard deviations of the priors."""
-        return np.asarray((at - np.array([f.nominal for f in self.free])) / self.std)
+        return np.asarray((at - self.nominal) / self.std)
 
     def model(self, at: Array) -> tuple[dict[str, float], tuple[Active, ...]]:
         """Values of the base, and the effects with theirs."""
@@ -369,7 +345,7 @@ def fit(
     """
     named = [e.name for e in effects]
     sensed = tuple(e for e in instrument(problem.base) if e.name not in named)
-    p = _Parameters(problem, sensed, tuple(effects), dict(fixed or {}))
+    p = _Parameters(problem, (*sensed, *effects), dict(fixed or {}))
     point = p.start(start or {})
     objective = _Objective(p, noises, largest_root)
     if not noises:

@@ -59,7 +59,7 @@ def _straight(samples: Samples, edges: Array) -> tuple[Mask, Mask]:
         count, rise = behind - first, np.abs(value[behind] - value[first])
         fills = (count >= FEWEST_FILLED) & (at[behind] - at[first] >= SHORTEST_FILLED_S) & (rise > LEAST_RISE * tolerance)
         for mask, which in zip(found, (fills, fills & (count >= UNUSUAL * _usual(count[rise > 0.0]))), strict=True):
-            mask |= steps_within(list(zip(at[first[which]].tolist(), at[behind[which]].tolist(), strict=True)), edges)
+            mask |= _steps_within(at[first[which]], at[behind[which]], edges)
     return found[0], found[1]
 
 
@@ -70,7 +70,7 @@ def _constant(samples: Samples, edges: Array) -> Mask:
     last = np.append(first[1:], len(value)) - 1
     count = last - first
     long = (count >= max(FEWEST_FILLED, UNUSUAL * _usual(count + 1))) & (at[last] - at[first] >= SHORTEST_FILLED_S)
-    return steps_within(list(zip(at[first[long]].tolist(), at[last[long]].tolist(), strict=True)), edges)
+    return _steps_within(at[first[long]], at[last[long]], edges)
 
 
 def _usual(counts: Indices) -> float:
@@ -113,12 +113,12 @@ def steps_without_value(at: Array, edges: Array) -> Mask:
     longest = max(LONGEST_UNKNOWN_S, UNUSUAL_SPACING * float(np.median(np.diff(at))))
     around = np.concatenate(([edges[0] - 0.5 * longest], at, [edges[-1] + 0.5 * longest]))
     gaps = np.flatnonzero(np.diff(around) > longest)
-    return steps_within([(float(around[i]), float(around[i + 1])) for i in gaps], edges)
+    return _steps_within(around[gaps], around[gaps + 1], edges)
 
 
-def steps_within(spans: Sequence[tuple[float, float]], edges: Array) -> Mask:
-    """Steps that overlap a span."""
+def _steps_within(begins: Array, ends: Array, edges: Array) -> Mask:
+    """Steps that overlap one of some spans."""
     inside = np.zeros(len(edges) - 1, dtype=bool)
-    for begin, end in spans:
+    for begin, end in zip(begins, ends, strict=True):
         inside |= (edges[:-1] < end) & (edges[1:] > begin)
     return inside

@@ -13,7 +13,7 @@ import numpy as np
 
 from trackres_ros.diagnosis.prepare.gaps import filled_steps, steps_without_value
 from trackres_ros.diagnosis.prepare.notes import WarningNote
-from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, SHORTEST_S, check_compared
+from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, check_compared
 from trackres_ros.diagnosis.prepare.sampling import (
     LONGEST_HOLD_S,
     any_from,
@@ -148,7 +148,7 @@ class _Speed:
 
 
 def resample(
-    recording: Recording, step: float, settings: GateSettings, notes: list[str], shortest_s: float = SHORTEST_S
+    recording: Recording, step: float, settings: GateSettings, notes: list[str], shortest_s: float
 ) -> tuple[DriveSession, dict[str, Mask]]:
     """Put a recording with a speed and a torque on an even grid of `step` [s]; `notes` receives the assumptions.
 

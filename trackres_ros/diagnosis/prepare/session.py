@@ -51,7 +51,7 @@ class Cumulative:
         return np.asarray((edges[1] - edges[0]) / step)
 
     def later_means(self, begin: Array, step: float, later: float) -> Array:
-        """The same, delayed by `delay` [s]; cached for the last few, as most derivatives of a fit keep the delay."""
+        """The same, some time `later` [s]; cached for the last few, as most derivatives of a fit keep the delay."""
         asked = len(begin), float(begin[0]), step, later
         found = self._asked.get(asked)
         if found is None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from trackres_ros.diagnosis.prepare.session import Array, Mask
+from trackres_ros.diagnosis.prepare.session import Array, Cumulative, Mask
 from trackres_ros.jit.compiled import compiled
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.units import MAD_TO_STD
@@ -185,9 +185,8 @@ class _Grid:
         """Local mean squares of the smoothed acceleration's change [m^2/s^6]."""
         ends = np.clip(np.stack([self.at - LOCAL_S, self.at + LOCAL_S]), self.at[0], self.at[-1])
         before, after = np.interp(ends, self.at, states[:, 1])
-        square = ((after - before) / (2.0 * LOCAL_S)) ** 2
-        area = np.concatenate(([0.0], np.cumsum(0.5 * (square[1:] + square[:-1]) * np.diff(self.at))))
-        low, high = np.interp(ends, self.at, area)
+        square = Cumulative.of(self.at, ((after - before) / (2.0 * LOCAL_S)) ** 2)
+        low, high = np.interp(ends, self.at, square.integral)
         return np.asarray((high - low) / np.maximum(ends[1] - ends[0], 1e-9))
 
 

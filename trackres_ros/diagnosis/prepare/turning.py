@@ -82,11 +82,10 @@ def _of_positions(series: Mapping[str, Series], start: int, edges: Array, speed:
         return None
     typical = float(np.median(np.abs(speed[moving])))
     spacing = float(np.median(np.diff(at)))
-    for reach in REACHES_S:
-        if 6.0**0.5 * noise <= SURE_RADPS * typical * reach**2 and reach >= spacing:
-            break
-    else:
+    precise = [r for r in REACHES_S if 6.0**0.5 * noise <= SURE_RADPS * typical * r**2 and r >= spacing]
+    if not precise:
         return None
+    reach = precise[0]
     before, now, after = (
         np.interp(middle + shift, at, x) + 1j * np.interp(middle + shift, at, y) for shift in (-reach, 0.0, reach)
     )

@@ -23,7 +23,7 @@ from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import Array, Mask
-from trackres_ros.diagnosis.selection.held_out import FEWEST_LAPS, PIECE_S, RESAMPLES, Improvement, lap_pieces
+from trackres_ros.diagnosis.selection.held_out import FEWEST_LAPS, PIECE_S, RESAMPLES, Improvement, numbered
 from trackres_ros.diagnosis.selection.visibility import base_columns
 
 FOLDS = 4
@@ -47,21 +47,12 @@ class CrossValidation:
 
     def __init__(self, fitted: Fit, held_out: Sequence[Mask], rng: np.random.Generator) -> None:
         sessions, masks = fitted.problem.sessions, fitted.problem.masks
-        self._fold = [np.full(len(s), -1) for s in sessions]
-        laps = np.unique(np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)]))
-        if len(laps) < FOLDS:  # too few laps: pieces of time
-            laps = np.unique(np.concatenate([lap_pieces(s)[m] for s, m in zip(sessions, masks, strict=True)]))
-            of = [lap_pieces(s) for s in sessions]
-        else:
-            of = [s.block for s in sessions]
-        for fold, mask, number in zip(self._fold, masks, of, strict=True):
-            at = np.searchsorted(laps, number[mask])
-            fold[mask] = at % FOLDS
+        fitted_laps = list(zip(numbered(sessions, masks, FOLDS), masks, strict=True))
+        laps = np.unique(np.concatenate([lap[m] for lap, m in fitted_laps]))
+        self._fold = [np.where(m, np.searchsorted(laps, lap) % FOLDS, -1) for lap, m in fitted_laps]
         self._scored = [m | h for m, h in zip(masks, held_out, strict=True)]
         self.measured = self._of([s.torque for s in sessions])
-        pieces = self._of([s.block for s in sessions])
-        if len(np.unique(pieces)) < FEWEST_LAPS:
-            pieces = self._of([lap_pieces(s) for s in sessions])
+        pieces = self._of(numbered(sessions, self._scored, FEWEST_LAPS))
         _, first, self._pieces = np.unique(pieces, return_index=True, return_inverse=True)
         self._count = np.bincount(self._pieces)
         self._begin = self._of([s.time for s in sessions])[first]

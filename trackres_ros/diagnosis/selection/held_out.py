@@ -83,10 +83,7 @@ class HeldOutLaps:
         self.measured = self.of([s.torque for s in sessions])
         self.blocks = np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)])
         self.names = {int(b): lap_name(s, int(b)) for s in sessions for b in np.unique(s.block)}
-        pieces = self.blocks
-        if len(np.unique(self.blocks)) < FEWEST_LAPS:
-            pieces = self.of([lap_pieces(s) for s in sessions])
-        _, self._piece = np.unique(pieces, return_inverse=True)
+        _, self._piece = np.unique(self.of(numbered(sessions, masks, FEWEST_LAPS)), return_inverse=True)
         self._count = np.bincount(self._piece)
         n = len(self._count)
         self._draws = rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES)
@@ -108,9 +105,12 @@ class HeldOutLaps:
         return self.improvement(*([p.torque for p in fit.predicted] for fit in (before, after)))
 
 
-def lap_pieces(session: DriveSession) -> NDArray[np.int64]:
-    """Number of the piece of each sample: by lap and by time in it."""
-    return np.asarray(session.block * 10_000 + (session.time // (PIECE_S * session.pace)).astype(np.int64))
+def numbered(sessions: Sequence[DriveSession], masks: Sequence[Mask], fewest: int) -> list[NDArray[np.int64]]:
+    """Number of the lap of each sample of sessions; of its piece, by lap and time, where masks have less than `fewest` laps."""
+    laps = np.unique(np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)]))
+    if len(laps) >= fewest:
+        return [s.block for s in sessions]
+    return [np.asarray(s.block * 10_000 + (s.time // (PIECE_S * s.pace)).astype(np.int64)) for s in sessions]
 
 
 @dataclass(frozen=True, eq=False)

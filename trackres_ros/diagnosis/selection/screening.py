@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -125,24 +125,13 @@ Lagged = Mapping[str, Array]
 
 @dataclass(frozen=True, eq=False)
 class _Mover:
-    """Free parameters for explaining a residual; and their columns whitened by the initial noises, on demand."""
+    """Free parameters for explaining a residual."""
 
     columns: Lagged
     low: Array
     high: Array
     prior: Array
     pull: Array
-    begun: dict[int, Lagged] = field(default_factory=dict)
-
-    def white(self, noises: Mapping[str, Noise]) -> Lagged:
-        """Columns whitened by noises."""
-        return {kind: _white(self.columns[kind], noise) for kind, noise in noises.items()}
-
-    def white_at_first(self, noises: Mapping[str, Noise]) -> Lagged:
-        """The same, cached: each draw begins with the same noises."""
-        if id(noises) not in self.begun:
-            self.begun[id(noises)] = self.white(noises)
-        return self.begun[id(noises)]
 
 
 class _Linear:
@@ -257,13 +246,12 @@ class _Linear:
         noises, left = dict(begin), residual
         moved = np.zeros(len(mover.prior))
         for turn in range(TURNS):
-            columns = mover.white(noises) if turn else mover.white_at_first(begin)
             parts_x, parts_e = [np.diag(mover.prior)], [pull]
             for kind, noise in noises.items():
                 white = _white(residual[kind], noise)
                 weight = np.sqrt(noise.weights(_white(left[kind], noise) if turn else white))
                 parts_e.append(weight * white)
-                parts_x.append(weight[:, np.newaxis] * columns[kind])
+                parts_x.append(weight[:, np.newaxis] * _white(mover.columns[kind], noise))
             moved = _bounded(np.concatenate(parts_x), np.concatenate(parts_e), mover.low, mover.high)
             left = {kind: rows - mover.columns[kind] @ moved for kind, rows in residual.items()}
             noises = {

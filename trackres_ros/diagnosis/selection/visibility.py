@@ -21,8 +21,7 @@ from trackres_ros.progress import counted
 LEAST_KEPT, LEAST_D_PRIME = 0.1, 3.0
 ALIKE_COSINE = 0.95
 ALWAYS_KNOWN = ("speed", "accel", "weight", "distance", "drive_torque", "ambient", "belt")
-REPLACED_BY = {"grade": ("grade", "grade_profile")}
-"""Effects that a measured channel replaces."""
+SLOPES = ("grade", "grade_profile")  # effects that a measured slope replaces
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,35 +74,25 @@ class Separability:
         return (name, *(other for j, other in enumerate(self.names) if j != i and abs(self.cosines[i, j]) > ALIKE_COSINE))
 
 
-def feasible(effects: Mapping[str, Effect], fit: Fit) -> tuple[list[Effect], list[NotVisible]]:
-    """Effects with all inputs available, and the others with the reason."""
-    sessions = fit.problem.sessions
-    given = frozenset.intersection(*(s.given for s in sessions))
-    possible, not_visible = [], []
-    for effect in effects.values():
-        name = effect.name
-        missing = [need for need in effect.needs if need not in ALWAYS_KNOWN and need not in given]
-        measured = [channel for channel, names in REPLACED_BY.items() if name in names and channel in given]
-        if name in fit.effect_names:
-            continue
-        if name in fit.problem.base.includes:
-            not_visible.append(NotVisible(effect, "the model already has it"))
-            continue
-        if effect.of_belts and not fit.problem.base.has_belt:
-            not_visible.append(NotVisible(effect, "the vehicle has no belt"))
-        elif missing:
-            not_visible.append(NotVisible(effect, f"needs {', '.join(missing)}, which is not recorded"))
-        elif measured:
-            not_visible.append(NotVisible(effect, f"{measured[0]} is recorded, and in the model"))
-        else:
-            possible.append(effect)
-    return possible, not_visible
+def _infeasible(effect: Effect, fit: Fit) -> str:
+    """Why an effect cannot be examined with the inputs and the base of a fit; empty if it can."""
+    given = frozenset.intersection(*(s.given for s in fit.problem.sessions))
+    missing = [need for need in effect.needs if need not in ALWAYS_KNOWN and need not in given]
+    if effect.name in fit.problem.base.includes:
+        return "the model already has it"
+    if effect.of_belts and not fit.problem.base.has_belt:
+        return "the vehicle has no belt"
+    if missing:
+        return f"needs {', '.join(missing)}, which is not recorded"
+    return "grade is recorded, and in the model" if effect.name in SLOPES and "grade" in given else ""
 
 
 def separability(effects: Mapping[str, Effect], fit: Fit, columns_of: EffectColumns | None = None) -> Separability:
     """Linearise all effects about a fit, and compare them with the fit's own parameters and with each other."""
     columns_of = columns_of or EffectColumns(fit)
-    possible, not_visible = feasible(effects, fit)
+    others = [effect for effect in effects.values() if effect.name not in fit.effect_names]
+    not_visible = [NotVisible(effect, why) for effect in others if (why := _infeasible(effect, fit))]
+    possible = [effect for effect in others if not _infeasible(effect, fit)]
     own = base_columns(fit)
     usual, short = _Visibility(fit, own), shortened(fit.noise)
     with_short = None if short is None else _Visibility(replace(fit, noises={**fit.noises, "torque": short}), own)
