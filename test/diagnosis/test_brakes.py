@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from csv_tables import written
 
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.prepare.brakes import motor_brakes_alone
@@ -68,10 +69,10 @@ def test_the_gate_says_down_to_where_it_compares(loaded, tmp_path, brakes, way):
     (session,) = drives(loaded.base, 30.0, 1, 30.0, rng, step=1.0)
     torque = loaded.base.predict([session], loaded.base.nominal, ())[0].torque
     shown = np.maximum(torque, -80.0) + rng.normal(0.0, NOISE_NM, len(torque))
-    path = tmp_path / "drive.csv"
     at = np.arange(5 * len(session)) / 5.0  # so often that steps are of a second
-    rows = np.column_stack([at, way * np.interp(at, session.time + 0.5, session.speed), way * np.repeat(shown, 5)])
-    np.savetxt(path, rows, delimiter=",", header="time_s,speed_mps,torque_nm", comments="", fmt="%.6f")
+    speed = np.interp(at, session.time + 0.5, session.speed)
+    columns = {"time_s": at, "speed_mps": way * speed, "torque_nm": way * np.repeat(shown, 5)}
+    path = written(tmp_path / "drive.csv", columns)
     gated = gate(read_recordings([path], None), replace(loaded.known, friction_brakes=brakes))
     assert any("the motor brakes alone" in note for note in gated.notes) == brakes
     (session,) = gated.sessions
@@ -89,10 +90,10 @@ def test_a_drive_in_reverse_is_gated_as_one_forward(loaded, tmp_path, friction, 
     columns = {"time_s": 0.1 * np.arange(len(speed)), "speed_mps": speed, "torque_nm": rng.normal(50.0, 100.0, len(speed))}
     if recorded:
         columns["brake_on"] = np.gradient(speed) < 0.0
-    path, found = tmp_path / "drive.csv", []
+    found = []
     for way in (1.0, -1.0):
         turned = {**columns, "speed_mps": way * speed + 0.0, "torque_nm": way * columns["torque_nm"]}
-        np.savetxt(path, np.column_stack(list(turned.values())), delimiter=",", header=",".join(turned), comments="")
+        path = written(tmp_path / "drive.csv", turned, "%.18e")
         found.append(gate(read_recordings([path], None), replace(loaded.known, friction_brakes=friction)))
     forward, reverse = found
     np.testing.assert_array_equal(reverse.sessions[0].used, forward.sessions[0].used)

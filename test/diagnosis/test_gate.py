@@ -325,12 +325,8 @@ def test_slightly_overlapping_clocks_are_noted_unless_undated(recorded, loaded, 
 
 
 def test_a_short_recording_among_others_is_left_out_with_a_note(recorded, loaded, tmp_path):
-    def cut(columns):
-        for name in columns:
-            columns[name] = columns[name][:400]
-
     one, other = recorded()
-    short = rewritten(other, tmp_path, cut, "short.csv")
+    short = rewritten(other, tmp_path, rows(lambda _: slice(400)), "short.csv")
     found = judged([one, short], loaded)
     assert [s.name for s in found.sessions] == [str(one)]
     assert any("short.csv" in note and "not used" in note for note in found.notes)
@@ -347,7 +343,7 @@ def off_odometer(columns):
     ("change", "warning"),
     [
         (lambda _: None, None),
-        (lambda columns: columns.update({name: of[:400] for name, of in columns.items()}), "not used: "),
+        (rows(lambda _: slice(400)), "not used: "),
         (off_odometer, "than the recorded distance implies"),
         (lambda columns: columns.update(yaw_rate_radps=0.0 * columns["yaw_rate_radps"]), "yaw_rate never changes"),
         (lambda columns: columns.update(ambient_degc=0.0 * columns["ambient_degc"] + 45.0), "air of 45 degC is unusual"),
@@ -360,16 +356,8 @@ def test_only_notes_to_act_on_are_warnings(with_first, change, warning):
 
 
 def test_start_of_a_recording_that_counts_from_zero():
-    class Table:
-        name, roles, notes, findings, zero_is_unset, torque_candidates = "t", ("speed",), (), (), False, ()
-
-        def blocks(self, max_rows=0):
-            from trackres_ros.recording.samples import SampleBlock
-
-            stamps = np.array([0, 10, 20]) * 10**9
-            yield SampleBlock(np.zeros(3, np.int16), stamps, stamps, np.zeros(3))
-
-    made = Recording.from_source(Table())
+    stamps = np.array([0, 10, 20]) * 10**9
+    made = Recording("t", {"speed": Series(stamps, stamps, np.zeros(3))}, zero_is_unset=False)
     assert made.time_s("speed").tolist() == [0.0, 10.0, 20.0]
     assert replace(made, zero_is_unset=True).time_s("speed").tolist() == [-10.0, 0.0, 10.0]
 
@@ -403,25 +391,17 @@ def stuck(columns):
     columns["torque_nm"] = columns["torque_nm"] * 0.0 + 500.0
 
 
-def every_minute(columns):
-    columns.update({name: values[::300] for name, values in columns.items()})
-
-
-def every_ten_seconds(columns):
-    columns.update({name: values[::50] for name, values in columns.items()})
-
-
 UNUSABLE = {
     without_torque: "no torque",
     standing: "a vehicle that moves",
     mostly_standing: "s of driving with a torque",
     stuck: "s torque stuck",
-    every_minute: "record speed and torque more often",
-    every_ten_seconds: "diagnose it without the others",
+    rows(lambda _: slice(None, None, 300)): "record speed and torque more often",  # one in a minute
+    rows(lambda _: slice(None, None, 50)): "diagnose it without the others",
 }
 
 
-@pytest.mark.parametrize("change", UNUSABLE, ids=lambda change: change.__name__)
+@pytest.mark.parametrize("change", UNUSABLE, ids=UNUSABLE.values())
 def test_one_unusable_recording_is_left_out_with_a_reason(with_first, recorded, change):
     found, notes = with_first(change, count=3)
     assert [s.name for s in found.sessions] == [str(path) for path in recorded(count=3)[1:]]
@@ -550,8 +530,5 @@ def test_a_clock_set_forward_an_hour_is_noted(with_first):
 
 
 def test_rows_in_any_order_are_the_same_recording(with_first, recorded, loaded):
-    def backwards(columns):
-        columns.update({name: values[::-1] for name, values in columns.items()})
-
-    found, healthy = with_first(backwards)[0], judged(recorded(), loaded)
+    found, healthy = with_first(rows(lambda _: slice(None, None, -1)))[0], judged(recorded(), loaded)
     np.testing.assert_array_equal(found.sessions[0].torque, healthy.sessions[0].torque)

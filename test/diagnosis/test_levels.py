@@ -47,12 +47,8 @@ def problem_of(sessions, road):
 
 
 def errors(found, trained):
-    chosen = [i for i in range(TRAINED + 1) if (i < TRAINED) == trained]
-    return np.concatenate([(s.torque - p.torque)[s.used] for i, (s, p) in pairs(found) if i in chosen])
-
-
-def pairs(found):
-    return enumerate(zip(found.problem.sessions, found.predicted, strict=True))
+    of = [(s.torque - p.torque)[s.used] for s, p in zip(found.problem.sessions, found.predicted, strict=True)]
+    return np.concatenate(of[:TRAINED] if trained else of[TRAINED:])
 
 
 @pytest.mark.long

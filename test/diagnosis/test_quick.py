@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from csv_tables import written
 
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.prepare.gate import gate
@@ -67,9 +68,8 @@ def test_steps_of_a_second_or_more_have_the_pace_of_a_drive():
 
 def test_a_position_gives_its_change_as_speed(tmp_path):
     at = np.arange(0.0, 30.0, 0.01)
-    path = tmp_path / "slide.csv"
-    rows = np.column_stack([at, 0.05 * np.sin(2.0 * at), np.ones(len(at))])
-    np.savetxt(path, rows, delimiter=",", header="time_s,position_m,force_n", comments="")
+    columns = {"time_s": at, "position_m": 0.05 * np.sin(2.0 * at), "force_n": np.ones(len(at))}
+    path = written(tmp_path / "slide.csv", columns, "%.18e")
     (read,) = read_recordings([path], Topics.load("emps"))
     assert read.series["speed"].value[1:-1] == pytest.approx(0.1 * np.cos(2.0 * at[1:-1]), abs=1e-4)
     assert "the change of column position_m" in " ".join(read.notes)

@@ -5,6 +5,7 @@
 
 import numpy as np
 import pytest
+from csv_tables import written
 
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.loading import load_base
@@ -24,10 +25,7 @@ def drive(folder, **columns):
     for name, values in columns.items():
         table[name] = np.full(len(time), np.nan)
         table[name][::RATE_HZ] = values
-    path = folder / "drive.csv"
-    rows = [",".join("" if np.isnan(x) else repr(float(x)) for x in row) for row in np.column_stack(list(table.values()))]
-    path.write_text("\n".join([",".join(table), *rows, ""]), encoding="utf-8")
-    return path
+    return written(folder / "drive.csv", table, "%.17g")
 
 
 def gated(folder, topics=None, friction_brakes=True, hide=(), **columns):

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from csv_tables import written
 
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.base.road_load import FITTED
@@ -89,9 +90,8 @@ def test_the_mass_is_found_however_slowly_samples_come(rate_hz, step, tmp_path):
     force = v["mass"] * (1.05 * pushes + 9.80665 * (v["rolling_coefficient"] + v["rolling_rise"] * speed))
     force += 0.5 * v["air_density"] * v["drag_area"] * speed**2
     torque = force * v["wheel_radius"] / v["efficiency"] ** np.sign(force) + rng.normal(0.0, 5.0, len(at))
-    path, every = tmp_path / "drive.csv", round(100.0 / rate_hz)
-    rows = np.column_stack([at, speed, torque])[::every]
-    np.savetxt(path, rows, delimiter=",", header="time_s,speed_mps,torque_nm", comments="")
+    columns = {"time_s": at, "speed_mps": speed, "torque_nm": torque}
+    path = written(tmp_path / "drive.csv", {name: x[:: round(100.0 / rate_hz)] for name, x in columns.items()}, "%.18e")
     gated = gate(read_recordings([path], None), replace(load_base(tmp_path / "car.yaml").known, friction_brakes=False))
     assert gated.sessions[0].step == step
     found = fit(Problem(base, gated.sessions, tuple(s.used for s in gated.sessions)))
