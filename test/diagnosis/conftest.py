@@ -130,10 +130,10 @@ def scrubbed(run, recorded, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def explained():
-    """Searches explanations of a fitted base's residual, and chooses one; hold-out laps are not fitted."""
+def judging():
+    """Makes what searches and judges explanations of a fitted base's residual; hold-out laps are not fitted."""
 
-    def explain(found, effects, **given):
+    def make(found, effects):
         problem, rng = found.problem, np.random.default_rng(1)
         masks = [s.used & ~m for s, m in zip(problem.sessions, problem.masks, strict=True)]
         laps = HeldOutLaps(problem.sessions, masks, rng)
@@ -141,19 +141,23 @@ def explained():
         refitted = inside_ranges(with_levels(found), use)
         validation = CrossValidation(refitted, masks, rng)
         search = Search(found, effects, None, (), 19, rng, lambda _: None)
+        choice = Choice(search, refitted, validation, laps, use)
+        return SimpleNamespace(search=search, choice=choice, validation=validation, laps=laps, use=use, refitted=refitted)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def explained(judging):
+    """Searches explanations of a fitted base's residual, and chooses one."""
+
+    def explain(found, effects, **given):
+        of = judging(found, effects)
         with pytest.MonkeyPatch.context() as changed:
             changed.setattr(explanations, "MOST_TERMS", 2)  # enough for what tests hide
-            search.run()
-        choice = Choice(search, refitted, validation, laps, use)
-        return SimpleNamespace(
-            search=search,
-            choice=choice,
-            chosen=choice.best(**given),
-            validation=validation,
-            laps=laps,
-            use=use,
-            refitted=refitted,
-        )
+            of.search.run()
+        of.chosen = of.choice.best(**given)
+        return of
 
     return explain
 

@@ -73,33 +73,31 @@ class Recorded:
             yield SampleBlock(role[chosen], when[chosen], when[chosen], value[chosen])
 
 
-def live(estimator, sessions):
-    """Driving torque and mean belt temperature of each, all channels sent with each speed."""
+def driven(estimator, sessions, rows_of):
+    """Driving torque and mean belt temperature of each session after the rest before it."""
     state, found = None, []
     for session in sessions:
-        running, rows = estimator.session(), []
+        running = estimator.session()
         if state is not None:
             running.begin(estimator.rest(state, float(session.ambient[0]), session.gap))
-        for i, now in enumerate(stamps(session).tolist()):
-            for channel, name in CHANNELS.items():
-                running.handle(running.channel(channel), now, now, float(getattr(session, name)[i]))
-            rows.append(running.handle(at.SPEED, now, now, float(session.speed[i])).row)
+        found.append(picked(estimator, np.concatenate(list(rows_of(running, session)))))
         state = running.state
-        found.append(picked(estimator, np.array(rows)))
     return found
 
 
-def replayed(estimator, sessions):
-    """The same by blocks of recordings."""
-    state, found = None, []
-    for session in sessions:
-        running, rows = estimator.session(), []
-        if state is not None:
-            running.begin(estimator.rest(state, float(session.ambient[0]), session.gap))
-        replay(Recorded(session), estimator, lambda steps, rows=rows: rows.append(steps.rows.copy()), running)
-        state = running.state
-        found.append(picked(estimator, np.concatenate(rows)))
-    return found
+def live(running, session):
+    """Rows, all channels sent with each speed."""
+    for i, now in enumerate(stamps(session).tolist()):
+        for channel, name in CHANNELS.items():
+            running.handle(running.channel(channel), now, now, float(getattr(session, name)[i]))
+        yield running.handle(at.SPEED, now, now, float(session.speed[i])).row[np.newaxis]
+
+
+def replayed(running, session):
+    """Rows by blocks of a recording."""
+    rows = []
+    replay(Recorded(session), running.estimator, lambda steps: rows.append(steps.rows.copy()), running)
+    return rows
 
 
 def picked(estimator, rows):
@@ -123,8 +121,8 @@ def test_live_replayed_and_fitted_are_one(loaded, effects, three, two_nodes, nod
     base = loaded.base if nodes == "one" else load_base(str(two_nodes)).base
     active = tuple(Active(effects[name], effects[name].values()) for name in names)
     estimator = Estimator(replace(base.vehicle, effects=active))
-    as_live = live(estimator, three)
-    agree(as_live, replayed(estimator, three))
+    as_live = driven(estimator, three, live)
+    agree(as_live, driven(estimator, three, replayed))
     agree(as_live, simulated(base, three, active))
 
 
@@ -142,7 +140,7 @@ def test_live_replayed_and_fitted_are_one_without_belts(name, names):
     estimator = Estimator(replace(known.base.vehicle, effects=active))
     as_live, as_replayed, in_a_fit = (
         [torque for torque, _ in found]
-        for found in (live(estimator, sessions), replayed(estimator, sessions), simulated(known.base, sessions, active))
+        for found in (*(driven(estimator, sessions, how) for how in (live, replayed)), simulated(known.base, sessions, active))
     )
     for torque, too, fitted in zip(as_live, as_replayed, in_a_fit, strict=True):
         np.testing.assert_array_equal(torque, too)

@@ -20,8 +20,7 @@ from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, ScoredExplanation, _class_of, _competes
 from trackres_ros.diagnosis.search.cross_validation import FOLDS, CrossValidation
 from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Search
-from trackres_ros.diagnosis.selection.as_used import AsUsed
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED, SUSPECTED, HeldOutLaps
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, SUSPECTED
 from trackres_ros.diagnosis.selection.naming import Pool, compared, one_round
 from trackres_ros.diagnosis.selection.visibility import EffectColumns
 from trackres_ros.diagnosis.stages import refit as refit_stage
@@ -71,12 +70,9 @@ def later(session, drive):
     return LEVEL_NM * ((session.time > SINCE_S) | (drive > 0))
 
 
-def held_out_masks(found):
-    return [s.used & ~m for s, m in zip(found.problem.sessions, found.problem.masks, strict=True)]
-
-
 def validation_of(found):
-    return CrossValidation(found, held_out_masks(found), np.random.default_rng(1))
+    held_out = [s.used & ~m for s, m in zip(found.problem.sessions, found.problem.masks, strict=True)]
+    return CrossValidation(found, held_out, np.random.default_rng(1))
 
 
 def fit_with(found, *effects):
@@ -326,14 +322,11 @@ def test_a_rival_name_is_listed_with_the_form_that_helps_it():
 
 
 @pytest.fixture(scope="module")
-def graded(loaded):
+def graded(judging):
     """Grades the terms that a fit adds to a base, and says whether all of it is confirmed."""
 
     def grade(found, *effects, by_file=np.inf):
-        sessions, masks, rng = found.problem.sessions, held_out_masks(found), np.random.default_rng(1)
-        laps, search = HeldOutLaps(sessions, masks, rng), Search(found, {}, None, (), 19, rng, lambda _: None)
-        plain = with_levels(found)
-        choice = Choice(search, plain, CrossValidation(plain, masks, rng), laps, AsUsed(loaded.base, sessions, sessions, laps))
+        choice = judging(found, {}).choice
         choice._by_file = min(choice._by_file, by_file)
         whole = fit(found.problem, effects, found.at, found.noises)
         candidates = {}

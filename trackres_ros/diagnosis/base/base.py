@@ -77,7 +77,7 @@ class Base(ABC):
     def __init__(self) -> None:
         self.parts: Mapping[str, float] = {}  # rotating ones, with their distance per turn [m]
         self._by_default: Values = {}  # of parameters that a call does not give
-        self._last = dict[tuple[object, ...], tuple[list[Array], Sequence[DriveSession]]]()
+        self._last = dict[tuple[object, ...], list[Array]]()
 
     @property
     def nominal(self) -> dict[str, float]:
@@ -103,13 +103,13 @@ class Base(ABC):
         values = {**self._by_default, **values}
         acting = Acting.of([*self._own_effects(values), *effects], self.facts)
         stepped = tuple((active.effect, *active.numbers) for active in (*acting.stepped, *acting.slopes, *acting.torques))
-        key = (*map(id, sessions), *values.values(), acting.sensors.speed_factor, *stepped)
+        key = (*sessions, *values.values(), acting.sensors.speed_factor, *stepped)
         if key not in self._last:
-            simulated = self._simulate(sessions, values, acting)
+            rows = self._simulate(sessions, values, acting)
             self._last.clear()
-            self._last[key] = simulated, tuple(sessions)  # alive, so their identities stay unique
+            self._last[key] = rows
         found = []
-        for i, (session, (simulated, belt, skin)) in enumerate(zip(sessions, self._last[key][0], strict=True)):
+        for i, (session, (simulated, belt, skin)) in enumerate(zip(sessions, self._last[key], strict=True)):
             drive = acting.with_watched(simulated, i)
             found.append(Predicted(self._shown(values) * acting.sensed(drive, session), drive, belt, skin))
         return found

@@ -149,16 +149,10 @@ def _of_one_step(admitted: Sequence[_Admitted], refused: list[Refusal], settings
     """Common step [s], and the recordings that suit it: those with far slower sampling are excluded."""
     own = {one.name: step_for([one.recording], slowest_speed=settings.slowest) for one in admitted}
     steps = sorted((own[one.name], duration_s(one.recording.series)) for one in admitted)
-    half, so_far = 0.5 * sum(seconds for _, seconds in steps), 0.0
-    longest = 0.0
-    for step, seconds in steps:
-        so_far += seconds
-        longest = SLOWER * step
-        if so_far > half:
-            break
+    so_far = np.cumsum([seconds for _, seconds in steps])
 
     def suits(one: _Admitted) -> _Admitted:
-        step = own[one.name]
+        step, longest = own[one.name], SLOWER * steps[np.searchsorted(so_far, 0.5 * so_far[-1], side="right")][0]
         given = f"samples so sparse that torques would be compared as means over {step:.0f} s"
         if step > LONGEST_STEP_S:
             raise InputError(one.name, given, f"at most {LONGEST_STEP_S:.0f} s", "record speed and torque more often")

@@ -137,26 +137,21 @@ class EffectColumns:
 
     def __init__(self, fit: Fit) -> None:
         self._fit = fit
-        self._known = dict[tuple[int, tuple[float, ...]], Array]()
+        self._known = dict[tuple[Effect, tuple[float, ...]], Array]()
 
     def __call__(self, effect: Effect, start: Mapping[str, float]) -> Array:
-        """Columns of one effect about its initial values."""
-        key = id(effect), tuple(start.values())
+        """Columns of one effect about its initial values, shape (n, amplitudes)."""
+        key = effect, tuple(start.values())
         if key not in self._known:
-            self._known[key] = _columns(effect, start, self._fit)
+            fit, before = self._fit, _expected(self._fit, self._fit.predicted)
+            amplitudes = [(q, q.off, q.start - q.off) for q in effect.parameters if q.off is not None]
+            off = {**start, **{q.name: none for q, none, _ in amplitudes}}
+            columns = np.empty((len(before), len(amplitudes)))
+            for i, (q, none, step) in enumerate(amplitudes):  # the secant: some effects are far from linear
+                active = [*fit.acting, Active(effect, {**off, q.name: none + step})]
+                columns[:, i] = (_expected(fit, fit.problem.predict(fit.base_values, active)) - before) / step
+            self._known[key] = columns
         return self._known[key]
-
-
-def _columns(effect: Effect, start: Mapping[str, float], fit: Fit) -> Array:
-    """Change of the prediction per amplitude of an effect, shape (n, amplitudes)."""
-    before = _expected(fit, fit.predicted)
-    off = {**start, **{q.name: q.off for q in effect.parameters if q.off is not None}}
-    amplitudes = [(q, q.off, q.start - q.off) for q in effect.parameters if q.off is not None]
-    columns = np.empty((len(before), len(amplitudes)))
-    for i, (q, none, step) in enumerate(amplitudes):  # the secant: some effects are far from linear
-        active = [*fit.acting, Active(effect, {**off, q.name: none + step})]
-        columns[:, i] = (_expected(fit, fit.problem.predict(fit.base_values, active)) - before) / step
-    return columns
 
 
 class _Visibility:
