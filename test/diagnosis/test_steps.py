@@ -32,7 +32,6 @@ from trackres_ros.diagnosis.selection.visibility import separability
 from trackres_ros.effects import Active
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.synthetic import drives
-from trackres_ros.recording.samples import Series
 
 
 @pytest.fixture(scope="module")
@@ -122,15 +121,11 @@ def test_a_temperature_is_held_while_sent_else_unknown(spacing_s):
     at = np.cumsum(rng.uniform(5.0, 40.0, 400)) if spacing_s == "by change" else np.arange(0.0, 1800.0, spacing_s)
     at = at[at < 1800.0]
 
-    def series(sent):
-        stamp = np.round(1e9 * at[sent]).astype(np.int64)
-        return Series(stamp, stamp, 20.0 + 0.01 * at[sent])
-
-    whole = series(at >= 0.0)
-    np.testing.assert_array_equal(held_while_sent(whole, 0, edges), held(whole, 0, edges, np.nan))
+    value = 20.0 + 0.01 * at
+    np.testing.assert_array_equal(held_while_sent(at, value, edges), held(at, value, edges, np.nan))
     for first_s, last_s in ((0.0, 500.0), (700.0, 1200.0), (1300.0, 1800.0)):
         silent = (at >= first_s) & (at < last_s)
-        known = np.isfinite(held_while_sent(series(~silent), 0, edges))
+        known = np.isfinite(held_while_sent(at[~silent], value[~silent], edges))
         inside = (middles(edges) > first_s + TEMPERATURE_HOLD_S[1] + 40.0) & (
             middles(edges) < last_s - TEMPERATURE_HOLD_S[1] - 40.0
         )

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Simulates sessions in sequence with the live step, for vehicles with and without belts."""
+"""Simulates sessions in sequence with the live step, for the bases of vehicle files with and without belts."""
 
 from __future__ import annotations
 

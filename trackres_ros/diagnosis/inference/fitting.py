@@ -80,9 +80,8 @@ class Problem:
         belts = []
         for i, (s, mask) in enumerate(zip(self.sessions, self.masks, strict=True)):
             if self.base.has_belt and "belt" in s.given:
-                blocks = np.unique(s.block[mask])
-                at = slice(None, None, BELT_EVERY)
-                belts.append(Segment("belt", i, s.belt[at], (np.isfinite(s.belt) & np.isin(s.block, blocks))[at], s.block[at]))
+                used, at = np.isfinite(s.belt) & np.isin(s.block, s.block[mask]), slice(None, None, BELT_EVERY)
+                belts.append(Segment("belt", i, s.belt[at], used[at], s.block[at]))
         return (*torques, *(belts if sum(int(g.valid.sum()) for g in belts) >= FEWEST_FITTED else ()))
 
     def expected(self, predicted: Sequence[Predicted]) -> list[Array]:

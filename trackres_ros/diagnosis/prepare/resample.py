@@ -122,7 +122,7 @@ class _Grid:
         return role in self.series and bool(np.isfinite(self.series[role].value).any())
 
     def samples(self, role: str) -> tuple[Array, Array]:
-        return ordered(self.series[role], self.start)
+        return ordered(self.series[role], self.start) if role in self.series else (np.empty(0), np.empty(0))
 
     def known(self, role: str, values: Array) -> Array:
         """The values; the role is given if any is known."""
@@ -131,7 +131,7 @@ class _Grid:
         return values
 
     def held(self, role: str, default: float) -> Array:
-        return held(self.series[role], self.start, self.edges, default) if role in self.series else np.full(self.count, default)
+        return held(*self.samples(role), self.edges, default)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +169,7 @@ def resample(
     speed, (torques, torque, torque_known, torque_noise) = _speed(grid), _torque(grid)
     weight, payload, passengers = _load(grid)
     latitude, longitude, altitude = _place(grid)
-    belts = [held_while_sent(series[role], grid.start, edges) for role in series if role.partition("/")[0] == "belt"]
+    belts = [held_while_sent(*grid.samples(role), edges) for role in series if role.partition("/")[0] == "belt"]
     belt = grid.known("belt", np.mean(belts, axis=0) if belts else grid.nan)
     steering_angle = _steering(grid)
     yaw_rate, heading = _turning(grid, speed)
@@ -251,9 +251,7 @@ def _torque(grid: _Grid) -> tuple[list[tuple[Array, Array]], Array, Mask, float]
 def _load(grid: _Grid) -> tuple[Array, Array, Array]:
     """Weight of the whole vehicle, measured or the file's plus that of passengers, theirs [N], and their number."""
     weight, payload = _weight(grid), np.zeros(grid.count)
-    passengers = grid.known(
-        "passengers", carried(grid.series["passengers"], grid.start, grid.edges) if "passengers" in grid.series else grid.nan
-    )
+    passengers = grid.known("passengers", carried(*grid.samples("passengers"), grid.edges))
     if "passengers" in grid.given and "load" in grid.given:
         grid.notes.append(f"{grid.name}: the weight comes from the load channel, which is assumed to include the passengers")
     elif "passengers" in grid.given:
@@ -268,14 +266,15 @@ def _load(grid: _Grid) -> tuple[Array, Array, Array]:
 def _place(grid: _Grid) -> tuple[Array, Array, Array]:
     """Latitude and longitude [rad], and altitude [m]."""
     latitude, longitude = _position(grid.series, grid.start, grid.edges)
-    altitude = read_off(grid.series["altitude"], grid.start, grid.edges) if "altitude" in grid.series else grid.nan
-    return grid.known("position", latitude), longitude, grid.known("altitude", altitude)
+    altitude = grid.known("altitude", read_off(*grid.samples("altitude"), grid.edges))
+    return grid.known("position", latitude), longitude, altitude
 
 
 def _steering(grid: _Grid) -> Array:
-    if "steering_angle" not in grid.series or np.isfinite(grid.series["steering_angle"].value).sum() < 2:
+    at, value = grid.samples("steering_angle")
+    if len(at) < 2:
         return grid.nan
-    angle, there = means(*grid.samples("steering_angle"), grid.edges)
+    angle, there = means(at, value, grid.edges)
     grid.given.add("steering_angle")
     return np.where(there, angle, np.nan)
 
@@ -322,7 +321,7 @@ def _braked(grid: _Grid, binding: TopicBinding) -> Mask:
     grid.notes.append(
         f"{grid.name}: brakes count as on from {from_on:g}; every other braking force is assumed to be in the measured torque"
     )
-    return any_from(grid.series["brake"], grid.start, grid.edges, from_on)
+    return any_from(*grid.samples("brake"), grid.edges, from_on)
 
 
 def _driven(speed: Array, by_way: Array | None) -> Array:
@@ -345,7 +344,8 @@ def _position(series: Mapping[str, Series], start: int, edges: Array) -> tuple[A
     if not set(POSITION) <= series.keys():
         return np.full(len(edges) - 1, np.nan), np.full(len(edges) - 1, np.nan)
     seen = [replace(s, value=np.where(s.value == 0.0, np.nan, s.value)) for s in (series[role] for role in POSITION)]
-    latitude, longitude = read_off(seen[0], start, edges), read_off(seen[1], start, edges, angle=True)
+    north, east = (ordered(s, start) for s in seen)
+    latitude, longitude = read_off(*north, edges), read_off(*east, edges, angle=True)
     known = np.isfinite(longitude) & (np.abs(latitude) <= 0.5 * np.pi)
     return np.where(known, latitude, np.nan), np.where(known, longitude, np.nan)
 

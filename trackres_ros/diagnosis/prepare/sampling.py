@@ -32,17 +32,15 @@ def means(at: Array, value: Array, edges: Array) -> tuple[Array, Mask]:
     return Cumulative.of(at, value).means(edges[:-1], step), known
 
 
-def held(series: Series, start: int, edges: Array, default: float) -> Array:
-    """The last finite value before the middle of each step; before the first sample, the first value."""
-    at, value = ordered(series, start)
+def held(at: Array, value: Array, edges: Array, default: float) -> Array:
+    """The last value before the middle of each step; before the first sample, the first value."""
     if not len(at):
         return np.full(len(edges) - 1, default)
     return value[np.maximum(np.searchsorted(at, middles(edges), side="right") - 1, 0)]
 
 
-def held_while_sent(series: Series, start: int, edges: Array) -> Array:
+def held_while_sent(at: Array, value: Array, edges: Array) -> Array:
     """The same for a temperature; nan where the sensor is silent for longer than usual: then it has failed, or was not there."""
-    at, value = ordered(series, start)
     if not len(at):
         return np.full(len(edges) - 1, np.nan)
     usual = float(np.percentile(np.diff(at), 90.0)) if len(at) > 1 else 0.0  # of a sensor that sends changes, a long one
@@ -51,18 +49,16 @@ def held_while_sent(series: Series, start: int, edges: Array) -> Array:
     return np.where(silent, np.nan, value[last])
 
 
-def carried(series: Series, start: int, edges: Array) -> Array:
-    """The last finite value before the middle of each step; nan before the first."""
-    at, value = ordered(series, start)
+def carried(at: Array, value: Array, edges: Array) -> Array:
+    """The last value before the middle of each step; nan before the first."""
     return np.concatenate(([np.nan], value))[np.searchsorted(at, middles(edges), side="right")]
 
 
-def read_off(series: Series, start: int, edges: Array, angle: bool = False) -> Array:
+def read_off(at: Array, value: Array, edges: Array, angle: bool = False) -> Array:
     """The value at the middle of each step, along straight lines between samples; nan in gaps.
 
     An `angle` wraps at pi: the line then takes the short way, and the result is wrapped again.
     """
-    at, value = ordered(series, start)
     if len(at) < 2:
         return np.full(len(edges) - 1, np.nan)
     middle = middles(edges)
@@ -74,9 +70,8 @@ def read_off(series: Series, start: int, edges: Array, angle: bool = False) -> A
     return np.asarray((found + np.pi) % (2.0 * np.pi) - np.pi) if angle else found
 
 
-def any_from(series: Series, start: int, edges: Array, least: float) -> Mask:
+def any_from(at: Array, value: Array, edges: Array, least: float) -> Mask:
     """Steps in which, or at an edge of which, a value of at least `least` was sampled or is held from the sample before."""
-    at, value = ordered(series, start)
     high = np.concatenate(([0], np.cumsum(value >= least)))
     first = np.maximum(np.searchsorted(at, edges[:-1], side="right") - 1, 0)  # sample held at the start of the step
     behind = np.searchsorted(at, edges[1:], side="right")

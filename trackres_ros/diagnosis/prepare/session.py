@@ -140,11 +140,6 @@ class DriveSession:
         return np.copysign(1.0, np.append(self.speed[moves], self.speed[moves[-1:]])[after] if len(moves) else self.speed)
 
     @cached_property
-    def lightest_and_heaviest(self) -> tuple[float, float]:
-        """Least and largest weight [N]."""
-        return float(self.weight.min()), float(self.weight.max())
-
-    @cached_property
     def accel_around(self) -> Array:
         """Mean acceleration over `AROUND` steps [m/s^2], in which errors of the speed at the edges of a step cancel."""
         inside = np.convolve(np.ones(len(self)), np.ones(AROUND), mode="same")
