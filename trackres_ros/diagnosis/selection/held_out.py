@@ -106,7 +106,7 @@ class HeldOutLaps:
 
 
 def numbered(sessions: Sequence[DriveSession], masks: Sequence[Mask], fewest: int) -> list[NDArray[np.int64]]:
-    """Number of the lap of each sample of sessions; of its piece, by lap and time, where masks have less than `fewest` laps."""
+    """Number of the lap of each sample of sessions; of its piece, by lap and time, where masks have fewer than `fewest`."""
     laps = np.unique(np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)]))
     if len(laps) >= fewest:
         return [s.block for s in sessions]
