@@ -72,7 +72,7 @@ def test_drag_and_offset_are_told_apart_in_reverse(tied):
     best = advise(tied, FASTEST_MPS)[0]
     assert "in reverse" in best.manoeuvre
     assert best.groups == (("drivetrain_drag",), ("torque_offset",))
-    assert 0.0 < best.information <= np.log2(3.0)
+    assert 0.0 < best.information_bit <= np.log2(3.0)
 
 
 def test_what_is_not_tied_needs_no_advice(tied):
