@@ -116,10 +116,8 @@ def cumulative_periodogram(fit: Fit) -> float:
 
 
 def _edges(series: Array) -> list[tuple[float, float]]:
-    edges = np.unique(np.quantile(series, np.linspace(0.0, 1.0, BINS + 1)))
-    if len(edges) == 1:
-        return [(float(edges[0]), float(edges[0]))]
-    return [(float(a), float(b)) for a, b in pairwise(edges)]
+    edges = np.unique(np.quantile(series, np.linspace(0.0, 1.0, BINS + 1))).tolist()
+    return list(pairwise(edges)) or [(edges[0], edges[0])]
 
 
 def _pieces(rows: Sequence[Array]) -> NDArray[np.int64]:
