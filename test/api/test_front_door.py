@@ -77,11 +77,6 @@ STARTED_BY = {  # commands that start an application of their own, and import it
 
 
 @pytest.fixture(scope="module")
-def vehicle():
-    return tr.load_vehicle("xgd24d")
-
-
-@pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("front")
 
@@ -99,8 +94,8 @@ def drive(folder):
 
 
 @pytest.fixture(scope="module")
-def replayed(drive, vehicle):
-    return tr.replay(drive, vehicle)
+def replayed(drive, xgd24d):
+    return tr.replay(drive, xgd24d)
 
 
 @pytest.fixture(scope="module")
@@ -190,7 +185,7 @@ def test_read_takes_a_path_as_it_comes(drive, given):
     assert recording.paths == (drive,)
 
 
-def test_read_takes_every_kind_of_recording(folder, drive, sample, vehicle):
+def test_read_takes_every_kind_of_recording(folder, drive, sample, xgd24d):
     rosbag2, typesys = pytest.importorskip("rosbags.rosbag2"), pytest.importorskip("rosbags.typesys")
     types = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
     of_bag = tr.read(sample.path, topics=sample.topics)
@@ -201,7 +196,7 @@ def test_read_takes_every_kind_of_recording(folder, drive, sample, vehicle):
         for connection, stamp, raw in reader.messages():
             writer.write(of[connection.id], stamp, raw)
     assert np.array_equal(tr.read(rosbag2_folder, topics=sample.topics).series["speed"].value, of_bag.series["speed"].value)
-    later = tr.replay(drive, vehicle).save(folder / "drive.parquet")
+    later = tr.replay(drive, xgd24d).save(folder / "drive.parquet")
     assert len(tr.read(later).series["speed"]) == 400
     twice = tr.read([sample.path, sample.path], topics=sample.topics)
     assert len(twice.series["speed"]) == 2 * 5520
@@ -242,7 +237,7 @@ def test_a_recording_gives_its_samples_in_reading_order(sample, drive):
 @pytest.mark.parametrize(
     ("times", "swapped"), [(1, {}), (2, {}), (1, {"ambient": 1}), (1, {"speed": 1}), (1, {"ambient": 3, "speed": 0})]
 )
-def test_a_recording_made_by_hand_is_replayed_with_speed_last(vehicle, times, swapped):
+def test_a_recording_made_by_hand_is_replayed_with_speed_last(xgd24d, times, swapped):
     """Also where its time begins anew without one role, and where two neighbours of a role arrived in the wrong order."""
     from trackres_ros.recording.samples import Series
 
@@ -261,8 +256,8 @@ def test_a_recording_made_by_hand_is_replayed_with_speed_last(vehicle, times, sw
     assert recording.aligned()["ambient"] == pytest.approx(10.0 + value, abs=float(bool(swapped)))  # by log time
 
 
-def test_a_replay_of_what_was_read_is_that_of_the_file(sample, vehicle):
-    read = tr.replay(tr.read(sample.path, topics=sample.topics), vehicle)
+def test_a_replay_of_what_was_read_is_that_of_the_file(sample, xgd24d):
+    read = tr.replay(tr.read(sample.path, topics=sample.topics), xgd24d)
     from_file = tr.replay(str(sample.path), "xgd24d", topics=sample.topics)
     assert repr(read) == repr(from_file)
     assert read.columns == from_file.columns
@@ -270,13 +265,13 @@ def test_a_replay_of_what_was_read_is_that_of_the_file(sample, vehicle):
         assert np.array_equal(read[column], from_file[column], equal_nan=True), column
 
 
-def test_results_are_copied_and_pickled_whole(drive, sample, replayed, vehicle):
+def test_results_are_copied_and_pickled_whole(drive, sample, replayed, xgd24d):
     recording = tr.read(drive)
-    simulated = tr.simulate(vehicle, speed_kmh=20, duration_s=5)
+    simulated = tr.simulate(xgd24d, speed_kmh=20, duration_s=5)
     road = tr.load_vehicle(next(iter(shipped_road_vehicles())))
-    point = tr.explain(vehicle, speed_kmh=20, belt_degc=15)
-    results = sample, recording, replayed, simulated, point, tr.check_vehicle(vehicle)
-    for one in (vehicle, road, *results, *(tr.Estimator(vehicle, entries=e) for e in (COMPILED, interpreted_entries()))):
+    point = tr.explain(xgd24d, speed_kmh=20, belt_degc=15)
+    results = sample, recording, replayed, simulated, point, tr.check_vehicle(xgd24d)
+    for one in (xgd24d, road, *results, *(tr.Estimator(xgd24d, entries=e) for e in (COMPILED, interpreted_entries()))):
         for again in (copy.copy(one), copy.deepcopy(one), pickle.loads(pickle.dumps(one))):
             assert type(again) is type(one)
             assert repr(again) == repr(one)
@@ -287,8 +282,8 @@ def test_results_are_copied_and_pickled_whole(drive, sample, replayed, vehicle):
         again.series["speed"] = None
 
 
-def test_results_are_compared_and_hashed_by_identity(drive, replayed, vehicle):
-    others = tr.replay(drive, vehicle), tr.simulate(vehicle, speed_kmh=20, duration_s=5), tr.read(drive), tr.read(drive)
+def test_results_are_compared_and_hashed_by_identity(drive, replayed, xgd24d):
+    others = tr.replay(drive, xgd24d), tr.simulate(xgd24d, speed_kmh=20, duration_s=5), tr.read(drive), tr.read(drive)
     assert len({replayed, *others, *others}) == 5
     assert all((one == other) == (one is other) for one in others for other in others)
 
@@ -300,8 +295,8 @@ def test_an_error_is_the_same_in_another_process():
         assert (str(again), again.as_dict()) == (str(one), one.as_dict())
 
 
-def test_arrays_of_results_are_the_callers_own(drive, replayed, vehicle):
-    for result in (replayed, tr.simulate(vehicle, speed_kmh=20, duration_s=5)):
+def test_arrays_of_results_are_the_callers_own(drive, replayed, xgd24d):
+    for result in (replayed, tr.simulate(xgd24d, speed_kmh=20, duration_s=5)):
         for name in result:
             before = result[name].copy()
             result[name][:] = 99
@@ -335,9 +330,9 @@ def test_a_replay_says_what_the_command_says(drive, replayed, folder, printed):
     assert (folder / "told.png").read_bytes() == replayed.plot()._repr_png_()
 
 
-def test_a_replay_into_a_file_does_not_keep_its_rows(drive, replayed, vehicle, folder):
+def test_a_replay_into_a_file_does_not_keep_its_rows(drive, replayed, xgd24d, folder):
     seen = []
-    result = tr.replay(drive, vehicle, output=folder / "streamed.csv", progress=seen.append)
+    result = tr.replay(drive, xgd24d, output=folder / "streamed.csv", progress=seen.append)
     assert sum(seen) == result.messages == 800
     assert (folder / "streamed.csv").read_bytes() == replayed.save(folder / "kept.csv").read_bytes()
     assert repr(result) == repr(replayed)
@@ -347,19 +342,19 @@ def test_a_replay_into_a_file_does_not_keep_its_rows(drive, replayed, vehicle, f
     assert "resistance" in result._repr_html_()
 
 
-def test_a_replay_takes_parameters_and_goes_on_from_a_state(folder, vehicle, replayed):
+def test_a_replay_takes_parameters_and_goes_on_from_a_state(folder, xgd24d, replayed):
     lines = DRIVE.splitlines()
     (folder / "one.csv").write_text("\n".join(lines[:200]) + "\n")
     (folder / "two.csv").write_text("\n".join([lines[0], *lines[200:]]) + "\n")
-    tr.replay(folder / "one.csv", vehicle, save_state=folder / "state.json")
-    rest = tr.replay(folder / "two.csv", vehicle, resume=folder / "state.json")
+    tr.replay(folder / "one.csv", xgd24d, save_state=folder / "state.json")
+    rest = tr.replay(folder / "two.csv", xgd24d, resume=folder / "state.json")
     torque = replayed["resistance_torque_nm"]
     assert np.array_equal(rest["resistance_torque_nm"], torque[-len(rest["time_s"]) :])
-    none = tr.replay(folder / "two.csv", vehicle, params={"feedforward_parts": []})
+    none = tr.replay(folder / "two.csv", xgd24d, params={"feedforward_parts": []})
     assert not none["feedforward_torque_nm"].any()
     assert rest["feedforward_torque_nm"].any()
     with pytest.raises(tr.InputError, match="gap_s"):
-        tr.replay(folder / "two.csv", vehicle, params={"gap_s": -1})
+        tr.replay(folder / "two.csv", xgd24d, params={"gap_s": -1})
 
 
 def test_a_replay_has_no_unknown_column(replayed):
@@ -393,17 +388,17 @@ def test_xarray_has_an_axis_of_assemblies(replayed):
     np.testing.assert_allclose(of_all, data["resistance_torque_nm"], atol=1e-9)
 
 
-def test_results_are_shown(replayed, vehicle, drive):
-    point = tr.explain(vehicle, speed_kmh=30, belt_degc=20)
-    driven = tr.simulate(vehicle, speed_kmh=30, duration_s=60)
+def test_results_are_shown(replayed, xgd24d, drive):
+    point = tr.explain(xgd24d, speed_kmh=30, belt_degc=20)
+    driven = tr.simulate(xgd24d, speed_kmh=30, duration_s=60)
     for shown in (replayed, point, driven, tr.read(drive), tr.check_vehicle("agri3t", points=10)):
         page = shown._repr_html_()
         assert page.startswith("<div")
         assert page.endswith("</div>")
         assert "nan" not in page
         assert len(repr(shown).splitlines()) >= 3
-    assert "xgd24d" in repr(vehicle)
-    assert len(repr(vehicle)) < 200
+    assert "xgd24d" in repr(xgd24d)
+    assert len(repr(xgd24d)) < 200
     assert f"{driven.points()[-1]['resistance_torque_nm']:.0f}" in repr(driven)
 
 
@@ -440,8 +435,8 @@ def test_simulate_and_explain_remark_on_inactive_effects(folder):
     assert "turning_scrub: inactive" in repr(points[1])
 
 
-def test_a_profile_is_a_table_or_what_was_read_of_it(drive, vehicle):
-    by_path, read = tr.simulate(vehicle, profile=str(drive)), tr.simulate(vehicle, profile=tr.read(drive))
+def test_a_profile_is_a_table_or_what_was_read_of_it(drive, xgd24d):
+    by_path, read = tr.simulate(xgd24d, profile=str(drive)), tr.simulate(xgd24d, profile=tr.read(drive))
     for column in by_path:
         assert np.array_equal(by_path[column], read[column]), column
     assert by_path["speed_mps"][-1] == pytest.approx(20 / 3.6)
@@ -663,17 +658,17 @@ def test_numbers_of_numpy_are_numbers():
 
 
 @pytest.mark.parametrize("share", [0.01, 0.09, 2.6, 300.0])
-def test_a_weight_that_a_profile_refuses_is_refused(vehicle, tmp_path, share):
-    file, weight = tmp_path / "profile.csv", share * vehicle.weight
+def test_a_weight_that_a_profile_refuses_is_refused(xgd24d, tmp_path, share):
+    file, weight = tmp_path / "profile.csv", share * xgd24d.weight
     file.write_text(f"time_s,speed_mps,weight_n\n0,1,{weight}\n1,1,{weight}\n")
     for given in ({"profile": file}, {"speed_kmh": 3.6, "duration_s": 1.0, "weight_kn": weight / 1e3}):
         with pytest.raises(tr.InputError, match=r"load|weight_kn"):
-            tr.simulate(vehicle, **given)
+            tr.simulate(xgd24d, **given)
 
 
 @pytest.mark.parametrize(("duration_s", "dt"), [(15.0, 10.0), (14.9, 10.0), (0.5, 0.3), (1.0, 0.1), (2.0, 0.4), (7.0, 0.7)])
-def test_a_simulation_lasts_as_long_as_was_asked(vehicle, duration_s, dt):
-    time_s = tr.simulate(vehicle, speed_kmh=5.0, duration_s=duration_s, dt=dt)["time_s"]
+def test_a_simulation_lasts_as_long_as_was_asked(xgd24d, duration_s, dt):
+    time_s = tr.simulate(xgd24d, speed_kmh=5.0, duration_s=duration_s, dt=dt)["time_s"]
     assert duration_s - dt < time_s[-1] <= duration_s * (1.0 + 1e-9)
     assert len(time_s) == math.floor(duration_s / dt + 1e-9) + 1
 
@@ -690,7 +685,7 @@ def test_a_picture_is_of_the_kind_that_its_name_says(replayed, tmp_path, name):
     assert (tmp_path / name).read_bytes().startswith(b"<?xml" if "svg" in name.lower() else b"\x89PNG")
 
 
-def test_a_missing_state_is_not_to_be_deleted(vehicle, drive):
+def test_a_missing_state_is_not_to_be_deleted(xgd24d, drive):
     with pytest.raises(tr.InputError, match="missing") as refused:
-        tr.replay(drive, vehicle, resume="missing.json")
+        tr.replay(drive, xgd24d, resume="missing.json")
     assert not refused.value.remedy

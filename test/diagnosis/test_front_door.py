@@ -22,11 +22,6 @@ from trackres_ros.vehicle.writing.changes import FileChanges
 
 
 @pytest.fixture(scope="module")
-def vehicle():
-    return tr.load_vehicle("xgd24d")
-
-
-@pytest.fixture(scope="module")
 def found(scrub_result):
     return scrub_result[0]
 
@@ -98,10 +93,10 @@ def test_the_vehicle_is_that_of_the_written_file(found, written):
     assert found.vehicle.source.is_file()
 
 
-def test_the_vehicle_serves_at_once_and_is_better(found, vehicle, recorded):
+def test_the_vehicle_serves_at_once_and_is_better(found, xgd24d, recorded):
     path = recorded("turning_scrub")[1]
     error = {}
-    for name, of in (("given", vehicle), ("found", found.vehicle)):
+    for name, of in (("given", xgd24d), ("found", found.vehicle)):
         result = tr.replay(path, of)
         moves = np.abs(result["speed_mps"]) > 0.3
         error[name] = float(np.nanmean(np.abs(result["residual_nm"][moves])))
@@ -141,16 +136,16 @@ def test_the_terminal_shows_the_warnings_alone(found):
     assert "Warning" not in repr(found)
 
 
-def test_where_nothing_is_kept_the_vehicle_is_the_one_given(found, vehicle):
+def test_where_nothing_is_kept_the_vehicle_is_the_one_given(found, xgd24d):
     nothing = replace(found.diagnosis, kept=FileChanges(None, (), {}, "nothing is kept"))
     result = tr.DiagnosisResult(nothing, found._loaded, found.recordings, {})
-    assert values_of(result.vehicle) == values_of(vehicle)
+    assert values_of(result.vehicle) == values_of(xgd24d)
     assert effects_of(result.vehicle) == []
 
 
-def test_given_surroundings_stay_and_found_ones_are_not_added(found, vehicle, effects):
+def test_given_surroundings_stay_and_found_ones_are_not_added(found, xgd24d, effects):
     site, headwind = (tr.effects.Active(effects[name], effects[name].values()) for name in ("grade_profile", "headwind"))
-    here = load_base(replace(vehicle, surroundings=(site,)))
+    here = load_base(replace(xgd24d, surroundings=(site,)))
     with_wind = replace(found.diagnosis, kept=FileChanges(None, (headwind,), {}, "a wind is kept"))
     result = tr.DiagnosisResult(with_wind, here, found.recordings, {})
     assert result.vehicle.surroundings == (site,)
@@ -167,10 +162,10 @@ def test_without_the_libraries_of_the_page_the_rest_is_written(found, tmp_path, 
     assert not (folder / "report.html").exists()
 
 
-def test_a_vehicle_that_was_changed_in_memory_is_refused(recorded, vehicle):
+def test_a_vehicle_that_was_changed_in_memory_is_refused(recorded, xgd24d):
     from trackres_ros.vehicle import variants
 
-    changed = variants(vehicle)({"chassis.bearing_friction": 0.004})
+    changed = variants(xgd24d)({"chassis.bearing_friction": 0.004})
     with pytest.raises(tr.InputError, match=r"chassis\.bearing_friction"):
         tr.diagnose(recorded(), changed)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.findings.next_drives import advise, apart, information, known, menu
+from trackres_ros.diagnosis.findings.next_drives import SEEN_D_PRIME, advise, apart, information, known, menu
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.split import lap_name, split
@@ -72,7 +72,8 @@ def test_drag_and_offset_are_told_apart_in_reverse(tied):
     best = advise(tied, FASTEST_MPS)[0]
     assert "in reverse" in best.manoeuvre
     assert best.groups == (("drivetrain_drag",), ("torque_offset",))
-    assert 0.0 < best.information <= np.log2(3.0)
+    assert best.expected_d_prime >= SEEN_D_PRIME
+    assert 0.0 < best.information_bit <= np.log2(3.0)
 
 
 def test_what_is_not_tied_needs_no_advice(tied):

@@ -28,7 +28,7 @@ def spells(n, rng, on_s, off_s):
 
 
 def driven(seed, size=0.0, lap_m=LAP_M, lengths=LONG, seconds=3.0, besides=lambda n, rng: 0.0):
-    """Distances, residuals and masks of drives at 2 to 9 m/s with stops, with a torque at a place of a lap."""
+    """Distances, residuals, masks and loads of drives at 2 to 9 m/s with stops, with a torque at a place of a lap."""
     rng, drives = np.random.default_rng(seed), []
     for n in lengths:
         corners = np.arange(0, n + 1, 60)
@@ -38,7 +38,7 @@ def driven(seed, size=0.0, lap_m=LAP_M, lengths=LONG, seconds=3.0, besides=lambd
         distance = np.cumsum(speed)
         place = distance % lap_m
         residual = autoregression(n, rng, seconds, COLOURED_NM) + rng.normal(0.0, WHITE_NM, n) + besides(n, rng)
-        drives.append((distance, residual + size * ((place > BEGIN_M) & (place < END_M)), speed > 0.1))
+        drives.append((distance, residual + size * ((place > BEGIN_M) & (place < END_M)), speed > 0.1, np.ones(n)))
     return [list(of) for of in zip(*drives, strict=True)]
 
 
@@ -59,8 +59,8 @@ def test_what_comes_again_nowhere_has_no_place(kind):
 
 @pytest.mark.parametrize(("seed", "size"), [(50, 150.0), (51, 300.0), (52, -300.0), (53, 600.0)])
 def test_a_place_is_found_where_it_is_with_its_size(seed, size):
-    distances, residuals, masks = driven(seed, size)
-    found = find_place(distances, residuals, masks)
+    distances, *others = driven(seed, size)
+    found = find_place(distances, *others)
     assert found.folded
     assert found.lap_m == pytest.approx(LAP_M, rel=0.005)
     assert found.begin_m == pytest.approx(BEGIN_M, abs=25.0)
@@ -74,9 +74,9 @@ def test_a_place_is_found_where_it_is_with_its_size(seed, size):
 
 
 def test_it_is_known_where_it_was_not_learned():
-    distances, residuals, masks = driven(54, 300.0)
+    distances, residuals, masks, loads = driven(54, 300.0)
     fitted = [masks[0], masks[1] & (np.arange(LONG[1]) < 600)]
-    found = find_place(distances, residuals, fitted)
+    found = find_place(distances, residuals, fitted, loads)
     later = masks[1] & ~fitted[1]
     left = residuals[1] - found.size * found.shape[1]
     assert np.var(left[later]) < 0.6 * np.var(residuals[1][later])
@@ -88,7 +88,8 @@ def test_the_larger_the_torque_the_larger_what_is_found():
 
 
 def test_where_too_little_was_driven_there_is_no_place():
-    assert find_place([np.linspace(0.0, SHORTEST_LAP_M, 200)], [np.zeros(200)], [np.ones(200, dtype=bool)]) is None
+    course, zero, one = np.linspace(0.0, SHORTEST_LAP_M, 200), np.zeros(200), np.ones(200)
+    assert find_place([course], [zero], [one > 0.0], [one]) is None
 
 
 def session(speed, way=1.0, given=frozenset({"yaw_rate"})):

@@ -9,11 +9,18 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from trackres_ros.diagnosis.findings.residual_bins import BINS, FEWEST_IN_BIN, Bin, RegimeMap, cumulative_periodogram, regime_map
+from trackres_ros.diagnosis.findings.residual_bins import (
+    BINS,
+    FEWEST_IN_BIN,
+    REPLICATES,
+    Bin,
+    RegimeMap,
+    cumulative_periodogram,
+    regime_map,
+)
 from trackres_ros.diagnosis.prepare.session import DriveSession
 
 N = 3000
-DRAWS = 400
 
 
 def fitted(residual, speed=None, yaw_rate=0.0, heading=0.0, white=None, belt=None, split=1):
@@ -37,7 +44,7 @@ def fitted(residual, speed=None, yaw_rate=0.0, heading=0.0, white=None, belt=Non
 
 
 def mapped(*args, seed=1, **given):
-    return regime_map(fitted(*args, **given), np.random.default_rng(seed), DRAWS)
+    return regime_map(fitted(*args, **given), np.random.default_rng(seed))
 
 
 def noise(seed=0, n=N):
@@ -56,7 +63,7 @@ def test_a_residual_of_one_regime_is_found_there_with_its_size():
     assert (clearest.low, clearest.high) == pytest.approx((10.0, 12.0), abs=0.01)
     assert clearest.mean_residual == pytest.approx(0.8, abs=0.15)
     assert (clearest.unit, clearest.samples) == ("m/s", N // BINS)
-    assert found.p == clearest.p == pytest.approx(1.0 / (DRAWS + 1.0))
+    assert found.p == clearest.p == pytest.approx(1.0 / (REPLICATES + 1.0))
     assert found.samples == N
 
 

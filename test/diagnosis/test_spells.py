@@ -75,7 +75,7 @@ def test_two_levels_are_found_with_their_size_length_and_share(seed):
     spells = np.sum(np.diff(truth.astype(int)) == 1)
     assert chain.share == pytest.approx(truth.mean(), abs=0.1)
     assert math.log(chain.mean_s / (BLOCK_S / GOES)) == pytest.approx(0.0, abs=4.0 / math.sqrt(spells))
-    there, _ = spell_probability(made(mean), chain)
+    there = spell_probability(made(mean), chain)
     assert np.mean((there > 0.5) == truth) > 0.98
 
 
@@ -140,7 +140,7 @@ def test_a_spell_goes_on_over_a_stop_and_ends_with_its_recording():
     residual = 3.0 * LEVEL_NM * there + rng.normal(0.0, NOISE_NM, n)
     moves = (time < 18 * COUNT) | (time > 24 * COUNT)  # it stops within the first spell
     b = blocks([residual, residual], [moves, moves], BLOCK_S / COUNT)
-    on, _ = spell_probability(b, Chain(3.0 * LEVEL_NM, 0.0, COMES, GOES, NOISE_NM))
+    on = spell_probability(b, Chain(3.0 * LEVEL_NM, 0.0, COMES, GOES, NOISE_NM))
     begins, ends = np.flatnonzero(beginnings(b, on)), np.flatnonzero(beginnings(b, on, backwards=True))
     assert b.session[begins].tolist() == b.session[ends].tolist() == [0, 0, 1, 1]
     assert b.end[ends[0]] - b.begin[begins[0]] == pytest.approx(20 * COUNT, abs=COUNT)

@@ -108,10 +108,11 @@ class Coastdown:
     @property
     def kept(self) -> FileChanges:
         """Changes that may be written."""
-        values = {p.name: p.value for p in self.parameters}
         spans = {("", p.name): p.interval for p in self.parameters if p.determined}
         determined = ", ".join(p.name for p in self.parameters if p.determined) or "none"
-        return FileChanges(values, (), spans, f"found in {self.rolled.count} coast-downs: {determined}", by="trackres coastdown")
+        return FileChanges(
+            self.values, (), spans, f"found in {self.rolled.count} coast-downs: {determined}", by="trackres coastdown"
+        )
 
 
 @one_blas_thread()

@@ -53,7 +53,7 @@ class StreetGraph:
     closed: sparse.csr_matrix  # (loops, places): times slopes, the rise round each closed loop [m], which is zero
 
     @classmethod
-    def of(cls, pairs: Mapping[tuple[int, int], float], table: Array, tracks: Sequence[Matched] = ()) -> StreetGraph:
+    def of(cls, pairs: Mapping[tuple[int, int], float], table: Array, tracks: Sequence[Matched]) -> StreetGraph:
         """From neighbours and whether they point the same way, and the places' table, see `route.matching`; and tracks that may
         go round closed loops.
         """
@@ -313,8 +313,7 @@ def _learned(rows: WhitenedRows, streets: StreetGraph, off: Array, length_m: flo
 
 
 def _factored(precision: sparse.csc_matrix) -> SuperLU:
-    options = {"SymmetricMode": True}
-    return splu(precision, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    return splu(precision, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 def _log_determinant(factored: SuperLU) -> float:

@@ -14,92 +14,59 @@ import numpy as np
 from trackres_ros.diagnosis.empirical.thresholds import found_by_scan, most_on_side
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array
+from trackres_ros.effects import learned
 from trackres_ros.effects.effect import Conditions
-from trackres_ros.effects.learned import (
-    ACCELERATING,
-    ACCELERATION,
-    ALWAYS,
-    AMBIENT,
-    BELT,
-    BRAKING,
-    BUILD_UPS,
-    BY_DISTANCE,
-    CURVATURE,
-    DRIVING_TORQUE,
-    HEAVY,
-    LEFT,
-    LIGHT,
-    LOAD,
-    OPEN,
-    RIGHT,
-    SIDES,
-    SPEED,
-    TURN,
-    TURNING,
-    VARIABLES,
-    BuildUp,
-    Curve,
-    EmpiricalEffect,
-    SidedGain,
-    sized,
-    variable,
-)
+from trackres_ros.effects.learned import BuildUp, Curve, EmpiricalEffect, SidedGain
 from trackres_ros.jit.compiled import interpreted
 from trackres_ros.units import STANDSTILL_MPS
 
 DRIVEN = (0.02, 0.98)  # quantiles that bound the knots
-KNOTS = {SPEED: 5, LOAD: 3, AMBIENT: 2, TURNING: 3, CURVATURE: 3, ACCELERATION: 4, TURN: 4, DRIVING_TORQUE: 4, BELT: 3}
-SIGNED = (ACCELERATION, TURN, DRIVING_TORQUE)
+KNOTS = {
+    learned.SPEED: 5, learned.LOAD: 3, learned.AMBIENT: 2, learned.TURNING: 3, learned.CURVATURE: 3, learned.ACCELERATION: 4,
+    learned.TURN: 4, learned.DRIVING_TORQUE: 4, learned.BELT: 3,
+}  # fmt: skip
+SIGNED = (learned.ACCELERATION, learned.TURN, learned.DRIVING_TORQUE)
 BOTH_SIDES = 0.05  # least share of a signed variable on its rarer side to use both
 NEAR_ZERO = 0.1  # of the range on a side: between these knots a signed curve may step
 RESOLVED = 6.0  # times its noise: nearer zero a smoothed acceleration reflects the smoothing more than the drive
 GATED_KNOTS = 3
 GATED = {
-    LEFT: (ALWAYS, SPEED, CURVATURE, LOAD),
-    RIGHT: (ALWAYS, SPEED, CURVATURE, LOAD),
-    HEAVY: (ALWAYS, SPEED, DRIVING_TORQUE),
-    LIGHT: (ALWAYS, SPEED, DRIVING_TORQUE),
-    BRAKING: (ALWAYS, SPEED, LOAD),
-    ACCELERATING: (ALWAYS, SPEED, LOAD),
+    learned.LEFT: (learned.ALWAYS, learned.SPEED, learned.CURVATURE, learned.LOAD),
+    learned.RIGHT: (learned.ALWAYS, learned.SPEED, learned.CURVATURE, learned.LOAD),
+    learned.HEAVY: (learned.ALWAYS, learned.SPEED, learned.DRIVING_TORQUE),
+    learned.LIGHT: (learned.ALWAYS, learned.SPEED, learned.DRIVING_TORQUE),
+    learned.BRAKING: (learned.ALWAYS, learned.SPEED, learned.LOAD),
+    learned.ACCELERATING: (learned.ALWAYS, learned.SPEED, learned.LOAD),
 }
-GATE_AT = {LEFT: TURN, RIGHT: TURN, BRAKING: ACCELERATION, ACCELERATING: ACCELERATION}
+GATE_AT = dict.fromkeys((learned.LEFT, learned.RIGHT), learned.TURN)
+GATE_AT |= dict.fromkeys((learned.BRAKING, learned.ACCELERATING), learned.ACCELERATION)
 OPENS_AT = 0.1  # of the 95th percentile of a gate's variable
 LEAST_RANGE = 0.02  # of its size: a smaller variation is constant
 APART = 0.04  # of the range of the load: least difference of two levels
 FEWEST_SESSIONS = 6  # with fewer, differences between recordings may have any cause
 LEAST_WITHIN = 0.3  # of its spread: with a smaller variation within recordings, it differs only between them
 FEWEST_OPEN = 60  # samples on either side of a gate
-BUILD_UP_SCALE = {BY_DISTANCE: 600.0}
+BUILD_UP_SCALE = {learned.BY_DISTANCE: 600.0}
 BUILD_UP_SCALE_S = 120.0
 
 
 def series(code: int, fit: Fit) -> list[Array]:
     """A variable of learned effects in each session of a fit, as in the live step."""
-    facts, follow, found = fit.problem.base.facts, interpreted(variable), []
+    facts, follow, found = fit.problem.base.facts, interpreted(learned.variable), []
     for s, p in zip(fit.problem.sessions, fit.predicted, strict=True):
         turning = np.abs(s.yaw_rate)
         curvature = turning / np.hypot(s.speed, facts.contact_length * turning + STANDSTILL_MPS)
-        known: Any = (
-            s.speed,
-            s.accel,
-            s.weight,
-            s.ambient,
-            s.yaw_rate,
-            s.heading,
-            s.distance,
-            p.at_sprockets,
-            np.tanh(s.speed / facts.standstill),
-            curvature,
-            p.belt,
-        )
-        found.append(np.asarray(np.broadcast_to(follow(Conditions(facts, *known), code), len(s)), dtype=float))
+        recorded: Any = s.speed, s.accel, s.weight, s.ambient, s.yaw_rate, s.heading, s.distance
+        simulated: Any = p.at_sprockets, np.tanh(s.speed / facts.standstill), curvature, p.belt
+        at = Conditions(facts, *recorded, *simulated)
+        found.append(np.asarray(np.broadcast_to(follow(at, code), len(s)), dtype=float))
     return found
 
 
 def driven(code: int, fit: Fit) -> Array:
     """Values of the variable at compared samples; empty if it is not always known, or too imprecise."""
     found = np.concatenate([x[m] for x, m in zip(series(code, fit), fit.problem.masks, strict=True)])
-    known = np.isfinite(found).all() and (code not in (ACCELERATION, DRIVING_TORQUE) or _resolved(fit))
+    known = np.isfinite(found).all() and (code not in (learned.ACCELERATION, learned.DRIVING_TORQUE) or _resolved(fit))
     return found if known else np.empty(0)
 
 
@@ -138,7 +105,7 @@ def knots(code: int, x: Array, count: int) -> list[float]:
         above = np.linspace(inner, high, extra + 2)
         return [*below.tolist(), *above.tolist()]
     even = np.quantile(x, np.linspace(*DRIVEN, count))
-    if code == SPEED:  # for rarely driven speeds: half by frequency, half by distance
+    if code == learned.SPEED:  # for rarely driven speeds: half by frequency, half by distance
         even = 0.5 * (even + np.linspace(low, high, count))
     found = [float(even[0])]
     for knot in even[1:].tolist():
@@ -149,8 +116,8 @@ def knots(code: int, x: Array, count: int) -> list[float]:
 
 def thresholds(gate: int, fit: Fit) -> list[float]:
     """Possible thresholds of a gate; none if it would be always or never open."""
-    if gate in (HEAVY, LIGHT):
-        x = driven(LOAD, fit)
+    if gate in (learned.HEAVY, learned.LIGHT):
+        x = driven(learned.LOAD, fit)
         if not varies(x):
             return []
         levels = np.unique(x)
@@ -163,7 +130,7 @@ def thresholds(gate: int, fit: Fit) -> list[float]:
     if len(x) == 0:
         return []
     at = OPENS_AT * float(np.quantile(np.abs(x), 0.95))
-    is_open = x > at if gate in (LEFT, ACCELERATING) else x < -at
+    is_open = x > at if gate in (learned.LEFT, learned.ACCELERATING) else x < -at
     return [at] if FEWEST_OPEN <= is_open.sum() <= len(x) - FEWEST_OPEN else []
 
 
@@ -178,24 +145,24 @@ def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
     """
     facts = fit.problem.base.facts
     found: list[EmpiricalEffect] = []
-    x = {code: driven(code, fit) for code in VARIABLES}
+    x = {code: driven(code, fit) for code in learned.VARIABLES}
     measured = all("accel" in s.given for s in fit.problem.sessions)
-    shown = [code for code in KNOTS if shows(code, fit) and (code != ACCELERATION or measured)]
-    found += [Curve(code, OPEN, knots(code, x[code], KNOTS[code])) for code in shown]
+    shown = [code for code in KNOTS if shows(code, fit) and (code != learned.ACCELERATION or measured)]
+    found += [Curve(code, learned.OPEN, knots(code, x[code], KNOTS[code])) for code in shown]
     found += found_by_scan(fit, {code: series(code, fit) for code in shown})
-    if DRIVING_TORQUE in shown:
-        most = {side: most_on_side(x[DRIVING_TORQUE], side) for side in SIDES}
-        found += [SidedGain(side, most[side]) for side in SIDES if min(most.values()) > 0.0]
+    if learned.DRIVING_TORQUE in shown:
+        most = {side: most_on_side(x[learned.DRIVING_TORQUE], side) for side in learned.SIDES}
+        found += [SidedGain(side, most[side]) for side in learned.SIDES if min(most.values()) > 0.0]
     for gate, codes in GATED.items():
         for threshold in thresholds(gate, fit):
-            by_level = gate in (HEAVY, LIGHT) and not shows(LOAD, fit)
+            by_level = gate in (learned.HEAVY, learned.LIGHT) and not shows(learned.LOAD, fit)
             for code in codes:
-                if code == ALWAYS and not by_level:
-                    found.append(Curve(ALWAYS, gate, [0.0], threshold))
-                elif code != ALWAYS and varies(x[code]):
-                    count = KNOTS[SPEED] if code == SPEED else GATED_KNOTS
+                if code == learned.ALWAYS and not by_level:
+                    found.append(Curve(learned.ALWAYS, gate, [0.0], threshold))
+                elif code != learned.ALWAYS and varies(x[code]):
+                    count = KNOTS[learned.SPEED] if code == learned.SPEED else GATED_KNOTS
                     # If loads differ only between recordings, a constant at high load may be any other difference between them.
                     found.append(Curve(code, gate, knots(code, x[code], count), threshold, constant=not by_level))
-    found += [BuildUp(by, BUILD_UP_SCALE.get(by, BUILD_UP_SCALE_S)) for by in BUILD_UPS]
+    found += [BuildUp(by, BUILD_UP_SCALE.get(by, BUILD_UP_SCALE_S)) for by in learned.BUILD_UPS]
     size = facts.weight * facts.radius
-    return {f"{effect.name} {i}": sized(effect, size) for i, effect in enumerate(found)}
+    return {f"{effect.name} {i}": learned.sized(effect, size) for i, effect in enumerate(found)}

@@ -143,7 +143,7 @@ def _shape(current: Fit, chain: Chain, residuals: Sequence[Array]) -> tuple[list
     fill(ahead, every, expected_there(every, chain))
     step = sessions[0].step
     by_step, quick = torque_blocks(current, residuals, seconds=step), chain.for_blocks(step)
-    there = spell_probability(by_step, quick)[0]
+    there = spell_probability(by_step, quick)
     fill(shape, by_step, there)
     shape = [np.where(m, x, a) for m, x, a in zip(masks, shape, ahead, strict=True)]
     return against_travel(sessions, shape), against_travel(sessions, ahead), path_cost(by_step, quick, there)

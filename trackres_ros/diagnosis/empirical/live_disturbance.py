@@ -33,7 +33,7 @@ def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array]) -> Learne
     assert term.chain is not None
     chain = term.chain
     with_spells = torque_blocks(final, residuals_without(final, term.candidate.name))
-    there, _ = spell_probability(with_spells, chain)
+    there = spell_probability(with_spells, chain)
     b = _over(final, expected)
     level, rest, noise = levels_given(b, there)
     found = Spells(level, rest, BLOCK_S / chain.goes, BLOCK_S / chain.comes, _of_blocks(noise, final))

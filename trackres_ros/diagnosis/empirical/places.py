@@ -123,7 +123,7 @@ class _Folding:
 
 
 def find_place(
-    distances: Sequence[Array], residuals: Sequence[Array], masks: Sequence[Mask], loads: Sequence[Array] | None = None
+    distances: Sequence[Array], residuals: Sequence[Array], masks: Sequence[Mask], loads: Sequence[Array]
 ) -> Place | None:
     """Find a residual that repeats at the same place; None if none is significant.
 
@@ -134,7 +134,7 @@ def find_place(
     residuals, masks
         Against travel [Nm], and its compared samples.
     loads
-        Weight over its mean, or any other series: the torque at a place scales with it. Constant without one.
+        Weight over its mean, or any other series: the torque at a place scales with it.
 
     Notes
     -----
@@ -158,7 +158,6 @@ def find_place(
         return None
     expected = _expected(means, known, ways, best)
     left = [r - x[_bins_of(d)] for r, d, x in zip(residuals, distances, expected, strict=True)]
-    loads = [np.ones(len(d)) for d in distances] if loads is None else loads
     folded, rows = best.lap_m < longest, _Rows.of(distances, residuals, left, masks, loads)
     place = _place(best.lap_m, folded, tried, rows)
     if not folded:

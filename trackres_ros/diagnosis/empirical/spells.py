@@ -89,22 +89,23 @@ def blocks(residuals: Sequence[Array], masks: Sequence[Mask], step: float, secon
 
 def find_chain(b: Blocks) -> tuple[Chain, Array, float]:
     """The most likely chain, its probability of a spell in each block, and the log-likelihood."""
-    spread = float(np.std(b.mean * np.sqrt(b.count)))
-    scale = float(np.std(b.mean))
-    best: tuple[Chain, Array, float] | None = None
-    for start in STARTS:
-        chain = Chain(start * scale, 0.0, 0.05, 0.1, 0.7 * spread)
-        before = -math.inf
-        for _ in range(TURNS):
-            there, pairs, likelihood = _forward_backward(b, chain)
-            if likelihood - before < ENOUGH:
-                break
-            before = likelihood
-            chain = _reestimated(b, there, pairs)
-        if best is None or likelihood > best[2]:
-            best = (chain, there, likelihood)
-    assert best
-    return best
+    spread, scale = float(np.std(b.mean * np.sqrt(b.count))), float(np.std(b.mean))
+    begins = (Chain(start * scale, 0.0, 0.05, 0.1, 0.7 * spread) for start in STARTS)
+    return max((_settled(b, chain) for chain in begins), key=lambda found: found[2])
+
+
+def _settled(b: Blocks, chain: Chain) -> tuple[Chain, Array, float]:
+    """The same from one chain on, re-estimated until its likelihood settles."""
+    before = -math.inf
+    for _ in range(TURNS):
+        there, pairs, likelihood = _forward_backward(b, chain)
+        if likelihood - before < ENOUGH:
+            break
+        before = likelihood
+        level, rest, noise = levels_given(b, there)
+        comes, goes = ((pairs[i, 1 - i] + 0.5) / (pairs[i].sum() + 1.0) for i in (0, 1))
+        chain = Chain(level, rest, float(comes), float(goes), noise)
+    return chain, there, likelihood
 
 
 def is_spells(chain: Chain) -> bool:
@@ -133,10 +134,9 @@ def path_cost(b: Blocks, chain: Chain, there: Array) -> float:
     return -float(np.log(steps).sum())
 
 
-def spell_probability(b: Blocks, chain: Chain) -> tuple[Array, float]:
-    """Probability of a spell in each block for a given chain, and the log-likelihood."""
-    there, _, likelihood = _forward_backward(b, chain)
-    return there, likelihood
+def spell_probability(b: Blocks, chain: Chain) -> Array:
+    """Probability of a spell in each block for a given chain."""
+    return _forward_backward(b, chain)[0]
 
 
 def _forward_backward(b: Blocks, chain: Chain) -> tuple[Array, Array, float]:
@@ -196,12 +196,6 @@ def levels_given(b: Blocks, there: Array) -> tuple[float, float, float]:
     level, rest = (float(np.average(b.mean, weights=b.count * w + 1e-12)) for w in (there, 1.0 - there))
     left = there * (b.mean - level) ** 2 + (1.0 - there) * (b.mean - rest) ** 2
     return level, rest, float(np.sqrt(np.mean(b.count * left)))
-
-
-def _reestimated(b: Blocks, there: Array, pairs: Array) -> Chain:
-    level, rest, noise = levels_given(b, there)
-    comes, goes = ((pairs[i, 1 - i] + 0.5) / (pairs[i].sum() + 1.0) for i in (0, 1))
-    return Chain(level, rest, float(comes), float(goes), noise)
 
 
 @dataclass(frozen=True, slots=True)

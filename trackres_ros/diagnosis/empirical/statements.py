@@ -55,7 +55,7 @@ def describe(term: Term, final: Fit) -> Described:
 def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]]:
     """Spells on all laps: session, first sample and end. A spell continues over a stop, where no torque shows it."""
     b = torque_blocks(final, residuals_without(final, name), [s.used for s in final.problem.sessions])
-    there, _ = spell_probability(b, chain)
+    there = spell_probability(b, chain)
     begins = np.flatnonzero(beginnings(b, there))
     ends = np.flatnonzero(beginnings(b, there, backwards=True))
     return [(int(b.session[i]), int(b.begin[i]), int(b.end[j])) for i, j in zip(begins, ends, strict=True)]

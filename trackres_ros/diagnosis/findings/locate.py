@@ -47,7 +47,7 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class ThermalCheck:
-    """Measured less simulated belt temperature [K]: mean, mean size; and mean torque residual explained by that alone [Nm]."""
+    """Measured less simulated belt temperature [K]: mean and mean size; in words too."""
 
     mean_k: float
     mean_abs_k: float

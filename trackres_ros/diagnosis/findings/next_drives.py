@@ -39,7 +39,7 @@ class Advice:
     manoeuvre: str
     expected_d_prime: float  # standard deviations between the closest two of different groups
     minutes: float
-    information: float  # expected lower bound for the group, or for none but the model's own error [bit]
+    information_bit: float  # expected lower bound for the group, or for none but the model's own error
 
 
 def advise(step: Step, max_speed: float) -> list[Advice]:
@@ -71,9 +71,9 @@ def advise(step: Step, max_speed: float) -> list[Advice]:
 
 def _best_first(found: Sequence[Advice]) -> list[Advice]:
     """The shortest of the nearly most informative ones, then the others by information."""
-    most = max((a.information for a in found), default=0.0)
-    rest = sorted(found, key=lambda a: -a.information)
-    first = min((a for a in rest if a.information >= NEARLY * most), key=lambda a: a.minutes, default=None)
+    most = max((a.information_bit for a in found), default=0.0)
+    rest = sorted(found, key=lambda a: -a.information_bit)
+    first = min((a for a in rest if a.information_bit >= NEARLY * most), key=lambda a: a.minutes, default=None)
     return ([] if first is None else [first, *(a for a in rest if a is not first)])[:MOST_ADVICE]
 
 

@@ -59,9 +59,7 @@ class RegimeMap:
         return min((b.p for b in self.bins if b.variable == variable and b.low < high and b.high > low), default=1.0)
 
 
-def regime_map(
-    fit: Fit, rng: np.random.Generator, replicates: int = REPLICATES, predicted: Sequence[Predicted] | None = None
-) -> RegimeMap:
+def regime_map(fit: Fit, rng: np.random.Generator, predicted: Sequence[Predicted] | None = None) -> RegimeMap:
     """Bin the residual of a fit over every variable that varies.
 
     `predicted`: belt temperatures and the like that divide into bins, if not those of the fit.
@@ -93,9 +91,9 @@ def regime_map(
     middle = sums - sums.mean(axis=1, keepdims=True) if sums.shape[1] > 1 else sums
     spread = np.sqrt((middle**2).sum(axis=1)) + 1e-12
     found = np.abs(sums.sum(axis=1)) / spread
-    signs = rng.choice((-1.0, 1.0), (replicates, sums.shape[1]))
+    signs = rng.choice((-1.0, 1.0), (REPLICATES, sums.shape[1]))
     reached = np.abs(signs @ middle.T / spread).max(axis=1)
-    p = (1.0 + (reached[:, np.newaxis] >= found).sum(axis=0)) / (replicates + 1.0)
+    p = (1.0 + (reached[:, np.newaxis] >= found).sum(axis=0)) / (REPLICATES + 1.0)
     return RegimeMap(tuple(Bin(*of, p=float(q)) for of, q in zip(bins, p, strict=True)), float(p.min()), len(e))
 
 
@@ -118,10 +116,8 @@ def cumulative_periodogram(fit: Fit) -> float:
 
 
 def _edges(series: Array) -> list[tuple[float, float]]:
-    edges = np.unique(np.quantile(series, np.linspace(0.0, 1.0, BINS + 1)))
-    if len(edges) == 1:
-        return [(float(edges[0]), float(edges[0]))]
-    return [(float(a), float(b)) for a, b in pairwise(edges)]
+    edges = np.unique(np.quantile(series, np.linspace(0.0, 1.0, BINS + 1))).tolist()
+    return list(pairwise(edges)) or [(edges[0], edges[0])]
 
 
 def _pieces(rows: Sequence[Array]) -> NDArray[np.int64]:

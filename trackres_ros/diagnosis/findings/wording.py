@@ -62,7 +62,7 @@ def is_small(t: NamedEffect | UnnamedTerm) -> bool:
 
 
 def confirmed_terms(
-    terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOut, listed: Possible, distance_off: float = 0.0
+    terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOut, listed: Possible, distance_off: float
 ) -> list[str]:
     """Sentences of the confirmed terms: the large ones, their common improvement, then the small ones.
 

@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -35,10 +34,9 @@ from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
 
 SCHEMA = 1
 BINS, CELLS = 24, (24, 12)  # of a histogram; of speed and acceleration
-NO_BINDINGS: Mapping[str, TopicBinding] = MappingProxyType({})
 
 
-def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBinding] = NO_BINDINGS) -> dict[str, Any]:
+def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBinding] = {}) -> dict[str, Any]:
     """All findings as plain data; `bindings` are how the recordings were read."""
     belongs_to = {active.effect.name: active.effect.belongs_to for active in d.final.effects}
     scale = (d.kept.values or {}).get("torque_scale", d.base.torque_scale)
@@ -73,7 +71,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
         "heldout": _held_out(d),
         "not_visible": [{"name": n.name, "why": n.why} for n in d.alone.separability.of_names.not_visible],
         "rejected": [{"reason": reason, "samples": seconds} for reason, seconds in d.gated.excluded.items()],
-        "advice": _advice(d),
+        "advice": [asdict(advice) for advice in d.advice],
         "candidates": [_candidate(i, c, step) for i, step in enumerate(d.steps, 1) for c in step.candidates],
         "residual_by_regime": {
             stage: [{**_bin(b), "samples": b.samples, "p": b.p} for b in of.bins]
@@ -150,17 +148,6 @@ def _held_out(d: Diagnosis) -> dict[str, Any]:
         "without_sensor_error": of.without_sensor,
         "by_lap": {measure: {stage: x.tolist() for stage, x in stages.items()} for measure, stages in of.by_lap.items()},
     }
-
-
-def _advice(d: Diagnosis) -> list[dict[str, Any]]:
-    """Drives that would separate effects not distinguishable in these recordings."""
-    return [
-        {
-            "separates": a.separates, "groups": a.groups, "manoeuvre": a.manoeuvre, "expected_d_prime": a.expected_d_prime,
-            "minutes": a.minutes, "information_bit": a.information,
-        }
-        for a in d.advice
-    ]  # fmt: skip
 
 
 def _candidate(round_: int, c: Candidate, step: Step) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import gzip
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -57,27 +57,14 @@ INTERACTIVE_LETTERS = 90  # of a small font over the width of a page
 
 
 @dataclass(frozen=True, slots=True)
-class ZoomPlot:
-    """Place of a plot: the part of the page, and the matching element and root."""
-
-    part: str
-    element: str
-    title: str
-
-
-@dataclass(frozen=True, slots=True)
 class Interactive:
     """Plots of a page: their places, and the browser's data, packed (gzip, base64)."""
 
-    plots: tuple[ZoomPlot, ...]
+    plots: Mapping[str, Sequence[tuple[str, str]]]  # of each part of the page: their elements and titles
     library: str  # source of Bokeh
     version: str  # of Bokeh
     data: str  # Bokeh's documents, and the bin of each step
-    over_all: tuple[tuple[str, str, bool], ...] = ()  # colours and texts of the lines over all drives, and whether solid
-
-    def of(self, part: str) -> list[ZoomPlot]:
-        """The plots of a part of the page."""
-        return [plot for plot in self.plots if plot.part == part]
+    over_all: Sequence[tuple[str, str, bool]]  # colours and texts of the lines over all drives, and whether solid
 
 
 def interactive(d: Diagnosis) -> Interactive:
@@ -96,23 +83,24 @@ def interactive(d: Diagnosis) -> Interactive:
         raise MissingExtraError("zoom and hover on the page", "bokeh", "interactive") from None
     document = Document()
     over_all = panels(d)
-    drawn: list[tuple[str, Any]] = [*_believed(d, over_all), *_over_time(d), *_lap(d), *_bars(d)]
+    parts = {"believed": _believed(d, over_all), "time": _over_time(d), "lap": _lap(d), "bars": _bars(d)}
+    drawn = [figure for of in parts.values() for figure in of]
     with document.models.freeze():  # else each root checks all models again
-        for _, figure in drawn:
+        for figure in drawn:
             document.add_root(figure)
-    (content,) = standalone_docs_json_and_render_items([figure for _, figure in drawn])[0].values()
+    (content,) = standalone_docs_json_and_render_items(drawn)[0].values()
     text, name = _named_in_order(json.dumps(content))
-    roots = [name[str(figure.id)] for _, figure in drawn]
+    roots = [name[figure.id] for figure in drawn]
     steps = [{"begin": float(s.time[0]), "step": s.step, **of} for s, of in zip(d.sessions, bins_of_steps(d), strict=True)]
     data = {
         "documents": {DOCUMENT: json.loads(text)},
         "items": [{"docid": DOCUMENT, "roots": {root: f"plot-{root}" for root in roots}, "root_ids": roots}],
         "steps": dict(enumerate(steps)),
     }
-    plots = tuple(ZoomPlot(part, f"plot-{root}", figure.title.text) for root, (part, figure) in zip(roots, drawn, strict=True))
-    legend = tuple((line.colour, line.text, line.solid) for panel in over_all for line in panel.lines)
+    plots = {part: [(f"plot-{name[figure.id]}", figure.title.text) for figure in of] for part, of in parts.items()}
+    legend = [(line.colour, line.text, line.solid) for panel in over_all for line in panel.lines]
     where = marked_times(d)[0]
-    legend += (("#D9D9D9", "hold-out laps", True), *([(MARK, where, True)] if where else []))
+    legend += [("#D9D9D9", "hold-out laps", True), *([(MARK, where, True)] if where else [])]
     return Interactive(plots, _library(), bokeh.__version__, packed(json.dumps(data)), legend)
 
 
@@ -172,7 +160,16 @@ def _strips(figure: Any, session: int, unit: float, counted: bool) -> None:
     figure.vstrip("x0", "x1", source=source, fill_color=ORANGE, fill_alpha=0.45, line_color=None, level="underlay")
 
 
-def _numbers(values: Array, places: int = 1) -> list[float]:
+def _held_out_and_zero(figure: Any, times: Iterable[tuple[float, float]]) -> None:
+    """The hold-out laps behind the lines, and a line at zero."""
+    from bokeh.models.annotations import BoxAnnotation, Span
+
+    for begin, end in times:
+        figure.add_layout(BoxAnnotation(left=begin, right=end, fill_color=GREY, fill_alpha=0.15, line_color=None))
+    figure.add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_width=1))
+
+
+def _numbers(values: Array, places: int) -> list[float]:
     return [float(v) for v in np.round(values, places)]
 
 
@@ -186,10 +183,10 @@ def _nm(column: str, places: int) -> str:
     return f"@{column}{{0{'.' + '0' * places if places else ''}}} Nm"
 
 
-def _believed(d: Diagnosis, over_all: Sequence[Panel]) -> list[tuple[str, Any]]:
+def _believed(d: Diagnosis, over_all: Sequence[Panel]) -> list[Any]:
     """The residual over all drives in sequence, with each term over it, and the remaining residual."""
     from bokeh.models import ColumnDataSource, HoverTool, Range1d
-    from bokeh.models.annotations import BoxAnnotation, Label, Span
+    from bokeh.models.annotations import Label, Span
 
     ends, found = begins(d), []
     every = np.concatenate([values for panel in over_all for line in panel.lines for values in line.values])
@@ -201,9 +198,7 @@ def _believed(d: Diagnosis, over_all: Sequence[Panel]) -> list[tuple[str, Any]]:
     up = Range1d(start=floor, end=high + 2.0 * rim)
     for number, panel in enumerate(over_all):
         figure = _figure(panel.title, BELIEVED_HEIGHT, x_range=across, y_range=up)
-        for begin, end in held_out_times(d):
-            figure.add_layout(BoxAnnotation(left=begin, right=end, fill_color=GREY, fill_alpha=0.15, line_color=None))
-        figure.add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_width=1))
+        _held_out_and_zero(figure, held_out_times(d))
         for begin in ends[1:-1]:
             figure.add_layout(Span(location=begin, dimension="height", line_color=GREY, line_dash="dotted"))
         if number == 0:
@@ -232,14 +227,14 @@ def _believed(d: Diagnosis, over_all: Sequence[Panel]) -> list[tuple[str, Any]]:
         figure.yaxis.axis_label = "torque [Nm]"
         if number == len(over_all) - 1:
             figure.xaxis.axis_label = f"time over consecutive drives [{clock(d)[1]}]; means over {lasting(d, AVERAGED_S)}"
-        found.append(("believed", figure))
+        found.append(figure)
     return found
 
 
-def _over_time(d: Diagnosis) -> list[tuple[str, Any]]:
+def _over_time(d: Diagnosis) -> list[Any]:
     """The residual of each recording over its time; axes move together."""
     from bokeh.models import ColumnDataSource, HoverTool, Range1d
-    from bokeh.models.annotations import BoxAnnotation, Span
+    from bokeh.models.annotations import Span
 
     unit, word = clock(d)
     every = {of.key: [smoothed(s, s.torque - of.torques[i]) for i, s in enumerate(d.sessions)] for of in stages(d)}
@@ -257,17 +252,14 @@ def _over_time(d: Diagnosis) -> list[tuple[str, Any]]:
         columns = {key: _numbers(of[i][rows], places + 1) for key, of in every.items()}
         source = ColumnDataSource({"t": _numbers(session.time[rows] / unit, 3), **columns})
         figure = _figure(shortened(called[i], TITLE_LETTERS), RESIDUAL_HEIGHT, x_range=across, y_range=up)
-        for begin, end in session.stretches(np.isin(session.block, d.split.held_out)):
-            figure.add_layout(
-                BoxAnnotation(left=begin / unit, right=end / unit, fill_color=GREY, fill_alpha=0.15, line_color=None)
-            )
+        held_out = session.stretches(np.isin(session.block, d.split.held_out))
+        _held_out_and_zero(figure, ((begin / unit, end / unit) for begin, end in held_out))
         _strips(figure, i, unit, True)
-        figure.add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_width=1))
         lines = [
             figure.line("t", of.key, source=source, color=of.colour, line_width=1.0 if of.key == "nominal" else 1.6)
             for of in stages(d)
         ]
-        for change in d.changes or ():
+        for change in d.changes:
             if change.recording == session.name:
                 figure.add_layout(Span(location=change.time / unit, dimension="height", line_color=GREY, line_dash="dashed"))
         texts = [("time", f"@t{{0.0}} {word}"), *((of.label, _nm(of.key, places)) for of in stages(d))]
@@ -276,11 +268,11 @@ def _over_time(d: Diagnosis) -> list[tuple[str, Any]]:
         figure.yaxis.axis_label = "residual [Nm]"
         if i == shown[-1]:
             figure.xaxis.axis_label = f"time [{word}]; means over {lasting(d, SMOOTHED_S)}"
-        found.append(("time", figure))
+        found.append(figure)
     return found
 
 
-def _lap(d: Diagnosis) -> list[tuple[str, Any]]:
+def _lap(d: Diagnosis) -> list[Any]:
     """Measured and simulated torque on a hold-out lap, and the speed, over the same time."""
     from bokeh.models import ColumnDataSource, HoverTool
 
@@ -308,10 +300,10 @@ def _lap(d: Diagnosis) -> list[tuple[str, Any]]:
     torque.add_tools(HoverTool(renderers=[measured], tooltips=texts, mode="vline"))
     speed.add_tools(HoverTool(renderers=[line], tooltips=[time, ("speed", "@speed{0.00} m/s")], mode="vline"))
     torque.yaxis.axis_label, speed.yaxis.axis_label, speed.xaxis.axis_label = "torque [Nm]", "speed [m/s]", "time [s]"
-    return [("lap", torque), ("lap", speed)]
+    return [torque, speed]
 
 
-def _bars(d: Diagnosis) -> list[tuple[str, Any]]:
+def _bars(d: Diagnosis) -> list[Any]:
     """Mean residual by bins, with 95 % intervals; pressing a bar highlights its times."""
     from bokeh.models import ColumnDataSource, CustomJS, FixedTicker, HoverTool, Range1d, TapTool
     from bokeh.models.annotations import Whisker
@@ -352,7 +344,7 @@ def _bars(d: Diagnosis) -> list[tuple[str, Any]]:
         figure.xaxis.ticker = FixedTicker(ticks=ticks)
         figure.xaxis.major_label_overrides = dict(zip(ticks, rising(edges), strict=True))
         figure.yaxis.ticker.desired_num_ticks = 4
-        found.append(("bars", figure))
+        found.append(figure)
     rim = 0.05 * (max(ends) - min(ends)) + 1e-9
     up.start, up.end = float(min(ends) - rim), float(max(ends) + rim)
     return found

@@ -74,7 +74,7 @@ def write_page(
         grades=GRADES,
         headline=headline(report),
         tiles=tiles(report),
-        by_file=by_file(report) if "written" in report else ([], []),
+        by_file=by_file(report),
         lights=list(lights(report)),
         stage=stage_of(report),
         most_recordings=MOST_RECORDINGS,

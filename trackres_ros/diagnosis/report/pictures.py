@@ -18,7 +18,6 @@ from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Array, shown_names
 from trackres_ros.diagnosis.report.picture import MOST_POINTS, TITLE_LETTERS, WIDTH, Picture
 from trackres_ros.diagnosis.report.series import (
-    INTERVAL,
     axis_label,
     bars,
     clock,
@@ -30,6 +29,7 @@ from trackres_ros.diagnosis.report.series import (
 )
 from trackres_ros.diagnosis.report.term_pictures import draw_effect, draw_route, draw_term
 from trackres_ros.diagnosis.report.timeline import draw_timeline
+from trackres_ros.diagnosis.selection.intervals import NORMAL_95
 from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, picture, picture_with_legend, shortened, thinned
 from trackres_ros.text.numbers import figures, rising
 
@@ -230,12 +230,12 @@ def _matrix(d: Diagnosis, path: Path) -> Picture:
     return Picture(path, "Which effects look alike", f"Cosine similarity of the visible effects; pairs above 0.95: {alike}.")
 
 
-def autocorrelation(rows: Sequence[Array], lags: int = LAGS) -> tuple[Array, Array]:
-    """Autocorrelation at lags 1 and up of series with gaps (nan), and the number of pairs of each."""
+def autocorrelation(rows: Sequence[Array]) -> tuple[Array, Array]:
+    """Autocorrelation at lags 1 to `LAGS` of series with gaps (nan), and the number of pairs of each."""
     rows = [row - np.nanmean(np.concatenate(list(rows))) for row in rows]
     square = np.nanmean(np.concatenate(rows) ** 2)
-    found, pairs = np.zeros(lags), np.zeros(lags)
-    for lag in range(1, lags + 1):
+    found, pairs = np.zeros(LAGS), np.zeros(LAGS)
+    for lag in range(1, LAGS + 1):
         products = np.concatenate([row[lag:] * row[:-lag] for row in rows if len(row) > lag] or [np.full(1, np.nan)])
         pairs[lag - 1] = np.isfinite(products).sum()
         found[lag - 1] = np.nanmean(products) / square if pairs[lag - 1] else np.nan
@@ -264,7 +264,7 @@ def _noise(d: Diagnosis, path: Path) -> Picture:
             every = max(1, len(power) // SHOWN_FREQUENCIES)
             frequency = np.linspace(0.0, 0.5 / step, len(power))
             right.plot(frequency[::every], power[::every], color=colour, label=label)
-        bound = INTERVAL / np.sqrt(np.maximum(pairs, 1.0))
+        bound = NORMAL_95 / np.sqrt(np.maximum(pairs, 1.0))
         beyond = int((np.abs(found) > bound).sum())
         left.plot(lags * step, bound, color=VERMILION, linestyle="--", linewidth=1.0, label="95 % bounds of white noise")
         left.plot(lags * step, -bound, color=VERMILION, linestyle="--", linewidth=1.0)

@@ -19,10 +19,10 @@ from trackres_ros.diagnosis.findings.residual_bins import Bin, regime_map
 from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
+from trackres_ros.diagnosis.selection.intervals import NORMAL_95
 from trackres_ros.output.style import BLUE, GREY, VERMILION
 
 NOWHERE, IN_TWO = ".", "a"
-INTERVAL = 1.96  # standard deviations, of 95 %
 MOST_RECORDINGS = 24  # that are drawn over their time: those with the largest error
 SEED = 1  # of the test of the last fit in the bins of the base
 
@@ -186,4 +186,4 @@ def half_interval(values: Array, pieces: NDArray[np.int64]) -> float:
     if len(numbers) < 2:
         return float("nan")
     sums = np.bincount(place, weights=values - values.mean())
-    return INTERVAL * float(np.sqrt((sums**2).sum() * len(numbers) / (len(numbers) - 1)) / len(values))
+    return NORMAL_95 * float(np.sqrt((sums**2).sum() * len(numbers) / (len(numbers) - 1)) / len(values))

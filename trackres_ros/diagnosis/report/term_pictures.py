@@ -21,7 +21,9 @@ from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Array, shown_names
 from trackres_ros.diagnosis.report.picture import MOST_POINTS, TITLE_LETTERS, WIDTH, Picture
-from trackres_ros.diagnosis.report.series import INTERVAL, axis_label, clock, lasting, stages
+from trackres_ros.diagnosis.report.series import axis_label, clock, lasting, stages
+from trackres_ros.diagnosis.report.timeline import begins, minutes
+from trackres_ros.diagnosis.selection.intervals import NORMAL_95
 from trackres_ros.output.style import BLUE, GREY, VERMILION, picture_with_legend, shortened, thinned
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.route.lookup import SPACING_M
@@ -65,23 +67,16 @@ def _label(axis: Any, along: str, across: str, title: str) -> None:
     axis.set_title(textwrap.fill(title, TITLE_LETTERS))
 
 
-def _begins(d: Diagnosis) -> list[float]:
-    """Start of each recording, all in sequence [s]."""
-    return [float(x) for x in np.cumsum([0.0, *(s.time[-1] + s.step for s in d.sessions[:-1])])]
-
-
 def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], of: Described, path: Path) -> Picture:
-    unit, word = clock(d)
     without = f"residual without the term, means over {lasting(d, SMOOTHED_S)}"
     with picture_with_legend(path, WIDTH, 3.0) as body:
         axis = body.subplots()
-        for session, begin, left, term in zip(d.sessions, _begins(d), left_over, adds, strict=True):
-            time = begin / unit + session.time / unit
-            axis.plot(*thinned(time, smoothed(session, left + term), MOST_POINTS), color=BLUE, label=without)
-            axis.plot(time, np.where(session.used, term, np.nan), color=VERMILION, label=f"{of.name} as found")
-            axis.axvline(begin / unit, color=GREY, linestyle="--", linewidth=0.8, label="a recording begins")
+        for i, (session, left, term) in enumerate(zip(d.sessions, left_over, adds, strict=True)):
+            axis.plot(*thinned(minutes(d, i), smoothed(session, left + term), MOST_POINTS), color=BLUE, label=without)
+            axis.plot(minutes(d, i), np.where(session.used, term, np.nan), color=VERMILION, label=f"{of.name} as found")
+            axis.axvline(begins(d)[i], color=GREY, linestyle="--", linewidth=0.8, label="a recording begins")
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        _label(axis, f"time over consecutive recordings [{word}]", AGAINST, of.sentence)
+        _label(axis, f"time over consecutive recordings [{clock(d)[1]}]", AGAINST, of.sentence)
     text = (
         "Residual without the term, and the term, over all recordings in sequence. On hold-out laps the term follows from time "
         "alone."
@@ -91,14 +86,15 @@ def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], of
 
 def _by_stretch(d: Diagnosis, of: Described, path: Path) -> Picture:
     """The mass of each stretch with its interval, all recordings in sequence."""
-    begins = dict(zip((s.name for s in d.sessions), _begins(d), strict=True))
-    edges = np.array([[begins[s.recording] + s.begin_s, begins[s.recording] + s.end_s] for s in of.stretches])
+    ends = np.cumsum([s.time[-1] + s.step for s in d.sessions]).tolist()
+    begin = dict(zip((s.name for s in d.sessions), [0.0, *ends[:-1]], strict=True))  # [s]
+    edges = np.array([[begin[s.recording] + s.begin_s, begin[s.recording] + s.end_s] for s in of.stretches])
     mass, std = np.array([s.mass for s in of.stretches]), np.array([s.std for s in of.stretches])
     with picture_with_legend(path, WIDTH, 3.0) as body:
         axis = body.subplots()
         middle, half = edges.mean(axis=1) / 60.0, 0.5 * np.diff(edges, axis=1)[:, 0] / 60.0
         label = "mass between two stops, with its 95 % interval"
-        axis.errorbar(middle, mass, INTERVAL * std, half, fmt="none", color=VERMILION, linewidth=1.2, label=label)
+        axis.errorbar(middle, mass, NORMAL_95 * std, half, fmt="none", color=VERMILION, linewidth=1.2, label=label)
         axis.axhline(0.0, color=GREY, linewidth=0.8)
         _label(axis, "time over consecutive recordings [min]", "mass minus the model's [kg]", of.sentence)
     text = "Mass of each fitted stretch between stops, minus the model's. Acceleration, rolling and climbing determine it."
@@ -167,7 +163,7 @@ def draw_route(route: Route, final: Fit, path: Path) -> Picture:
         ways = ((0, BLUE, "uphill positive"),) if slope else ((0, BLUE, "one way"), (1, VERMILION, "opposite direction"))
         for column, color, label in ways:
             value, std = factor * learned.value[:, column], factor * learned.std[:, column]
-            along.fill_between(way, value - INTERVAL * std, value + INTERVAL * std, color=color, alpha=0.25, linewidth=0.0)
+            along.fill_between(way, value - NORMAL_95 * std, value + NORMAL_95 * std, color=color, alpha=0.25, linewidth=0.0)
             along.plot(way, value, color=color, linewidth=1.0, label=f"{label}, with its 95 % interval")
         along.axhline(0.0, color=GREY, linewidth=0.8)
         along.set_xlabel("matched distance along the streets, in the order of the first drive [km]")

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -14,22 +13,22 @@ from typing import Any
 
 from trackres_ros.diagnosis.empirical.terms import FOLLOWED
 from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
-from trackres_ros.diagnosis.findings.wording import form_words, upper
-from trackres_ros.diagnosis.selection.held_out import SMALL_SHARE
+from trackres_ros.diagnosis.findings.wording import either, form_words, upper
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_SHARE, SUSPECTED
 from trackres_ros.text.numbers import decimals, figures, from_to
 from trackres_ros.vehicle.writing.sensor_lines import REPLACED
 
 MOST_WORDS = 40  # upper limit for the sentence
-STANDS_OUT_P = 0.05
+STANDS_OUT_P, MOST_LIGHTS = 0.05, 6  # of bins
 FEW = 3  # most names in a sentence
 AVERAGED = "Averaged"  # first word of a slow residual's description
 LEAST_SHARE = 0.01  # of the mean error: least gain for a new file
 SURE = "laps left out of the fit confirm it"
 SURE_OF_SPREAD = "a test over laps confirms it"
 SURE_OF_NONE = {
-    "confirmed": "the hold-out laps confirm it",
-    "suspected": "the hold-out laps neither confirm nor reject the re-fit",
-    "refuted": "the hold-out laps reject the re-fit",
+    CONFIRMED: "the hold-out laps confirm it",
+    SUSPECTED: "the hold-out laps neither confirm nor reject the re-fit",
+    REFUTED: "the hold-out laps reject the re-fit",
 }
 
 
@@ -53,20 +52,17 @@ def headline(report: dict[str, Any]) -> str:
     verdict, lead, possible = report["verdict"], leading(report), _possible(report)
     errors = f"Hold-out error: {_errors(report)}"
     if verdict["status"] == "none":
-        changed = verdict.get("changed")
-        parts = [what.answer, *([f"The largest: {changed[0]['text']}"] if changed else []), errors]
-    elif not _sure(report):
-        seen = verdict.get("seen") or f"{where.answer}: {where.detail}"
-        nothing = "" if verdict.get("hint") else "No effect of the catalogue explains it"
-        parts = [seen, f"It may be: {possible}" if possible else nothing]
-    elif lead is not None and "form" in lead:
-        first, *_ = str(lead.get("sentence") or f"{where.answer}: {where.detail}").split(". ")
+        parts = [what.answer, *(f"The largest: {changed['text']}" for changed in verdict["changed"][:1]), errors]
+    elif lead is None or verdict["status"] == "unexplained":
+        nothing = "" if verdict["hint"] else "No effect of the catalogue explains it"
+        parts = [verdict["seen"], f"It may be: {possible}" if possible else nothing]
+    elif "form" in lead:
+        first, *_ = lead["sentence"].split(". ")
         nothing = "" if lead.get("instead") else "No effect of the catalogue explains this"
-        others = f"Also confirmed: {_names(report)}" if _names(report) else nothing
-        parts = [first, errors, others]
+        parts = [first, errors, f"Also confirmed: {_names(report)}" if _names(report) else nothing]
     else:
         placed = where.detail if where.answer == "Everywhere" else f"{where.answer}, {where.detail[:1].lower()}{where.detail[1:]}"
-        parts = [placed, f"The cause{'s are' if len(_sure(report)) > 1 else ' is'} {_names(report)} ({_grade(report)})", errors]
+        parts = [placed, f"The cause{'s are' if len(_sure(report)) > 1 else ' is'} {_names(report)} (confirmed)", errors]
     text = ""
     for part in filter(None, parts):
         if len(f"{text} {part}".split()) < MOST_WORDS:
@@ -76,23 +72,22 @@ def headline(report: dict[str, Any]) -> str:
 
 def _possible(r: dict[str, Any]) -> str:
     """Possible causes, with probabilities; empty if none is listed."""
-    listed = r["verdict"].get("may_be") or ()
-    return ", ".join(_plain(x["name"]) + ("" if x["share"] is None else f" ({100.0 * x['share']:.0f} %)") for x in listed[:FEW])
+    listed = r["verdict"]["may_be"][:FEW]
+    return ", ".join(_plain(x["name"]) + ("" if x["share"] is None else f" ({100.0 * x['share']:.0f} %)") for x in listed)
 
 
 def stage_of(report: dict[str, Any]) -> str:
     """The last completed stage: the re-fitted base, or the fit with found effects and terms."""
-    modelled = report["effects"] or [t for t in report.get("described", ()) if t["heldout"] and t["form"] not in FOLLOWED]
+    modelled = report["effects"] or [t for t in report["described"] if t["heldout"] and t["form"] not in FOLLOWED]
     return "with_effects" if modelled else "refitted"
 
 
 def range_of(b: dict[str, Any]) -> str:
     """The range of a bin in words."""
-    low, high = (math.nan if b[end] is None else b[end] for end in ("lo", "hi"))
-    return f"{b['variable']} {from_to(low, high)} {b['unit']}"
+    return f"{b['variable']} {from_to(b['lo'], b['hi'])} {b['unit']}"
 
 
-def lights(report: dict[str, Any], most: int = 6) -> Iterator[tuple[str, str]]:
+def lights(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Keys and words of highlightable items: effects where they act most, and significant bins."""
     for e in report["effects"]:
         if e["where"]["time"]:
@@ -100,17 +95,16 @@ def lights(report: dict[str, Any], most: int = 6) -> Iterator[tuple[str, str]]:
     numbers = Counter[str]()
     bins = []
     for b in report["residual_by_regime"]["base"]:
-        if b["p"] is not None and b["p"] < STANDS_OUT_P:
+        if b["p"] < STANDS_OUT_P:
             bins.append((b, f"{b['variable']}:{numbers[b['variable']]}"))
         numbers[b["variable"]] += 1
-    for b, key in sorted(bins, key=lambda of: (of[0]["p"], -abs(of[0]["mean_residual"] or 0.0)))[:most]:
+    for b, key in sorted(bins, key=lambda of: (of[0]["p"], -abs(of[0]["mean_residual"])))[:MOST_LIGHTS]:
         yield key, f"{range_of(b)}: {decimals(b['mean_residual'], signed=True)} Nm"
 
 
 def leading(r: dict[str, Any]) -> dict[str, Any] | None:
     """The confirmed term, named or not, that reduces the hold-out error most; without one, an unconfirmed term."""
-    terms = [*r["effects"], *r.get("described", ())]
-    return max(terms, key=lambda t: (t.get("grade") == "confirmed", _gained(t)[0]), default=None)
+    return max([*r["effects"], *r["described"]], key=lambda t: (t["grade"] == CONFIRMED, _gained(t)[0]), default=None)
 
 
 def _where(r: dict[str, Any]) -> Tile:
@@ -118,17 +112,15 @@ def _where(r: dict[str, Any]) -> Tile:
     if verdict["status"] == "none":
         count = len(r["residual_by_regime"]["end"])
         ranges = f"{count} range{'' if count == 1 else 's'} of speed, load, temperature and more were compared"
-        return Tile(name, "Nowhere after the re-fit" if verdict.get("changed") else "No difference beyond noise", ranges)
-    seen = verdict.get("seen") or ""
-    if verdict["status"] == "unexplained":
-        left = [b for b in r["residual_by_regime"]["end"] if b["p"] is not None and b["p"] < LACK_OF_FIT_P]
-        if left:
-            b = max(left, key=lambda b: abs(b["mean_residual"] or 0.0))
-            return Tile(name, f"At {range_of(b)}", f"{decimals(b['mean_residual'], signed=True)} Nm on average")
-        if lead is None or seen.startswith(AVERAGED):
-            slow = "The residual changes slowly, over about 30 s"
-            return Tile(name, "At times unrelated to any recorded channel", seen or slow)
-    if lead is not None and "form" in lead:
+        return Tile(name, "Nowhere after the re-fit" if verdict["changed"] else "No difference beyond noise", ranges)
+    unexplained = verdict["status"] == "unexplained"
+    left = [b for b in r["residual_by_regime"]["end"] if b["p"] < LACK_OF_FIT_P]
+    if unexplained and left:
+        b = max(left, key=lambda b: abs(b["mean_residual"]))
+        return Tile(name, f"At {range_of(b)}", f"{decimals(b['mean_residual'], signed=True)} Nm on average")
+    if lead is None or (unexplained and verdict["seen"].startswith(AVERAGED)):
+        return Tile(name, "At times unrelated to any recorded channel", verdict["seen"])
+    if "form" in lead:
         answers = {
             "spells": "At times, on and off",
             "place": "By place on the route",
@@ -142,13 +134,7 @@ def _where(r: dict[str, Any]) -> Tile:
         if lead["form"] == "spread":
             return Tile(name, answer, f"The torque oscillates by {figures(size)} Nm there (standard deviation)")
         return Tile(name, answer, f"About {figures(size, 2)} Nm remain there after the re-fit")
-    if lead is not None:
-        acts = lead.get("acts")
-        if acts:
-            return Tile(name, upper(_of_curves(acts["text"])) or "Everywhere", upper(acts["size"]))
-        for b in lead["where"]["regime"]:
-            return Tile(name, upper(range_of(b)), f"{decimals(b['mean_residual'], signed=True)} Nm on average")
-    return Tile(name, "Over time", "the picture below shows where")
+    return Tile(name, upper(_of_curves(lead["acts"]["text"])) or "Everywhere", upper(lead["acts"]["size"]))
 
 
 def _of_curves(text: str) -> str:
@@ -160,21 +146,21 @@ def _of_curves(text: str) -> str:
 def _what(r: dict[str, Any]) -> Tile:
     name, verdict, possible = "What", r["verdict"], _possible(r)
     if verdict["status"] == "none":
-        answer = "Only values of the file were wrong" if verdict.get("changed") else "No physics is missing"
-        return Tile(name, answer, SURE_OF_NONE.get(verdict.get("grade"), "not judged"))
+        answer = "Only values of the file were wrong" if verdict["changed"] else "No physics is missing"
+        return Tile(name, answer, SURE_OF_NONE[verdict["grade"]])
     sure = _sure(r)
     if not sure:
-        hint = verdict.get("hint")
+        hint = verdict["hint"]
         nothing = f"{_plain(hint)} may be a part of it" if hint else "no effect of the catalogue explains it"
         return Tile(name, "Unexplained", f"it may be: {possible}" if possible else nothing)
     answers, detail = [], [SURE if any(t.get("form") != "spread" for t in sure) else SURE_OF_SPREAD]
     for term in sure:
         if "form" in term:
             answers.append(f"{form_words(term['form'])} (no name)")
-            continue
-        shares = [f"{_plain(n)} ({100 * (term['weights'].get(n) or 0.0):.0f} %)" for n in term["class"]]
-        answers.append(_plain(term["name"]) if len(shares) <= 1 else f"{', '.join(shares[:-1])} or {shares[-1]}")
-        if len(shares) > 1:
+        elif len(term["class"]) == 1:
+            answers.append(_plain(term["name"]))
+        else:
+            answers.append(either([f"{_plain(n)} ({100 * term['weights'][n]:.0f} %)" for n in term["class"]]))
             detail.append("not distinguishable here")
     if possible:
         detail.append(f"it may also be: {possible}")
@@ -183,44 +169,40 @@ def _what(r: dict[str, Any]) -> Tile:
 
 def by_file(r: dict[str, Any]) -> tuple[list[str], list[str]]:
     """Names of the written effects: in vehicle.yaml, and in surroundings.yaml."""
-    around = {e["name"] for e in r["effects"] if e.get("belongs_to") == "surroundings"}
+    around = {e["name"] for e in r["effects"] if e["belongs_to"] == "surroundings"}
     written = r["written"]["effects"]
     return [n for n in written if n not in around], [n for n in written if n in around]
 
 
 def _better(r: dict[str, Any]) -> Tile:
-    name, mae = "How much better", r["heldout"]["mae"]
-    if not mae["nominal"] or mae[stage_of(r)] is None:
-        return Tile(name, "Unknown", "the hold-out laps have no error to compare")
     share = 100.0 * _share(r)
     same = "Nothing to gain" if r["verdict"]["status"] == "none" else "No better"
     answer = same if abs(share) < 100.0 * LEAST_SHARE else f"{abs(share):.0f} % {'less' if share > 0.0 else 'more'} error"
-    written = r.get("written")
-    kept = "" if written is None or written["base"] or written["effects"] else "; the file keeps its values"
-    return Tile(name, answer, f"mean error of the hold-out laps: {_errors(r)}{kept}")
+    kept = "" if r["written"]["base"] or r["written"]["effects"] else "; the file keeps its values"
+    return Tile("How much better", answer, f"mean error of the hold-out laps: {_errors(r)}{kept}")
 
 
 def _next(r: dict[str, Any]) -> Tile:
-    name, lead = "Next", leading(r)
+    name, lead, written = "Next", leading(r), r["written"]
+    unexplained = r["verdict"]["status"] == "unexplained"
     for a in r["advice"]:
-        if lead is None or lead.get("name") in a["separates"]:
+        if lead is None or lead["name"] in a["separates"]:
             return Tile(name, "Drive once more", f"{upper(a['manoeuvre'])} ({figures(a['minutes'], 2)} min)")
-    if r.get("topics_lines"):
+    if r["topics_lines"]:
         return Tile(name, "Correct the sensor", f"{REPLACED} {' and '.join(r['topics_lines'].values())}")
-    written = r.get("written") or {"base": False, "effects": []}
     if r["effects"] and written["effects"]:
         here, elsewhere = (" and ".join(map(_plain, names)) for names in by_file(r))
         if not elsewhere:
             return Tile(name, "Use vehicle.yaml", f"it has {here}")
         of_place = f"surroundings.yaml has {elsewhere}, for the places where it applies"
         return Tile(name, "Use vehicle.yaml and surroundings.yaml", f"the first has {here}; {of_place}" if here else of_place)
-    if lead is not None and "form" in lead and lead.get("grade") == "confirmed":
+    if lead is not None and lead["grade"] == CONFIRMED and "form" in lead:
         return Tile(name, "Inspect the vehicle", " or ".join(lead["mechanisms"][:2]))
-    if lead is not None and _is_sure(lead, r) and r["verdict"]["status"] != "unexplained":
+    if lead is not None and lead["grade"] == CONFIRMED and not unexplained:
         return Tile(name, "Keep your vehicle file", "the result is not written; the full verdict has the reason")
     if lead is not None:
         return Tile(name, "Record more laps", "the result is not confirmed")
-    if r["verdict"]["status"] == "unexplained":
+    if unexplained:
         return Tile(name, "Investigate where the error is largest", "record more channels there: slope, wind, load, brakes")
     if written["base"] and _share(r) >= LEAST_SHARE:
         return Tile(name, "Use vehicle.yaml", "it has the re-fitted parameters")
@@ -228,18 +210,17 @@ def _next(r: dict[str, Any]) -> Tile:
 
 
 def _errors(r: dict[str, Any]) -> str:
-    mae, followed = r["heldout"]["mae"], _followed(r)
-    nominal, refitted, with_it = (figures(mae.get(stage)) for stage in ("nominal", "refitted", "with_effects"))
-    without = r["heldout"].get("without_sensor_error")
-    plain = "" if without is None else f", {figures(without)} without the assumed error of the torque sensor"
-    modelled = [t for t in _sure(r) if t.get("form") not in FOLLOWED]
+    mae, followed, without = r["heldout"]["mae"], _followed(r), r["heldout"]["without_sensor_error"]
+    with_it, modelled = mae["with_effects"], [t for t in _sure(r) if t.get("form") not in FOLLOWED]
     if followed is not None:
-        with_it, plain, modelled = figures(followed), "", _sure(r)[:1]
-    if followed is not None or stage_of(r) == "with_effects":
-        sources = dict.fromkeys(filter(None, (t.get("held_out_from") for t in modelled)))
-        taken = f", from {' and '.join(sources)}" if sources else ""
-        return f"{nominal} Nm with the file, {refitted} re-fitted, {with_it} with it{taken}{plain}"
-    return f"{nominal} Nm with the file, {refitted} re-fitted{plain}"
+        with_it, without, modelled = followed, None, _sure(r)[:1]
+    plain = "" if without is None else f", {figures(without)} without the assumed error of the torque sensor"
+    refitted = f"{figures(mae['nominal'])} Nm with the file, {figures(mae['refitted'])} re-fitted"
+    if followed is None and stage_of(r) != "with_effects":
+        return f"{refitted}{plain}"
+    sources = dict.fromkeys(filter(None, (t.get("held_out_from") for t in modelled)))
+    taken = f", from {' and '.join(sources)}" if sources else ""
+    return f"{refitted}, {figures(with_it)} with it{taken}{plain}"
 
 
 def _followed(r: dict[str, Any]) -> float | None:
@@ -249,13 +230,11 @@ def _followed(r: dict[str, Any]) -> float | None:
 
 
 def _share(r: dict[str, Any]) -> float:
-    """Share of the mean hold-out error that the last stage removes; 0 if unknown."""
-    mae, followed = r["heldout"]["mae"], _followed(r)
-    before, after = mae["nominal"], mae[stage_of(r)] if followed is None else followed
-    without = r["heldout"].get("without_sensor_error")
-    if followed is None and without is not None:
-        after = without  # no file holds an error of the sensor
-    return 0.0 if not before or after is None else float((before - after) / before)
+    """Share of the mean hold-out error that the last stage removes."""
+    mae, followed, without = r["heldout"]["mae"], _followed(r), r["heldout"]["without_sensor_error"]
+    after = mae[stage_of(r)] if without is None else without  # no file holds an error of the sensor
+    after = after if followed is None else followed
+    return float((mae["nominal"] - after) / mae["nominal"])
 
 
 def _sure(r: dict[str, Any]) -> list[dict[str, Any]]:
@@ -264,31 +243,22 @@ def _sure(r: dict[str, Any]) -> list[dict[str, Any]]:
     """
     if r["verdict"]["status"] == "unexplained":
         return []
-    sure = sorted((t for t in (*r["effects"], *r.get("described", ())) if _is_sure(t, r)), key=lambda t: -_gained(t)[0])
+    sure = sorted((t for t in (*r["effects"], *r["described"]) if t["grade"] == CONFIRMED), key=lambda t: -_gained(t)[0])
     return [t for t in sure if _gained(t)[1] >= SMALL_SHARE] or sure
 
 
 def _gained(term: dict[str, Any]) -> tuple[float, float]:
-    """Reduction of the mean hold-out error by a term [Nm], and as a share; a share of one if unknown."""
-    before, after = (term.get("heldout") or {}).get("mae") or (None, None)
-    if not before or after is None:
+    """Reduction of the mean hold-out error by a term [Nm], and as a share; a share of one for oscillations, without an error."""
+    if term["heldout"] is None:
         return 0.0, 1.0
+    before, after = term["heldout"]["mae"]
     return before - after, (before - after) / before
-
-
-def _is_sure(term: dict[str, Any], r: dict[str, Any]) -> bool:
-    return bool((term.get("grade") or r["verdict"].get("grade")) == "confirmed")
 
 
 def _names(r: dict[str, Any]) -> str:
     """The names; for a large class, the number of its members."""
     classes = [e["class"] for e in _sure(r) if "form" not in e]
     return " and ".join(" or ".join(map(_plain, of)) if len(of) <= FEW else f"one of {len(of)}" for of in classes)
-
-
-def _grade(r: dict[str, Any]) -> str:
-    lead = leading(r)
-    return (lead.get("grade") if lead is not None else None) or r["verdict"].get("grade") or "not judged"
 
 
 def _plain(name: str) -> str:

@@ -107,7 +107,7 @@ def _beyond_a_refit(refitted: Fit, adds: Sequence[Sequence[Array]]) -> list[list
 
 def begins(d: Diagnosis) -> list[float]:
     """Start of each session in sequence, and the end of the last [unit of `clock`]."""
-    return [float(x) for x in np.cumsum([0.0, *(s.time[-1] - s.time[0] + s.step for s in d.sessions)]) / clock(d)[0]]
+    return [float(x) for x in np.cumsum([0.0, *(s.time[-1] + s.step for s in d.sessions)]) / clock(d)[0]]
 
 
 def held_out_times(d: Diagnosis) -> Iterator[tuple[float, float]]:
@@ -133,15 +133,15 @@ def marked_times(d: Diagnosis) -> tuple[str, list[tuple[float, float]]]:
 
 
 def _times(d: Diagnosis, inside: Sequence[Mask]) -> Iterator[tuple[float, float]]:
+    unit = clock(d)[0]
     for session, begin, mask in zip(d.sessions, begins(d), inside, strict=False):
         for first, last in session.stretches(mask):
-            yield begin + (first - session.time[0]) / clock(d)[0], begin + (last - session.time[0]) / clock(d)[0]
+            yield begin + first / unit, begin + last / unit
 
 
 def minutes(d: Diagnosis, session: int) -> Array:
     """The time of a session, with all sessions in sequence [unit of `clock`]."""
-    time = d.sessions[session].time
-    return np.asarray(begins(d)[session] + (time - time[0]) / clock(d)[0])
+    return np.asarray(begins(d)[session] + d.sessions[session].time / clock(d)[0])
 
 
 def names(d: Diagnosis, letters: int) -> list[str]:
