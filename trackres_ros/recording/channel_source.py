@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -61,10 +61,10 @@ class ChannelSource:
         self._file, choice, others = _first_that_fits(files, topics)
         self._time, channels = choice.time, sorted(choice.channels, key=lambda one: one.role == "speed")
         self.roles = tuple(dict.fromkeys(one.role for one in channels))
-        of_role = [[one for one in channels if one.role == role] for role in self.roles]
+        of_role = {role: [one for one in channels if one.role == role] for role in self.roles}
         self.bindings = {
             role: replace(topics[role], parts=tuple(one.binding for one in of)) if len(of) > 1 and topics else of[0].binding
-            for role, of in zip(self.roles, of_role, strict=True)
+            for role, of in of_role.items()
         }
         self._bind_parts(of_role)
         used = {one.place for one in (*channels, *([self._time] if self._time else []))}
@@ -73,7 +73,7 @@ class ChannelSource:
         with self._reading():
             self._file.settle(self._time, list(itertools.chain(*self._columns)))
             self.torque_candidates = tuple(one for place, one in ignored if one in like and self._file.is_number(place))
-        said = [self._note_of(of) for of in of_role if of[0].role not in choice.guessed]
+        said = [self._note_of(of) for role, of in of_role.items() if role not in choice.guessed]
         unused = given.unused_notes(False, {line for one in files for line in one.uses}) if given else []
         notes = [*unused, *others, *self._file.notes, *choice.notes, *said, *self._sums().notes]
         if ignored:
@@ -82,26 +82,18 @@ class ChannelSource:
         self._notes = tuple(map(one_line, notes))
         self._position = PositionUnits(self.bindings)
 
-    def _bind_parts(self, of_role: Sequence[Sequence[ChosenChannel]]) -> None:
-        """Choose the readings: parts with the same times are added row by row, others are read singly and added as in `Sums`."""
-        groups = [{self._file.channels[one.place].group for one in of} for of in of_role]
-        apart = {role for role, found in zip(self.roles, groups, strict=True) if len(found) > 1}
-        in_groups = {
-            role: replace(self.bindings[role], parts=tuple(map(self._part, of)) if role in apart else ())
-            for role, of in zip(self.roles, of_role, strict=True)
-        }
-        self._readings = readings_of(self.roles, in_groups)
-        self._of_sums_apart = in_groups
-        self._columns = [
-            [of[one.part]] if one.part is not None else of
-            for one in self._readings
-            for of in [of_role[self.roles.index(one.role)]]
-        ]
-        self._alone = [0] * len(self._readings)
+    def _bind_parts(self, of_role: Mapping[str, Sequence[ChosenChannel]]) -> None:
+        """Choose the readings: parts with the same times are added row by row, others are read singly and added as in `Sums`.
 
-    def _part(self, one: ChosenChannel) -> TopicBinding:
-        """A part of a sum; its topic is the group, as `Sums` treats parts with the same times as one message."""
-        return replace(one.binding, topic=self._file.channels[one.place].group)
+        A part of these has the group as its topic, as `Sums` treats parts with the same times as one message.
+        """
+        self._of_sums_apart: dict[str, TopicBinding] = {}
+        for role, of in of_role.items():
+            parts = tuple(replace(one.binding, topic=self._file.channels[one.place].group) for one in of)
+            apart = len({part.topic for part in parts}) > 1
+            self._of_sums_apart[role] = replace(self.bindings[role], parts=parts if apart else ())
+        self._readings = readings_of(self.roles, self._of_sums_apart)
+        self._columns = [of_role[one.role] if one.part is None else [of_role[one.role][one.part]] for one in self._readings]
 
     def _note_of(self, columns: Sequence[ChosenChannel]) -> str:
         """Which column feeds a role, or which are added."""

@@ -15,6 +15,7 @@ from trackres_ros.recording.channel_file import Channel, ChannelFile, ChosenChan
 from trackres_ros.recording.guess import guess_channels, note_of_parts, topics_line, words
 from trackres_ros.recording.role_units import UNITS, conversion, is_quantity
 from trackres_ros.recording.roles import POSITION, ROLES, base_role
+from trackres_ros.text.numbers import some_of
 
 TIME_S = "time_s"
 DATE_NAMES = ("time", "timestamp", "datetime")
@@ -251,5 +252,4 @@ def _time_lines(names: Sequence[str]) -> Iterator[str]:
 
 def listed_names(names: Sequence[str]) -> str:
     """Names as far as anybody reads them."""
-    more = f" and {len(names) - NAMES_SHOWN} more" if len(names) > NAMES_SHOWN else ""
-    return ", ".join(names[:NAMES_SHOWN]) + more
+    return some_of(names, NAMES_SHOWN)

@@ -61,6 +61,5 @@ class FileKind:
 class BagKind:
     """Bags, of which several are read one after another."""
 
-    name: str
     suffixes: tuple[str, ...]
     source: Callable[[Sequence[Path], Topics | None], BoundSource]
