@@ -20,7 +20,7 @@ from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import MOST_TIME_S, ChannelFile, ChannelRows, ChosenChannel
 from trackres_ros.recording.choosing import Choice, choose, listed_names
 from trackres_ros.recording.position_units import PositionUnits
-from trackres_ros.recording.reading import check_file, reading
+from trackres_ros.recording.reading import reading
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock
 from trackres_ros.recording.sums import Sums, readings_of
 from trackres_ros.recording.torque_candidates import note_of, of_columns
@@ -36,7 +36,7 @@ class ChannelSource:
     for time or speed, a missing or ambiguous channel, a unit that does not fit its role, ambiguous numbers or dates.
 
     `path`: the file; `topics`: channels of other names or units, by role; `read`: opens it, see `FileKind.read`; `kind`: kind of
-    the file, for messages; `checked`: whether its first bytes are checked.
+    the file, for messages.
     """
 
     zero_is_unset = False
@@ -47,13 +47,10 @@ class ChannelSource:
         topics: Topics | None,
         read: Callable[[Path, str, Topics | None], Sequence[ChannelFile]],
         kind: str,
-        checked: bool,
     ) -> None:
         self.name = one_line(str(path))
         self._path, self._kind = path, kind
         self.findings: tuple[Finding, ...] = ()
-        if checked:
-            check_file(path)
         given = topics
         topics = self.topics = given and given.used(of_topics=False)
         with self._reading():
