@@ -163,13 +163,6 @@ def test_a_torque_that_comes_late_is_of_an_earlier_time(tmp_path: Path) -> None:
         assert late.bindings["torque"].delay_s == 0.25
 
 
-@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
-def test_a_single_storage_file(tmp_path: Path, storage: str) -> None:
-    path = write(tmp_path / "bag", storage)
-    file = next(one for one in path.iterdir() if one.suffix in (".db3", ".mcap"))
-    assert by_blocks(open_source([file], TOPICS)) == by_blocks(open_source([path], TOPICS))
-
-
 @pytest.mark.parametrize("name", ["run%201", "what?", "a#1"])
 def test_a_database_is_read_by_any_name(tmp_path: Path, name: str) -> None:
     plain = write(tmp_path / "plain", count=20)
