@@ -380,7 +380,7 @@ def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
     peaks = []
-    for count in (20_000, 120_000):  # both of many chunks, of which a reader holds a few
+    for count in (20_000, 60_000):  # both of many chunks, of which a reader holds a few
         path = tmp_path / f"{count}.mcap"
         write_outputs(path, count)
         source = open_source([path])
@@ -388,7 +388,7 @@ def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
         assert sum(map(len, source.blocks(512))) == count
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert peaks[1] < 1.3 * peaks[0], peaks
+    assert peaks[1] < 1.1 * peaks[0], peaks
 
 
 def write_outputs(path: Path, count: int, at_once: int = 256) -> None:
