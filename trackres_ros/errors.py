@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Iterable, Iterator, Mapping
 
 MOST_SHOWN, MOST_OF_TEXT = 80, 200  # characters of the given value: of data, and of a text, which may be a sentence of ours
@@ -48,14 +49,7 @@ class InputError(ValueError):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Rebuild the error in another process."""
-        return _rebuilt, (type(self), self.where, self.given, self.allowed, self.remedy)
-
-
-def _rebuilt(kind: type[InputError], *parts: str) -> InputError:
-    """An error of a kind whose own arguments may be other ones."""
-    error = kind.__new__(kind)
-    InputError.__init__(error, *parts)
-    return error
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # of a kind whose own arguments may be other ones
 
 
 class MissingExtraError(InputError):
