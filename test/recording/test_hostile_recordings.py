@@ -11,6 +11,7 @@ import os
 import socket
 import sqlite3
 import tracemalloc
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -284,6 +285,12 @@ def folder_bag(path: Path, storage: str = "SQLITE3", compression: str = "", coun
     return path
 
 
+def put(path: Path, column: str, value: object, row: int) -> None:
+    """Replace what a database holds of one message."""
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute(f"UPDATE messages SET {column} = ? WHERE id = ?", (value, row))
+
+
 def messages(count: int) -> list[bytes]:
     speeds = (build(TWIST, header=stamped(START, ""), twist=twist(float(row))) for row in range(count))
     return [bytes(STORE.serialize_cdr(message, TWIST)) for message in speeds]
@@ -298,17 +305,15 @@ def test_log_times_beyond_the_clock_are_counted(tmp_path):
 
 def test_rows_of_a_database_of_any_type_are_counted(tmp_path):
     path = folder_bag(tmp_path / "bag") / "bag.db3"
-    with sqlite3.connect(path) as database:
-        database.execute("CREATE TABLE loose AS SELECT * FROM messages")
-        database.execute("DROP TABLE messages")
-        database.execute("ALTER TABLE loose RENAME TO messages")
-        for row, (column, value) in enumerate([
-            ("timestamp", None), ("timestamp", "soon"), ("timestamp", 1.5), ("timestamp", -1), ("timestamp", 2**63 - 1),
-            ("timestamp", b"12345678"), ("data", None), ("data", "text"), ("data", 5), ("topic_id", 77), ("topic_id", None),
-            ("topic_id", "one"),
-        ]):  # fmt: skip
-            database.execute(f"UPDATE messages SET {column} = ? WHERE id = ?", (value, row + 1))
-    database.close()
+    with closing(sqlite3.connect(path)) as database:
+        loose = "CREATE TABLE loose AS SELECT * FROM messages; DROP TABLE messages; ALTER TABLE loose RENAME TO messages"
+        database.executescript(loose)
+    for row, (column, value) in enumerate([
+        ("timestamp", None), ("timestamp", "soon"), ("timestamp", 1.5), ("timestamp", -1), ("timestamp", 2**63 - 1),
+        ("timestamp", b"12345678"), ("data", None), ("data", "text"), ("data", 5), ("topic_id", 77), ("topic_id", None),
+        ("topic_id", "one"),
+    ]):  # fmt: skip
+        put(path, column, value, row + 1)
     for bag in (path, path.parent):
         recording = speeds(bag)
         assert recording.series["speed"].value.tolist() == [float(row) for row in range(12, 20)]
@@ -362,13 +367,9 @@ def test_a_message_that_unpacks_to_more_than_any_message_has(tmp_path, refused):
     zstandard = pytest.importorskip("zstandard")
     path = folder_bag(tmp_path / "bag", compression="MESSAGE")
     bomb = zstandard.ZstdCompressor().compress(bytes(unpacking.MAX_MESSAGE_BYTES + 1))
-    with sqlite3.connect(path / "bag.db3") as database:
-        database.execute("UPDATE messages SET data = ? WHERE id = 7", (bomb,))
-    database.close()
+    put(path / "bag.db3", "data", bomb, 7)
     assert f"a message of /speed: it unpacks to more than {unpacking.MAX_MESSAGE_BYTES} bytes" in refused(path)
-    with sqlite3.connect(path / "bag.db3") as database:
-        database.execute("UPDATE messages SET data = ? WHERE id = 7", (bomb[:-8],))
-    database.close()
+    put(path / "bag.db3", "data", bomb[:-8], 7)
     recording = speeds(path)
     assert np.flatnonzero(np.isnan(recording.series["speed"].value)).tolist() == [6]
     assert found(recording)["malformed"] == 1

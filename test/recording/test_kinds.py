@@ -17,7 +17,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-from drive_files import DBC, KINDS, TOPICS, Drive, write
+from drive_files import DBC, KINDS, TOPICS, Drive, mat_73, write
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -476,17 +476,14 @@ def test_a_replay_as_mdf_holds_what_parquet_does(files, tmp_path):
 
 def _saved(path, version, content):
     """A MATLAB file of a struct `run` and its notation of matrices."""
-    import h5py
     from scipy.io import savemat
 
     if version == 5:
         savemat(path, {"run": content})
         return path
-    with h5py.File(path, "w", userblock_size=512) as file:
+    with mat_73(path) as file:
         for name, value in content.items():
             file[f"run/{name}"] = np.atleast_2d(np.asarray(value)).T
-    with path.open("r+b") as file:
-        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
     return path
 
 
