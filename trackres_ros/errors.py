@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import copyreg
 from collections.abc import Iterable, Iterator, Mapping
 
 MOST_SHOWN, MOST_OF_TEXT = 80, 200  # characters of the given value: of data, and of a text, which may be a sentence of ours
@@ -49,7 +48,7 @@ class InputError(ValueError):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Rebuild the error in another process."""
-        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # of a kind whose own arguments may be other ones
+        return type(self).__new__, (type(self), *self.args), self.__dict__  # of a kind whose own arguments may be other ones
 
 
 class MissingExtraError(InputError):

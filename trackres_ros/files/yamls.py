@@ -40,8 +40,8 @@ else:  # ten times slower
 class _Refused(yaml.MarkedYAMLError):
     """Valid YAML that is refused."""
 
-    def __init__(self, problem: str, mark: Any) -> None:
-        super().__init__(problem=problem, problem_mark=mark)
+    def __init__(self, problem: str, at: Any) -> None:  # a node or an event
+        super().__init__(problem=problem, problem_mark=at.start_mark)
 
 
 class _Loader(Composer, _Events, SafeConstructor, Resolver):
@@ -62,7 +62,7 @@ class _Loader(Composer, _Events, SafeConstructor, Resolver):
         self._depth -= 1
         if node is not None and id(node) not in self._sizes:
             if node.__class__ is not ScalarNode:  # an alias to an unfinished node is inside itself
-                raise _Refused("an alias to its own parent", node.start_mark)
+                raise _Refused("an alias to its own parent", node)
             self._sizes[id(node)] = 1
         return node
 
@@ -83,12 +83,12 @@ class _Loader(Composer, _Events, SafeConstructor, Resolver):
 
     def _check_depth(self) -> None:
         if self._depth > MOST_DEPTH:
-            raise _Refused(f"more than {MOST_DEPTH} nested lists and mappings", self.peek_event().start_mark)
+            raise _Refused(f"more than {MOST_DEPTH} nested lists and mappings", self.peek_event())
 
     def _measure(self, node: CollectionNode, parts: list[Node]) -> None:
         size = 1 + sum(self._sizes[id(part)] for part in parts)
         if size > MOST_NODES:
-            raise _Refused(f"more than {MOST_NODES} values with aliases expanded", node.start_mark)
+            raise _Refused(f"more than {MOST_NODES} values with aliases expanded", node)
         self._sizes[id(node)] = size
 
     def _refuse_repeated_keys(self, node: MappingNode) -> None:
@@ -98,7 +98,7 @@ class _Loader(Composer, _Events, SafeConstructor, Resolver):
                 continue  # lists and mappings cannot be keys: the library reports it
             key = self.construct_object(key_node, deep=True)
             if key in seen:
-                raise _Refused(f"given twice: {key_node.value} (one of the values would be lost)", key_node.start_mark)
+                raise _Refused(f"given twice: {key_node.value} (one of the values would be lost)", key_node)
             seen.add(key)
 
 
