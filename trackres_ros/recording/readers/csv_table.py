@@ -52,8 +52,6 @@ class CsvTable(TableFile):
     def __init__(self, path: Path, name: str) -> None:
         self.name, self._path = name, path
         self._encoding, self._separator = "utf-8", ","
-        self.notes: tuple[str, ...] = ()
-        self.findings: tuple[Finding, ...] = ()
         self.names = self._header()
         self.channels = [Channel(name) for name in self.names]
 

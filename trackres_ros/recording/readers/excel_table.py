@@ -23,7 +23,6 @@ from trackres_ros.recording.date_times import MOST_S, NO_ZONE, DateTimes, is_dat
 from trackres_ros.recording.file_kind import FileKind
 from trackres_ros.recording.number_marks import COMMA, Mark, decide, is_number, marks_of, number_of
 from trackres_ros.recording.role_units import is_quantity
-from trackres_ros.recording.samples import Finding
 from trackres_ros.units import SECOND_NS
 
 if TYPE_CHECKING:
@@ -62,8 +61,6 @@ class ExcelTable(TableFile):
     def __init__(self, path: Path, name: str, sheet: str, header_row: int, channels: Sequence[Channel]) -> None:
         self._path, self._sheet, self._header_row = path, sheet, header_row
         self.name, self.channels = f"{name}: sheet {one_line(sheet)}", channels
-        self.notes: tuple[str, ...] = ()
-        self.findings: tuple[Finding, ...] = ()
 
     def is_number(self, place: int) -> bool:
         """Whether the first filled cell of a column holds a number."""
