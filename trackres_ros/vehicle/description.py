@@ -31,7 +31,7 @@ class QuantityLimits(NamedTuple):
     optional: bool = False
 
 
-# Their noise is that of blocks of `estimator.disturbance.BLOCK_S`.
+# Of a watched disturbance: that of blocks of `estimator.disturbance.BLOCK_S`.
 NOISE = QuantityLimits("Nm", 1e-3, 1e6, "standard deviation of 5 s means of the measured torque about the expected torque")
 
 
