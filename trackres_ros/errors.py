@@ -48,14 +48,7 @@ class InputError(ValueError):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Rebuild the error in another process."""
-        return _rebuilt, (type(self), self.where, self.given, self.allowed, self.remedy)
-
-
-def _rebuilt(kind: type[InputError], *parts: str) -> InputError:
-    """An error of a kind whose own arguments may be other ones."""
-    error = kind.__new__(kind)
-    InputError.__init__(error, *parts)
-    return error
+        return type(self).__new__, (type(self), *self.args), self.__dict__  # of a kind whose own arguments may be other ones
 
 
 class MissingExtraError(InputError):

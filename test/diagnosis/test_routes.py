@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from streets import LAP_M, autoregression, drive, position_of, slope_at
+from streets import LAP_M, autoregression, drive, learned_by, position_of, slope_at
 
 import trackres_ros as tr
 from trackres_ros.diagnosis import load_base, read_recordings
@@ -226,7 +226,8 @@ def test_the_slopes_are_written_for_where_they_hold(diagnosed):
     (route,) = load_route(diagnosed / "surroundings.yaml", 1e5)
     one = drive(21, (1,), scatter_m=0.0)
     x, y = route.frame.metres(*position_of(one))
-    found = np.array([route.at(*at)[0] for at in zip(x[:-1], y[:-1], *unit(np.diff(x), np.diff(y)), strict=True)])
+    slope = learned_by(route)
+    found = np.array([slope(*at)[0] for at in zip(x[:-1], y[:-1], *unit(np.diff(x), np.diff(y)), strict=True)])
     known = np.isfinite(found) & (one.speed[:-1] > 2.0)
     assert known.mean() > 0.7
     assert np.abs(found - slope_at(one.way[:-1]))[known].mean() < 0.006
@@ -271,10 +272,10 @@ def test_soft_ground_is_described_confirmed_and_written_each_way(soft):
     (route,) = load_route(folder / "out" / "surroundings.yaml", 1e5)
     assert route.kind == TORQUE
     x, y = route.frame.metres(*position_of(drive(22, (1,), scatter_m=0.0)))
-    way = drive(22, (1,), scatter_m=0.0).way[:-1]
+    way, learned = drive(22, (1,), scatter_m=0.0).way[:-1], learned_by(route)
     for sign in (1.0, -1.0):
         headings = (sign * part for part in unit(np.diff(x), np.diff(y)))
-        at = [route.at(*place) for place in zip(x[:-1], y[:-1], *headings, strict=True)]
+        at = [learned(*place) for place in zip(x[:-1], y[:-1], *headings, strict=True)]
         value, std = np.array(at).T
         on_it, off = (way > 650.0) & (way < 950.0), (way > 1150.0) | (way < 500.0)
         assert np.nanmedian(value[on_it]) - np.nanmedian(value[off]) == pytest.approx(2500.0, rel=0.25)

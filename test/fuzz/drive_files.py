@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -152,18 +153,25 @@ def _write_mat(drive: Drive, path: Path) -> None:
     savemat(path, {"run": parts}, do_compression=True)
 
 
-def _write_mat_73(drive: Drive, path: Path) -> None:
+@contextmanager
+def mat_73(path: Path) -> Iterator[Any]:
+    """An HDF5 file to be filled, with the header of MATLAB."""
     import h5py
 
     with h5py.File(path, "w", userblock_size=512) as file:
+        yield file
+    with path.open("r+b") as header:
+        header.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+
+def _write_mat_73(drive: Drive, path: Path) -> None:
+    with mat_73(path) as file:
         for name, (seconds, values, _) in drive.channels.items():
             for part, numbers in (("t", seconds), (name, values)):
                 data = file.create_dataset(
                     f"run/{name}/{part}", data=numbers[None, :], chunks=(1, min(len(numbers), 1024)), compression=4
                 )
                 data.attrs["MATLAB_class"] = np.bytes_("double")
-    with path.open("r+b") as file:
-        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
 
 
 def _write_xlsx(drive: Drive, path: Path) -> None:

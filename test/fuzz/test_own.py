@@ -18,27 +18,18 @@ pytest.importorskip("pyarrow")
 
 from fleet_rows import REPORT, row
 from mutator import mutations
+from user_files import OTHERS
 
 from trackres_ros.errors import InputError
 from trackres_ros.files.jsons import parse_json
-from trackres_ros.files.resources import config_dir
 from trackres_ros.fleet.compare import compare, compare_text
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.periods import DIAGNOSES, INPUTS, verdicts
 from trackres_ros.fleet.run import limits_of
 from trackres_ros.fleet.trends import sentences, trends
-from trackres_ros.fleet.vehicles import read_fleet
-from trackres_ros.offline.profile import read_profile
-from trackres_ros.route.table import read_route
-from trackres_ros.vehicle.loading import read_rubber_sweep
 
 MUTATIONS = int(os.environ.get("OWN_MUTATIONS", "40"))  # more of them by hand
 DAMAGED = [b"", b"\0" * 100, b"[" * 100_000, b"{" * 100_000, b"null", b"1e999", b"9" * 5000, b"PAR1PAR1", b"\xff\xfe\x00"]
-ROUTE = "latitude_deg,longitude_deg,course_deg,slope,std,passes\n" + "".join(
-    f"{47.0 + 1e-4 * i:.7f},8.0000000,0.0,0.01,0.002,3\n" for i in range(20)
-)
-FLEET = "vehicles: {truck-01: {file: xgd24d, limits: {bearing_friction: 0.012}, recordings: ['*01*']}}\n"
-PROFILE = "time_s,speed_kmh,weight_n,ambient_degc\n" + "".join(f"{i},{min(i, 30)},240000,15\n" for i in range(60))
 
 
 @pytest.fixture
@@ -78,15 +69,6 @@ KINDS: dict[str, tuple[str, Callable[[Path], object]]] = {
 }
 
 
-FILES: dict[str, tuple[str, bytes, Callable[[Path], object]]] = {
-    "route": ("route.csv", ROUTE.encode(), read_route),
-    "rubber": ("rubber.csv", (config_dir() / "rubber" / "nr_sbr_10hz.csv").read_bytes(), read_rubber_sweep),
-    "fleet": ("fleet.yaml", FLEET.encode(), read_fleet),
-    "profile": ("profile.csv", PROFILE.encode(), read_profile),
-}
-"""What reads it, and one that is right; vehicle files and the like are in test_yaml, DMA sweeps in test/compound."""
-
-
 def taken(read: Callable[[Path], object], folder: Path) -> str:
     try:
         read(folder)
@@ -113,12 +95,12 @@ def test_a_damaged_file_of_ours_ends_in_one_line(results, kind):
     assert spoil(results, kind, MUTATIONS) <= {"read", "refused"}
 
 
-@pytest.mark.parametrize("kind", FILES)
+@pytest.mark.parametrize("kind", OTHERS)
 def test_a_damaged_file_of_the_user_ends_in_one_line(tmp_path, kind):
-    name, right, read = FILES[kind]
-    path = tmp_path / name
+    read, right = OTHERS[kind]
+    path = tmp_path / "given.csv"
     outcomes = []
-    for damaged in [right, *DAMAGED, *mutations(right, 5 * MUTATIONS, seed=2)]:
+    for damaged in [right.encode(), *DAMAGED, *mutations(right.encode(), 5 * MUTATIONS, seed=2)]:
         path.write_bytes(damaged)
         outcomes.append(taken(read, path))
     assert outcomes[0] == "read"

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 import yaml
@@ -16,45 +14,17 @@ from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mutator import mutations
+from user_files import YAMLS
 
 from trackres_ros.cli.main import cli
-from trackres_ros.diagnosis import load_base
-from trackres_ros.effects.effect import VehicleKind
 from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir
 from trackres_ros.files.yamls import MOST_BYTES, MOST_DEPTH, MOST_NODES, parse_yaml, read_yaml
 from trackres_ros.node.parameters import make_parameters, read_parameters
-from trackres_ros.recording.bindings import Topics
-from trackres_ros.vehicle.surroundings import load_surroundings
 
 SPOILT_OF_EACH, MORE = 30, 150
 LONGEST_LINE = 3000  # characters
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-EFFECTS = "\neffects: {turning_scrub: {friction: 0.3}, still_air: {share: {value: 0.5, range: [0.4, 0.6]}}}\n"
-DISTURBANCE = """
-disturbance:
-  form: spells
-  level: {value: 300.0, unit: Nm, flag: F, range: [280.0, 320.0], reason: found by trackres diagnose}
-  rest: {value: -50.0, unit: Nm, flag: F, range: [-60.0, -40.0], reason: found by trackres diagnose}
-  mean_there: {value: 80.0, unit: s, flag: F, range: [50.0, 130.0], reason: found by trackres diagnose}
-  mean_away: {value: 160.0, unit: s, flag: F, range: [90.0, 280.0], reason: found by trackres diagnose}
-  noise: {value: 60.0, unit: Nm, flag: F, range: [50.0, 70.0], reason: found by trackres diagnose}
-"""
-SURROUNDINGS = "schema: 1\nvehicle: xgd24d\neffects: {grade: {grade: {value: 0.01, range: [0.0, 0.02]}}, rain: {factor: 3.0}}\n"
-ROS_PARAMETERS = (
-    "/**:\n  ros__parameters: {output_rate_hz: 20.0, vehicle: xgd24d, feedforward_parts: [wind]}\nother: {ros__parameters: {}}\n"
-)
-
-KINDS: dict[str, tuple[Callable[[Path], object], str]] = {
-    "track vehicle": (load_base, (config_dir() / "xgd24d.yaml").read_text() + EFFECTS + DISTURBANCE),
-    "road vehicle": (load_base, (config_dir() / "husky.yaml").read_text()),
-    "surroundings": (lambda path: load_surroundings(path, "xgd24d", 97920.0, VehicleKind()), SURROUNDINGS),
-    "topics": (Topics.load, (config_dir() / "topics" / "sample.yaml").read_text()),
-    "parameters": (read_parameters, (config_dir() / "trackres.yaml").read_text()),
-    "parameters as ROS has them": (read_parameters, ROS_PARAMETERS),
-}
-"""What reads it, and one that is right."""
 
 BOMB = (
     "[&a [x, x, x, x, x, x, x, x, x, x]"
@@ -70,13 +40,11 @@ NASTY = (
 )  # fmt: skip
 
 
-@pytest.fixture(params=KINDS)
+@pytest.fixture(params=YAMLS)
 def kind(request, tmp_path):
     """Reads a text as one kind of file: the result, or the refusal; anything else is raised."""
-    read, right = KINDS[request.param]
+    read, right = YAMLS[request.param]
     path = tmp_path / "given.yaml"
-    if "rubber" in right:
-        right = right.replace("rubber/nr_sbr", f"{config_dir()}/rubber/nr_sbr")
 
     def taken(content: bytes) -> object:
         path.write_bytes(content)

@@ -163,13 +163,6 @@ def test_a_torque_that_comes_late_is_of_an_earlier_time(tmp_path: Path) -> None:
         assert late.bindings["torque"].delay_s == 0.25
 
 
-@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
-def test_a_single_storage_file(tmp_path: Path, storage: str) -> None:
-    path = write(tmp_path / "bag", storage)
-    file = next(one for one in path.iterdir() if one.suffix in (".db3", ".mcap"))
-    assert by_blocks(open_source([file], TOPICS)) == by_blocks(open_source([path], TOPICS))
-
-
 @pytest.mark.parametrize("name", ["run%201", "what?", "a#1"])
 def test_a_database_is_read_by_any_name(tmp_path: Path, name: str) -> None:
     plain = write(tmp_path / "plain", count=20)
@@ -387,7 +380,7 @@ def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
     peaks = []
-    for count in (20_000, 120_000):  # both of many chunks, of which a reader holds a few
+    for count in (20_000, 60_000):  # both of many chunks, of which a reader holds a few
         path = tmp_path / f"{count}.mcap"
         write_outputs(path, count)
         source = open_source([path])
@@ -395,7 +388,7 @@ def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
         assert sum(map(len, source.blocks(512))) == count
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert peaks[1] < 1.3 * peaks[0], peaks
+    assert peaks[1] < 1.1 * peaks[0], peaks
 
 
 def write_outputs(path: Path, count: int, at_once: int = 256) -> None:

@@ -22,14 +22,6 @@ WHEN = datetime(2026, 11, 23, 10, tzinfo=UTC)
 ENDS = ("\n", "\r\n", "\r")
 
 
-@pytest.fixture(params=["pyarrow", "plain"])
-def reader(request, monkeypatch):
-    if request.param == "plain":
-        monkeypatch.setattr("trackres_ros.recording.readers.csv_table.CsvTable._fast_chunks", lambda *_: iter(()))
-    else:
-        pytest.importorskip("pyarrow")
-
-
 def written(folder: Path, text: str, name: str = "run.csv") -> Path:
     path = folder / name
     path.write_bytes(text.encode())

@@ -17,7 +17,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-from drive_files import DBC, KINDS, TOPICS, Drive, write
+from drive_files import DBC, KINDS, TOPICS, Drive, mat_73, write
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -28,7 +28,6 @@ from trackres_ros.recording.can_signals import is_unavailable
 from trackres_ros.recording.channel_file import Channel, ChannelFile
 from trackres_ros.recording.channel_source import _in_order
 from trackres_ros.recording.choosing import COLUMNS, TIME_S, choose
-from trackres_ros.recording.guess import guess_channels
 from trackres_ros.recording.opening import open_source, shipped_kinds, suffixes
 from trackres_ros.recording.recording import Recording, topics_in_use
 from trackres_ros.recording.role_units import UNITS, conversion
@@ -149,18 +148,6 @@ def test_an_unused_line_is_noted_and_changes_nothing(files, kind, kept):
         np.testing.assert_array_equal(found[name], wanted[name], err_msg=name)
     read = tr.read(path, topics=strange)
     assert topics_in_use([read, tr.read(path)] if kind == "known names" else [read]).bindings == used
-
-
-def test_the_topics_file_wins_over_the_unit_of_the_file(files):
-    path, _ = files["MF4"]
-    by_file = tr.read(path, topics={"speed": {"channel": "VehicleSpeed"}})
-    assert "speed: VehicleSpeed is in km/h according to the file" in by_file.notes
-    by_topics = tr.read(path, topics={"speed": {"channel": "VehicleSpeed", "unit": "m/s"}})
-    assert any("the topics file uses another conversion" in note for note in by_topics.notes)
-    by_scale = tr.read(path, topics={"speed": {"channel": "VehicleSpeed", "scale": 0.5}})
-    assert any("the topics file uses another conversion" in note for note in by_scale.notes)
-    speeds = [one.series["speed"].value[0] for one in (by_file, by_topics, by_scale)]
-    assert speeds == pytest.approx([10.0 / 3.6, 10.0, 5.0])
 
 
 class _Channels(ChannelFile):
@@ -465,13 +452,6 @@ def test_guessed_lines_are_a_topics_file(files, good, tmp_path):
     assert "speed: {channel: VehicleSpeed, unit: km/h}  # guessed" in done
 
 
-def test_the_vehicles_speed_is_preferred_to_its_parts_speeds():
-    named = [("AxleSpeed", "km/h"), ("WheelBasedVehicleSpeed", "km/h"), ("WheelSpeedFL", "km/h"), ("VehicleSpd", "rpm")]
-    bindings, others, _ = guess_channels([Channel(*one) for one in named], ())
-    assert bindings["speed"].column == "WheelBasedVehicleSpeed"
-    assert others["speed"] == ["AxleSpeed"]
-
-
 def test_without_a_unit_nothing_is_guessed(files):
     with pytest.raises(InputError, match=r"speed: \{channel: NAME, unit: km/h\}"):
         open_source([files["MATLAB 5"][0]])
@@ -496,17 +476,14 @@ def test_a_replay_as_mdf_holds_what_parquet_does(files, tmp_path):
 
 def _saved(path, version, content):
     """A MATLAB file of a struct `run` and its notation of matrices."""
-    import h5py
     from scipy.io import savemat
 
     if version == 5:
         savemat(path, {"run": content})
         return path
-    with h5py.File(path, "w", userblock_size=512) as file:
+    with mat_73(path) as file:
         for name, value in content.items():
             file[f"run/{name}"] = np.atleast_2d(np.asarray(value)).T
-    with path.open("r+b") as file:
-        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
     return path
 
 

@@ -14,7 +14,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import trackres_ros as tr
-from trackres_ros.errors import InputError
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.guess import guess
@@ -90,31 +89,6 @@ def test_a_fix_is_in_degrees() -> None:
     assert topics["longitude"].scale == pytest.approx(np.pi / 180.0)
     assert topics["altitude"].scale == 1.0
     assert any(note.startswith("latitude: guessed from /gps") and "in degrees" in note for note in notes)
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ({"speed": {"column": "a", "unit": "deg"}}, ["speed: unit", "deg", "m/s, km/h, mph"]),
-        ({"latitude": {"column": "a", "unit": "gon"}}, ["latitude: unit", "gon", "rad, deg"]),
-        ({"load": {"column": "a", "kg_each": 70}}, ["kg_each only for passengers"]),
-        ({"passengers": {"column": "a", "kg_each": 0}}, ["passengers: kg_each", "1"]),
-        ({"brake": {"column": "a", "threshold": -1}}, ["brake: threshold", "a positive number"]),
-        ({"time": {"topic": "/clock"}}, ["time", "column, and if need be unit, scale"]),
-        ({"time": {"column": "a", "scale": -1}}, ["time: scale", "positive"]),
-        ({"position": {"topic": "/gps"}, "latitude": {"column": "a"}}, ["position and latitude", "either"]),
-        ({"position": {"column": "a"}}, ["position", "column", "latitude and longitude"]),
-        ({"position": {"topic": "/gps", "scale": 2.0}}, ["position", "scale"]),
-        ({"position": "/gps"}, ["position", "/gps", "topic: /fix"]),
-        ({"position": {"type": FIX}}, ["position", "no topic"]),
-        ({"positon": {"topic": "/gps"}}, ["positon", "position"]),
-    ],
-)
-def test_a_line_that_cannot_be_is_refused(text: dict[str, object], says: list[str]) -> None:
-    with pytest.raises(InputError) as refused:
-        Topics.parse(text)
-    for part in says:
-        assert part in str(refused.value)
 
 
 def test_a_brake_is_on_from_its_threshold() -> None:

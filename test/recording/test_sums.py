@@ -23,6 +23,7 @@ from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.corrected_lines import corrected, line_of
 from trackres_ros.recording.role_units import UNITS, Conversion
+from trackres_ros.recording.sums import Sum
 
 pytest.importorskip("rosbags")
 
@@ -96,6 +97,14 @@ def test_fields_of_one_message_belong_together(tmp_path):
     assert found.series["torque"].value.tolist() == [20.0 + i for i in range(1, 9) if i % 3]
     assert any(one.kind == "part" and one.count == 2 for one in found.findings)
     assert live(Topics.parse(topics), sides) == [(START + i * MS, 20.0 + i) for i in range(1, 9) if i % 3]
+
+
+def test_no_part_is_added_twice_in_messages_of_one_time():
+    """As where the log has the time of a simulation, and one of two publishers leaves out a field."""
+    one = Sum("torque", Topics.parse({"torque": {"sum": [{**LEFT, "field": "effort[l]"}, LEFT]}})["torque"])
+    found = [one.add(part, START, START, value) for part, value in ((0, 1.0), (0, 2.0), (1, 10.0))]
+    assert found == [[], [], [(START, 12.0)]]
+    assert one.alone == 1
 
 
 STEPS = st.lists(st.tuples(st.booleans(), st.integers(-20, 700), st.floats(-1e3, 1e3)), min_size=1, max_size=25)

@@ -32,9 +32,10 @@ def text_of(node):
 def texts_in(tree):
     """Texts of a module, without docstrings."""
     owners = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
-    skipped = {id(node.body[0].value) for node in ast.walk(tree) if isinstance(node, owners) and ast.get_docstring(node)}
-    skipped |= {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
-    return [text for node in ast.walk(tree) if id(node) not in skipped and (text := text_of(node))]
+    nodes = list(ast.walk(tree))
+    skipped = {id(node.body[0].value) for node in nodes if isinstance(node, owners) and ast.get_docstring(node, clean=False)}
+    skipped |= {id(part) for node in nodes if isinstance(node, ast.JoinedStr) for part in node.values}
+    return [text for node in nodes if id(node) not in skipped and (text := text_of(node))]
 
 
 @pytest.mark.parametrize(

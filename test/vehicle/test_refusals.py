@@ -53,27 +53,6 @@ def test_a_folder_is_no_vehicle(tmp_path):
         load(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (b"name: [1, 2", "line 1"),
-        (b"a: 1\na: 2\n", "one of the values would be lost"),
-        (b"- 1\n- 2\n", "mapping at the top"),
-        (b"", "mapping at the top"),
-        (b"name: \xff\xfe", "a YAML file"),
-        (b"? [1, 2]\n: 3\n", ""),
-        (b"a: !!python/object:os.system {}\n", "a YAML file"),
-    ],
-)
-def test_a_file_that_is_not_yaml(tmp_path, text, said):
-    path = tmp_path / "given.yaml"
-    path.write_bytes(text)
-    with pytest.raises(InputError) as caught:
-        load(path)
-    assert str(path) in caught.value.where
-    assert said in str(caught.value)
-
-
 # Keys and values
 
 
@@ -204,11 +183,6 @@ def test_an_axle_is_named_as_a_topics_file_can_name_it(refusal, loaded, content,
         assert refusal(content).where.endswith("chassis.axles[0].name")
     else:
         assert loaded(content).axles[0].name == name
-
-
-def test_a_number_that_yaml_reads_as_text_is_a_number(loaded, content):
-    put(content, "tracks.triangular.belt.cord_modulus.value", "1.2e11")
-    assert loaded(content).tracks["triangular"].belt.cord_modulus == 1.2e11
 
 
 # What only the whole can show

@@ -31,7 +31,8 @@ from trackres_ros.compound.columns import (
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.small_files import read_bytes
 from trackres_ros.text.numbers import figures
-from trackres_ros.vehicle.schema import SWEEP_DEGC, SWEEP_LOSS, SWEEP_STORAGE, SWEEP_TAN_DELTA, QuantityLimits
+from trackres_ros.vehicle.description import QuantityLimits
+from trackres_ros.vehicle.schema import SWEEP_DEGC, SWEEP_LOSS, SWEEP_STORAGE, SWEEP_TAN_DELTA
 
 Array = NDArray[np.float64]
 

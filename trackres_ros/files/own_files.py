@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads and writes the program's own files: none of them is trusted for its name alone.
+"""Reads files of bounded size, and writes the program's own: none of them is trusted for its name alone.
 
 A disk may fill up, power may fail, another program or user may write there. So only regular files of a bounded
 size are read, a new file replaces the old one in one step, and a seal over the content shows whether it is unchanged.

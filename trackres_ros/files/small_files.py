@@ -3,11 +3,10 @@
 
 """Reads small text files of the user: completely, or refuses them in one line; it never blocks."""
 
-import os
-import stat
 from pathlib import Path
 
 from trackres_ros.errors import InputError
+from trackres_ros.files import own_files
 
 
 def read_text(path: Path, what: str, most_bytes: int) -> str:
@@ -26,17 +25,9 @@ def read_text(path: Path, what: str, most_bytes: int) -> str:
 def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:
     """The bytes of a file; see `read_text`."""
     try:
-        # Without blocking: a pipe in place of a file would be waited for until someone writes.
-        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
-            mode = os.fstat(file.fileno()).st_mode
-            content = file.read(most_bytes + 1) if stat.S_ISREG(mode) else b""
-    except (OSError, ValueError) as error:  # ValueError: a path with a null byte
-        raise InputError(str(path), getattr(error, "strerror", None) or str(error), f"a readable {what}") from None
-    if not stat.S_ISREG(mode):
-        raise InputError(str(path), "a pipe" if stat.S_ISFIFO(mode) else "a device", f"a {what}")
-    if len(content) > most_bytes:
-        raise InputError(str(path), f"more than {most_bytes} bytes", f"a {what} of at most that size")
-    return content
+        return own_files.read(path, most_bytes)
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), f"a readable {what}") from None
 
 
 def is_there(path: Path) -> bool:

@@ -40,8 +40,8 @@ else:  # ten times slower
 class _Refused(yaml.MarkedYAMLError):
     """Valid YAML that is refused."""
 
-    def __init__(self, problem: str, node: Node) -> None:
-        super().__init__(problem=problem, problem_mark=node.start_mark)
+    def __init__(self, problem: str, at: Any) -> None:  # a node or an event
+        super().__init__(problem=problem, problem_mark=at.start_mark)
 
 
 class _Loader(Composer, _Events, SafeConstructor, Resolver):
@@ -83,7 +83,7 @@ class _Loader(Composer, _Events, SafeConstructor, Resolver):
 
     def _check_depth(self) -> None:
         if self._depth > MOST_DEPTH:
-            raise _Refused(f"more than {MOST_DEPTH} nested lists and mappings", _Here(self.peek_event()))
+            raise _Refused(f"more than {MOST_DEPTH} nested lists and mappings", self.peek_event())
 
     def _measure(self, node: CollectionNode, parts: list[Node]) -> None:
         size = 1 + sum(self._sizes[id(part)] for part in parts)
@@ -100,13 +100,6 @@ class _Loader(Composer, _Events, SafeConstructor, Resolver):
             if key in seen:
                 raise _Refused(f"given twice: {key_node.value} (one of the values would be lost)", key_node)
             seen.add(key)
-
-
-class _Here(Node):
-    """A place without a node."""
-
-    def __init__(self, event: Any) -> None:
-        super().__init__("", None, event.start_mark, event.end_mark)
 
 
 _Loader.add_implicit_resolver(  # YAML 1.1 reads 1.2e11, without the sign in the exponent, as text

@@ -15,8 +15,9 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import relative_std
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
+from trackres_ros.vehicle.description import QuantityLimits
 from trackres_ros.vehicle.road import SECTION
-from trackres_ros.vehicle.schema import BELT, CHASSIS, ROAD_LOAD, RUBBER, QuantityLimits
+from trackres_ros.vehicle.schema import BELT, CHASSIS, ROAD_LOAD, RUBBER
 from trackres_ros.vehicle.writing.vehicle_file import rubber_share
 
 # The filter's states: the departures of `estimator.columns`, then what is learned only so that it is not taken for them: offset

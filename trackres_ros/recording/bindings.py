@@ -66,9 +66,6 @@ class Topics:
     def __iter__(self) -> Iterator[str]:
         return iter(self.bindings)
 
-    def __contains__(self, role: object) -> bool:
-        return role in self.bindings
-
     def with_databases(self, files: Iterable[Path]) -> Topics:
         """The same with other databases, of whatever bus."""
         return replace(self, dbc=tuple((None, file) for file in files))
@@ -164,42 +161,35 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         if "sum" in line and key in NOT_OF_A_SUM:
             raise InputError(f"{where}: key", key, f"{key} in a part of the sum", f"write for example: {SUM_EXAMPLE}")
     parts = _parts(role, line["sum"], f"{where}: sum") if "sum" in line else ()
-    texts = dict.fromkeys(("topic", "type", "field", "column"), "") if parts else _source(line, where)
-    max_age_s = _number(line, "max_age_s", 0.0, where) if "max_age_s" in line else None
+    texts = {} if parts else _source(line, where)
     derivative = _yes(line, "derivative", where)
-    default = "deg" if role in POSITION and texts["type"] == IN_DEGREES else ""
+    default = "deg" if role in POSITION and texts.get("type") == IN_DEGREES else ""
     unit, by_unit = _unit(line, inside_unit(role, derivative), default, where)
     binding = TopicBinding(
-        topic=texts["topic"],
-        type=texts["type"],
-        field=texts["field"],
-        column=texts["column"],
+        **texts,
         scale=by_unit.scale * _number(line, "scale", 1.0, where),
         offset=by_unit.scale * _number(line, "offset", 0.0, where) + by_unit.offset,
-        stamp=_choice(line, "stamp", ("header", "log"), "", where),
-        max_age_s=max_age_s,
-        sensor=_choice(line, "sensor", ("surface", "mean"), "", where),
-        std_k=_number(line, "std_k", 0.0, where) if "std_k" in line else None,
+        stamp=_choice(line, "stamp", ("header", "log"), where),
+        max_age_s=_positive(line, "max_age_s", where),
+        sensor=_choice(line, "sensor", ("surface", "mean"), where),
+        std_k=_positive(line, "std_k", where),
         delay_s=checks.number(line.get("delay_s", 0.0), f"{where}: delay_s", 0.0, MOST_DELAY_S, "s"),
         unit=unit,
         converts=_converts(line),
         kg_each=checks.number(line["kg_each"], f"{where}: kg_each", 1.0, MOST_KG_EACH, "kg") if "kg_each" in line else None,
-        threshold=_number(line, "threshold", 0.0, where) if "threshold" in line else None,
+        threshold=_positive(line, "threshold", where),
         values=_values(line["values"], f"{where}: values") if "values" in line else (),
-        decimal=_choice(line, "decimal", (".", ","), "", where),
+        decimal=_choice(line, "decimal", (".", ","), where),
         derivative=derivative,
         parts=parts,
     )
     if binding.scale == 0.0:
         raise InputError(f"{where}: scale", 0.0, "a finite number that is not 0")
-    for key, number in (("max_age_s", max_age_s), ("std_k", binding.std_k), ("threshold", binding.threshold)):
-        if number is not None and number <= 0.0:
-            raise InputError(f"{where}: {key}", number, "a positive number")
     return binding
 
 
-def _source(line: Mapping[object, object], where: str) -> dict[str, str]:
-    """The topic, type and field of a line, or its column."""
+def _source(line: Mapping[object, object], where: str) -> dict[str, Any]:
+    """The topic, type and field of a line, or its column; texts."""
     texts = {key: _text(line, key, where) for key in ("topic", "type", "field", "column")}
     if texts["column"]:
         return texts
@@ -267,8 +257,8 @@ def _time(line: object, where: str) -> TopicBinding:
         scale=scale,
         offset=by_unit * _number(line, "offset", 0.0, where),
         converts=_converts(line),
-        decimal=_choice(line, "decimal", (".", ","), "", where),
-        order=_choice(line, "order", ("dmy", "mdy"), "", where),
+        decimal=_choice(line, "decimal", (".", ","), where),
+        order=_choice(line, "order", ("dmy", "mdy"), where),
     )
 
 
@@ -331,12 +321,21 @@ def _number(line: Mapping[object, object], key: str, default: float, where: str)
     return float(number)
 
 
+def _positive(line: Mapping[object, object], key: str, where: str) -> float | None:
+    if key not in line:
+        return None
+    number = _number(line, key, 0.0, where)
+    if number <= 0.0:
+        raise InputError(f"{where}: {key}", number, "a positive number")
+    return number
+
+
 def _values(given: object, where: str) -> tuple[float, ...]:
     if not isinstance(given, list) or not given:
         raise InputError(where, given, "a list of numbers: the modes in which the feed-forward is wanted", "for example: [1, 2]")
     return tuple(_number({"value": number}, "value", 0.0, where) for number in given)
 
 
-def _choice(line: Mapping[object, object], key: str, allowed: tuple[str, ...], default: str, where: str) -> Any:
-    """One of some texts, which a type lists too."""
-    return checks.one_of(line[key], f"{where}: {key}", allowed) if key in line else default
+def _choice(line: Mapping[object, object], key: str, allowed: tuple[str, ...], where: str) -> Any:
+    """One of some texts, which a type lists too; empty if it is not given."""
+    return checks.one_of(line[key], f"{where}: {key}", allowed) if key in line else ""

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +20,7 @@ from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import MOST_TIME_S, ChannelFile, ChannelRows, ChosenChannel
 from trackres_ros.recording.choosing import Choice, choose, listed_names
 from trackres_ros.recording.position_units import PositionUnits
-from trackres_ros.recording.reading import check_file, reading
+from trackres_ros.recording.reading import reading
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock
 from trackres_ros.recording.sums import Sums, readings_of
 from trackres_ros.recording.torque_candidates import note_of, of_columns
@@ -36,7 +36,7 @@ class ChannelSource:
     for time or speed, a missing or ambiguous channel, a unit that does not fit its role, ambiguous numbers or dates.
 
     `path`: the file; `topics`: channels of other names or units, by role; `read`: opens it, see `FileKind.read`; `kind`: kind of
-    the file, for messages; `checked`: whether its first bytes are checked.
+    the file, for messages.
     """
 
     zero_is_unset = False
@@ -47,13 +47,10 @@ class ChannelSource:
         topics: Topics | None,
         read: Callable[[Path, str, Topics | None], Sequence[ChannelFile]],
         kind: str,
-        checked: bool,
     ) -> None:
         self.name = one_line(str(path))
         self._path, self._kind = path, kind
         self.findings: tuple[Finding, ...] = ()
-        if checked:
-            check_file(path)
         given = topics
         topics = self.topics = given and given.used(of_topics=False)
         with self._reading():
@@ -61,10 +58,10 @@ class ChannelSource:
         self._file, choice, others = _first_that_fits(files, topics)
         self._time, channels = choice.time, sorted(choice.channels, key=lambda one: one.role == "speed")
         self.roles = tuple(dict.fromkeys(one.role for one in channels))
-        of_role = [[one for one in channels if one.role == role] for role in self.roles]
+        of_role = {role: [one for one in channels if one.role == role] for role in self.roles}
         self.bindings = {
             role: replace(topics[role], parts=tuple(one.binding for one in of)) if len(of) > 1 and topics else of[0].binding
-            for role, of in zip(self.roles, of_role, strict=True)
+            for role, of in of_role.items()
         }
         self._bind_parts(of_role)
         used = {one.place for one in (*channels, *([self._time] if self._time else []))}
@@ -73,7 +70,7 @@ class ChannelSource:
         with self._reading():
             self._file.settle(self._time, list(itertools.chain(*self._columns)))
             self.torque_candidates = tuple(one for place, one in ignored if one in like and self._file.is_number(place))
-        said = [self._note_of(of) for of in of_role if of[0].role not in choice.guessed]
+        said = [self._note_of(of) for role, of in of_role.items() if role not in choice.guessed]
         unused = given.unused_notes(False, {line for one in files for line in one.uses}) if given else []
         notes = [*unused, *others, *self._file.notes, *choice.notes, *said, *self._sums().notes]
         if ignored:
@@ -82,26 +79,18 @@ class ChannelSource:
         self._notes = tuple(map(one_line, notes))
         self._position = PositionUnits(self.bindings)
 
-    def _bind_parts(self, of_role: Sequence[Sequence[ChosenChannel]]) -> None:
-        """Choose the readings: parts with the same times are added row by row, others are read singly and added as in `Sums`."""
-        groups = [{self._file.channels[one.place].group for one in of} for of in of_role]
-        apart = {role for role, found in zip(self.roles, groups, strict=True) if len(found) > 1}
-        in_groups = {
-            role: replace(self.bindings[role], parts=tuple(map(self._part, of)) if role in apart else ())
-            for role, of in zip(self.roles, of_role, strict=True)
-        }
-        self._readings = readings_of(self.roles, in_groups)
-        self._of_sums_apart = in_groups
-        self._columns = [
-            [of[one.part]] if one.part is not None else of
-            for one in self._readings
-            for of in [of_role[self.roles.index(one.role)]]
-        ]
-        self._alone = [0] * len(self._readings)
+    def _bind_parts(self, of_role: Mapping[str, Sequence[ChosenChannel]]) -> None:
+        """Choose the readings: parts with the same times are added row by row, others are read singly and added as in `Sums`.
 
-    def _part(self, one: ChosenChannel) -> TopicBinding:
-        """A part of a sum; its topic is the group, as `Sums` treats parts with the same times as one message."""
-        return replace(one.binding, topic=self._file.channels[one.place].group)
+        A part of these has the group as its topic, as `Sums` treats parts with the same times as one message.
+        """
+        self._of_sums_apart: dict[str, TopicBinding] = {}
+        for role, of in of_role.items():
+            parts = tuple(replace(one.binding, topic=self._file.channels[one.place].group) for one in of)
+            apart = len({part.topic for part in parts}) > 1
+            self._of_sums_apart[role] = replace(self.bindings[role], parts=parts if apart else ())
+        self._readings = readings_of(self.roles, self._of_sums_apart)
+        self._columns = [of_role[one.role] if one.part is None else [of_role[one.role][one.part]] for one in self._readings]
 
     def _note_of(self, columns: Sequence[ChosenChannel]) -> str:
         """Which column feeds a role, or which are added."""

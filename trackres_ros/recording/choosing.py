@@ -4,7 +4,7 @@
 """Chooses the channels of a file to read: those that the topics file names, those known by name, else those guessed."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -15,6 +15,7 @@ from trackres_ros.recording.channel_file import Channel, ChannelFile, ChosenChan
 from trackres_ros.recording.guess import guess_channels, note_of_parts, topics_line, words
 from trackres_ros.recording.role_units import UNITS, conversion, is_quantity
 from trackres_ros.recording.roles import POSITION, ROLES, base_role
+from trackres_ros.text.numbers import some_of
 
 TIME_S = "time_s"
 DATE_NAMES = ("time", "timestamp", "datetime")
@@ -98,7 +99,7 @@ class _Names:
         self._places: dict[str, list[int]] = {}
         for place, one in enumerate(file.channels):
             self._places.setdefault(one.name, []).append(place)
-        self.all = list(self._places)
+        self.first = {name: places[0] for name, places in self._places.items()}  # channel of each name, without a group
         for place, one in enumerate(file.channels):
             if one.group:
                 self._places.setdefault(f"{one.group}/{one.name}", []).append(place)
@@ -132,14 +133,6 @@ class _Names:
             raise InputError(where, binding.column, self.listed, nearest(binding.column, self._places))
         place = self._places[binding.column][0]
         return ChosenChannel(place, binding.column, role, _in_unit(self._file.channels[place], role, binding, origin, notes))
-
-    def known(self) -> Iterator[tuple[int, str]]:
-        """Place and name of the first channel of each name."""
-        return ((self._places[name][0], name) for name in self.all)
-
-    def place(self, name: str) -> int | None:
-        """Index of the first channel of a name."""
-        return self._places[name][0] if name in self._places else None
 
 
 def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> TopicBinding:
@@ -186,7 +179,7 @@ def _units_in_names(file: ChannelFile, topics: Topics, chosen: Sequence[ChosenCh
 def _known(file: ChannelFile, by_file: frozenset[str], names: _Names, notes: list[str]) -> list[ChosenChannel]:
     """The columns known by name, of roles that the topics file does not name."""
     columns: dict[str, ChosenChannel] = {}
-    for place, name in names.known():
+    for name, place in names.first.items():
         base, slash, part = (name.rpartition(".")[2] if file.has_times else name).partition("/")
         if base not in COLUMNS:
             continue
@@ -227,20 +220,19 @@ def _time(file: ChannelFile, topics: Topics | None, names: _Names, notes: list[s
     """The column of the time in a table."""
     if topics and topics.time:
         return names.chosen(TIME, topics.time, topics.origin, notes)
-    place = names.place(TIME_S)
-    if place is not None:
+    if TIME_S in names.first:
+        place = names.first[TIME_S]
         return ChosenChannel(place, TIME_S, TIME, _by_name(file.channels[place], TIME, "s", file.name, notes))
-    dated = [(place, name) for place, name in names.known() if name.lower() in DATE_NAMES]
+    dated = [name for name in names.first if name.lower() in DATE_NAMES]
     if len(dated) == 1:
-        place, name = dated[0]
-        chosen = names.chosen(TIME, TopicBinding(column=name), file.name, notes)
-        return replace(chosen, dates_only=not conversion(file.channels[place].unit or "?", "s"))
+        chosen = names.chosen(TIME, TopicBinding(column=dated[0]), file.name, notes)
+        return replace(chosen, dates_only=not conversion(file.channels[chosen.place].unit or "?", "s"))
     allowed = f"a column {TIME_S}, in seconds, or timestamp, of dates with times"
-    line = next(_time_lines(names.all), "time: {column: NAME, unit: ms}")
-    raise InputError(file.name, f"columns {listed_names(names.all)}", allowed, f"or give it in a topics file: {line}")
+    line = next(_time_lines(names.first), "time: {column: NAME, unit: ms}")
+    raise InputError(file.name, f"columns {listed_names(list(names.first))}", allowed, f"or give it in a topics file: {line}")
 
 
-def _time_lines(names: Sequence[str]) -> Iterator[str]:
+def _time_lines(names: Iterable[str]) -> Iterator[str]:
     """Lines of a topics file for columns named as a time in a unit, such as time_ms."""
     for name in names:
         first, *rest = words(name).split() or [""]
@@ -251,5 +243,4 @@ def _time_lines(names: Sequence[str]) -> Iterator[str]:
 
 def listed_names(names: Sequence[str]) -> str:
     """Names as far as anybody reads them."""
-    more = f" and {len(names) - NAMES_SHOWN} more" if len(names) > NAMES_SHOWN else ""
-    return ", ".join(names[:NAMES_SHOWN]) + more
+    return some_of(names, NAMES_SHOWN)

@@ -77,25 +77,28 @@ class DateTimes:
             raise InputError(where, given, "at least one date with a day above 12", remedy)
         self._order = next(iter(self._more))
 
-    def ns(self, text: str) -> int:
+    def ns(self, text: str, where: str = "") -> int:
         """Time since 1970 in UTC [ns]; digits below a nanosecond are cut off.
 
-        Raises ValueError for another notation than that of the first cell, or an invalid date or time.
+        Raises InputError with its place for another notation than that of the first cell, or an invalid date or time.
         """
-        match = self._pattern.fullmatch(text.strip())
-        if not match or match["mark"] != self._mark or bool(match["zone"]) is not self._has_zone:
-            raise ValueError(text)
-        if self._pattern is YEAR_FIRST:
-            month, day = match["month"], match["day"]
-        else:
-            month, day = (match["two"], match["one"]) if self._order == "dmy" else (match["one"], match["two"])
-        hour, minute, second = int(match["hour"]), int(match["minute"]), int(match["second"] or 0)
-        if hour > 23 or minute > 59 or second > 60:  # a leap second has the number 60
-            raise ValueError(text)
-        seconds = _day_s(match["year"], month, day) + 3600 * hour + 60 * minute + second - _zone_s(match["zone"])
-        if abs(seconds) > MOST_S:
-            raise ValueError(text)
-        return seconds * SECOND_NS + int((match["part"] or "0")[:9].ljust(9, "0"))
+        try:
+            match = self._pattern.fullmatch(text.strip())
+            if not match or match["mark"] != self._mark or bool(match["zone"]) is not self._has_zone:
+                raise ValueError(text)
+            if self._pattern is YEAR_FIRST:
+                month, day = match["month"], match["day"]
+            else:
+                month, day = (match["two"], match["one"]) if self._order == "dmy" else (match["one"], match["two"])
+            hour, minute, second = int(match["hour"]), int(match["minute"]), int(match["second"] or 0)
+            if hour > 23 or minute > 59 or second > 60:  # a leap second has the number 60
+                raise ValueError(text)
+            seconds = _day_s(match["year"], month, day) + 3600 * hour + 60 * minute + second - _zone_s(match["zone"])
+            if abs(seconds) > MOST_S:
+                raise ValueError(text)
+            return seconds * SECOND_NS + int((match["part"] or "0")[:9].ljust(9, "0"))
+        except ValueError:
+            raise InputError(where, text, f"an existing date and time, as in the other rows ({self.text})") from None
 
     @property
     def text(self) -> str:

@@ -12,6 +12,7 @@ from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import ChannelFile
 from trackres_ros.recording.channel_source import ChannelSource
+from trackres_ros.recording.reading import check_file
 from trackres_ros.recording.samples import BoundSource
 
 GROUP = "trackres_ros.readers"
@@ -54,13 +55,14 @@ class FileKind:
         for module, extra in self.needs:
             if find_spec(module) is None:
                 raise MissingExtraError(f"reading {self.name}", module, extra)
-        return ChannelSource(paths[0], topics, self.read, self.name, self.checked)
+        if self.checked:
+            check_file(paths[0])
+        return ChannelSource(paths[0], topics, self.read, self.name)
 
 
 @dataclass(frozen=True, slots=True)
 class BagKind:
     """Bags, of which several are read one after another."""
 
-    name: str
     suffixes: tuple[str, ...]
     source: Callable[[Sequence[Path], Topics | None], BoundSource]

@@ -109,8 +109,8 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
     for role, options in found.items():
         options.sort(key=lambda one: _doubts(role, one[0].topic, of_vehicle))
         binding, unit = options[0]
-        best = _doubts(role, binding.topic, of_vehicle)
-        if best.of_a_part:
+        if _is_part(role, binding.topic):
+            best = _doubts(role, binding.topic, of_vehicle)
             alike = [one for one, _ in options if _doubts(role, one.topic, of_vehicle)[:2] == best[:2]]
             notes.append(note_of_parts(role, alike))
             continue
@@ -183,16 +183,9 @@ def note_of_parts(role: str, parts: Sequence[TopicBinding]) -> str:
     )
 
 
-class _Doubts(NamedTuple):
-    """Key that sorts the topics for a role, the best one first."""
-
-    other_vehicle: bool
-    of_a_part: bool
-    not_preferred: bool
-
-
-def _doubts(role: str, topic: str, of_vehicle: str) -> _Doubts:
-    return _Doubts(not topic.startswith(of_vehicle), _is_part(role, topic), not _is_preferred(role, words(topic)))
+def _doubts(role: str, topic: str, of_vehicle: str) -> tuple[bool, bool, bool]:
+    """Key that sorts the topics for a role, the best one first: of another vehicle, of a part, not preferred."""
+    return not topic.startswith(of_vehicle), _is_part(role, topic), not _is_preferred(role, words(topic))
 
 
 def _rank(role: str, name: str) -> tuple[bool, bool, int, str]:

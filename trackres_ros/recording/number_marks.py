@@ -107,16 +107,15 @@ def is_number(text: str) -> bool:
     return False
 
 
-def number_of(text: str, mark: Mark) -> float | None:
-    """The number in a cell, None where it is empty. Raises ValueError if it is no number."""
-    text = text.strip()
-    if not text:
+def number_of(text: str, mark: Mark, where: str = "") -> float | None:
+    """The number in a cell, None where it is empty. Raises InputError with its place if it is no number."""
+    bare, other = text.strip(), COMMA if mark == POINT else POINT
+    if not bare:
         return None
-    if "_" in text:  # Python's own notation, not that of a table
-        raise ValueError(text)
-    other = COMMA if mark == POINT else POINT
-    if other in text:
-        if not GROUPED[mark].fullmatch(text):
+    try:
+        if "_" in bare or (other in bare and not GROUPED[mark].fullmatch(bare)):  # 1_0 is Python's notation, not that of a table
             raise ValueError(text)
-        text = text.replace(other, "")
-    return float(text if mark == POINT else text.replace(COMMA, POINT))
+        bare = bare.replace(other, "")
+        return float(bare if mark == POINT else bare.replace(COMMA, POINT))
+    except ValueError:
+        raise InputError(where, text, "a number, or an empty cell") from None

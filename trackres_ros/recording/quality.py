@@ -28,7 +28,7 @@ GRID_TOLERANCE = 1e-3
 """How far a step may be from a whole number of quanta [quanta]; float32 in km/h needs 1e-5."""
 
 
-def findings_of(role: str, samples: Series, start_ns: int, zero_is_unset: bool = True) -> list[Finding]:
+def findings_of(role: str, samples: Series, start_ns: int, zero_is_unset: bool) -> list[Finding]:
     """Find the defects of one role: kinds ``empty``, ``non_finite``, ``zero_stamp``, ``duplicate_stamp``, ``backward_stamp``,
     ``stamp_jump``, ``stamp_offset``, ``gap``, ``quantised``, ``stuck``, ``dropout``.
 

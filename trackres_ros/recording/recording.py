@@ -116,7 +116,11 @@ class Recording:
     @property
     def start_ns(self) -> int:
         """Stamp of time 0 [ns]: the earliest valid one of speed, or of the first role with samples."""
-        return _start_ns(self.series.__getitem__, self)
+        for role in sorted(self.series, key=lambda role: role != "speed"):
+            stamp_ns = self.series[role].stamp_ns
+            if stamp_ns.size:
+                return int(stamp_ns.min(where=stamp_ns != 0, initial=stamp_ns.max()) if self.zero_is_unset else stamp_ns.min())
+        return 0
 
     def time_s(self, role: str) -> FloatArray:
         """Return the stamps of a role from the start of the recording [s], shape (n,).
@@ -262,14 +266,6 @@ def _defects(series: Callable[[str], Series], source: Source) -> Iterator[Findin
             unset = source.zero_is_unset & (samples.stamp_ns == 0)
             samples = replace(samples, stamp_ns=np.where(unset, 0, samples.stamp_ns + bindings[role].delay_ns))
         yield from findings_of(role, samples, first_ns, source.zero_is_unset)
-
-
-def _start_ns(series: Callable[[str], Series], source: Source) -> int:
-    for role in sorted(source.roles, key=lambda role: role != "speed"):
-        stamp_ns = series(role).stamp_ns
-        if stamp_ns.size:
-            return int(stamp_ns.min(where=stamp_ns != 0, initial=stamp_ns.max()) if source.zero_is_unset else stamp_ns.min())
-    return 0
 
 
 def _measures(samples: Series) -> tuple[str, str, str, str]:

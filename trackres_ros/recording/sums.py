@@ -108,7 +108,7 @@ class Sum:
         default_s = APART_S if ROLES[base_role(role)].lively else SLOW_APART_S
         self._apart_s = binding.max_age_s or default_s
         self._apart_ns = round(self._apart_s * 1e9)
-        self._message: list[tuple[tuple[int, int], int, float]] = [((0, 0), 0, 0.0)] * len(topics)
+        self._message: list[tuple[tuple[int, int], tuple[int, ...], float]] = [((0, 0), (), 0.0)] * len(topics)  # parts so far
         self._waiting: deque[tuple[int, int, float]] = deque()  # clock, stamp and value of the first topic
         self._others: list[deque[tuple[int, float]]] = [deque() for _ in topics[1:]]
         self.alone = 0
@@ -129,13 +129,13 @@ class Sum:
         the arrival; `value`: scaled by its line of the topics file. Returns stamp [ns], and the sum in the unit of the role.
         """
         index = self._topic_of[part]
-        message, count, total = self._message[index]
-        if count and message != (stamp_ns, arrival_ns):
+        message, seen, total = self._message[index]
+        if seen and (message != (stamp_ns, arrival_ns) or part in seen):
             self.alone += 1
-            count, total = 0, 0.0
-        count, total = count + 1, total + value
-        whole = count == self._parts_of[index]
-        self._message[index] = ((stamp_ns, arrival_ns), 0 if whole else count, 0.0 if whole else total)
+            seen, total = (), 0.0
+        seen, total = (*seen, part), total + value
+        whole = len(seen) == self._parts_of[index]
+        self._message[index] = ((stamp_ns, arrival_ns), () if whole else seen, 0.0 if whole else total)
         if not whole:
             return []
         clock = stamp_ns or arrival_ns

@@ -12,13 +12,8 @@ from trackres_ros.recording.roles import base_role
 
 TORQUE_LIKE = re.compile(r"torque|moment|effort|couple|\bk?n ?m\b|tractive|traction force|zugkraft")
 """Words and units in the name of a column or topic that may hold a torque, or a force that is one by a radius."""
-FIELDS: Mapping[str, str] = {
-    "geometry_msgs/msg/WrenchStamped": "wrench.torque.y",
-    "geometry_msgs/msg/Wrench": "torque.y",
-    "sensor_msgs/msg/JointState": '"effort[NAME]"',
-    **dict.fromkeys(SCALARS, "data"),
-}
-"""Types of messages that may hold a torque, and the field; of plain numbers if the topic sounds like one."""
+TYPES = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench", "sensor_msgs/msg/JointState", *SCALARS)
+"""Types of messages that may hold a torque; plain numbers if the topic sounds like one."""
 
 
 def of_columns(names: Iterable[str]) -> list[str]:
@@ -31,7 +26,7 @@ def of_topics(types: Mapping[str, str]) -> list[str]:
     return [
         topic
         for topic, kind in sorted(types.items())
-        if kind in FIELDS and (_sounds_like_torque(topic) or kind not in SCALARS) and not NOT_MEASURED.search(words(topic))
+        if kind in TYPES and (_sounds_like_torque(topic) or kind not in SCALARS) and not NOT_MEASURED.search(words(topic))
     ]
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Learned values of a route's places, and their interpolation at a position."""
+"""Learned values of a route's places."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.route.follower import SLOPES, TORQUES
-from trackres_ros.route.lookup import NUMBER, PLACE_COLUMNS, POSE, STDS, VALUES, Array, Lookup, learned_at, lookup_of
+from trackres_ros.route.lookup import NUMBER, PLACE_COLUMNS, POSE, STDS, VALUES, Array, Lookup, lookup_of
 from trackres_ros.route.matching import Places
 from trackres_ros.route.track import Frame
 
@@ -60,16 +60,6 @@ class RouteMap:
         )
         table[:, NUMBER], table[:, VALUES], table[:, STDS] = np.arange(len(self)), self.value, self.std
         return table
-
-    def at(self, x: float, y: float, east: float, north: float) -> tuple[float, float]:
-        """Value and standard deviation for travel in a direction at a place [m], for a slope the rise along the travel;
-        nan where unknown.
-        """
-        return learned_at(*self._lookup, 0, x, y, east, north)
-
-    @cached_property
-    def _lookup(self) -> Lookup:
-        return lookup_of([self.table(self.frame)])
 
 
 def of_kind(route: Sequence[RouteMap], kind: str) -> RouteMap | None:

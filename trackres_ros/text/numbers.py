@@ -32,11 +32,11 @@ def decimals(value: float | None, places: int = 0, signed: bool = False) -> str:
     return f"{0.0:.{places}f}" if float(text) == 0.0 else text
 
 
-def on_scale(value: float, span: float, count: int = 3) -> str:
+def on_scale(value: float, span: float) -> str:
     """A number with the resolution relevant on a scale of a `span`: of 1.9e-7 on a scale from -1 to 1 that is ``0``."""
     if not (math.isfinite(value) and math.isfinite(span) and span > 0.0):
-        return figures(value, count)
-    step = 10.0 ** (_exponent(span) + 1 - count)
+        return figures(value)
+    step = 10.0 ** (_exponent(span) - 2)
     return figures(round(value / step) * step, MOST_FIGURES)
 
 
@@ -72,13 +72,11 @@ def some_of(names: Sequence[str], most: int = 8) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
-def rising(values: Sequence[float], most: int = 4) -> list[str]:
-    """Rising numbers, such as the edges of bins: each with the figures that tell it from its neighbours, and at most so many."""
+def rising(values: Sequence[float]) -> list[str]:
+    """Rising numbers, such as the edges of bins: each with the figures that tell it from its neighbours, at most four."""
     apart = [0.0, *(b - a for a, b in pairwise(values)), 0.0]
     nearest = [min((distance for distance in pair if distance > 0.0), default=0.0) for pair in pairwise(apart)]
-    return [
-        figures(round(v, 1 - _exponent(distance)) if distance else v, most) for v, distance in zip(values, nearest, strict=True)
-    ]
+    return [figures(round(v, 1 - _exponent(distance)) if distance else v, 4) for v, distance in zip(values, nearest, strict=True)]
 
 
 def _exponent(value: float) -> int:

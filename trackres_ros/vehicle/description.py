@@ -1,9 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Describes a vehicle: frozen, SI inside, temperatures in degC.
+"""Describes a vehicle: frozen, SI inside, temperatures in degC; each quantity with its unit and absolute limits.
 
-Made by `trackres_ros.vehicle.load`; every number in it passed the checks of `trackres_ros.vehicle.schema`.
+Made by `trackres_ros.vehicle.load`, which checks every number. The limits here bound any track vehicle; the `range` a file gives
+with each value is narrower and is that vehicle's.
 """
 
 from __future__ import annotations
@@ -11,13 +12,33 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 
 from trackres_ros.arrays import Array
 from trackres_ros.effects.effect import Active, VehicleKind
 from trackres_ros.route.learned import RouteMap
+
+
+class QuantityLimits(NamedTuple):
+    """Unit, absolute limits and meaning of a quantity."""
+
+    unit: str
+    low: float
+    high: float
+    meaning: str
+    optional: bool = False
+
+
+# Of a watched disturbance: that of blocks of `estimator.disturbance.BLOCK_S`.
+NOISE = QuantityLimits("Nm", 1e-3, 1e6, "standard deviation of 5 s means of the measured torque about the expected torque")
+
+
+def limits_of(part: type) -> dict[str, QuantityLimits]:
+    """The limits of the quantities of a part of a vehicle, by name."""
+    kinds = get_type_hints(part, include_extras=True)
+    return {name: one for name, kind in kinds.items() for one in get_args(kind)[1:] if isinstance(one, QuantityLimits)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,40 +65,40 @@ class Rubber:
     sweep_degc: Array
     storage_pa: Array
     loss_pa: Array
-    sweep_frequency: float
-    glass_transition: float
-    wlf_c1: float
-    wlf_c2: float
-    density: float
-    conductivity: float
-    heat_capacity: float
-    layer_stiffening: float
-    loss_modulus_scale: float
+    sweep_frequency: Annotated[float, QuantityLimits("Hz", 0.001, 1e4, "frequency of the temperature sweep in the rubber file")]
+    glass_transition: Annotated[float, QuantityLimits("degC", -130.0, 40.0, "Tg of the shift function")]
+    wlf_c1: Annotated[float, QuantityLimits("1", 1.0, 30.0, "C1 of the WLF shift about Tg + 50 K")]
+    wlf_c2: Annotated[float, QuantityLimits("K", 51.0, 300.0, "C2 of the WLF shift about Tg + 50 K")]
+    density: Annotated[float, QuantityLimits("kg/m^3", 700.0, 2500.0, "rubber density")]
+    conductivity: Annotated[float, QuantityLimits("W/m/K", 0.05, 2.0, "rubber heat conductivity")]
+    heat_capacity: Annotated[float, QuantityLimits("J/kg/K", 700.0, 3000.0, "rubber specific heat capacity")]
+    layer_stiffening: Annotated[float, QuantityLimits("1", 1.0, 3.0, "stiffness of the confined layer over that of the material")]
+    loss_modulus_scale: Annotated[float, QuantityLimits("1", 0.1, 10.0, "factor on the loss modulus of the file")]
 
 
 @dataclass(frozen=True, slots=True)
 class Belt:
-    """Belt section, loop and surroundings; see `schema.BELT` for the units."""
+    """Belt section, loop and surroundings."""
 
-    width: float
-    thickness: float
-    cord_height: float
-    loop_length: float
-    lug_section: float
-    tread_depth: float
-    tread_land_ratio: float
-    curvature_length: float
-    cord_section: float
-    cord_modulus: float
-    cord_density: float
-    cord_heat_capacity: float
-    pretension: float
-    tooth_height: float
-    sag_half_span: float
-    exposed_share: float
-    film_offset: float
-    film_slope: float
-    surface_share: float
+    width: Annotated[float, QuantityLimits("m", 0.02, 3.0, "belt width")]
+    thickness: Annotated[float, QuantityLimits("m", 0.003, 0.3, "belt thickness without tread bars and lugs")]
+    cord_height: Annotated[float, QuantityLimits("m", 0.0005, 0.2, "height of the cords above the inner face")]
+    loop_length: Annotated[float, QuantityLimits("m", 0.3, 60.0, "length of the belt loop")]
+    lug_section: Annotated[float, QuantityLimits("m^2", 0.0, 0.5, "section of lugs and tread bars, mean round the loop")]
+    tread_depth: Annotated[float, QuantityLimits("m", 0.0, 0.2, "height of the tread bars")]
+    tread_land_ratio: Annotated[float, QuantityLimits("1", 0.0, 1.0, "share of the outer face that tread bars cover")]
+    curvature_length: Annotated[float, QuantityLimits("m", 0.001, 1.0, "length over which the belt takes up its curvature")]
+    cord_section: Annotated[float, QuantityLimits("m^2", 1e-7, 0.1, "section of all cords")]
+    cord_modulus: Annotated[float, QuantityLimits("Pa", 1e8, 3e11, "tensile modulus of the cords")]
+    cord_density: Annotated[float, QuantityLimits("kg/m^3", 900.0, 9000.0, "cord density")]
+    cord_heat_capacity: Annotated[float, QuantityLimits("J/kg/K", 300.0, 2500.0, "cord specific heat capacity")]
+    pretension: Annotated[float, QuantityLimits("N", 0.0, 1e6, "belt tension from the spring")]
+    tooth_height: Annotated[float, QuantityLimits("m", 0.001, 0.5, "height of the drive teeth; the sag may be half of it")]
+    sag_half_span: Annotated[float, QuantityLimits("m", 0.01, 10.0, "half the free span that sags")]
+    exposed_share: Annotated[float, QuantityLimits("1", 0.05, 1.0, "cooled share of 2 (width + thickness) x loop length")]
+    film_offset: Annotated[float, QuantityLimits("W/m^2/K", 0.5, 500.0, "film coefficient at rest")]
+    film_slope: Annotated[float, QuantityLimits("W/m^2/K per speed_unit", 0.0, 50.0, "film coefficient gained per unit of speed")]
+    surface_share: Annotated[float, QuantityLimits("1", 0.01, 0.9, "share of heat capacity in the surface node")]
     film_speed_unit: str
 
 
@@ -85,10 +106,10 @@ class Belt:
 class RoadWheels:
     """Road wheels of one assembly; positions [m] from the front end of the ground run."""
 
-    radius: float
-    contact_length: float
-    positions: tuple[float, ...]
-    ground_run: float
+    radius: Annotated[float, QuantityLimits("m", 0.01, 2.0, "road-wheel radius")]
+    contact_length: Annotated[float, QuantityLimits("m", 0.01, 3.0, "axial length of the wheel's contact")]
+    positions: Annotated[tuple[float, ...], QuantityLimits("m", 0.0, 60.0, "positions from the front end of the ground run")]
+    ground_run: Annotated[float, QuantityLimits("m", 0.05, 60.0, "length of the ground run")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,16 +118,16 @@ class WrappedWheel:
 
     name: str
     kind: str
-    radius: float
-    wrap_angle: float
+    radius: Annotated[float, QuantityLimits("m", 0.01, 3.0, "radius of a wheel the belt wraps")]
+    wrap_angle: Annotated[float, QuantityLimits("rad", -3.2, 6.3, "wrap angle; negative where the belt is bent backwards")]
 
 
 @dataclass(frozen=True, slots=True)
 class Beam:
     """Balance beam: `split` of its load goes to the rear end. An end is a beam or the index of a road wheel."""
 
-    split: float
-    own_weight_split: float
+    split: Annotated[float, QuantityLimits("1", 0.0, 1.0, "share of the load on the beam's rear end")]
+    own_weight_split: Annotated[float, QuantityLimits("1", 0.0, 1.0, "the same for the assembly's own weight", optional=True)]
     front: Beam | int
     rear: Beam | int
 
@@ -124,8 +145,8 @@ class Track:
     """One kind of track assembly."""
 
     name: str
-    own_weight: float
-    sprocket_radius: float
+    own_weight: Annotated[float, QuantityLimits("N", 1.0, 1e6, "weight of one assembly")]
+    sprocket_radius: Annotated[float, QuantityLimits("m", 0.02, 3.0, "sprocket pitch radius")]
     belt: Belt
     road_wheels: RoadWheels
     wrapped_wheels: tuple[WrappedWheel, ...]
@@ -137,7 +158,7 @@ class Axle:
     """Axle [N]: the load it carries without the weight of its assemblies."""
 
     name: str
-    load: float
+    load: Annotated[float, QuantityLimits("N", 10.0, 1e7, "load of the axle, without its assemblies")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,42 +172,52 @@ class Assembly:
 
 @dataclass(frozen=True, slots=True)
 class Chassis:
-    """Quantities of the vehicle as a whole; see `schema.CHASSIS` for the units."""
+    """Quantities of the vehicle as a whole."""
 
-    bearing_friction: float
-    drag_coefficient: float
-    frontal_area: float
-    air_density: float
-    rotating_mass_factor: float
-    max_speed: float
-    max_acceleration: float
-    ambient: float
-    motor_ratio: float | None
-    motor_efficiency: float | None
+    bearing_friction: Annotated[float, QuantityLimits("1", 0.0, 0.2, "bearing friction coefficient")]
+    drag_coefficient: Annotated[float, QuantityLimits("1", 0.0, 3.0, "aerodynamic drag coefficient")]
+    frontal_area: Annotated[float, QuantityLimits("m^2", 0.0, 30.0, "frontal area")]
+    air_density: Annotated[float, QuantityLimits("kg/m^3", 0.3, 2.0, "air density")]
+    rotating_mass_factor: Annotated[float, QuantityLimits("1", 1.0, 3.0, "effective over true mass in acceleration")]
+    max_speed: Annotated[float, QuantityLimits("m/s", 0.5, 60.0, "maximum speed; faster measurements are rejected")]
+    max_acceleration: Annotated[
+        float,
+        QuantityLimits(
+            "m/s^2", 1.0, 50.0, "maximum acceleration and braking; speeds that change faster are rejected", optional=True
+        ),
+    ]
+    ambient: Annotated[float, QuantityLimits("degC", -60.0, 60.0, "ambient temperature used if none is given")]
+    motor_ratio: Annotated[float | None, QuantityLimits("1", 0.1, 500.0, "motor speed over sprocket speed", optional=True)]
+    motor_efficiency: Annotated[float | None, QuantityLimits("1", 0.3, 1.0, "efficiency from motor to sprocket", optional=True)]
 
 
 @dataclass(frozen=True, slots=True)
 class Spells:
-    """A torque that switches between two levels; see `schema.DISTURBANCES` for the units."""
+    """A torque that switches between two levels."""
 
     form: ClassVar[str] = "spells"
 
-    level: float
-    rest: float
-    mean_there: float
-    mean_away: float
-    noise: float
+    level: Annotated[
+        float, QuantityLimits("Nm", -1e6, 1e6, "torque against travel while it is present, above the expected torque")
+    ]
+    rest: Annotated[
+        float,
+        QuantityLimits("Nm", -1e6, 1e6, "torque against travel while it is absent; not 0 if the fitted values absorb its mean"),
+    ]
+    mean_there: Annotated[float, QuantityLimits("s", 10.0, 1e5, "mean length of a spell")]
+    mean_away: Annotated[float, QuantityLimits("s", 10.0, 1e6, "mean time between two")]
+    noise: Annotated[float, NOISE]
 
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """A torque that drifts about zero; see `schema.DISTURBANCES` for the units."""
+    """A torque that drifts about zero."""
 
     form: ClassVar[str] = "drift"
 
-    size: float
-    time_constant: float
-    noise: float
+    size: Annotated[float, QuantityLimits("Nm", 1e-3, 1e6, "standard deviation of the drifting torque")]
+    time_constant: Annotated[float, QuantityLimits("s", 10.0, 1e6, "time constant of the drift")]
+    noise: Annotated[float, NOISE]
 
 
 Disturbance = Spells | Drift

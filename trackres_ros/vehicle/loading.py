@@ -34,6 +34,7 @@ from trackres_ros.vehicle.description import (
     Beam,
     Belt,
     Chassis,
+    QuantityLimits,
     RoadWheels,
     Rubber,
     Track,
@@ -211,7 +212,7 @@ def _check_sweep(path: Path, table: np.ndarray, names: Sequence[str]) -> None:
     _within(path, f"storage modulus at {degc[-1]:g} degC", storage[-1:], schema.WARM_STORAGE, moduli)
 
 
-def _within(path: Path, what: str, values: np.ndarray, limits: schema.QuantityLimits, remedy: str) -> None:
+def _within(path: Path, what: str, values: np.ndarray, limits: QuantityLimits, remedy: str) -> None:
     if values.min() < limits.low or values.max() > limits.high:
         given = f"{figures(values.min(), 4)} to {figures(values.max(), 4)} {limits.unit}"
         raise InputError(f"{path}: {what}", given, f"{limits.low:g} to {limits.high:g} {limits.unit}", remedy)
@@ -267,8 +268,8 @@ def _refuse_repeats(reader: ValueReader, key: str, names: list[str]) -> None:
 def _track(reader: ValueReader, name: str, given: Any) -> Track:
     key = f"tracks.{name}"
     values = reader.table(given, key, schema.TRACK, others=("belt", "road_wheels", "wrapped_wheels", "beams"))
-    belt_values = reader.table(given["belt"], f"{key}.belt", schema.BELT, others=tuple(schema.BELT_CHOICES))
-    unit = reader.text(given["belt"]["film_speed_unit"], f"{key}.belt.film_speed_unit", schema.BELT_CHOICES["film_speed_unit"])
+    belt_values = reader.table(given["belt"], f"{key}.belt", schema.BELT, others=("film_speed_unit",))
+    unit = reader.text(given["belt"]["film_speed_unit"], f"{key}.belt.film_speed_unit", schema.FILM_SPEED_UNITS)
     wheels = reader.keys(given["road_wheels"], f"{key}.road_wheels", tuple(schema.ROAD_WHEELS))
     road_wheels = RoadWheels(
         positions=reader.quantities(wheels["positions"], f"{key}.road_wheels.positions", schema.ROAD_WHEELS["positions"]),

@@ -13,7 +13,7 @@ from typing import Any
 from trackres_ros import checks
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.vehicle import schema
-from trackres_ros.vehicle.description import Disturbance, Drift, Quantity, Spells
+from trackres_ros.vehicle.description import Disturbance, Drift, Quantity, QuantityLimits, Spells
 
 QUANTITY_KEYS = ("value", "unit", "flag", "range", "reason")
 FITTED = "F"
@@ -67,7 +67,7 @@ class ValueReader:
         return value
 
     def table(
-        self, mapping: Any, key: str, limits: Mapping[str, schema.QuantityLimits], others: tuple[str, ...] = ()
+        self, mapping: Any, key: str, limits: Mapping[str, QuantityLimits], others: tuple[str, ...] = ()
     ) -> dict[str, float]:
         """All quantities of a section, by name; optional ones may be absent."""
         required = tuple(name for name, limit in limits.items() if not limit.optional)
@@ -75,19 +75,19 @@ class ValueReader:
         self.keys(mapping, key, (*required, *others), optional)
         return {name: self.quantity(mapping[name], f"{key}.{name}", limit) for name, limit in limits.items() if name in mapping}
 
-    def quantity(self, given: Any, key: str, limits: schema.QuantityLimits) -> float:
+    def quantity(self, given: Any, key: str, limits: QuantityLimits) -> float:
         """One checked scalar quantity."""
         value = self._quantity(given, key, limits).value
         if isinstance(value, tuple):
             raise InputError(self.where(f"{key}.value"), list(value), "one number")
         return value
 
-    def quantities(self, given: Any, key: str, limits: schema.QuantityLimits) -> tuple[float, ...]:
+    def quantities(self, given: Any, key: str, limits: QuantityLimits) -> tuple[float, ...]:
         """A checked list of quantities that share unit, range and reason."""
         value = self._quantity(given, key, limits).value
         return value if isinstance(value, tuple) else (value,)
 
-    def _quantity(self, given: Any, key: str, limits: schema.QuantityLimits) -> Quantity:
+    def _quantity(self, given: Any, key: str, limits: QuantityLimits) -> Quantity:
         entry = self.keys(given, key, QUANTITY_KEYS)
         if entry["unit"] != limits.unit:
             raise InputError(self.where(f"{key}.unit"), entry["unit"], f"{limits.unit}", "convert the value to this unit")

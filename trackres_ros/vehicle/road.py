@@ -184,7 +184,7 @@ def build_road(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
     InputError
         On a missing, unknown or implausible value.
     """
-    reader = ValueReader(path, None)
+    reader = ValueReader(path)
     reader.keys(content, "", ("schema", "name", "title", "friction_brakes", SECTION), (*EFFECT_KEYS, DISTURBANCE))
     if content["schema"] != 1:
         raise InputError(reader.where("schema"), content["schema"], "1")

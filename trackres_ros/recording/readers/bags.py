@@ -7,4 +7,4 @@ from trackres_ros.recording.file_kind import BagKind
 from trackres_ros.recording.rosbag import BagSource
 from trackres_ros.recording.unfinished import SUFFIX as UNFINISHED
 
-KINDS = (BagKind("a bag", (".mcap", ".db3", ".bag", UNFINISHED), BagSource),)
+KINDS = (BagKind((".mcap", ".db3", ".bag", UNFINISHED), BagSource),)

@@ -52,8 +52,6 @@ class CsvTable(TableFile):
     def __init__(self, path: Path, name: str) -> None:
         self.name, self._path = name, path
         self._encoding, self._separator = "utf-8", ","
-        self.notes: tuple[str, ...] = ()
-        self.findings: tuple[Finding, ...] = ()
         self.names = self._header()
         self.channels = [Channel(name) for name in self.names]
 
@@ -244,14 +242,10 @@ class CsvTable(TableFile):
             raise InputError(where, f"{len(row)} cells", f"{len(self.names)} cells, as in the header", remedy)
         numbers: list[float | int | None] = []
         for place, mark in zip(self._places, self._marks, strict=True):
-            dates = self._dates if not numbers else None
-            try:
-                text = row[place]
-                numbers.append(number_of(text, mark) if dates is None else dates.ns(text) if text.strip() else None)
-            except ValueError:
-                of_dates = f"an existing date and time, as in the other rows ({dates.text})" if dates else ""
-                allowed = of_dates or "a number, or an empty cell"
-                raise InputError(where, row[place], allowed) from None
+            if numbers or not self._dates:
+                numbers.append(number_of(row[place], mark, where))
+            else:
+                numbers.append(self._dates.ns(row[place], where) if row[place].strip() else None)
         return numbers
 
     def _look_at_lines(self, met: _Met) -> Iterator[Finding]:

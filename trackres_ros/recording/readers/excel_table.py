@@ -23,7 +23,6 @@ from trackres_ros.recording.date_times import MOST_S, NO_ZONE, DateTimes, is_dat
 from trackres_ros.recording.file_kind import FileKind
 from trackres_ros.recording.number_marks import COMMA, Mark, decide, is_number, marks_of, number_of
 from trackres_ros.recording.role_units import is_quantity
-from trackres_ros.recording.samples import Finding
 from trackres_ros.units import SECOND_NS
 
 if TYPE_CHECKING:
@@ -62,8 +61,6 @@ class ExcelTable(TableFile):
     def __init__(self, path: Path, name: str, sheet: str, header_row: int, channels: Sequence[Channel]) -> None:
         self._path, self._sheet, self._header_row = path, sheet, header_row
         self.name, self.channels = f"{name}: sheet {one_line(sheet)}", channels
-        self.notes: tuple[str, ...] = ()
-        self.findings: tuple[Finding, ...] = ()
 
     def is_number(self, place: int) -> bool:
         """Whether the first filled cell of a column holds a number."""
@@ -96,7 +93,9 @@ class ExcelTable(TableFile):
             dates = DateTimes(str(first), time.binding.order)
             dates.see(str(value) for value in values)
             dates.decide(f"{self.name}: {time.name}")
-            stamps = [self._text_stamp(value, dates, number) for value, number in zip(cells[0], self._numbers, strict=True)]
+            places = (f"{self.name}: row {row}, {time.name}" for row in self._numbers)
+            texts = zip(cells[0], places, strict=True)
+            stamps = [None if value is None else dates.ns(str(value), place) for value, place in texts]
             notes.append(time_note(time.name, dates.text))
         dated = in_text or isinstance(first, datetime)
         marks = marks_of((column.name, column.binding.decimal) for column in self._columns[dated:])
@@ -139,12 +138,7 @@ class ExcelTable(TableFile):
     def _number(self, value: Any, mark: Mark, row: int, column: str) -> float | None:
         if value is None or isinstance(value, int | float):
             return None if value is None else float(value)
-        try:
-            if isinstance(value, str):
-                return number_of(value, mark)
-        except ValueError:
-            pass
-        raise InputError(f"{self.name}: row {row}, {column}", str(value), "a number, or an empty cell")
+        return number_of(str(value), mark, f"{self.name}: row {row}, {column}")
 
     def _stamp(self, value: Any, row: int) -> int | None:
         if value is None:
@@ -156,13 +150,6 @@ class ExcelTable(TableFile):
                 return seconds * SECOND_NS + since.microseconds * 1000
         where = f"{self.name}: row {row}, {self._columns[0].name}"
         raise InputError(where, str(value), "a date with a time, as in the rows before")
-
-    def _text_stamp(self, value: Any, dates: DateTimes, row: int) -> int | None:
-        try:
-            return None if value is None else dates.ns(str(value))
-        except ValueError:
-            where = f"{self.name}: row {row}, {self._columns[0].name}"
-            raise InputError(where, str(value), f"an existing date and time, as in the other rows ({dates.text})") from None
 
 
 @contextmanager

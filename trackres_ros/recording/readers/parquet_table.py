@@ -30,8 +30,6 @@ class ParquetTable(TableFile):
 
     def __init__(self, path: Path, name: str) -> None:
         self.name, self._path = name, path
-        self.notes: tuple[str, ...] = ()
-        self.findings: tuple[Finding, ...] = ()
         with self._file() as file:
             self.channels = [Channel(name) for name in file.schema_arrow.names]
 

@@ -23,9 +23,10 @@ from trackres_ros.route.learned import RouteMap
 from trackres_ros.route.table import write_route
 from trackres_ros.vehicle import Quantity, RoadVehicle, Vehicle
 from trackres_ros.vehicle.belt_bulk import heat_capacity
+from trackres_ros.vehicle.description import QuantityLimits
 from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.road import SECTION
-from trackres_ros.vehicle.schema import BELT, CHASSIS, DISTURBANCES, ROAD_LOAD, RUBBER, QuantityLimits
+from trackres_ros.vehicle.schema import BELT, CHASSIS, DISTURBANCES, ROAD_LOAD, RUBBER
 from trackres_ros.vehicle.surroundings import SCHEMA
 from trackres_ros.vehicle.writing.changes import DIAGNOSE, FileChanges, LearnedDisturbance
 from trackres_ros.vehicle.writing.yaml_edit import Document, flow
