@@ -33,7 +33,7 @@ class LearningColumns:
     """
 
     def __init__(self, learner: Learner) -> None:
-        self._learner, self._ranges = learner, ranges_of(learner)
+        self._learner = learner
         self._values: list[float] = []
         self._second = -2
         self.names = column_names(learner.learnables)
@@ -52,7 +52,7 @@ class LearningColumns:
 
     def lines(self, row: Sequence[float]) -> list[Line]:
         """The lines of a row that ends in the columns of the learner."""
-        return lines(self._learner.learnables, self._ranges, row[len(row) - len(self.names) + 1 :])
+        return lines(self._learner, row[len(row) - len(self.names) + 1 :])
 
 
 def column_names(learnables: Sequence[Learnable]) -> tuple[str, ...]:
@@ -83,19 +83,20 @@ def shown(learner: Learner) -> list[float]:
     return found
 
 
-def lines(learnables: Sequence[Learnable], ranges: Sequence[tuple[float, float]], values: Sequence[float]) -> list[Line]:
+def lines(learner: Learner, values: Sequence[float]) -> list[Line]:
     """Name, message and values of a status for each learned parameter, from its columns without the torque."""
     coverage, acts = values[:2]
+    least, most = [*learner.prior.low.tolist(), EARLIEST_S], [*learner.prior.high.tolist(), LATEST_S]
     found: list[Line] = []
-    for i, (one, (low, high)) in enumerate(zip(learnables, ranges, strict=True)):
+    for i, one in enumerate(learner.learnables):
         value, std, state = values[2 + 3 * i : 5 + 3 * i]
         known = (
             ("value", f"{value:.6g}"),
             ("std", figures(std)),
             ("unit", one.unit),
             ("nominal", f"{one.nominal:.6g}"),
-            ("low", f"{low:.6g}"),
-            ("high", f"{high:.6g}"),
+            ("low", f"{one.value(least[one.state]):.6g}"),
+            ("high", f"{one.value(most[one.state]):.6g}"),
             ("coverage", f"{coverage:.3f}"),
             ("state", STATES_OF[int(state)]),
             ("acts", str(bool(acts) and int(state) != LEARNING and one.state in VEHICLES_OWN).lower()),
@@ -103,9 +104,3 @@ def lines(learnables: Sequence[Learnable], ranges: Sequence[tuple[float, float]]
         unit = f" {one.unit}" if one.unit != "1" else ""
         found.append((one.name, f"{one.meaning}: {figures(value, 4)} +- {figures(std, 2)}{unit}, {STATES_OF[int(state)]}", known))
     return found
-
-
-def ranges_of(learner: Learner) -> list[tuple[float, float]]:
-    """The least and the greatest value that each may take, in its unit."""
-    low, high = [*learner.prior.low.tolist(), EARLIEST_S], [*learner.prior.high.tolist(), LATEST_S]
-    return [(one.value(low[one.state]), one.value(high[one.state])) for one in learner.learnables]

@@ -14,19 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.estimate import Estimate, Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.columns import LearningColumns
 from trackres_ros.output.mcap import BagTopic, BagWriter
-from trackres_ros.output.topics import (
-    BASE_FRAME,
-    DEFAULT_NODE,
-    PARAMETERS_TOPIC,
-    OutputTopic,
-    output_topics,
-    status_of,
-    values_of,
-)
+from trackres_ros.output.topics import BASE_FRAME, DEFAULT_NODE, PARAMETERS_TOPIC, OutputTopic, output_topics, values_of
 from trackres_ros.units import SECOND_NS
 
 if TYPE_CHECKING:
@@ -87,7 +79,8 @@ class OutputBag:
         reasons = steps.rows[:, at.Results.reasons].astype(np.int64)
         before = np.concatenate([[-1 if self._last_reasons is None else self._last_reasons], reasons[:-1]])
         for i in self._due(steps.arrival_ns, reasons != before):
-            level, text = status_of(at.Reason(int(reasons[i])))
+            estimate = Estimate(steps.rows[i], self._estimator.column_index)
+            level, text = int(estimate.status == "warn"), "; ".join(estimate.reason_texts()) or "ok"
             message = self._diagnostics([(level, "estimate", text, ())])
             self.writer.write(topic, message, int(steps.stamp_ns[i]), int(steps.arrival_ns[i]))
         if len(reasons):
