@@ -23,20 +23,12 @@ TEXTS = ("the vehicle file is used", "the learned parameters fit better than the
 
 
 class LearningColumns:
-    """The columns of a learner, after those of the estimate, and the lines of a status out of them.
-
-    Attributes
-    ----------
-    names
-        Learned resistance [Nm], whether it acts or not; share of the required driving; whether learned values are used, or would
-        be; and value, standard deviation and state of each learned parameter.
-    """
+    """The columns of a learner, after those of the estimate, by the names of `column_names`."""
 
     def __init__(self, learner: Learner) -> None:
         self._learner = learner
         self._values: list[float] = []
         self._second = -2
-        self.names = column_names(learner.learnables)
 
     def of(self, row: Sequence[float], session: Session) -> list[float]:
         """The columns of a finished step."""
@@ -50,13 +42,13 @@ class LearningColumns:
             torque += float(moved.sum()) - float(moved[at.OF_MASS])
         return [torque, *self._values]
 
-    def lines(self, row: Sequence[float]) -> list[Line]:
-        """The lines of a row that ends in the columns of the learner."""
-        return lines(self._learner, row[len(row) - len(self.names) + 1 :])
-
 
 def column_names(learnables: Sequence[Learnable]) -> tuple[str, ...]:
-    """Names of the columns of a learner."""
+    """Names of the columns of a learner.
+
+    Learned resistance [Nm], whether it acts or not; share of the required driving; whether learned values are used, or would be;
+    and value, standard deviation and state of each learned parameter.
+    """
     each = (name for one in learnables for name in columns_of(one))
     return (TORQUE, COVERAGE, ACTS, *each)
 
@@ -83,13 +75,13 @@ def shown(learner: Learner) -> list[float]:
     return found
 
 
-def lines(learner: Learner, values: Sequence[float]) -> list[Line]:
-    """Name, message and values of a status for each learned parameter, from its columns without the torque."""
-    coverage, acts = values[:2]
+def lines(learner: Learner, row: Sequence[float]) -> list[Line]:
+    """Name, message and values of a status for each learned parameter, from a row that ends in the numbers of `shown`."""
+    coverage, acts, *values = row[len(row) - 2 - 3 * len(learner.learnables) :]
     least, most = [*learner.prior.low.tolist(), EARLIEST_S], [*learner.prior.high.tolist(), LATEST_S]
     found: list[Line] = []
     for i, one in enumerate(learner.learnables):
-        value, std, state = values[2 + 3 * i : 5 + 3 * i]
+        value, std, state = values[3 * i : 3 + 3 * i]
         known = (
             ("value", f"{value:.6g}"),
             ("std", figures(std)),
