@@ -273,10 +273,10 @@ def test_a_reset_in_a_pause_of_the_speed_starts_cold_after_it(desk):
 
 def test_a_clock_that_is_set_keeps_the_temperature_and_is_said(desk):
     d = desk()
-    d.drive(120.0, dt=0.1)
+    d.drive(60.0, speed=15.0, dt=0.2)
     belt = d.last("track_temperature/front_left")[1][0]
     d.clock_offset_s = 3600.0
-    d.drive(1.0)
+    d.drive(1.0, speed=15.0)
     assert d.last("track_temperature/front_left")[1][0] == pytest.approx(belt, abs=0.2)
     assert "CLOCK_JUMPED" in d.names() | {name for _, s in d.statuses for name in dict(s[0].values)["remarks"].split()}
     assert d.last("feedforward_torque")[0] == d.now_ns()
@@ -286,8 +286,8 @@ def test_belts_cool_while_the_machine_is_suspended(desk, monkeypatch):
     d, ahead_s = desk(), {time.CLOCK_MONOTONIC: 0.0, time.CLOCK_BOOTTIME: 0.0}
     monkeypatch.setattr("time.clock_gettime_ns", lambda clock: int((d.steady_s + ahead_s[clock]) * SECOND_NS))
     d.app.clock.steady_ns = inspect.signature(Application).parameters["steady_ns"].default
-    d.drive(300.0, speed=15.0, dt=0.2)
-    d.drive(10.0, speed=0.0)
+    d.drive(300.0, speed=15.0, dt=0.4)
+    d.drive(10.0, speed=0.0, dt=0.1)
     warm = d.last("track_temperature/front_left")[1][0]
     d.clock_offset_s = ahead_s[time.CLOCK_BOOTTIME] = 36000.0
     d.drive(1.0, speed=0.0)
@@ -297,8 +297,10 @@ def test_belts_cool_while_the_machine_is_suspended(desk, monkeypatch):
 
 @pytest.mark.parametrize(("rate", "pause_s"), [(0.0, 40.0), (50.0, 40.0), (50.0, 150.0)])
 def test_speeds_that_waited_while_the_node_was_stopped_are_old(desk, rate, pause_s):
-    d = desk(output_rate_hz=rate)
-    d.drive(300.0, speed=8.0, dt=0.1)
+    d = desk()
+    d.drive(300.0, dt=0.3)
+    d.app.change({"output_rate_hz": rate})
+    d.drive(0.5)
     warm, began_s = d.last("track_temperature/front_left")[1][0], d.time_s
     d.time_s, d.steady_s, sent = d.time_s + pause_s, d.steady_s + pause_s, len(d.published)
     for i in range(1, 26):
@@ -324,7 +326,7 @@ def test_stamps_of_another_clock_are_remarked(desk):
 
 def test_simulated_time_that_goes_back_starts_anew(desk):
     d = desk(use_sim_time=True)
-    d.drive(120.0, dt=0.1)
+    d.drive(120.0, dt=0.3)
     d.app.messages.receive_values(d.index("ambient"), d.now_ns(), [35.0], sent_ns=1)  # waits for a speed, and is of before
     d.time_s = 0.0
     d.app.time_went_back(4 * SECOND_NS)

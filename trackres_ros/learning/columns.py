@@ -19,7 +19,6 @@ STATES_OF = ("learning", "learned", "frozen", "at its bound")
 TORQUE, COVERAGE, ACTS = "learned_resistance_torque_nm", "learned_coverage", "learned_acts"
 Line = tuple[str, str, tuple[tuple[str, str], ...]]
 """Name, message and values of a status."""
-TEXTS = ("the vehicle file is used", "the learned parameters fit better than the vehicle file")
 
 
 class LearningColumns:
