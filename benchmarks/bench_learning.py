@@ -47,10 +47,7 @@ class Nobody:
         """Without waiting."""
         self.steady_ns += round(seconds * SECOND_NS)
 
-    def publish(self, output: int, stamp_ns: int, values: Sequence[float]) -> None:
-        """Nowhere."""
-
-    def publish_estimate(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
+    def publish(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
         """Nowhere."""
 
     def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:

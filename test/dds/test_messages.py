@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ros_messages import build, stamped
 
 from trackres_ros.errors import InputError
-from trackres_ros.node.dds.messages import CdrInput, DdsEstimate, clock_ns, diagnostic_array, prepared
+from trackres_ros.node.dds.messages import CdrInput, clock_ns, diagnostic_array, prepared
 from trackres_ros.node.dds.wire import typestore
 from trackres_ros.node.endpoints import InputTopic, live_topics
 from trackres_ros.node.transport import Level, Status
@@ -51,10 +51,10 @@ def test_filled_outputs_decode_to_stamp_and_numbers(tmp_path):
         if topic.kind in ("status", "estimate"):
             continue
         kinds.add(topic.kind)
-        message = prepared(topic, "hull")
-        message.filled(1, [9.0] * len(topic.columns))
+        fill = prepared(topic, "hull")
+        fill(1, [9.0] * len(topic.columns), ())
         values = [1.5 * i - 2.0 for i in range(len(topic.columns))]
-        raw = message.filled(STAMP_NS, values)
+        raw = fill(STAMP_NS, values, ())
         assert len(raw) % 4 == 0
         message = typestore().deserialize_cdr(raw, topic.type)
         assert numbers_of(message, topic.kind) == values
@@ -70,10 +70,10 @@ REASONS = [(), (("SPEED_OLD", Level.STALE),), (("SPEED_OLD", Level.STALE), ("LOA
 
 
 def test_an_estimate_message_is_independent_of_the_one_before():
-    estimate = DdsEstimate("hull")
+    fill = prepared(ESTIMATE_TOPIC, "hull")
     for count, reasons in enumerate(REASONS):
         values = [count + 0.5, -2.0, 3.0, float(max((level for _, level in reasons), default=0))]
-        raw = estimate.filled(STAMP_NS + count, values, reasons)
+        raw = fill(STAMP_NS + count, values, reasons)
         assert len(raw) % 4 == 0
         message = typestore().deserialize_cdr(raw, ESTIMATE_TOPIC.type)
         assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == STAMP_NS + count

@@ -108,20 +108,6 @@ def test_gaps_are_bridged_or_marked_unknown(session):
     assert count(session, Count.GAP) == 2
 
 
-def test_ambient_and_belt_measurements_are_used_once(session):
-    send(session, START, -20.0, "ambient")
-    first = send(session, START + 1)
-    assert first["ambient_degc"] == -20.0
-    assert first.belt_degc()[0] == pytest.approx(-20.0)
-    send(session, START + 2, 0.0, "belt/rear_left")
-    second = send(session, START + 20 * MS)
-    third = send(session, START + 40 * MS)
-    assert second.belt_degc()[2] > -5.0
-    assert second.belt_degc()[0] < -19.0
-    assert third.belt_degc()[2] == pytest.approx(second.belt_degc()[2], abs=0.1)
-    assert not second.reasons & Reason.AMBIENT_NOMINAL
-
-
 def driven(estimator, restart, steps, ambient_at, change, speed):
     """Belts' temperatures and an effect's state after so many steps; at one of them the nominal air turns out to be another."""
     session = estimator.session()

@@ -72,16 +72,19 @@ def test_what_no_learning_leaves_is_refused_and_leaves_it_as_new(reference, lear
     assert stored(fresh) == stored(Learner(reference))
 
 
-def test_a_departure_outside_of_the_ranges_is_refused(reference, learner):
+@pytest.mark.parametrize(
+    ("place", "value", "said"),
+    [
+        (("learned", "mean", at.OF_LOSS), 5.0, "range"),
+        (("learned", "past", "slow"), -1.0, "an invalid size"),
+        (("learned", "past", "white"), -1.0, "an invalid size"),
+        (("delay", "delays", 0), 2.0, "delay"),
+        (("delay", "variances", 0), -1.0, "delay"),
+    ],
+)
+def test_a_number_that_no_learner_has_is_refused(reference, learner, place, value, said):
     content = copy.deepcopy(stored(learner))
-    content["learned"]["mean"][at.OF_LOSS] = (5.0).hex()
-    with pytest.raises(ValueError, match="range"):
-        take(Learner(reference), content)
-
-
-@pytest.mark.parametrize("name", ["slow", "white"])
-def test_a_variance_below_zero_is_refused(reference, learner, name):
-    content = copy.deepcopy(stored(learner))
-    content["learned"]["past"][name] = (-1.0).hex()
-    with pytest.raises(ValueError, match="an invalid size"):
+    part, name, last = place
+    content[part][name][last] = value.hex()
+    with pytest.raises(ValueError, match=said):
         take(Learner(reference), content)

@@ -13,6 +13,7 @@ from trackres_ros.files.resources import config_dir
 from trackres_ros.node.application import Application
 from trackres_ros.node.endpoints import input_name
 from trackres_ros.node.parameters import make_parameters
+from trackres_ros.output.topics import ESTIMATE_TOPIC
 
 START_NS = 1_700_000_000_000_000_000
 SECOND_NS = 1_000_000_000
@@ -56,13 +57,11 @@ class Desk:
     def now_ns(self):
         return START_NS + round((self.time_s + self.clock_offset_s) * SECOND_NS)
 
-    def publish(self, output, stamp_ns, values):
+    def publish(self, output, stamp_ns, values, reasons):
         self.published.append((self.app.outputs[output].name, stamp_ns, list(values)))
-
-    def publish_estimate(self, output, stamp_ns, values, reasons):
-        self.publish(output, stamp_ns, values)
-        self.reasons.append(dict(reasons))
-        self.left.append(self.app._publisher.left(self.app.clock.steady_ns()))
+        if self.app.outputs[output] is ESTIMATE_TOPIC:
+            self.reasons.append(dict(reasons))
+            self.left.append(self.app._publisher.left(self.app.clock.steady_ns()))
 
     def publish_status(self, output, stamp_ns, statuses):
         self.statuses.append((self.app.outputs[output].name, list(statuses)))
@@ -143,10 +142,10 @@ class Wild(Desk):
         self._may("now_ns")
         return super().now_ns() if self.own_clock is None else self.own_clock
 
-    def publish(self, output, stamp_ns, values):
+    def publish(self, output, stamp_ns, values, reasons):
         self._may("publish")
         assert stamp_ns_fits(stamp_ns)
-        super().publish(output, stamp_ns, values)
+        super().publish(output, stamp_ns, values, reasons)
 
     def publish_status(self, output, stamp_ns, statuses):
         self._may("publish_status")

@@ -77,16 +77,6 @@ def test_during_a_fade_each_message_is_stale_and_gives_a_reason(desk, rate):
     check(d)
 
 
-def test_at_a_standstill_its_torque_is_zero(desk):
-    d = desk()
-    d.drive(3.0)
-    d.drive(0.3, speed=0.0)  # not yet believed
-    assert d.last("estimate")[1][0] == 0.0
-    d.drive(3.0, speed=0.0)
-    assert d.last("estimate")[1][0] == 0.0
-    assert d.last("estimate")[1][1] == 0.0
-
-
 @pytest.mark.parametrize(("before", "rate"), [(0.5, 0.0), (8.0, 50.0), (-6.0, 50.0), (20.0, 0.0)])
 def test_feedforward_is_zero_at_standstill_after_any_stop(desk, before, rate):
     d = desk(output_rate_hz=rate)

@@ -31,7 +31,9 @@ PARAMETERS = {
     "input_reliability": "reliable",
     "input_depth": 10000.0,
 }
-REFUSALS_AND_ACCEPTED = ("accepted", "non_finite", "out_of_range", "duplicate", "late", "future", "backward", "implausible")
+REFUSALS_AND_ACCEPTED = (
+    "accepted", "non_finite", "out_of_range", "duplicate", "late", "future", "backward", "implausible", "bad_stamp",
+)  # fmt: skip
 FAULTS = (
     "nan", "infinite", "huge", "stamp zero", "stamp repeated", "stamp back", "stamp ahead", "late", "no speed", "no load", "loop",
     "flood", "two publishers", "restart", "trickle", "quantised", "stuck", "load nan", "torque nan",

@@ -14,21 +14,11 @@ from pathlib import Path
 import pytest
 from conftest import TRANSPORTS, Node, environment
 from ros_messages import stamped
+from soak import REFUSALS_AND_ACCEPTED
 from waiting import Pace, exit_code, wait_for, work_s
 
 from trackres_ros.files.resources import cache_dir
 
-REFUSALS_AND_ACCEPTED = (
-    "accepted",
-    "non_finite",
-    "out_of_range",
-    "duplicate",
-    "late",
-    "future",
-    "backward",
-    "implausible",
-    "bad_stamp",
-)
 HZ = 1000
 
 

@@ -54,7 +54,7 @@ class State(NamedTuple):
     """State carried from one step to the next; not to be changed but by the kernel. `columns` describes the numbers."""
 
     belts: Array  # (assemblies, 2, BELT_COLUMNS): temperature [degC] and its departures [K], of the mean and of the surface
-    motion: Array  # (MOTION_COLUMNS,): filtered speed and values of the last step
+    motion: Array  # (Motion.columns,): filtered speed and values of the last step
     effects: Array  # memory of the effects, see `effects.stepping`
     learned: Array  # learned departures of the vehicle
 

@@ -239,11 +239,9 @@ def _take(session: Session, path: Path) -> float:
             given = content[name]
             if not isinstance(given, list) or len(given) != array.size:
                 raise ValueError(f"{name} of another length")
-            numbers = [_float(one) for one in given] if name in FLOATS else [_integer(one) for one in given]
+            numbers = [read_float(one) for one in given] if name in FLOATS else [_integer(one) for one in given]
             array[:] = np.array(numbers, dtype=array.dtype).reshape(array.shape)
-        saved_at = content["saved_at"]
-        if isinstance(saved_at, bool) or not isinstance(saved_at, int | float) or not abs(saved_at) <= FARTHEST_SAVED_AT:
-            raise ValueError("saved_at is no time")
+        saved_at = read_time(content["saved_at"], "saved_at")
         if content["started"] is not session.started:
             raise ValueError("started does not fit the motion")
         check_state(session.estimator, session.belts, session.motion)
@@ -255,10 +253,18 @@ def _take(session: Session, path: Path) -> float:
     except (TypeError, ValueError, OverflowError) as error:
         given = f"inconsistent numbers: {str(error)[:80]}"
         raise InputError(where, given, "the state of a vehicle in this program's format", REMEDY) from error
-    return float(saved_at)
+    return saved_at
 
 
-def _float(given: str) -> float:
+def read_time(given: object, name: str) -> float:
+    """A time of saving or learning [s since 1970]. Raises ValueError if it is none."""
+    if isinstance(given, bool) or not isinstance(given, int | float) or not abs(given) <= FARTHEST_SAVED_AT:
+        raise ValueError(f"{name} is no time")
+    return float(given)
+
+
+def read_float(given: str) -> float:
+    """A number, bit by bit. Raises TypeError or ValueError if it is not as this program writes it."""
     value = float.fromhex(given)
     if value.hex() != given:  # more than is written can be read: "abc" is 2748
         raise ValueError("a number in another notation than this program's")

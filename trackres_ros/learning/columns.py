@@ -19,24 +19,15 @@ STATES_OF = ("learning", "learned", "frozen", "at its bound")
 TORQUE, COVERAGE, ACTS = "learned_resistance_torque_nm", "learned_coverage", "learned_acts"
 Line = tuple[str, str, tuple[tuple[str, str], ...]]
 """Name, message and values of a status."""
-TEXTS = ("the vehicle file is used", "the learned parameters fit better than the vehicle file")
 
 
 class LearningColumns:
-    """The columns of a learner, after those of the estimate, and the lines of a status out of them.
-
-    Attributes
-    ----------
-    names
-        Learned resistance [Nm], whether it acts or not; share of the required driving; whether learned values are used, or would
-        be; and value, standard deviation and state of each learned parameter.
-    """
+    """The columns of a learner, after those of the estimate, by the names of `column_names`."""
 
     def __init__(self, learner: Learner) -> None:
-        self._learner, self._ranges = learner, ranges_of(learner)
+        self._learner = learner
         self._values: list[float] = []
         self._second = -2
-        self.names = column_names(learner.learnables)
 
     def of(self, row: Sequence[float], session: Session) -> list[float]:
         """The columns of a finished step."""
@@ -50,13 +41,13 @@ class LearningColumns:
             torque += float(moved.sum()) - float(moved[at.OF_MASS])
         return [torque, *self._values]
 
-    def lines(self, row: Sequence[float]) -> list[Line]:
-        """The lines of a row that ends in the columns of the learner."""
-        return lines(self._learner.learnables, self._ranges, row[len(row) - len(self.names) + 1 :])
-
 
 def column_names(learnables: Sequence[Learnable]) -> tuple[str, ...]:
-    """Names of the columns of a learner."""
+    """Names of the columns of a learner.
+
+    Learned resistance [Nm], whether it acts or not; share of the required driving; whether learned values are used, or would be;
+    and value, standard deviation and state of each learned parameter.
+    """
     each = (name for one in learnables for name in columns_of(one))
     return (TORQUE, COVERAGE, ACTS, *each)
 
@@ -83,19 +74,20 @@ def shown(learner: Learner) -> list[float]:
     return found
 
 
-def lines(learnables: Sequence[Learnable], ranges: Sequence[tuple[float, float]], values: Sequence[float]) -> list[Line]:
-    """Name, message and values of a status for each learned parameter, from its columns without the torque."""
-    coverage, acts = values[:2]
+def lines(learner: Learner, row: Sequence[float]) -> list[Line]:
+    """Name, message and values of a status for each learned parameter, from a row that ends in the numbers of `shown`."""
+    coverage, acts, *values = row[len(row) - 2 - 3 * len(learner.learnables) :]
+    least, most = [*learner.prior.low.tolist(), EARLIEST_S], [*learner.prior.high.tolist(), LATEST_S]
     found: list[Line] = []
-    for i, (one, (low, high)) in enumerate(zip(learnables, ranges, strict=True)):
-        value, std, state = values[2 + 3 * i : 5 + 3 * i]
+    for i, one in enumerate(learner.learnables):
+        value, std, state = values[3 * i : 3 + 3 * i]
         known = (
             ("value", f"{value:.6g}"),
             ("std", figures(std)),
             ("unit", one.unit),
             ("nominal", f"{one.nominal:.6g}"),
-            ("low", f"{low:.6g}"),
-            ("high", f"{high:.6g}"),
+            ("low", f"{one.value(least[one.state]):.6g}"),
+            ("high", f"{one.value(most[one.state]):.6g}"),
             ("coverage", f"{coverage:.3f}"),
             ("state", STATES_OF[int(state)]),
             ("acts", str(bool(acts) and int(state) != LEARNING and one.state in VEHICLES_OWN).lower()),
@@ -103,9 +95,3 @@ def lines(learnables: Sequence[Learnable], ranges: Sequence[tuple[float, float]]
         unit = f" {one.unit}" if one.unit != "1" else ""
         found.append((one.name, f"{one.meaning}: {figures(value, 4)} +- {figures(std, 2)}{unit}, {STATES_OF[int(state)]}", known))
     return found
-
-
-def ranges_of(learner: Learner) -> list[tuple[float, float]]:
-    """The least and the greatest value that each may take, in its unit."""
-    low, high = [*learner.prior.low.tolist(), EARLIEST_S], [*learner.prior.high.tolist(), LATEST_S]
-    return [(one.value(low[one.state]), one.value(high[one.state])) for one in learner.learnables]

@@ -14,7 +14,7 @@ import numpy as np
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Session
-from trackres_ros.estimator.snapshot import FARTHEST_SAVED_AT, LEARNED_AT, REMEDY
+from trackres_ros.estimator.snapshot import FARTHEST_SAVED_AT, LEARNED_AT, REMEDY, read_float, read_time
 from trackres_ros.learning.correction import use_file
 from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import ON, Learner
@@ -59,9 +59,7 @@ def since_learned(saved: object, now: float) -> float:
         If they do not say when.
     """
     learned_at = saved.get(LEARNED_AT) if isinstance(saved, Mapping) else None
-    if isinstance(learned_at, bool) or not isinstance(learned_at, int | float) or not abs(learned_at) <= FARTHEST_SAVED_AT:
-        raise ValueError("learned parameters: no time of learning")
-    return max(0.0, now - learned_at)
+    return max(0.0, now - read_time(learned_at, "learned parameters: the time of learning"))
 
 
 def since_saved(path: Path, saved: Any, ended: float, begins: float, off_s: float | None) -> tuple[Any, float | None]:
@@ -170,12 +168,9 @@ def _fill(part: Any, given: Any) -> None:
             setattr(part, name, _number(new, name))
 
 
-def _number(given: object, name: str) -> float:
-    if not isinstance(given, str):
-        raise TypeError("a number in another notation than this program's")
-    value = float.fromhex(given)
-    known = abs(value) <= LARGEST or repr(value) == NOT_YET.get(name)
-    if value.hex() != given or not known:
+def _number(given: str, name: str) -> float:
+    value = read_float(given)
+    if not (abs(value) <= LARGEST or repr(value) == NOT_YET.get(name)):
         raise ValueError(f"a number {given[:20]}")
     return value
 

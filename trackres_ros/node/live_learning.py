@@ -13,7 +13,7 @@ import numpy as np
 
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.snapshot import LEARNED_AT
-from trackres_ros.learning.columns import LearningColumns, lines, ranges_of, shown
+from trackres_ros.learning.columns import LearningColumns, lines, shown
 from trackres_ros.learning.correction import use_file
 from trackres_ros.learning.learner import OFF, ON, Learner
 from trackres_ros.learning.store import go_on, since_learned, stored
@@ -119,7 +119,7 @@ class LiveLearning:
             ("frozen", self.learner.frozen),
             ("disturbance", self.learner.disturbance),
         )
-        learned = lines(self.learner.learnables, ranges_of(self.learner), shown(self.learner))
+        learned = lines(self.learner, shown(self.learner))
         listed = [("learning", self.text, overall), *learned]
         return [Status(level, f"{node}: {name}", message, vehicle, known) for name, message, known in listed]
 

@@ -41,6 +41,9 @@ class Arrived(NamedTuple):
 class MessageHandler:
     """Passes the samples of all inputs to `use`, in the order in which their messages were sent.
 
+    After a pause of this process, a middleware passes on one message of each topic in turn. So messages other than speeds are
+    held back until a speed with a later sending time arrives, for `LONGEST_WAIT_NS` at most.
+
     Messages before the first simulated clock wait for it: without a time their age is unknown. The oldest make way for too many.
     """
 
@@ -50,7 +53,7 @@ class MessageHandler:
         self._clock, self._guard, self._use = clock, guard, use
         self._widths = [len(given.roles) for given in inputs]
         self._is_speed = ["speed" in given.roles for given in inputs]
-        self._order = SendingOrder()
+        self._held: list[Arrived] = []
         self._handled_ns = self._handled_now_ns = 0  # arrival of the last handled message, as recorded and by the node's time
         self._before_clock: list[deque[Arrived]] = [deque() for _ in inputs]
 
@@ -94,11 +97,11 @@ class MessageHandler:
 
     def handle_late(self, steady: int) -> None:
         """Handle the messages that have waited for too long."""
-        self._handle_all(self._order.late(steady))
+        self._handle_held(lambda message: steady - message.steady_ns > LONGEST_WAIT_NS)
 
     def handle_waiting(self) -> None:
-        """Handle all messages that wait."""
-        self._handle_all(self._order.rest())
+        """Handle all messages that are held back."""
+        self._handle_held(lambda _: True)
 
     def time_went_back(self) -> None:
         """Handle the messages of the time before, and begin anew."""
@@ -106,7 +109,7 @@ class MessageHandler:
         self._handled_ns = 0
 
     def close(self) -> None:
-        """Handle all messages that wait, and record those that wait for a clock."""
+        """Handle all messages that are held back, and record those that wait for a clock."""
         self.handle_waiting()
         for message in self._take_waiting():
             self.keep(message.place, message.raw, (message.steady_ns, message.now_ns))
@@ -124,7 +127,11 @@ class MessageHandler:
                 return
         for earlier in self._take_waiting():
             self._guard.essential("taking a message", self._receive, earlier)
-        self._handle_all(self._order.put(message, self._is_speed[message.place]))
+        if message.sent_ns and not self._is_speed[message.place]:
+            self._held.append(message)
+            return
+        self._handle_held(lambda other: other.sent_ns <= message.sent_ns or not message.sent_ns)
+        self._handle(message)
 
     def _take_waiting(self) -> list[Arrived]:
         """The messages that wait for a clock, in the order of arrival; none wait afterwards."""
@@ -135,8 +142,13 @@ class MessageHandler:
             waiting.clear()
         return found
 
-    def _handle_all(self, messages: Sequence[Arrived]) -> None:
-        for message in messages:
+    def _handle_held(self, due: Callable[[Arrived], bool]) -> None:
+        """Handle the messages held back that are due, in the order of sending."""
+        if not self._held:
+            return
+        handled = [message for message in self._held if due(message)]
+        self._held = [message for message in self._held if not due(message)]
+        for message in sorted(handled, key=attrgetter("sent_ns")):
             self._handle(message)
 
     def _handle(self, message: Arrived) -> None:
@@ -159,37 +171,3 @@ class MessageHandler:
     def _record(self, index: int, raw: bytes | None, recorded_ns: int) -> None:
         if self.keep_raw and raw is not None:
             self._guard("recording", self.keep_raw, index, raw, recorded_ns)
-
-
-class SendingOrder:
-    """Holds messages back until all that were sent earlier have arrived.
-
-    After a pause of this process, a middleware passes on one message of each topic in turn. So messages other than speeds are
-    held back until a speed with a later sending time arrives, for `LONGEST_WAIT_NS` at most.
-    """
-
-    def __init__(self) -> None:
-        self._waiting: list[Arrived] = []
-
-    def put(self, message: Arrived, is_speed: bool) -> list[Arrived]:
-        """Take a message; the messages to be handled now, in their order."""
-        if message.sent_ns and not is_speed:
-            self._waiting.append(message)
-            return []
-        earlier = self._release(lambda other: other.sent_ns <= message.sent_ns or not message.sent_ns)
-        return [*earlier, message]
-
-    def late(self, steady_ns: int) -> list[Arrived]:
-        """The messages that have waited for too long."""
-        return self._release(lambda message: steady_ns - message.steady_ns > LONGEST_WAIT_NS)
-
-    def rest(self) -> list[Arrived]:
-        """All waiting messages."""
-        return self._release(lambda _: True)
-
-    def _release(self, due: Callable[[Arrived], bool]) -> list[Arrived]:
-        if not self._waiting:
-            return []
-        released = [message for message in self._waiting if due(message)]
-        self._waiting = [message for message in self._waiting if not due(message)]
-        return sorted(released, key=attrgetter("sent_ns"))

@@ -104,12 +104,11 @@ class OutputPublisher:
             numbers = values(row)
             if not all(map(math.isfinite, numbers)):
                 continue
+            hold: Reasons = ()
             if self.outputs[output] is ESTIMATE_TOPIC:
                 hold = reasons(steady)
-                level = max((level for _, level in hold), default=Level.OK)
-                self._send(output, self._transport.publish_estimate, self.stamp_ns, [*numbers, float(level)], hold)
-            else:
-                self._send(output, self._transport.publish, self.stamp_ns, numbers)
+                numbers.append(float(max((level for _, level in hold), default=Level.OK)))
+            self._send(output, self._transport.publish, self.stamp_ns, numbers, hold)
         self.published += 1
 
     def _moved(self, goal: float, target: float, elapsed_s: float) -> float:

@@ -23,7 +23,8 @@ from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import is_other_kind, state_file
 from trackres_ros.files import own_files
-from trackres_ros.learning.columns import LearningColumns
+from trackres_ros.learning.columns import column_names
+from trackres_ros.learning.learner import Learner
 from trackres_ros.node.endpoints import InputTopic, input_name
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.record_files import RecordingFiles, RecordLimits
@@ -50,14 +51,14 @@ class Recorded(NamedTuple):
     """What is recorded of one application."""
 
     estimator: Estimator
-    learned: LearningColumns | None
+    learner: Learner | None
     given: list[tuple[InputTopic, str]]  # topics, and the texts that define their types
     jump_ns: int  # back in time, from which on the next file begins
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Of a row; with learning, the learned columns follow those of the estimate."""
-        return (*self.estimator.columns, *(() if self.learned is None else self.learned.names))
+        return (*self.estimator.columns, *(() if self.learner is None else column_names(self.learner.learnables)))
 
 
 Item = tuple[int, bytes | list[float], int, int, Recorded]
@@ -105,11 +106,10 @@ class Recorder:
         For a later application the next file begins, with its first message. Raises InputError if the first cannot be created.
         """
         learner, estimator = application.learning.learner, application.estimator
-        learned = None if learner is None else LearningColumns(learner)
         jump_ns = LAST_NS  # a real clock never goes back, though a message may be recorded late
         if application.parameters.sim_time:
             jump_ns = int(estimator.settings.clock_jump_s * SECOND_NS)
-        self._now = Recorded(estimator, learned, application.record(self._keep), jump_ns)
+        self._now = Recorded(estimator, learner, application.record(self._keep), jump_ns)
         self._names = [input_name(given.name, "/") for given, _ in self._now.given]
         self._counts = dict.fromkeys(self._names, 0) | self._counts
         unfinished: list[Path] = []
@@ -292,7 +292,7 @@ class Recorder:
         self._files.make_room()
         path, self._part = self._files.next()
         _remove_start(self._part)  # of one that was removed or repaired
-        bag = OutputBag(path, self._of.estimator, self._of.learned, self._part)
+        bag = OutputBag(path, self._of.estimator, self._of.learner, self._part)
         bag.__enter__()
         self._topics = [bag.writer.raw_topic(input_name(given.name, "/"), given.type, text) for given, text in self._of.given]
         self._bag, self._began_ns = bag, 0

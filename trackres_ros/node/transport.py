@@ -66,11 +66,11 @@ class Transport(Protocol):
     def now_ns(self) -> int:
         """The node's time [ns since 1970]: the machine's, or the simulated one; 0 while there is no simulated one yet."""
 
-    def publish(self, output: int, stamp_ns: int, values: Sequence[float]) -> None:
-        """Publish a message of numbers: those of `OutputTopic.columns` in their order, in units of the message."""
+    def publish(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
+        """Publish a message of numbers: those of `OutputTopic.columns` in their order, in units of the message.
 
-    def publish_estimate(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
-        """Publish the message of `topics.ESTIMATE_TOPIC`: numbers of its names in their order, and all reasons."""
+        The message of `topics.ESTIMATE_TOPIC` has the numbers of its names, and all reasons; the others have no reasons.
+        """
 
     def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:
         """Publish a DiagnosticArray."""

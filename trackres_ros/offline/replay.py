@@ -205,7 +205,7 @@ class LearningSteps:
             rows.append([*row, *self._columns.of(row, session)])
             stamps.append(stamp)
             arrivals.append(int(of_speed.last_arrival))
-        width = len(session.estimator.columns) + len(self._columns.names)
+        width = len(session.estimator.columns) + len(column_names(learner.learnables))
         table = np.array(rows, dtype=float).reshape(-1, width)
         return Steps(np.array(stamps, dtype=np.int64), np.array(arrivals, dtype=np.int64), table)
 
@@ -213,13 +213,13 @@ class LearningSteps:
 @contextmanager
 def result_writer(path: Path, estimator: Estimator, learner: Learner | None = None) -> Iterator[Callable[[Steps], None]]:
     """A writer for the kind of file a path names: `.mcap` as topics, `.csv`, `.csv.gz`, `.parquet` or `.mf4` as a table."""
-    learned = None if learner is None else LearningColumns(learner)
     if path.suffix.lower() == BAG_SUFFIX:
-        with OutputBag(path, estimator, learned) as bag:
+        with OutputBag(path, estimator, learner) as bag:
             yield bag.write
         return
     added = DisturbanceColumns(estimator.vehicle)
-    names = ["time_s", "stamp_ns", *estimator.columns, *(() if learned is None else learned.names), *added.names]
+    learned = () if learner is None else column_names(learner.learnables)
+    names = ["time_s", "stamp_ns", *estimator.columns, *learned, *added.names]
     with TableWriter(path, names, estimates=True) as table:
         first: list[int] = []
 

@@ -13,7 +13,7 @@ from trackres_ros.arrays import Array
 from trackres_ros.errors import one_line
 from trackres_ros.estimator import columns as at
 from trackres_ros.learning.columns import lines as lines_of
-from trackres_ros.learning.columns import ranges_of, shown
+from trackres_ros.learning.columns import shown
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.vehicle_file import LearnedFile
 from trackres_ros.model.coverage import beyond
@@ -164,7 +164,7 @@ def text(report: dict[str, Any]) -> str:
 def _learned(learner: Learner) -> dict[str, Any]:
     """Learned parameters at the end."""
     values = shown(learner)
-    each = lines_of(learner.learnables, ranges_of(learner), values)
+    each = lines_of(learner, values)
     return {
         "mode": learner.mode,
         "text": learner.text,

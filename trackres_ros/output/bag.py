@@ -14,19 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.estimate import Estimate, Steps
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.learning.columns import LearningColumns
+from trackres_ros.learning.columns import lines
+from trackres_ros.learning.learner import Learner
 from trackres_ros.output.mcap import BagTopic, BagWriter
-from trackres_ros.output.topics import (
-    BASE_FRAME,
-    DEFAULT_NODE,
-    PARAMETERS_TOPIC,
-    OutputTopic,
-    output_topics,
-    status_of,
-    values_of,
-)
+from trackres_ros.output.topics import BASE_FRAME, DEFAULT_NODE, PARAMETERS_TOPIC, OutputTopic, output_topics, values_of
 from trackres_ros.units import SECOND_NS
 
 if TYPE_CHECKING:
@@ -41,11 +34,9 @@ Values = Iterable[tuple[str, str]]
 class OutputBag:
     """Writes blocks of results; the file is put in place when the `with` block ends well. See `BagWriter` for `part`."""
 
-    def __init__(
-        self, path: Path, estimator: Estimator, learned: LearningColumns | None = None, part: Path | None = None
-    ) -> None:
+    def __init__(self, path: Path, estimator: Estimator, learner: Learner | None = None, part: Path | None = None) -> None:
         self.path, self.writer = path, BagWriter(path, part=part)
-        self._estimator, self._learned = estimator, learned
+        self._estimator, self._learner = estimator, learner
         self._topics: list[tuple[OutputTopic, BagTopic]] = []
         self._last_reasons: int | None = None
         self._last_status_ns = self._last_learned_ns = 0
@@ -53,7 +44,7 @@ class OutputBag:
     def __enter__(self) -> Self:
         """Begin the file and announce the topics."""
         self.writer.__enter__()
-        parameters = () if self._learned is None else (PARAMETERS_TOPIC,)
+        parameters = () if self._learner is None else (PARAMETERS_TOPIC,)
         for topic in (*output_topics(self._estimator.vehicle), *parameters):
             given: tuple[Any, Sequence[str]] = (None, ())
             if topic.kind != "status":
@@ -87,7 +78,8 @@ class OutputBag:
         reasons = steps.rows[:, at.Results.reasons].astype(np.int64)
         before = np.concatenate([[-1 if self._last_reasons is None else self._last_reasons], reasons[:-1]])
         for i in self._due(steps.arrival_ns, reasons != before):
-            level, text = status_of(at.Reason(int(reasons[i])))
+            estimate = Estimate(steps.rows[i], self._estimator.column_index)
+            level, text = int(estimate.status == "warn"), "; ".join(estimate.reason_texts()) or "ok"
             message = self._diagnostics([(level, "estimate", text, ())])
             self.writer.write(topic, message, int(steps.stamp_ns[i]), int(steps.arrival_ns[i]))
         if len(reasons):
@@ -95,11 +87,11 @@ class OutputBag:
 
     def _write_learned(self, topic: BagTopic, steps: Steps) -> None:
         """Learned values, once a second."""
-        assert self._learned is not None
+        assert self._learner is not None
         for i, second in enumerate((steps.arrival_ns // SECOND_NS).tolist()):
             if second != self._last_learned_ns:
                 self._last_learned_ns = second
-                found = [(0, name, message, known) for name, message, known in self._learned.lines(steps.rows[i].tolist())]
+                found = [(0, name, message, known) for name, message, known in lines(self._learner, steps.rows[i].tolist())]
                 self.writer.write(topic, self._diagnostics(found), int(steps.stamp_ns[i]), int(steps.arrival_ns[i]))
 
     def _due(self, arrival_ns: NDArray[np.int64], changed: NDArray[np.bool_]) -> list[int]:

@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 
 from trackres_ros.arrays import Array
-from trackres_ros.estimator import columns as at
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.vehicle import AnyVehicle
 
@@ -40,7 +39,7 @@ class OutputTopic:
     # (DynamicInterfaceGroupValues: the numbers and the level under their names, and every reason with its level)
     kind: Literal["joints", "wrench", "number", "temperature", "status", "estimate"]
     meaning: str
-    columns: tuple[str, ...] = ()  # columns of a row of results, see `estimator.layout.columns`
+    columns: tuple[str, ...] = ()  # columns of a row of results, see `estimator.columns.columns`
     names: tuple[str, ...] = ()  # names of the joints, or of the interfaces of an estimate
 
     @property
@@ -108,10 +107,3 @@ def values_of(topic: OutputTopic, rows: Array, index: dict[str, int]) -> Array:
     if topic.kind == "temperature":
         values[:, 1] **= 2
     return np.asarray(values + 0.0)  # no negative zeros
-
-
-def status_of(reasons: at.Reason) -> tuple[int, str]:
-    """Level of a DiagnosticStatus (0 ok, 1 warn) and its text, for the reasons of a row."""
-    level = 1 if reasons & ~at.HARMLESS else 0
-    texts = [text for reason, text in at.REASON_TEXT.items() if reason & reasons]
-    return level, "; ".join(texts) or "ok"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from trackres_ros.units import SECOND_NS
 
 CLOCK_BYTES = 12
 CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q", "f4": "f", "f8": "d"}
+Fill = Callable[[int, Sequence[float], Reasons], bytes]
 STRUCTS = {order + kind: struct.Struct(order + code) for order in "<>" for kind, code in CODES.items()}
 
 
@@ -49,9 +50,12 @@ class PreparedMessage:
         return bytes(self._bytes)
 
 
-def prepared(topic: OutputTopic, frame_id: str) -> PreparedMessage:
-    """The message of a topic whose strings never change."""
-    return PreparedMessage(topic, bag.template_message(topic, typestore(), frame_id), bag.number_fields(topic))
+def prepared(topic: OutputTopic, frame_id: str) -> Fill:
+    """A function that makes the message from a stamp [ns], the numbers of a topic and the reasons of an estimate."""
+    if topic is ESTIMATE_TOPIC:
+        return DdsEstimate(frame_id).filled
+    message = PreparedMessage(topic, bag.template_message(topic, typestore(), frame_id), bag.number_fields(topic))
+    return lambda stamp, values, _reasons: message.filled(stamp, values)
 
 
 class DdsEstimate:

@@ -16,7 +16,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
 from trackres_ros.node.background import Background, ErrorLines
 from trackres_ros.node.clock import Arrival
-from trackres_ros.node.dds.messages import CdrInput, DdsEstimate, PreparedMessage, clock_ns, diagnostic_array, prepared
+from trackres_ros.node.dds.messages import CdrInput, Fill, clock_ns, diagnostic_array, prepared
 from trackres_ros.node.dds.participant import Participant, TopicReader
 from trackres_ros.node.dds.wire import typestore
 from trackres_ros.node.endpoints import InputTopic, Quality, full_name, input_name, input_quality, output_quality
@@ -47,13 +47,12 @@ class DdsNode:
         self.application = application = Application(parameters, self, node, namespace)
         self._input_readers = [CdrInput(given, application.topics.origin) for given in application.inputs]
         self._participant = Participant(node, namespace)
-        self._prepared: list[PreparedMessage | None] = []
+        self._fills: list[Fill | None] = []
         self._writers = []
         for topic in application.outputs:
             name = full_name(topic.name, node, namespace)
             self._writers.append(self._participant.writer(name, topic.type, output_quality(parameters, topic)))
-            self._prepared.append(None if topic.kind in ("status", "estimate") else prepared(topic, self._frame_id))
-        self._estimate = DdsEstimate(self._frame_id)
+            self._fills.append(None if topic.kind == "status" else prepared(topic, self._frame_id))
         self._input_names = [self.topic_name(given.name) for given in application.inputs]
         self._quality = input_quality(parameters)
         self._readers = [
@@ -85,15 +84,11 @@ class DdsNode:
         """The machine's time, or the last of /clock."""
         return self._sim_ns if self._clock else time.time_ns()
 
-    def publish(self, output: int, stamp_ns: int, values: Sequence[float]) -> None:
+    def publish(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
         """Publish a message of numbers."""
-        message = self._prepared[output]
-        assert message is not None
-        self._writers[output].write(message.filled(stamp_ns, values))
-
-    def publish_estimate(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
-        """Publish the message of `topics.ESTIMATE_TOPIC`."""
-        self._writers[output].write(self._estimate.filled(stamp_ns, values, reasons))
+        fill = self._fills[output]
+        assert fill
+        self._writers[output].write(fill(stamp_ns, values, reasons))
 
     def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:
         """Publish a DiagnosticArray."""

@@ -23,15 +23,21 @@ from trackres_ros.output.topics import ESTIMATE_TOPIC, REASONS_GROUP, VEHICLE_GR
 from trackres_ros.recording.message_types import check_field, installed_fields, with_nested
 from trackres_ros.units import SECOND_NS
 
-Fill = Callable[[int, Sequence[float]], Any]
+Fill = Callable[[int, Sequence[float], Reasons], Any]
 
 
 def prepared(topic: OutputTopic, frame_id: str) -> Fill:
-    """A function that makes the message from a stamp [ns] and the numbers of a topic; it reuses one message."""
+    """A function that makes the message from a stamp [ns], the numbers of a topic and the reasons of an estimate. It reuses one
+    message.
+
+    Raises InputError or an error of a library if the type of an estimate is not installed, or differs.
+    """
+    if topic is ESTIMATE_TOPIC:
+        return RosEstimate(frame_id).filled
     message = get_message(topic.type)()
     if topic.kind == "number":
 
-        def number(_stamp_ns: int, values: Sequence[float]) -> Any:
+        def number(_stamp_ns: int, values: Sequence[float], _reasons: Reasons) -> Any:
             message.data = values[0]
             return message
 
@@ -42,17 +48,17 @@ def prepared(topic: OutputTopic, frame_id: str) -> Fill:
     def stamped(stamp_ns: int) -> None:
         stamp.sec, stamp.nanosec = divmod(stamp_ns, SECOND_NS)
 
-    def joints(stamp_ns: int, values: Sequence[float]) -> Any:
+    def joints(stamp_ns: int, values: Sequence[float], _reasons: Reasons) -> Any:
         stamped(stamp_ns)
         message.effort = array("d", values)
         return message
 
-    def wrench(stamp_ns: int, values: Sequence[float]) -> Any:
+    def wrench(stamp_ns: int, values: Sequence[float], _reasons: Reasons) -> Any:
         stamped(stamp_ns)
         message.wrench.torque.y = values[0]
         return message
 
-    def temperature(stamp_ns: int, values: Sequence[float]) -> Any:
+    def temperature(stamp_ns: int, values: Sequence[float], _reasons: Reasons) -> Any:
         stamped(stamp_ns)
         message.temperature, message.variance = values
         return message

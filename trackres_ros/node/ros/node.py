@@ -30,15 +30,7 @@ from trackres_ros.node.inbox import Inbox
 from trackres_ros.node.parameters import Parameters, make_parameters
 from trackres_ros.node.ros import parameters as ros_parameters
 from trackres_ros.node.ros.callback_group import OneAtATime
-from trackres_ros.node.ros.messages import (
-    Fill,
-    RosEstimate,
-    diagnostic_array,
-    input_type,
-    installed_type,
-    prepared,
-    type_text,
-)
+from trackres_ros.node.ros.messages import Fill, diagnostic_array, input_type, installed_type, prepared, type_text
 from trackres_ros.node.ros.qos import OVERRIDABLE, overridden, profile_of
 from trackres_ros.node.transport import Level, Peer, Reasons, Status
 from trackres_ros.output.topics import DEFAULT_NODE, ESTIMATE_TOPIC, OutputTopic
@@ -138,7 +130,6 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         application = Application(parameters, self, self.get_name(), self.get_namespace())
         kinds = [input_type(given, application.topics.origin) for given in application.inputs]
         self.application = application
-        self._estimate = self._prepared_estimate()
         for topic in application.outputs:
             self._open_output(topic, parameters)
         self._input_profile = profile_of(input_quality(parameters))
@@ -164,8 +155,8 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             self.configured(application)
 
     def _open_output(self, topic: OutputTopic, parameters: Parameters) -> None:
-        if topic is ESTIMATE_TOPIC and self._estimate is None:
-            self._fills.append(None)
+        self._fills.append(None if topic.kind == "status" else self._fill(topic))
+        if topic is ESTIMATE_TOPIC and self._fills[-1] is None:
             self._outputs.append(None)
             return
         name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
@@ -173,7 +164,6 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         events = PublisherEventCallbacks(
             incompatible_qos=self._reporter(f"a subscriber of {self.resolve_topic_name(name)}"), use_default_callbacks=False
         )
-        self._fills.append(None if topic.kind in ("status", "estimate") else prepared(topic, self._frame_id))
         kind = installed_type(topic.type, f"topic {name}")
         with overridden(self, name):
             made = self.create_lifecycle_publisher(
@@ -243,11 +233,13 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     # Interface of the application's transport
 
-    def _prepared_estimate(self) -> RosEstimate | None:
-        """None where its type is not installed, or differs: it alone is not among the common interfaces."""
+    def _fill(self, topic: OutputTopic) -> Fill | None:
+        """None for an estimate whose type is not installed, or differs: it alone is not among the common interfaces."""
         try:
-            return RosEstimate(self._frame_id)
+            return prepared(topic, self._frame_id)
         except (InputError, AttributeError, AssertionError, TypeError) as error:  # not there, or of another version
+            if topic is not ESTIMATE_TOPIC:
+                raise
             self.get_logger().info(f"~/{ESTIMATE_TOPIC.name} is not published, all other topics are: {error}")
             return None
 
@@ -255,16 +247,10 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         """The node's time, simulated where use_sim_time is set."""
         return int(self.get_clock().now().nanoseconds)
 
-    def publish(self, output: int, stamp_ns: int, values: Sequence[float]) -> None:
-        """Publish a message of numbers."""
-        fill = self._fills[output]
-        assert fill
-        self._outputs[output].publish(fill(stamp_ns, values))
-
-    def publish_estimate(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
-        """Publish the message of `topics.ESTIMATE_TOPIC`, where its type is installed."""
-        if self._estimate is not None:
-            self._outputs[output].publish(self._estimate.filled(stamp_ns, values, reasons))
+    def publish(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
+        """Publish a message of numbers, where its type is installed."""
+        if fill := self._fills[output]:
+            self._outputs[output].publish(fill(stamp_ns, values, reasons))
 
     def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:
         """Publish a DiagnosticArray."""
