@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.selection.naming import MODEL_ERROR
 from trackres_ros.evaluation.sealed.belt_heat import LAYERS, roll
 from trackres_ros.evaluation.sealed.belt_loss import LOG_SPEEDS, belt_loss
-from trackres_ros.evaluation.sealed.cases import CATALOGUE, LEVELS, draw_cases, sealed
+from trackres_ros.evaluation.sealed.cases import CATALOGUE, LEVELS, draw_cases
 from trackres_ros.evaluation.sealed.drives import drive
 from trackres_ros.evaluation.sealed.generate import write_vehicle
 from trackres_ros.evaluation.sealed.material import fit_material
@@ -123,11 +123,10 @@ def test_the_base_refits_to_a_truth_without_effects(sheet, tmp_path):
     assert values["loss_modulus_scale"] == pytest.approx(1.0, abs=0.15)
 
 
-def test_labels_are_sealed_and_names_say_nothing():
+def test_a_seed_gives_the_same_cases_and_their_names_say_nothing():
     cases = draw_cases({"none": 4, "single": 4, "outside": 3}, 5)
-    assert sealed(5, cases) == sealed(5, draw_cases({"none": 4, "single": 4, "outside": 3}, 5))
-    assert sealed(5, cases) != sealed(5, cases[::-1])
-    assert sealed(5, cases) != sealed(6, cases)
+    assert cases == draw_cases({"none": 4, "single": 4, "outside": 3}, 5)
+    assert cases != draw_cases({"none": 4, "single": 4, "outside": 3}, 6)
     assert [c.level for c in cases] != sorted(c.level for c in cases)
     for case in cases:
         assert len(case.name) == 8
