@@ -54,6 +54,13 @@ def check_seal(folder: Path, hidden: object, remedy: str = "begin anew") -> str:
     return seal
 
 
+def write_scores(folder: Path, scores: Mapping[str, Any], page: str, text: str) -> None:
+    """Write the scores and the page about them, and print the page."""
+    (folder / "scores.json").write_text(json.dumps(scores, indent=1), encoding="utf-8")
+    (folder / page).write_text(text, encoding="utf-8")
+    print(text)
+
+
 def read_json(path: Path) -> Any:
     """Content of a JSON file."""
     return json.loads(path.read_text(encoding="utf-8"))

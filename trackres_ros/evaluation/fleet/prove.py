@@ -9,7 +9,6 @@ fleet.yaml and nothing else.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
@@ -32,7 +31,7 @@ from trackres_ros.evaluation.fleet.draw import (
     draw_fleet,
 )
 from trackres_ros.evaluation.fleet.sample import begin_recordings, record_one
-from trackres_ros.evaluation.processes import check_seal, each, read_json, read_labels, write_sealed
+from trackres_ros.evaluation.processes import check_seal, each, read_json, read_labels, write_scores, write_sealed
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.pooling import Vehicles, pool
 from trackres_ros.fleet.trends import NUMBERS, TEXTS
@@ -95,9 +94,7 @@ def score(folder: Path) -> None:
     scored = [score_vehicle(v, found["vehicles"].get(v.name, {"changes": []})) for v in fleet]
     known = known_of_the_type(FleetDataset(folder / RESULTS))
     counts = summary(scored, labels["seed"], seal) | {"known_of_the_type": known}
-    (folder / "scores.json").write_text(json.dumps(counts, indent=1), encoding="utf-8")
-    (folder / "fleet.md").write_text(page(counts), encoding="utf-8")
-    print(page(counts))
+    write_scores(folder, counts, "fleet.md", page(counts))
 
 
 def known_of_the_type(dataset: FleetDataset) -> list[dict[str, Any]]:

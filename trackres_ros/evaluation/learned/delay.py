@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -29,7 +28,7 @@ from trackres_ros.evaluation.learned.cases import (
     misled,
     weight_shares,
 )
-from trackres_ros.evaluation.processes import check_seal, each, read_labels, unfinished, write_sealed
+from trackres_ros.evaluation.processes import check_seal, each, read_labels, unfinished, write_scores, write_sealed
 from trackres_ros.evaluation.sealed.drives import Array, SealedDrive, drive, trapezoids
 from trackres_ros.evaluation.sealed.generate import FASTEST_MPS, START_S, VEHICLE, weight_and_radius, write_vehicle
 from trackres_ros.evaluation.sealed.sensors import HEAVY_TAILS, Sensors, drawn_sensors, lagging, road_slopes
@@ -47,7 +46,6 @@ APART = (0.5, 2.0)  # rate of the torque over that of the speed
 JITTER_SHARE = 0.3  # at most, of the time between samples
 STAMP_STD_S = 0.005  # at most, by which a stamp is off
 TARGET_S, WITHIN_STD = 0.02, 3.0
-PAGE = "delay.md"
 RATES_OF = ((1.0, 3.0), (3.0, 10.0), (10.0, 30.0), (30.0, 100.0))
 
 
@@ -170,9 +168,7 @@ def score(folder: Path) -> None:
     seal = check_seal(folder, [labels["seed"], labels["drawn"]])
     scored = [_scored(one, np.load(folder / "results" / f"{one.case.name}.npy")) for one in drawn]
     scores = {"seed": labels["seed"], "minutes": labels["minutes"], "seal": seal, "each": scored}
-    (folder / "scores.json").write_text(json.dumps(scores, indent=1), encoding="utf-8")
-    (folder / PAGE).write_text(page(scores), encoding="utf-8")
-    print(page(scores))
+    write_scores(folder, scores, "delay.md", page(scores))
 
 
 def _scored(one: Delayed, rows: Array) -> dict[str, Any]:

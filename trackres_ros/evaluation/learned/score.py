@@ -46,8 +46,7 @@ def main(folder: Path, hours: float) -> None:
         "cases": found,
         "ageing": aged,
     }
-    (folder / "scores.json").write_text(json.dumps(scores, indent=1), encoding="utf-8")
-    print(write_page(folder, scores))
+    write_page(folder, scores)
 
 
 def _aged(folder: Path, seed: int, hours: float) -> list[dict[str, float]]:

@@ -48,7 +48,7 @@ def main(folder: Path, first: int | None = None) -> None:
     expected = [_expected(case) for case in cases]
     trees: Sequence[str | None] = by_trees([s["features"] for s in simple], expected, list(CATALOGUE)) or [None] * len(cases)
     scored = each(partial(_score, folder), list(zip(cases, trees, strict=True)), "oracle fitted")
-    print(write_all(folder, scored, seal, labels["seed"], len(drawn)))
+    write_all(folder, scored, seal, labels["seed"], len(drawn))
 
 
 def _expected(case: Case) -> str:
