@@ -11,11 +11,10 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from bench_export import written
 from measuring import HERE, ROOT, Target
 
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.export.c_source import CSource
-from trackres_ros.export.parts import Parts
 from trackres_ros.vehicle import load_any
 
 STEPS = 20_000
@@ -27,13 +26,10 @@ def run(steps: int = STEPS) -> dict[str, float]:
     """Measure so many periods; empty where there is no compiler."""
     if not (shutil.which("cc") and shutil.which("c++")):
         return {}
-    vehicle = load_any("xgd24d")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for file, text in CSource(Parts(Estimator(vehicle)), vehicle.title, ("benchmark",)).files().items():
-            (folder / file).write_text(text)
-        subprocess.run(["cc", "-std=c99", "-O2", "-ffp-contract=off", "-c", "trackres.c"], cwd=folder, check=True)
-        loop = ["c++", "-std=c++17", "-O2", "-I.", f"-I{INCLUDE}", str(HERE / "control_loop.cpp"), "trackres.o"]
+        written(Estimator(load_any("xgd24d")), folder)
+        loop = ["c++", "-std=c++17", "-O2", "-I.", f"-I{INCLUDE}", str(HERE / "control_loop.cpp"), "step.o"]
         subprocess.run([*loop, "-o", "loop", "-lm"], cwd=folder, check=True)
         out = subprocess.run(["./loop", str(steps)], cwd=folder, check=True, capture_output=True, text=True).stdout
     took = np.array(out.split(), dtype=float)

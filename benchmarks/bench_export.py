@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from measuring import HERE, at_most
+from measuring import HERE, at_most, uneven_loads
 from numpy.typing import NDArray
 
 from trackres_ros.effects.effect import Active
@@ -29,7 +29,6 @@ Array = NDArray[np.float64]
 
 STEPS = 200_000
 ROUNDS = 7
-UNEVEN = (0.97, 1.03, 0.99, 1.01)  # of the nominal loads: no assembly is like another, so each is computed
 EFFECTS = ("warmup", "viscous_bearing", "tension_torque")
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 TARGETS = {
@@ -53,23 +52,14 @@ def with_three_effects(vehicle: AnyVehicle) -> AnyVehicle:
 def measured(vehicle: AnyVehicle, single: bool, steps: int, rounds: int) -> dict[str, float]:
     """Time and size of one export."""
     estimator = Estimator(vehicle)
-    begin = time.perf_counter()
-    source = CSource(Parts(estimator, single=single), vehicle.title, ("benchmark",))
-    files = source.files()
-    translated = time.perf_counter() - begin
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for file, text in files.items():
-            (folder / file).write_text(text)
-        loads = " ".join(
-            f"inputs.{in_c(source.inputs[f'load/{a}'])} = (trackres_real){load * UNEVEN[i % 4]!r};"
-            for i, (a, load) in enumerate(zip(estimator.assemblies, vehicle.nominal_loads().tolist(), strict=False))
-        )
-        defined = ["-DSPEED=10.0", f"-DLOADS={loads}"]
-        subprocess.run(["cc", *FLAGS, "-c", "trackres.c", "-o", "step.o"], cwd=folder, check=True)
-        run = ["cc", *FLAGS, *defined, "step.o", str(HERE / "export_step.c"), "-I.", "-o", "step", "-lm"]
-        subprocess.run(run, cwd=folder, check=True)
-        out = subprocess.run(["./step", str(steps), str(rounds)], cwd=folder, check=True, capture_output=True, text=True).stdout
+        source, translated = written(estimator, folder, single)
+        loads = zip(estimator.assemblies, uneven_loads(estimator).tolist(), strict=False)
+        set_loads = " ".join(f"inputs.{in_c(source.inputs[f'load/{a}'])} = (trackres_real){load!r};" for a, load in loads)
+        build(folder, str(HERE / "export_step.c"), f"-DLOADS={set_loads}")
+        command = ["./program", str(steps), str(rounds)]
+        out = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
         sizes = subprocess.run(["size", "step.o"], cwd=folder, check=True, capture_output=True, text=True).stdout
     each = [float(line.split()[0]) for line in out.splitlines()]
     most = [float(line.split()[1]) for line in out.splitlines()]
@@ -86,19 +76,22 @@ def measured(vehicle: AnyVehicle, single: bool, steps: int, rounds: int) -> dict
     }
 
 
-def written(vehicle: AnyVehicle, folder: Path, single: bool) -> list[str]:
-    """Export into a folder and compile the step there; returns the names of the outputs."""
-    source = CSource(Parts(Estimator(vehicle), single=single), vehicle.title, ("benchmark",))
-    folder.mkdir()
-    for file, text in source.files().items():
+def written(estimator: Estimator, folder: Path, single: bool = False) -> tuple[CSource, float]:
+    """Export into a folder and compile the step there; returns the source, and how long its translation took [s]."""
+    begin = time.perf_counter()
+    source = CSource(Parts(estimator, single=single), estimator.vehicle.title, ("benchmark",))
+    files = source.files()
+    translated = time.perf_counter() - begin
+    folder.mkdir(exist_ok=True)
+    for file, text in files.items():
         (folder / file).write_text(text)
     subprocess.run(["cc", *FLAGS, "-c", "trackres.c", "-o", "step.o"], cwd=folder, check=True)
-    return source.columns
+    return source, translated
 
 
-def build(folder: Path, program: str) -> None:
+def build(folder: Path, program: str, *defined: str) -> None:
     """Build a program with the step that was compiled there."""
-    command = ["cc", *FLAGS, "-DSPEED=10.0", program, "step.o", "-I.", "-o", "program", "-lm"]
+    command = ["cc", *FLAGS, "-DSPEED=10.0", *defined, program, "step.o", "-I.", "-o", "program", "-lm"]
     subprocess.run(command, cwd=folder, check=True)
 
 
@@ -153,7 +146,8 @@ def run(steps: int = STEPS, rounds: int = ROUNDS, hours: float = 2.0) -> dict[st
         result |= {f"{name}: {what}": value for what, value in measured(vehicle, single, steps, rounds).items()}
     with tempfile.TemporaryDirectory() as name:
         exports = [Path(name, number) for number in ("double", "float")]
-        names, _ = (written(load_any("xgd24d"), folder, folder.name == "float") for folder in exports)
+        estimator = Estimator(load_any("xgd24d"))
+        names, _ = (written(estimator, folder, folder.name == "float")[0].columns for folder in exports)
         off = {"": of_float(exports, names, hours)}
         off |= {f"steady at {rate} Hz, ": of_steady(exports, names, rate, 2.0 * hours) for rate in (50, 1000)}
     return result | {f"xgd24d as float: {drive}{what}": value for drive, of in off.items() for what, value in of.items()}

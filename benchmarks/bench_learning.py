@@ -15,7 +15,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from measuring import at_most
+from measuring import START_NS, at_most
 
 from trackres_ros.node.application import Application
 from trackres_ros.node.endpoints import InputTopic
@@ -25,7 +25,6 @@ from trackres_ros.units import SECOND_NS
 
 SECONDS, ROUNDS = 60.0, 5
 RATE_HZ = 50.0
-START_NS = 1_700_000_000 * SECOND_NS
 TOPICS = """
 speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
 torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}

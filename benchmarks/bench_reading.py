@@ -17,7 +17,7 @@ from unittest import mock
 
 import numpy as np
 import yaml
-from measuring import at_most, child
+from measuring import START_NS, at_most, child
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -54,7 +54,7 @@ def write_bag(path: Path, storage: StoragePlugin, messages: int) -> None:
     types = STORE.types
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "base_link")
     vector = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-    stamp_ns = 1_700_000_000_000_000_000 + 10_000_000 * np.arange(messages)
+    stamp_ns = START_NS + 10_000_000 * np.arange(messages)
     speed = 10.0 + np.sin(np.arange(messages) / 500.0) + np.random.default_rng(1).normal(0.0, 0.01, messages)
     rows = {}
     for name, inner, field, value in (

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import math
 import statistics
-from dataclasses import replace
 
 import numpy as np
-from measuring import alternated, at_least, at_most, median_ratio, seconds
+from bench_export import with_three_effects
+from measuring import START_NS, alternated, at_least, at_most, median_ratio, seconds, uneven_loads
 from numpy.typing import NDArray
 from rivals import PaperAlgorithm, Road, by_odeint, by_odeint_each_sample, by_solve_ivp, limit, plain
 
-from trackres_ros.effects import Active, catalogue
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.track import with_methods
@@ -31,12 +30,8 @@ KMH = 1 / 3.6
 LAP_SPEED_KMH, LAP_M, RAMP_S, STOP_S = 30.0, 2 * math.pi * 100.0, 15.0, 20.0  # section 3.2.2
 HELD_KMH, HELD_RAMP_S = 50.0, 50.0  # section 4.2
 SPEED_NOISE = 0.02  # m/s
-UNEVEN = (0.97, 1.03, 0.99, 1.01)  # of the nominal loads: no assembly is like another, so each is computed
 AMBIENT_DEGC = 15.0
 MOVING = 0.5  # m/s: torques are compared relatively above
-START_NS = 1_700_000_000_000_000_000
-
-EFFECTS = ("warmup", "viscous_bearing", "tension_torque")
 
 TARGETS = {
     "laps: run over the limit": at_most(1.3),
@@ -59,8 +54,7 @@ TARGETS = {
 
 def _road(estimator: Estimator, drive: SimulatedDrive, noise: float) -> Road:
     speed = drive.speed + np.random.default_rng(1).normal(0.0, noise, len(drive.speed)) * (drive.speed > 0.0)
-    loads = estimator.vehicle.nominal_loads() * np.resize(UNEVEN, len(estimator.assemblies))
-    return Road(drive.time_s, np.maximum(speed, 0.0), drive.acceleration.copy(), loads, AMBIENT_DEGC)
+    return Road(drive.time_s, np.maximum(speed, 0.0), drive.acceleration.copy(), uneven_loads(estimator), AMBIENT_DEGC)
 
 
 def _cut(drive: SimulatedDrive, duration_s: float) -> SimulatedDrive:
@@ -127,11 +121,7 @@ def _against_lsoda(estimator: Estimator, name: str, road: Road, repeats: int) ->
 
 def _with_effects(estimator: Estimator, road: Road, repeats: int) -> dict[str, float]:
     """Three effects, with the ranges that a diagnosis writes, over none."""
-    effects = []
-    for effect in (catalogue()[name] for name in EFFECTS):
-        values = effect.values()
-        effects.append(Active(effect, values, {q: (0.9 * value, 1.1 * value) for q, value in values.items()}))
-    loaded = Estimator(replace(estimator.vehicle, effects=tuple(effects)))
+    loaded = Estimator(with_three_effects(estimator.vehicle))
     rivals = {
         "run": lambda: by_run(estimator, road),
         "run with effects": lambda: by_run(loaded, road),

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from measuring import at_most
+from measuring import START_NS, at_most
 from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
@@ -25,7 +25,7 @@ from trackres_ros.vehicle import load
 
 STEPS, SPEEDS_A_POSITION = 20_000, 100  # a position a second, a speed each 10 ms
 STREETS, STREET_M = 200, 2000.0
-START_NS, STEP_NS = 1_700_000_000_000_000_000, 10_000_000
+STEP_NS = 10_000_000
 FRAME = Frame(0.83, 0.15)
 WITHOUT, TOWN, DENSE = "no route", "a town", "as dense as may be"
 TARGETS = {

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from measuring import at_most, child
+from measuring import START_NS, at_most, child, uneven_loads
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
@@ -25,8 +25,6 @@ STEPS = 5_000
 STEPS_A_ROUND = 50  # between as many messages
 LONG_RUN = 1_000_000
 WARM_UP = 1_000
-UNEVEN = (0.97, 1.03, 0.99, 1.01)  # of the nominal loads: no assembly is like another, so each is computed
-START_NS = 1_700_000_000_000_000_000
 STEP_NS = 10_000_000
 
 KINDS = ("handle", "step")
@@ -45,8 +43,7 @@ def _speed(n: int) -> float:
 
 def _session(estimator: Estimator) -> Session:
     session = estimator.session()
-    loads = estimator.vehicle.nominal_loads() * np.resize(UNEVEN, len(estimator.assemblies))
-    for name, newton in zip(estimator.assemblies, loads, strict=True):
+    for name, newton in zip(estimator.assemblies, uneven_loads(estimator), strict=True):
         session.handle(session.channel(f"load/{name}"), START_NS, START_NS, float(newton))
     return session
 
@@ -55,7 +52,7 @@ def steppers() -> dict[str, Callable[[int], None]]:
     """Takes the n-th speed: through `Session.handle`, with its guards, and by `Estimator.step`."""
     estimator = Estimator(load("xgd24d"))
     session = _session(estimator)
-    loads = estimator.vehicle.nominal_loads() * np.resize(UNEVEN, len(estimator.assemblies))
+    loads = uneven_loads(estimator)
     state = estimator.cold_start(estimator.inputs(_speed(0), load=loads, ambient=15.0))
     inputs = [estimator.inputs(_speed(n), load=loads, ambient=15.0) for n in range(7)]
 

@@ -22,7 +22,7 @@ import attrs
 import numba
 import numpy as np
 from mcap.writer import CompressionType, Writer
-from measuring import alternated, median_ratio
+from measuring import START_NS, alternated, median_ratio
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise
@@ -36,7 +36,6 @@ from trackres_ros.recording.message_types import definitions
 STORE = get_typestore(Stores.LATEST)
 TWIST = "geometry_msgs/msg/TwistStamped"
 FIELD = "twist.linear.x"
-START_NS = 1_700_000_000_000_000_000
 LIKE_THE_LAST = 0.9  # correlation of a residual with the one before: that of torques at 10 Hz
 TAILS = 2.5  # degrees of freedom of the innovations: spikes, as a measured torque has them
 

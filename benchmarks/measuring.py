@@ -14,10 +14,18 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from trackres_ros.estimator.estimator import Estimator
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
+START_NS = 1_700_000_000_000_000_000
+UNEVEN = (0.97, 1.03, 0.99, 1.01)  # of the nominal loads
 
 
 @dataclass(frozen=True)
@@ -43,6 +51,11 @@ def at_most(limit: float) -> Target:
 def at_least(limit: float) -> Target:
     """Target of a number that should be large."""
     return Target(limit, at_most=False)
+
+
+def uneven_loads(estimator: Estimator) -> NDArray[np.float64]:
+    """Loads [N], shape (assemblies,), about the nominal ones: no assembly is like another, so each is computed."""
+    return np.asarray(estimator.vehicle.nominal_loads() * np.resize(UNEVEN, len(estimator.assemblies)))
 
 
 def seconds(run: Callable[[], object]) -> float:

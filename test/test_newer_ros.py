@@ -50,25 +50,26 @@ def used(tree):
             yield node.arg, node.value.lineno
 
 
-def outdated(text):
-    """What a Python file uses and should not, by line."""
+def outdated(names):
+    """What should not be used, of names with their lines."""
     return [
         f"{line}: {name}: use {OUTDATED.get(name, 'the name without it')}"
-        for name, line in used(ast.parse(text))
+        for name, line in names
         if name in OUTDATED or name.startswith(PREFIX)
     ]
 
 
 @pytest.fixture(scope="module")
 def sources(repository):
+    """What each file uses."""
     files = [repository / "setup.py"]
     files += [path for room in ("trackres_ros", "launch", "examples") for path in sorted((repository / room).rglob("*.py"))]
-    return {path.relative_to(repository).as_posix(): path.read_text(encoding="utf-8") for path in files}
+    return {path.relative_to(repository).as_posix(): [*used(ast.parse(path.read_text(encoding="utf-8")))] for path in files}
 
 
 def test_nothing_that_a_newer_ros_dropped_is_used(sources):
     assert len(sources) > 100
-    assert not [f"{path}:{one}" for path, text in sources.items() for one in outdated(text)]
+    assert not [f"{path}:{one}" for path, names in sources.items() for one in outdated(names)]
 
 
 @pytest.mark.parametrize(
@@ -84,12 +85,12 @@ def test_nothing_that_a_newer_ros_dropped_is_used(sources):
     ],
 )
 def test_each_kind_of_use_is_found(line):
-    assert outdated(line)
-    assert not outdated("import warnings\nwarnings.warn('x')\nnode.get_logger().warning('x')")
+    assert outdated(used(ast.parse(line)))
+    assert not outdated(used(ast.parse("import warnings\nwarnings.warn('x')\nnode.get_logger().warning('x')")))
 
 
 def test_only_the_proof_starts_processes_by_a_pool(sources):
-    found = {path for path, text in sources.items() if POOLS & {name for name, _ in used(ast.parse(text))}}
+    found = {path for path, names in sources.items() if POOLS & {name for name, _ in names}}
     assert found
     assert all(path.startswith("trackres_ros/evaluation/") for path in found), found
 

@@ -63,6 +63,7 @@ STARTED_BY = {  # commands that start an application of their own, and import it
         "trackres_ros.node", "trackres_ros.node.ros.main", "trackres_ros.node.dds.node", "trackres_ros.node.parameters",
         "trackres_ros.node.parameter_file", "trackres_ros.files.yamls", "trackres_ros.files.output_files",
     },
+    "live_display.py": {"trackres_ros.node.report"},
     "live_json.py": {"trackres_ros.node.report"},
     "live_table.py": {"trackres_ros.node.transport", "trackres_ros.node.report", "trackres_ros.recording.roles"},
     "options.py": {"trackres_ros.api.arguments", "trackres_ros.recording.bindings"},

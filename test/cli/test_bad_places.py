@@ -1,52 +1,19 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Paths that are empty, disks that are full, and files that a vehicle file names but that are no rubber files."""
+"""Places that cannot be written, disks that are full, and files that a vehicle file names but that are no rubber files."""
 
 import os
 import resource
 import signal
 from pathlib import Path
 
-import click
 import pytest
 
 import trackres_ros as tr
-from trackres_ros.cli.main import cli
 from trackres_ros.files.output_files import output_folder
 
 SECRET = "root:x:0:0"
-
-
-def commands(group, words=()):
-    for name, command in group.commands.items():
-        if isinstance(command, click.Group):
-            yield from commands(command, (*words, name))
-        else:
-            yield (*words, name), command
-
-
-EMPTY = [
-    (words, option)
-    for words, command in commands(cli)
-    for option in command.params
-    if isinstance(option, click.Argument) or (isinstance(option, click.Option) and not option.is_flag)
-]
-
-
-def test_no_command_takes_an_empty_text_for_a_path(refused, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine.py").write_text("raise SystemExit('imported')\n")
-    assert len(EMPTY) > 100
-    for words, option in EMPTY:
-        given = [("",)] if isinstance(option, click.Argument) else [(option.opts[0], "")]
-        given += [(f"{name}=",) for name in option.opts if name.startswith("--")]
-        for one in given:
-            shown = refused(*words, *one)
-            assert "not empty" in shown, (words, one)
-            assert one[0].rstrip("=") in shown
-            assert "imported" not in shown
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.py"]
 
 
 @pytest.fixture

@@ -23,11 +23,6 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("commands")
 
 
-def in_a_process(*arguments, cwd=None):
-    command = [sys.executable, "-m", "trackres_ros", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd)
-
-
 def table(path):
     with path.open() as lines:
         rows = list(csv.DictReader(lines))
@@ -324,13 +319,6 @@ def test_an_unknown_command_suggests_the_closest_one(refused, words, said):
 def test_a_shell_completes_vehicles_and_files():
     found = vehicles_to_complete(None, None, "xg")
     assert [(item.type, item.value) for item in found] == [("plain", "xgd24d"), ("file", "xg")]
-
-
-def test_bad_input_exits_with_code_2_and_one_line_on_stderr(tmp_path):
-    done = in_a_process("simulate", "--vehicle", "nope", "--speed-kmh", "50", "-o", "x.csv", cwd=tmp_path)
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    assert done.stderr.startswith("trackres: error: ")
-    assert not list(tmp_path.iterdir())
 
 
 def test_no_zero_that_is_shown_has_a_sign(folder, good):

@@ -11,8 +11,8 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from trackres_ros.cli.live_json import as_dict
-from trackres_ros.cli.live_table import line, table
+from trackres_ros.cli.live_json import LiveJson, as_dict
+from trackres_ros.cli.live_table import LiveTable, line, table
 from trackres_ros.estimator.disturbance import Belief
 from trackres_ros.node.mismatch import Mismatch
 from trackres_ros.node.notices import KINDS, Notice
@@ -108,3 +108,11 @@ def test_the_line_and_the_json_say_the_same():
     assert told["feedforward_published_nm"] == -98765.0
     assert told["inputs"][-1]["age_s"] is None
     assert told["inputs"][0]["counts"]["dropped"] == 1234567
+
+
+@pytest.mark.parametrize("display", [LiveJson, lambda seen: LiveTable(lambda: "a vehicle", seen)])
+def test_a_display_whose_output_is_read_ends_with_its_last_state(display, capsys):
+    shown = display(overview)
+    shown.start()
+    assert shown.stop()
+    assert "-98765" in capsys.readouterr().out

@@ -66,6 +66,23 @@ def test_each_number_has_a_least_and_a_greatest_value(name):
                 parameter.type.convert(value, parameter, None)
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_no_command_takes_an_empty_text_for_a_path(name, refused, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text("raise SystemExit('imported')\n")
+    for option in COMMANDS[name].params:
+        if isinstance(option, click.Option) and option.is_flag:
+            continue
+        given = [("",)] if isinstance(option, click.Argument) else [(option.opts[0], "")]
+        given += [(f"{word}=",) for word in option.opts if word.startswith("--")]
+        for one in given:
+            shown = refused(*name.split(), *one)
+            assert "not empty" in shown, one
+            assert one[0].rstrip("=") in shown
+            assert "imported" not in shown
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.py"]
+
+
 def values(parameter):
     """Words for an option or an argument: within its range, at its ends, and anything."""
     kind = parameter.type

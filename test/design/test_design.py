@@ -399,10 +399,10 @@ def test_a_value_that_a_fit_has_absorbed_is_held(monkeypatch, fitted, by):
 def test_a_value_is_named_by_as_many_words_as_it_takes(given, path):
     vehicle = load("xgd24d")
     if path:
-        assert meant(vehicle, given, "--vary") == ((path,) if isinstance(path, str) else path)
+        assert meant(vehicle, given) == ((path,) if isinstance(path, str) else path)
         return
     with pytest.raises(tr.InputError, match=r"--vary.*allowed: (one of|a single number)"):
-        meant(vehicle, given, "--vary")
+        meant(vehicle, given)
 
 
 @pytest.mark.parametrize(

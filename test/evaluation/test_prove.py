@@ -19,7 +19,7 @@ from trackres_ros.evaluation.learned import cases as learned
 from trackres_ros.evaluation.learned import score as learned_score
 from trackres_ros.evaluation.processes import show_count, write_sealed
 from trackres_ros.evaluation.sealed import earlier, score
-from trackres_ros.evaluation.sealed.cases import draw_cases, sealed
+from trackres_ros.evaluation.sealed.cases import draw_cases
 from trackres_ros.evaluation.sealed.oracle import LEAST_GAIN
 from trackres_ros.evaluation.sealed.scored import wilson
 
@@ -66,15 +66,15 @@ def test_the_labels_are_opened_only_by_the_score(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("cases", "sealed", "score"),
+    ("cases", "hidden", "score"),
     [
-        (draw_cases({"none": 2, "single": 2}, 5), sealed, score.main),
-        (learned.draw_cases(5, 1, 1), learned.sealed, lambda folder: learned_score.main(folder, 0.0)),
+        (draw_cases({"none": 2, "single": 2}, 5), lambda drawn: {"seed": 5, "cases": drawn}, score.main),
+        (learned.draw_cases(5, 1, 1), lambda drawn: [5, drawn], lambda folder: learned_score.main(folder, 0.0)),
     ],
 )
-def test_labels_unlike_the_seal_are_refused(tmp_path, cases, sealed, score):
-    changed = [*map(asdict, cases[:-1]), {**asdict(cases[-1]), "seed": 1}]
-    write_sealed(tmp_path, "cases", sealed(5, cases), {"seed": 5, "minutes": 1.0, "cases": changed})
+def test_labels_unlike_the_seal_are_refused(tmp_path, cases, hidden, score):
+    drawn = list(map(asdict, cases))
+    write_sealed(tmp_path, "cases", hidden(drawn), {"seed": 5, "cases": [*drawn[:-1], {**drawn[-1], "seed": 1}]})
     with pytest.raises(InputError, match="not those that were sealed"):
         score(tmp_path)
     assert not (tmp_path / "scores.json").exists()

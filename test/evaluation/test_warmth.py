@@ -29,7 +29,7 @@ def test_one_time_constant_is_found_where_start_states_show_it(tau):
     found = pool(made(tau, 0.1, 1), np.random.default_rng(2))
     assert found.low_s < tau < found.high_s
     assert found.settled
-    assert found.rank_alone > 0.7
+    assert found.rank_together > 0.7
     assert found.chance < 0.01
     assert found.reached > 0.9
 

@@ -250,7 +250,7 @@ def test_what_a_search_finds_a_search_until_then_found():
         of = history(np.zeros((40, 4)), seed)
         found = search(of, 4.0)
         ended += any(change.end < 40 for change in found)
-        assert not found or max(gains(of.until(count), ()).gain.max() for count in range(4, 41)) >= 4.0
+        assert not found or max(gains(of.until(count), ()).max() for count in range(4, 41)) >= 4.0
     assert ended
 
 

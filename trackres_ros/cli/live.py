@@ -19,6 +19,7 @@ from trackres_ros.cli import options
 from trackres_ros.cli.partial_output import watch
 
 if TYPE_CHECKING:
+    from trackres_ros.cli.live_display import LiveDisplay
     from trackres_ros.node.application import Application
     from trackres_ros.node.report import Overview
 
@@ -108,7 +109,7 @@ def live_command(
     overruled = dict(_single(text) for text in single) | {key: value for key, value in named.items() if value is not None}
     parameters = make_parameters(given | overruled)
     REQUESTS.listen()
-    shown: list[LiveTable | LiveJson] = []
+    shown: list[LiveDisplay] = []
     running: list[Application] = []  # one at a time: a lifecycle's cleanup and configure make the next
 
     def overview() -> Overview:

@@ -5,33 +5,17 @@
 
 import json
 import math
-import threading
-from collections.abc import Callable
 from typing import Any
 
 from trackres_ros.cli.common import to_nowhere
+from trackres_ros.cli.live_display import LiveDisplay
 from trackres_ros.node.report import Overview
 
 PERIOD_S = 1.0
-END_PATIENCE_S = 2.0
 
 
-class LiveJson:
-    """Prints an overview once a second from its own thread, and at the end with `"final": true`."""
-
-    def __init__(self, overview: Callable[[], Overview]) -> None:
-        self._overview = overview
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="json", daemon=True)
-
-    def start(self) -> None:
-        """Begin to print."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Print the last line, if the reader accepts it, and stop."""
-        self._stop.set()
-        self._thread.join(END_PATIENCE_S)
+class LiveJson(LiveDisplay):
+    """Prints an overview once a second, and at the end with `"final": true`."""
 
     def _run(self) -> None:
         over = False

@@ -4,7 +4,6 @@
 """Shows the running node in the terminal: rates, ages, torque by part, temperatures and status."""
 
 import math
-import threading
 from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -15,6 +14,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from trackres_ros.cli.live_display import LiveDisplay
 from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.node.report import Overview
 from trackres_ros.node.transport import Level
@@ -24,28 +24,16 @@ from trackres_ros.units import KMH_PER_MPS
 
 REFRESH_S = 0.5
 PLAIN_PERIOD_S = 10.0
-END_PATIENCE_S = 2.0
 LONG_AGE_S = 100.0  # from here on whole seconds
 COLOURS = {Level.OK: "green", Level.WARN: "yellow", Level.ERROR: "red", Level.STALE: "magenta"}
 
 
-class LiveTable:
-    """Shows an overview repeatedly from its own thread: redrawn in a terminal, else one line at intervals."""
+class LiveTable(LiveDisplay):
+    """Shows an overview as a table: redrawn in a terminal, else one line at intervals."""
 
     def __init__(self, title: Callable[[], str], overview: Callable[[], Overview]) -> None:
-        self._title, self._overview = title, overview
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="table", daemon=True)
-
-    def start(self) -> None:
-        """Begin to show."""
-        self._thread.start()
-
-    def stop(self) -> bool:
-        """Show the last state and stop; return whether the thread ended."""
-        self._stop.set()
-        self._thread.join(END_PATIENCE_S)
-        return not self._thread.is_alive()
+        super().__init__(overview)
+        self._title = title
 
     def _run(self) -> None:
         console = Console()

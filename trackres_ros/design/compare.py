@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.design.drives import STAGES, DriveCycle, check_weight, columns_on, driven, read_cycle, totals_on, with_factors
+from trackres_ros.design.drives import STAGES, DriveCycle, check_weight, driven, read_cycle, with_factors
 from trackres_ros.design.steady import J_PER_KWH, WARMEST_K, Array, FileErrors, Steady, remarks_on, solver, steady
 from trackres_ros.design.uncertain import LogDerivatives, difference_std, half_width, moved, slopes_of
 from trackres_ros.errors import InputError, one_line
@@ -163,7 +163,7 @@ def compare_designs(asked: ComparisonRequest, advance: Callable[[float], None] =
     names = shown_names(asked.vehicles)
     slopes = _Slopes(asked)
     estimators = [Estimator(vehicle) for vehicle in asked.vehicles]
-    rows_steady, rows_driven, states, remarks = [], [], [], []
+    rows_steady, rows_driven, states, remarks, totals = [], [], [], [], []
     for air, weight in itertools.product(asked.ambients_degc, asked.weights_n):
         where = {"ambient_degc": air, "weight_kn": [(v.weight if weight is None else weight) / 1e3 for v in asked.vehicles]}
         for kmh in asked.steady_kmh:
@@ -172,13 +172,17 @@ def compare_designs(asked: ComparisonRequest, advance: Callable[[float], None] =
             rows_steady += _rows({"speed_kmh": kmh, **where}, STEADY, *_steady(asked, slopes, kmh, air, weight, settled))
             advance(2)
         for cycle in asked.cycles:
-            found, outside = _driven(asked, slopes, estimators, cycle, air, weight)
+            found, outside, taken = _driven(asked, slopes, estimators, cycle, air, weight)
+            totals.append(taken)
             remarks += [f"{name} on {cycle.name}: {text}" for name, texts in zip(names, outside, strict=True) for text in texts]
             rows_driven += _rows({"cycle": cycle.name, "recorded": cycle.conditions(asked.given), **where}, DRIVEN, *found)
             advance(2)
     designs = [_grid(asked, vehicle, name, advance) for vehicle, name in zip(asked.vehicles, names, strict=True)]
-    for design, estimator in zip(designs, estimators, strict=True):
-        design["drive"] = _first_drive(asked, estimator)
+    for design, first in zip(designs, totals[0], strict=True):
+        tonnes, each_km = design["weight_n"] / GRAVITY / 1000.0, first["kwh_per_km"]
+        design["drive"] = {
+            "km": first["distance_m"] / 1000.0, "kwh_per_km": each_km, "wh_per_km_and_t": 1000.0 * each_km / tonnes,
+        }  # fmt: skip
     notes = [note for cycle in asked.cycles for note in cycle.notes]
     for vehicle, name in zip(asked.vehicles, names, strict=True):
         if left_out := left_out_at(vehicle, asked.steady_kmh[0] / KMH_PER_MPS, asked.ambients_degc[0]):
@@ -246,24 +250,25 @@ def _steady(
 def _driven(
     asked: ComparisonRequest, slopes: _Slopes, estimators: Sequence[Estimator], cycle: DriveCycle, air: float,
     weight: float | None,
-) -> tuple[tuple[list[Array], Array, Array], list[list[str]]]:  # fmt: skip
-    values, changes, remarks = [], [], []
+) -> tuple[tuple[list[Array], Array, Array], list[list[str]], list[dict[str, float]]]:  # fmt: skip
+    """Outcomes of both vehicles and how sure the difference is, their remarks, and their totals."""
+    values, changes, remarks, totals = [], [], [], []
     ambient = None if "ambient" in cycle.conditions(asked.given) else air
     for number, estimator in enumerate(estimators):
 
         def outcomes(off: FileErrors, capacity: float, estimator: Estimator = estimator) -> Array:
-            found = driven(with_factors(estimator, off, capacity), cycle, weight, ambient)
+            found, _ = driven(with_factors(estimator, off, capacity), cycle, weight, ambient)
             # The radius does not affect the drive itself: it scales the torque, but not the energy.
             return np.array([found[name] * (off.radius if name.endswith("_nm") else 1.0) for name in DRIVEN])
 
-        columns = columns_on(estimator, cycle, weight, ambient)
-        found = totals_on(estimator, cycle, columns)
+        found, columns = driven(estimator, cycle, weight, ambient)
+        totals.append(found)
         remarks.append(beyond(estimator.vehicle, columns))
         values.append(np.array([found[name] for name in DRIVEN]))
         speed = found["distance_m"] / max(found["under_way_s"], 1.0)
         mean = 0.5 * (found["coldest_belt_degc"] + found["warmest_belt_degc"])
         changes.append(moved(slopes(number, speed), outcomes, np.full(len(DRIVEN), mean)))
-    return (values, *difference_std(asked.vehicles, (changes[0], changes[1]))), remarks
+    return (values, *difference_std(asked.vehicles, (changes[0], changes[1]))), remarks, totals
 
 
 def _rows(
@@ -293,15 +298,6 @@ def _grid(asked: ComparisonRequest, vehicle: Vehicle, name: str, advance: Callab
             torque[i, j], coefficient[i, j] = found.torque["resistance"], found.force / weight
             advance(1)
     return {"vehicle": name, "weight_n": weight, "torque_nm": torque.tolist(), "coefficient": coefficient.tolist()}
-
-
-def _first_drive(asked: ComparisonRequest, estimator: Estimator) -> dict[str, float]:
-    vehicle, cycle = estimator.vehicle, asked.cycles[0]
-    ambient = None if "ambient" in cycle.conditions(asked.given) else asked.ambients_degc[0]
-    found = driven(estimator, cycle, asked.weights_n[0], ambient)
-    tonnes = (asked.weights_n[0] or vehicle.weight) / GRAVITY / 1000.0
-    each_km = found["kwh_per_km"]
-    return {"km": found["distance_m"] / 1000.0, "kwh_per_km": each_km, "wh_per_km_and_t": 1000.0 * each_km / tonnes}
 
 
 def interval(row: Mapping[str, Any], key: str) -> float | None:

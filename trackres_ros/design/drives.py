@@ -115,18 +115,10 @@ def check_weight(vehicle: Vehicle, weight: float) -> None:
         raise InputError("--weight-kn", weight / 1e3, allowed)
 
 
-def driven(estimator: Estimator, cycle: DriveCycle, weight: float | None, ambient: float | None) -> dict[str, float]:
-    """Totals of a vehicle on a cycle from cold; see `columns_on`, `totals_on`."""
-    return totals_on(estimator, cycle, columns_on(estimator, cycle, weight, ambient))
-
-
-def totals_on(estimator: Estimator, cycle: DriveCycle, columns: Mapping[str, Array]) -> dict[str, float]:
-    """Totals of the columns of a drive; see `offline.energy.taken`."""
-    return taken(estimator.vehicle, cycle.drive.time_s, columns)
-
-
-def columns_on(estimator: Estimator, cycle: DriveCycle, weight: float | None, ambient: float | None) -> dict[str, Array]:
-    """Columns of the estimator for a vehicle on a cycle from cold, each of shape (times,).
+def driven(
+    estimator: Estimator, cycle: DriveCycle, weight: float | None, ambient: float | None
+) -> tuple[dict[str, float], dict[str, Array]]:
+    """A vehicle on a cycle from cold: totals, see `offline.energy.taken`, and columns of the estimator, each of shape (times,).
 
     `weight`, `ambient`: whole weight [N] and air [degC]; by default as recorded, else those of the vehicle file. Raises
     InputError on a drive that is too fast, or a load that is implausible for the vehicle.
@@ -137,7 +129,8 @@ def columns_on(estimator: Estimator, cycle: DriveCycle, weight: float | None, am
     known: Mapping[str, float | None] = {"load": weight, "ambient": ambient}
     recorded = cycle.recorded(vehicle, [role for role, value in known.items() if value is not None])
     load, air = (value if value is not None else recorded.get(role) for role, value in known.items())
-    return by_column(estimator, run_drive(estimator, cycle.drive, load, air))
+    columns = by_column(estimator, run_drive(estimator, cycle.drive, load, air))
+    return taken(vehicle, cycle.drive.time_s, columns), columns
 
 
 def with_factors(estimator: Estimator, off: FileErrors, capacity: float = 1.0) -> Estimator:

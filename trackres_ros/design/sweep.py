@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.design.drives import columns_on, read_cycle, totals_on
+from trackres_ros.design.drives import driven, read_cycle
 from trackres_ros.design.steady import OUTCOMES, Array, remarks_on, steady
 from trackres_ros.design.values import Varied, short
 from trackres_ros.engine.executor import LOCAL, results
@@ -167,9 +167,8 @@ def point(asked: SweepRequest, numbered: tuple[int, dict[str, float]]) -> tuple[
         if asked.cycle is None:
             return found.outcomes, remarks
         cycle, estimator = read_cycle(asked.cycle, vehicle.chassis.max_speed), Estimator(vehicle)
-        columns = columns_on(estimator, cycle, None, asked.ambient)
-        energy = totals_on(estimator, cycle, columns)["kwh_per_km"]
-        return (*found.outcomes, energy), [*remarks, *beyond(vehicle, columns)]
+        total, columns = driven(estimator, cycle, None, asked.ambient)
+        return (*found.outcomes, total["kwh_per_km"]), [*remarks, *beyond(vehicle, columns)]
     except InputError as error:
         return one_line(str(error))
 

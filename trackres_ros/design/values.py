@@ -39,7 +39,7 @@ def scalars(vehicle: Vehicle) -> list[str]:
     return [path for path, quantity in vehicle.parameters.items() if isinstance(quantity.value, float)]
 
 
-def meant(vehicle: Vehicle, given: str, where: str) -> tuple[str, ...]:
+def meant(vehicle: Vehicle, given: str) -> tuple[str, ...]:
     """The paths of an abbreviation: a full path, or enough of its words in their order, as belt.thickness.
 
     A value of several axles, tracks or wheels means all of them, as axles.load. Raises InputError if there is none, or several
@@ -53,10 +53,11 @@ def meant(vehicle: Vehicle, given: str, where: str) -> tuple[str, ...]:
     if found and len({_part(path) for path in found}) == 1:
         return tuple(found)
     if found:
-        raise InputError(where, given, f"one of {', '.join(found)}")
+        raise InputError("--vary", given, f"one of {', '.join(found)}")
     names = [short(path, known) for path in known]
     guess = nearest(given, known) or nearest(given, names)
-    raise InputError(where, given, f"a single number of {vehicle.name} by its path or its last words: {', '.join(names)}", guess)
+    allowed = f"a single number of {vehicle.name} by its path or its last words: {', '.join(names)}"
+    raise InputError("--vary", given, allowed, guess)
 
 
 def _part(path: str) -> tuple[str, ...]:
@@ -74,30 +75,30 @@ def _in_order(words: Sequence[str], of: Sequence[str]) -> bool:
     return all(any(word == there for there in rest) for word in words)
 
 
-def varied(vehicle: Vehicle, given: str, where: str = "--vary") -> Varied:
+def varied(vehicle: Vehicle, given: str) -> Varied:
     """Parse `PATH=A:B:N`, `PATH=A:B`, `PATH=A,B,C` and `PATH`; the last takes the range of the file.
 
     A number with a percent sign is a change of the file's value: `PATH=-20%:+20%:5`, `PATH=+20%`. A single change is compared
     with the file's value. Raises InputError if it is none of these.
     """
     name, equals, values = given.partition("=")
-    paths = meant(vehicle, name.strip(), where)
+    paths = meant(vehicle, name.strip())
     quantities = [vehicle.parameters[path] for path in paths]
     unit = quantities[0].unit
     if not equals:
         return Varied(paths, unit, tuple(_between(q.low, q.high, USUAL_COUNT) for q in quantities))
-    found, relative = _numbers(values, given, where)
+    found, relative = _numbers(values, given)
     if not relative:
         return Varied(paths, unit, (found,) * len(paths))
     if unit == DEGREES:
-        raise InputError(where, given, f"values in {DEGREES}", f"a percentage of {DEGREES} is meaningless")
+        raise InputError("--vary", given, f"values in {DEGREES}", f"a percentage of {DEGREES} is meaningless")
     if len(found) == 1:
         found = (0.0, *found)
     now = [q.value for q in quantities if isinstance(q.value, float)]
     return Varied(paths, unit, tuple(tuple(float(f"{of * (1.0 + 0.01 * change):.10g}") for change in found) for of in now))
 
 
-def _numbers(values: str, given: str, where: str) -> tuple[tuple[float, ...], bool]:
+def _numbers(values: str, given: str) -> tuple[tuple[float, ...], bool]:
     """The numbers, and whether they are changes [%]."""
     try:
         parts = re.split("[:,]", values)
@@ -114,7 +115,7 @@ def _numbers(values: str, given: str, where: str) -> tuple[tuple[float, ...], bo
             raise ValueError
         return _between(low, high, count), relative
     except ValueError:
-        raise InputError(where, given, ALLOWED) from None
+        raise InputError("--vary", given, ALLOWED) from None
 
 
 def _between(low: float, high: float, count: int) -> tuple[float, ...]:

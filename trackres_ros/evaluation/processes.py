@@ -13,8 +13,9 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
@@ -26,15 +27,15 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
-def digest(labels: object) -> str:
-    """SHA-256 of labels."""
-    return hashlib.sha256(json.dumps(labels, sort_keys=True).encode()).hexdigest()
+def digest(hidden: object) -> str:
+    """SHA-256 of what is hidden, as JSON."""
+    return hashlib.sha256(json.dumps(hidden, sort_keys=True).encode()).hexdigest()
 
 
-def write_sealed(folder: Path, what: str, seal: str, labels: Mapping[str, Any]) -> None:
-    """Print the seal of the labels, and write both; folders for cases and truth are made."""
-    for sub in ("cases", "sealed"):
-        (folder / sub).mkdir(parents=True, exist_ok=True)
+def write_sealed(folder: Path, what: str, hidden: object, labels: Mapping[str, Any]) -> None:
+    """Print the seal of what is hidden, and write it and the labels, which have that and more."""
+    (folder / "sealed").mkdir(parents=True, exist_ok=True)
+    seal = digest(hidden)
     print(f"sealed: {what}, SHA-256 {seal}", flush=True)
     (folder / "seal.txt").write_text(seal + "\n", encoding="utf-8")
     (folder / "sealed" / "labels.json").write_text(json.dumps(labels, indent=1), encoding="utf-8")
@@ -45,10 +46,19 @@ def read_labels(folder: Path) -> dict[str, Any]:
     return dict(read_json(folder / "sealed" / "labels.json"))
 
 
-def check_seal(folder: Path, seal: str, remedy: str = "begin anew") -> None:
-    """Raise InputError if a seal, computed from the labels, differs from the one that was written."""
+def check_seal(folder: Path, hidden: object, remedy: str = "begin anew") -> str:
+    """The seal of what is hidden, as the labels have it. Raises InputError if another one was written."""
+    seal = digest(hidden)
     if seal != (folder / "seal.txt").read_text(encoding="utf-8").strip():
         raise InputError(str(folder / "sealed"), "labels that are not those that were sealed", "the labels as drawn", remedy)
+    return seal
+
+
+def write_scores(folder: Path, scores: Mapping[str, Any], page: str, text: str) -> None:
+    """Write the scores and the page about them, and print the page."""
+    (folder / "scores.json").write_text(json.dumps(scores, indent=1), encoding="utf-8")
+    (folder / page).write_text(text, encoding="utf-8")
+    print(text)
 
 
 def read_json(path: Path) -> Any:
@@ -57,14 +67,16 @@ def read_json(path: Path) -> Any:
 
 
 def each(work: Callable[[Task], Result], tasks: Sequence[Task], done: str = "") -> list[Result]:
-    """Results of independent tasks, in their order, by one process a core; `done` is printed with their number."""
-    found = []
+    """Results of independent tasks, in their order, by one process a core; `done` is printed with number and time left."""
+    began = time.monotonic()
     with ProcessPoolExecutor(os.cpu_count()) as pool:
-        for result in pool.map(work, tasks):
-            found.append(result)
+        results = [pool.submit(work, task) for task in tasks]
+        for count, result in enumerate(as_completed(results), start=1):
+            result.result()
             if done:
-                show_count(done, len(found), len(tasks))
-    return found
+                left = (time.monotonic() - began) / count * (len(tasks) - count)
+                show_count(done, count, len(tasks), f", {left / 60.0:.0f} min to go")
+    return [result.result() for result in results]
 
 
 def show_count(what: str, done: int, total: int, rest: str = "") -> None:

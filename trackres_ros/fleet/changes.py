@@ -124,26 +124,10 @@ def _lasting(n: int) -> list[Candidate]:
     return [(first, kind, LASTING) for kind, begin in begins for first in range(begin, n - FEWEST_DURING[kind] + 1)]
 
 
-@dataclass(frozen=True, eq=False)
-class Gains:
-    """Gains of changes: candidates; of each draw, candidate and parameter the score and the gain, shapes (draws, candidates,
-    parameters); and the information (candidates, parameters).
-    """
-
-    candidates: Sequence[Candidate]
-    score: Array
-    information: Array
-
-    @property
-    def gain(self) -> Array:
-        """In log-likelihood."""
-        return np.asarray(0.5 * self.score**2 / self.information)
-
-
 def gains(
     of: VehicleHistory, known: Sequence[Found], draws: Array | None = None, candidates: Sequence[Candidate] | None = None
-) -> Gains:
-    """Gain of each candidate in addition to the known changes.
+) -> Array:
+    """Gain of each candidate in addition to the known changes [log-likelihood], shape (draws, candidates, parameters).
 
     `draws`: of `VehicleHistory.linear`, shape (draws, n, p), by default this alone; `candidates`: by default all lasting changes.
     """
@@ -159,7 +143,8 @@ def gains(
     own = form**2 @ of.precision[:, looked, looked]
     cross = np.einsum("cn,nqj->cqj", form, weighted[:, looked], optimize=True)
     solved = np.linalg.solve(whole, cross.reshape(-1, cross.shape[-1]).T).T.reshape(cross.shape)
-    return Gains(candidates, score, np.maximum(own - np.einsum("cqj,cqj->cq", cross, solved), 1e-12))
+    information = np.maximum(own - np.einsum("cqj,cqj->cq", cross, solved), 1e-12)
+    return np.asarray(0.5 * score**2 / information)
 
 
 def _model(of: VehicleHistory, known: Sequence[Found], draws: Array) -> tuple[Array, Array, Array]:
@@ -222,7 +207,7 @@ def _added(of: VehicleHistory, least: float, known: Sequence[Found], ended: bool
     """The known changes and others, lasting ones or also some that ended. The most likely one is added first."""
     found = list(known)
     while len(found) < MOST_CHANGES and len(of.linear) >= 2 * FEWEST:
-        best, gain = _likeliest(gains(of, found), of)
+        best, gain = _likeliest(of, found)
         if ended and (passed := _passed(of, found, least)):
             past, of_past = max(passed, key=lambda one: one[1])
             best, gain = (past, of_past) if gain < max(least, of_past - UNLIKELY) else (best, gain)
@@ -238,21 +223,21 @@ def _added(of: VehicleHistory, least: float, known: Sequence[Found], ended: bool
     return found
 
 
-def _likeliest(free: Gains, of: VehicleHistory) -> tuple[Found, float]:
-    """The candidate with the largest gain, and this."""
-    c, q = np.unravel_index(int(free.gain[0].argmax()), free.gain[0].shape)
-    return Found(of.looked_for[int(q)], *free.candidates[int(c)]), float(free.gain[0, c, q])
+def _likeliest(of: VehicleHistory, known: Sequence[Found]) -> tuple[Found, float]:
+    """The lasting change with the largest gain in addition to the known ones, and this."""
+    gain = gains(of, known)[0]
+    c, q = np.unravel_index(int(gain.argmax()), gain.shape)
+    return Found(of.looked_for[int(q)], *_lasting(len(of.linear))[int(c)]), float(gain[c, q])
 
 
 def _passed(of: VehicleHistory, known: Sequence[Found], least: float) -> list[tuple[Found, float]]:
     """Changes that ended, with their gains. Each was found by a search until its end, so chance passes no more often."""
     passed, ends = [], np.arange(2 * FEWEST, len(of.linear) - FEWEST + 1)
     for end in map(int, ends[:: -(-len(ends) // MOST_ENDS) or 1]):
-        best, gain = _likeliest(gains(of.until(end), known), of)
+        best, gain = _likeliest(of.until(end), known)
         if gain >= least:
-            free = gains(of, known, candidates=[(best.at, best.kind, end)])
-            past = best._replace(end=end)
-            passed.append((past, float(free.gain[0, 0, of.looked_for.index(past.parameter)])))
+            of_past = gains(of, known, candidates=[(best.at, best.kind, end)])[0, 0]
+            passed.append((best._replace(end=end), float(of_past[of.looked_for.index(best.parameter)])))
     return passed
 
 
@@ -267,9 +252,9 @@ def _near(of: VehicleHistory, change: Found, kinds: Sequence[str] = (STEP, RAMP)
 
 def _beginnings(of: VehicleHistory, found: Sequence[Found], j: int) -> tuple[list[Found], Array]:
     """Each possible beginning, or end, of one of the changes, and its gain with all the others known."""
-    parameter, kind = found[j].parameter, found[j].kind
-    free = gains(of, [*found[:j], *found[j + 1 :]], candidates=_near(of, found[j], (kind,)))
-    return [Found(parameter, *one) for one in free.candidates], free.gain[0, :, of.looked_for.index(parameter)]
+    parameter, near = found[j].parameter, _near(of, found[j], (found[j].kind,))
+    gain = gains(of, [*found[:j], *found[j + 1 :]], candidates=near)[0]
+    return [Found(parameter, *one) for one in near], gain[:, of.looked_for.index(parameter)]
 
 
 def _aligned(of: VehicleHistory, found: list[Found]) -> list[Found]:
@@ -327,7 +312,7 @@ def threshold(of: VehicleHistory, rate: float) -> tuple[float, float]:
     )
     highest = np.zeros(DRAWS)
     for count in range(2 * FEWEST, n + 1):
-        highest = np.maximum(highest, gains(of.until(count), (), drawn[:, :count]).gain.max(axis=(1, 2)))
+        highest = np.maximum(highest, gains(of.until(count), (), drawn[:, :count]).max(axis=(1, 2)))
     years = max((of.time_s[n - 1] - of.time_s[0]) / YEAR_S, 1e-3)
     share = min(0.5, rate * years)  # of draws that may pass
     return exceeded(highest, share), share / years
@@ -361,7 +346,7 @@ def _described(
     without = np.delete(np.arange(len(whole.mean)), whole.design.shape[1] + j)
     before = nominal + std * float(whole.design[at, parameter, without] @ whole.mean[without])
     size, size_std = (std * x for x in size_of(whole, found, varied, j))
-    best = gains(of, [*found[:j], *found[j + 1 :]], candidates=_near(of, found[j])).gain[0].max(axis=0)
+    best = gains(of, [*found[:j], *found[j + 1 :]], candidates=_near(of, found[j]))[0].max(axis=0)
     own = best[of.looked_for.index(parameter)]
     alike = [i for i, gain in zip(of.looked_for, best, strict=True) if i != parameter and gain > own - ALIKE]
     seen = first_seen(of, found, j, alike, least)

@@ -42,7 +42,7 @@ LOAD_RECORDED = "load_recorded"  # without a load the weight of the vehicle file
 LISTS_OF_TEXT = ("names", "units", "findings", "notes")
 LISTS_OF_NUMBERS = ("nominal", "std", "point", "covariance", "precision", "linear")
 OF_PATH = ("vehicle", "day")
-BATCH = 4096  # rows that are in memory at a time
+BATCH = 4096  # rows that are read at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,11 +135,10 @@ class FleetDataset:
             return None
         return rows[0] if len(rows) == 1 and not unsound(rows[0]) else None
 
-    def batches(self, columns: Sequence[str] | None = None) -> Iterator[list[dict[str, Any]]]:
-        """All rows, some thousand at a time, with `vehicle` and `day`."""
+    def rows(self, columns: Sequence[str] | None = None) -> list[dict[str, Any]]:
+        """All rows, with `vehicle` and `day`."""
         files = sorted(self._files())
-        for first in range(0, len(files), BATCH):
-            yield self._read(files[first : first + BATCH], columns)
+        return [row for first in range(0, len(files), BATCH) for row in self._read(files[first : first + BATCH], columns)]
 
     def _read(self, files: Sequence[Path], columns: Sequence[str] | None = None) -> list[dict[str, Any]]:
         """Rows of files. A damaged file or row is skipped with a warning."""
@@ -165,10 +164,6 @@ class FleetDataset:
         )
         found = rows.to_table(columns=[*(rows.schema.names if columns is None else columns), "__filename"]).to_pylist()
         return [dict(row) for row in found]
-
-    def rows(self, columns: Sequence[str] | None = None) -> list[dict[str, Any]]:
-        """All rows."""
-        return [row for batch in self.batches(columns) for row in batch]
 
     def _files(self) -> Iterator[Path]:
         return (self.folder / ROWS).glob(f"vehicle=*/day=*/*{SUFFIX}")

@@ -37,6 +37,7 @@ LEFT_OUT = {
     "outdated": "not used because their vehicle's file has changed since",
     "undated": "not searched for changes because their clocks give no day",
 }
+OUTDATED = "its vehicle file has other values than the present one: analyse it again to compare it"
 UNDATED = "its clock gives no day: it is used for the values of vehicle and type, not for changes"
 FARTHEST_YEARS = 20.0  # limit of a forecast
 TEXTS = ("url", "vehicle", "day", "status", "reason", "copy_of", "vehicle_values", "names", "units", "findings")
@@ -58,12 +59,13 @@ def _dated(row: Mapping[str, Any]) -> bool:
 def without_copies(rows: Sequence[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
     """Rows without those that the run marked as copies of another one, and the excluded ones, with the reason."""
     there = {row["url"] for row in rows}
-    left_out = [
-        {"url": row["url"], "vehicle": row["vehicle"], "reason": f"it has the same content as {row['copy_of']}, which is used"}
-        for row in rows
-        if row["copy_of"] in there
-    ]
+    copies = [row for row in rows if row["copy_of"] in there]
+    left_out = [_left_out(row, f"it has the same content as {row['copy_of']}, which is used") for row in copies]
     return [row for row in rows if row["copy_of"] not in there], left_out
+
+
+def _left_out(row: Mapping[str, Any], reason: str) -> dict[str, str]:
+    return {"url": row["url"], "vehicle": row["vehicle"], "reason": reason}
 
 
 def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
@@ -79,8 +81,7 @@ def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[st
         if before is not None and before["vehicle"] != row["vehicle"]:
             before = None
         if before is not None and timed and row["start_s"] < before["start_s"] + before["duration_s"] - OVERLAP_S:
-            reason = f"its clock overlaps with {before['url']}: of one vehicle only one can be right"
-            left_out.append({"url": row["url"], "vehicle": row["vehicle"], "reason": reason})
+            left_out.append(_left_out(row, f"its clock overlaps with {before['url']}: of one vehicle only one can be right"))
         else:
             kept.append(row)
             before = row if timed else before
@@ -106,15 +107,11 @@ def of_present_files(
     for row in sorted(rows, key=lambda row: row["vehicle_values"] is not None):  # those of earlier versions have no digest
         if None in (now := present.get(row["vehicle"]), row["vehicle_values"]) or row["vehicle_values"] == now:
             latest[row["vehicle"]] = row
-    kept: list[Mapping[str, Any]] = []
-    left_out: list[dict[str, str]] = []
-    for row in rows:
-        if row["vehicle"] in latest and of_one_file(row, latest[row["vehicle"]]):
-            kept.append(row)
-        else:
-            reason = "its vehicle file has other values than the present one: analyse it again to compare it"
-            left_out.append({"url": row["url"], "vehicle": row["vehicle"], "reason": reason})
-    return kept, left_out
+
+    def is_present(row: Mapping[str, Any]) -> bool:
+        return row["vehicle"] in latest and of_one_file(row, latest[row["vehicle"]])
+
+    return list(filter(is_present, rows)), [_left_out(row, OUTDATED) for row in rows if not is_present(row)]
 
 
 def trends(
@@ -162,11 +159,11 @@ def trends(
     return {
         "recordings": len(own(every)),
         "compared": len(own(good)),
-        "broken": [{"url": row["url"], "vehicle": row["vehicle"], "reason": row["reason"]} for row in bad],
+        "broken": [_left_out(row, row["reason"]) for row in bad],
         "copies": own(copies),
         "overlapping": own(overlapping),
         "outdated": own(outdated),
-        "undated": [{"url": row["url"], "vehicle": row["vehicle"], "reason": UNDATED} for row in own(good) if not _dated(row)],
+        "undated": [_left_out(row, UNDATED) for row in own(good) if not _dated(row)],
         "false_alarms_per_vehicle_year": rate,
         "expected_false_alarms": sum(v["expected_false_alarms"] for v in vehicles.values()),
         "vehicle_years": sum(v["years"] for v in vehicles.values()),

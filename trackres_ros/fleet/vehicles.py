@@ -107,7 +107,7 @@ def _vehicle(path: Path, name: str, content: Any) -> FleetVehicle:
         raise InputError(where, name, "a name that may be that of a folder")
     if isinstance(content, str):
         content = {"file": content}
-    if not isinstance(content, dict) or "file" not in content:
+    if not isinstance(content, dict) or content.get("file") is None:
         raise InputError(where, content, "a vehicle file, or a mapping with file")
     for key in content:
         if key not in KEYS:
@@ -117,10 +117,8 @@ def _vehicle(path: Path, name: str, content: Any) -> FleetVehicle:
         patterns = [patterns]
     if not isinstance(patterns, Sequence) or not all(isinstance(pattern, str) for pattern in patterns):
         raise InputError(f"{where}.recordings", patterns, "a list of globs")
-    file, topics = (
-        None if content.get(key) is None else _beside(path, content[key], f"{where}.{key}") for key in ("file", "topics")
-    )
-    assert file is not None
+    file = _beside(path, content["file"], f"{where}.file")
+    topics = None if content.get("topics") is None else _beside(path, content["topics"], f"{where}.topics")
     limits = content.get("limits", {})
     if not isinstance(limits, dict):
         raise InputError(f"{where}.limits", limits, "a number for each parameter")

@@ -12,13 +12,13 @@ from __future__ import annotations
 import csv
 import gzip
 import io
-from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.output.table import write_table
 from trackres_ros.recording.slopes import slopes
 from trackres_ros.units import EARTH_M, KMH_PER_MPS
 
@@ -105,11 +105,7 @@ def robot(data: Path, name: str, folder: Path) -> Path:
     return _write(folder / f"{name}.csv", columns)
 
 
-def _write(path: Path, columns: Mapping[str, Array]) -> Path:
+def _write(path: Path, columns: dict[str, Array]) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
-    rows = np.column_stack(list(columns.values()))
-    with path.open("w", encoding="utf-8") as file:
-        file.write(",".join(columns) + "\n")
-        for row in rows:
-            file.write(",".join("" if np.isnan(x) else repr(float(x)) for x in row) + "\n")
+    write_table(path, columns)
     return path

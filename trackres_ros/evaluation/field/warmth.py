@@ -49,8 +49,7 @@ class PooledStarts:
     spread: float  # standard deviation of start states about the model
     state: Array  # joint estimate of each drive's start state
     std: Array
-    rank_alone: float  # rank correlation of the standing time with the start states, fitted alone
-    rank_together: float  # and fitted together
+    rank_together: float  # rank correlation of the standing time with the start states, fitted together
     chance: float  # share of random permutations of the standing times that fit the start states as well
     reached: float  # probability that the rank correlation of states fitted alone reaches `WANTED_RANK` under this model
 
@@ -126,11 +125,11 @@ def pool(starts: Starts, rng: np.random.Generator) -> PooledStarts:
     state = expected + np.where(sure, trust * (starts.alone - expected), 0.0)
     as_good = [_likelihood(alone, std, rng.permutation(stood), constants)[0].max() >= likelihood[best] for _ in range(DRAWS)]
     drawn = expected[sure] + np.hypot(std, spread) * rng.normal(size=(DRAWS, len(alone)))
-    rank_alone, rank_together = (float(spearmanr(stood, one).statistic) for one in (alone, state[sure]))
+    rank_together = float(spearmanr(stood, state[sure]).statistic)
     reached = float(np.mean([spearmanr(stood, row).statistic >= WANTED_RANK for row in drawn]))
     return PooledStarts(
         float(constants[best[0]]), float(near[0]), float(near[-1]), height, spread, state, np.sqrt(trust) * starts.alone_std,
-        rank_alone, rank_together, float(np.mean(as_good)), reached,
+        rank_together, float(np.mean(as_good)), reached,
     )  # fmt: skip
 
 

@@ -6,13 +6,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.processes import digest
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import SealedDrive, drive
 from trackres_ros.evaluation.sealed.sensors import drawn_sensors, record
@@ -81,11 +80,6 @@ def draw_fleet(
         factors = dict(zip(("loss", "bearing", "drag", "film", "capacity"), map(float, build), strict=True))
         found.append(DrawnVehicle("", factors, int(rng.integers(2**31)), tuple(map(float, begins)), hidden))
     return [replace(found[j], name=f"truck-{i + 1:02d}") for i, j in enumerate(rng.permutation(vehicles))]
-
-
-def seal(seed: int, fleet: Sequence[DrawnVehicle]) -> str:
-    """Hash of the seed and of all concealed values."""
-    return digest({"seed": seed, "fleet": [asdict(vehicle) for vehicle in fleet]})
 
 
 def come(hidden: Hidden, number: int, count: int) -> float:

@@ -9,7 +9,6 @@ fleet.yaml and nothing else.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
@@ -30,15 +29,14 @@ from trackres_ros.evaluation.fleet.draw import (
     DrawnVehicle,
     Hidden,
     draw_fleet,
-    seal,
 )
 from trackres_ros.evaluation.fleet.sample import begin_recordings, record_one
-from trackres_ros.evaluation.processes import check_seal, each, read_json
+from trackres_ros.evaluation.processes import check_seal, each, read_json, read_labels, write_scores, write_sealed
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.pooling import Vehicles, pool
 from trackres_ros.fleet.trends import NUMBERS, TEXTS
 
-SEALED, OPEN, RESULTS = "sealed", "fleet", "results"
+OPEN, RESULTS = "fleet", "results"
 KINDS = (
     (BEARING, STEP, 0.10),
     (BEARING, STEP, -0.10),
@@ -79,30 +77,24 @@ def changes_of(count: int) -> list[tuple[str, str, float]]:
 def generate(folder: Path, seed: int, vehicles: int, days: int, every: float, minutes: float) -> None:
     """Draw a fleet, seal its changes, and record it."""
     fleet = draw_fleet(vehicles, days, every, minutes, changes_of(vehicles), seed)
-    (folder / SEALED).mkdir(parents=True, exist_ok=True)
-    digest = seal(seed, fleet)
-    print(f"sealed: {len(fleet)} vehicles, SHA-256 {digest}", flush=True)
-    (folder / "seal.txt").write_text(digest + "\n", encoding="utf-8")
-    (folder / SEALED / "fleet.json").write_text(json.dumps({"seed": seed, "fleet": [asdict(v) for v in fleet]}), encoding="utf-8")
+    labels = {"seed": seed, "fleet": [asdict(v) for v in fleet]}
+    write_sealed(folder, f"{len(fleet)} vehicles", labels, labels)
     each(record_one, begin_recordings(folder / OPEN, fleet, minutes), "recorded")
 
 
 def score(folder: Path) -> None:
     """Open the seal, count, and write the counts and the page."""
-    labels = read_json(folder / SEALED / "fleet.json")
+    labels = read_labels(folder)
+    seal = check_seal(folder, labels)
     fleet = [
         DrawnVehicle(**{**v, "days": tuple(v["days"]), "hidden": Hidden(**v["hidden"]) if v["hidden"] else None})
         for v in labels["fleet"]
     ]
-    sealed = seal(labels["seed"], fleet)
-    check_seal(folder, sealed)
     found = read_json(folder / "found.json")
     scored = [score_vehicle(v, found["vehicles"].get(v.name, {"changes": []})) for v in fleet]
     known = known_of_the_type(FleetDataset(folder / RESULTS))
-    counts = summary(scored, labels["seed"], sealed) | {"known_of_the_type": known}
-    (folder / "scores.json").write_text(json.dumps(counts, indent=1), encoding="utf-8")
-    (folder / "fleet.md").write_text(page(counts), encoding="utf-8")
-    print(page(counts))
+    counts = summary(scored, labels["seed"], seal) | {"known_of_the_type": known}
+    write_scores(folder, counts, "fleet.md", page(counts))
 
 
 def known_of_the_type(dataset: FleetDataset) -> list[dict[str, Any]]:

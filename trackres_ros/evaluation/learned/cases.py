@@ -5,12 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
-from trackres_ros.evaluation.processes import digest
 from trackres_ros.evaluation.sealed.drives import Array, SealedDrive
 
 OFF = (0.05, 0.20)  # by which the loss of a file is off
@@ -52,11 +50,6 @@ def draw_cases(seed: int, vehicles: int, hostile: int) -> list[LearningCase]:
         )
         found.append(case)
     return sorted(found, key=lambda case: case.name)
-
-
-def sealed(seed: int, cases: Sequence[LearningCase]) -> str:
-    """SHA-256 of the seed and all labels."""
-    return digest([seed, [asdict(case) for case in cases]])
 
 
 def added_torque(case: LearningCase, one: SealedDrive, nominal: float, radius: float) -> Array:

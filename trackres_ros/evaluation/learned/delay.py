@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -29,7 +28,7 @@ from trackres_ros.evaluation.learned.cases import (
     misled,
     weight_shares,
 )
-from trackres_ros.evaluation.processes import check_seal, digest, each, read_labels, unfinished, write_sealed
+from trackres_ros.evaluation.processes import check_seal, each, read_labels, unfinished, write_scores, write_sealed
 from trackres_ros.evaluation.sealed.drives import Array, SealedDrive, drive, trapezoids
 from trackres_ros.evaluation.sealed.generate import FASTEST_MPS, START_S, VEHICLE, weight_and_radius, write_vehicle
 from trackres_ros.evaluation.sealed.sensors import HEAVY_TAILS, Sensors, drawn_sensors, lagging, road_slopes
@@ -47,7 +46,6 @@ APART = (0.5, 2.0)  # rate of the torque over that of the speed
 JITTER_SHARE = 0.3  # at most, of the time between samples
 STAMP_STD_S = 0.005  # at most, by which a stamp is off
 TARGET_S, WITHIN_STD = 0.02, 3.0
-PAGE = "delay.md"
 RATES_OF = ((1.0, 3.0), (3.0, 10.0), (10.0, 30.0), (30.0, 100.0))
 
 
@@ -80,16 +78,11 @@ def draw(seed: int, vehicles: int, hostile: int) -> list[Delayed]:
     return found
 
 
-def seal(seed: int, drawn: Sequence[Delayed]) -> str:
-    """SHA-256 of the seed and all concealed values."""
-    return digest([seed, [asdict(one) for one in drawn]])
-
-
 def generate(folder: Path, seed: int, minutes: float, vehicles: int, hostile: int) -> None:
     """Draw, seal and record."""
     drawn = draw(seed, vehicles, hostile)
     labels = {"seed": seed, "minutes": minutes, "drawn": [asdict(one) for one in drawn]}
-    write_sealed(folder, f"{len(drawn)} vehicles", seal(seed, drawn), labels)
+    write_sealed(folder, f"{len(drawn)} vehicles", [seed, labels["drawn"]], labels)
     missing = [one for one in drawn if not (folder / "cases" / one.case.name / "drive.csv").exists()]
     each(partial(record_one, folder, minutes), missing, "recorded")
 
@@ -98,7 +91,7 @@ def record_one(folder: Path, minutes: float, one: Delayed) -> None:
     """Write the vehicle file and the recording of one vehicle: a line for each sample of a sensor, by its stamp."""
     case = one.case
     into = folder / "cases" / case.name
-    into.mkdir(exist_ok=True)
+    into.mkdir(parents=True, exist_ok=True)
     write_vehicle(into / "vehicle.yaml", case.lumped)
     weight, radius = weight_and_radius()
     rng = np.random.default_rng([case.seed, 2])
@@ -172,13 +165,10 @@ def score(folder: Path) -> None:
     """Open the seal, compare, and write the scores and the page."""
     labels = read_labels(folder)
     drawn = [Delayed(**{**one, "case": LearningCase(**one["case"])}) for one in labels["drawn"]]
-    sealed = seal(labels["seed"], drawn)
-    check_seal(folder, sealed)
+    seal = check_seal(folder, [labels["seed"], labels["drawn"]])
     scored = [_scored(one, np.load(folder / "results" / f"{one.case.name}.npy")) for one in drawn]
-    scores = {"seed": labels["seed"], "minutes": labels["minutes"], "seal": sealed, "each": scored}
-    (folder / "scores.json").write_text(json.dumps(scores, indent=1), encoding="utf-8")
-    (folder / PAGE).write_text(page(scores), encoding="utf-8")
-    print(page(scores))
+    scores = {"seed": labels["seed"], "minutes": labels["minutes"], "seal": seal, "each": scored}
+    write_scores(folder, scores, "delay.md", page(scores))
 
 
 def _scored(one: Delayed, rows: Array) -> dict[str, Any]:

@@ -22,7 +22,6 @@ from trackres_ros.evaluation.learned.cases import (
     added_torque,
     draw_cases,
     misled,
-    sealed,
     weight_shares,
 )
 from trackres_ros.evaluation.processes import each, write_sealed
@@ -40,7 +39,7 @@ def main(folder: Path, seed: int, minutes: float, vehicles: int, hostile: int, f
     """Seal all vehicles and record them, or the first."""
     cases = draw_cases(seed, vehicles, hostile)
     labels = {"seed": seed, "minutes": minutes, "cases": [asdict(case) for case in cases]}
-    write_sealed(folder, f"{len(cases)} vehicles", sealed(seed, cases), labels)
+    write_sealed(folder, f"{len(cases)} vehicles", [seed, labels["cases"]], labels)
     missing = [case for case in cases[:first] if not (folder / "sealed" / f"{case.name}.npz").exists()]
     each(partial(make_case, folder, minutes), missing, "recorded")
 
@@ -48,7 +47,7 @@ def main(folder: Path, seed: int, minutes: float, vehicles: int, hostile: int, f
 def make_case(folder: Path, minutes: float, case: LearningCase) -> None:
     """Write one vehicle with drives of so many minutes."""
     into, sheet = folder / "cases" / case.name, find_vehicle(VEHICLE)
-    into.mkdir(exist_ok=True)
+    into.mkdir(parents=True, exist_ok=True)
     write_vehicle(into / "vehicle.yaml", case.lumped)
     if not case.hostile:
         (into / REFIT).touch()

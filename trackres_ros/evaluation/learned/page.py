@@ -13,9 +13,10 @@ import numpy as np
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.evaluation.learned.cases import DRIVES, KINDS, SENSORS
+from trackres_ros.evaluation.processes import write_scores
 from trackres_ros.output.style import BLACK, BLUE, GREY, VERMILION, picture
 
-PAGE, PICTURE = "proof-learning.md", "learning.png"
+PICTURE = "learning.png"
 LAST = DRIVES
 WAYS = (
     (f"file_{LAST}", "the vehicle file"),
@@ -33,15 +34,13 @@ SHORT = {
 }
 
 
-def write_page(folder: Path, scores: dict[str, Any]) -> str:
-    """Write page and picture; the text."""
+def write_page(folder: Path, scores: dict[str, Any]) -> None:
+    """Write scores, page and picture."""
     plain = [case for case in scores["cases"] if not case["hostile"]]
     hostile = [case for case in scores["cases"] if case["hostile"]]
     draw(plain, folder / PICTURE)
     parts = _head(scores, plain, hostile), _of_vehicles(plain), _of_hostile(hostile), _of_age(scores["ageing"])
-    text = "\n".join(line for part in parts for line in part) + "\n"
-    (folder / PAGE).write_text(text, encoding="utf-8")
-    return text
+    write_scores(folder, scores, "proof-learning.md", "\n".join(line for part in parts for line in part) + "\n")
 
 
 def _head(scores: dict[str, Any], plain: list[Any], hostile: list[Any]) -> list[str]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.evaluation.learned.cases import DRIVES, LearningCase, sealed
+from trackres_ros.evaluation.learned.cases import DRIVES
 from trackres_ros.evaluation.learned.page import write_page
 from trackres_ros.evaluation.processes import check_seal, read_json, read_labels
 from trackres_ros.evaluation.sealed.drives import Array
@@ -35,19 +35,18 @@ START_NS = 1_700_000_000_000_000_000
 def main(folder: Path, hours: float) -> None:
     """Score what was learned, and an age of so many hours."""
     labels = read_labels(folder)
-    check_seal(folder, sealed(labels["seed"], [LearningCase(**case) for case in labels["cases"]]))
+    seal = check_seal(folder, [labels["seed"], labels["cases"]])
     found = [score_case(folder, case) for case in labels["cases"] if (folder / "results" / f"{case['name']}.json").exists()]
     aged = _aged(folder, labels["seed"], hours) if hours > 0.0 else None
     scores = {
         "seed": labels["seed"],
         "minutes": labels["minutes"],
-        "seal": (folder / "seal.txt").read_text(encoding="utf-8").strip(),
+        "seal": seal,
         "sealed": len(labels["cases"]),
         "cases": found,
         "ageing": aged,
     }
-    (folder / "scores.json").write_text(json.dumps(scores, indent=1), encoding="utf-8")
-    print(write_page(folder, scores))
+    write_page(folder, scores)
 
 
 def _aged(folder: Path, seed: int, hours: float) -> list[dict[str, float]]:

@@ -46,17 +46,8 @@ class Claim:
 
     def summary(self) -> dict[str, Any]:
         """All of it, ready for JSON."""
-        return {
-            "key": self.key,
-            "where": self.where,
-            "paper": self.paper,
-            "verdict": self.verdict,
-            "holds": dict(self.holds),
-            "shows": self.shows,
-            "why": self.why.get(self.verdict, UNEXPLAINED),
-            "numbers": rounded(self.numbers),
-            "details": {heading: dict(texts) for heading, texts in self.details.items()},
-        }
+        found: dict[str, Any] = rounded(asdict(self))
+        return found | {"verdict": self.verdict, "why": self.why.get(self.verdict, UNEXPLAINED)}
 
 
 @dataclass(frozen=True)
@@ -90,14 +81,8 @@ class Section:
 
     def summary(self) -> dict[str, Any]:
         """All of it, ready for JSON."""
-        return {
-            "title": self.title,
-            "text": list(self.text),
-            "figures": [asdict(figure) for figure in self.figures],
-            "claims": [claim.summary() for claim in self.claims],
-            "tables": [asdict(table) for table in self.tables],
-            "numbers": rounded(self.numbers),
-        }
+        found: dict[str, Any] = rounded(asdict(self))
+        return found | {"claims": [claim.summary() for claim in self.claims]}
 
 
 def write_csv(path: Path, columns: Mapping[str, ArrayLike]) -> None:

@@ -6,13 +6,11 @@
 from __future__ import annotations
 
 import json
-import os
-import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trackres_ros.evaluation.processes import show_count, unfinished
+from trackres_ros.evaluation.processes import each, unfinished
 
 if TYPE_CHECKING:
     from trackres_ros.diagnosis import Diagnosis
@@ -24,13 +22,7 @@ VEHICLE = "xgd24d"  # of a case without a vehicle file of its own
 
 def main(cases: Path, results: Path, first: int | None = None) -> None:
     """Diagnose the unfinished cases."""
-    folders, began = unfinished(cases, results, first), time.monotonic()
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        tasks = [pool.submit(_diagnose, folder, results) for folder in folders]
-        for done, task in enumerate(as_completed(tasks), start=1):
-            task.result()
-            left = (time.monotonic() - began) / done * (len(folders) - done)
-            show_count("diagnosed", done, len(folders), f", {left / 60.0:.0f} min to go")
+    each(partial(_diagnose, results), unfinished(cases, results, first), "diagnosed")
 
 
 def opened(folder: Path) -> tuple[list[Path], LoadedBase]:
@@ -53,7 +45,7 @@ def diagnosed(folder: Path) -> tuple[Diagnosis, list[Path]]:
     return diagnose(read_recordings(paths, None), base, DiagnosisOptions(holdout=held_out, quick=True)), paths
 
 
-def _diagnose(folder: Path, results: Path) -> None:
+def _diagnose(results: Path, folder: Path) -> None:
     from trackres_ros.diagnosis.report.content import report
     from trackres_ros.evaluation.sealed.baselines import simple_answers
     from trackres_ros.evaluation.sealed.discrepancy import learned_errors

@@ -6,12 +6,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from trackres_ros.evaluation.processes import digest
 from trackres_ros.evaluation.sealed.programs import PROGRAM, draw_program
 from trackres_ros.evaluation.sealed.sensors import Sensors, drawn_sensors
 
@@ -140,11 +139,6 @@ def draw_cases(counts: Mapping[str, int], seed: int, sources: Sequence[str] = SO
 def first_by_name(cases: Sequence[Case], first: int | None) -> list[Case]:
     """So many cases in the order of their random names; all without a number."""
     return sorted(cases, key=lambda case: case.name)[:first]
-
-
-def sealed(seed: int, cases: list[Case]) -> str:
-    """Hash of the seed and all labels."""
-    return digest({"seed": seed, "cases": [asdict(case) for case in cases]})
 
 
 def _case(level: str, i: int, rng: np.random.Generator, sources: Sequence[str]) -> Case:

@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 
 from trackres_ros.evaluation.processes import each, write_sealed
-from trackres_ros.evaluation.sealed.cases import LOADS, SOURCES, Case, draw_cases, draws, sealed, sensors_of, streets_of
+from trackres_ros.evaluation.sealed.cases import LOADS, SOURCES, Case, draw_cases, draws, sensors_of, streets_of
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import Array, SealedDrive, drive, recorded, trapezoids
 from trackres_ros.evaluation.sealed.profiles import read_profiles
@@ -49,7 +49,7 @@ def main(folder: Path, seed: int, minutes: float, *words: str) -> None:
     drawn = draw_cases({level: int(count) for level, count in given.items()}, seed, SOURCES if data else SOURCES[:-1])
     cases = each(partial(_sized, folder, minutes), drawn)
     labels = {"seed": seed, "cases": [asdict(case) for case in cases]}
-    write_sealed(folder, f"{len(cases)} cases", sealed(seed, cases), labels)
+    write_sealed(folder, f"{len(cases)} cases", labels, labels)
     missing = [case for case in cases if not (folder / "sealed" / f"{case.name}.npz").exists()]
     each(partial(make_case, folder, minutes), missing, "recorded")
 

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -18,6 +17,7 @@ import numpy as np
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.diagnosis.report.page import write_page
 from trackres_ros.diagnosis.report.pictures import draw_all
+from trackres_ros.evaluation.processes import write_scores
 from trackres_ros.evaluation.sealed.answers import BASELINES, DESCRIBED, Answer, error_left
 from trackres_ros.evaluation.sealed.blind import diagnosed
 from trackres_ros.evaluation.sealed.cases import NOT_IN_CATALOGUE
@@ -50,8 +50,8 @@ CONFUSION = "confusion.png"
 UNITLESS = "(median)", "(mean)"  # how the names of scores end that are no shares
 
 
-def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int, drawn: int, cases: Path | None = None) -> str:
-    """Write scores.json, cases.csv, confusion.png, a page of one mistake of each kind, and proof.md; return the last's text."""
+def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int, drawn: int, cases: Path | None = None) -> None:
+    """Write scores.json, cases.csv, confusion.png, a page of one mistake of each kind, and proof.md, and print the last."""
     kinds = mistakes(scored)
     for kind, of in kinds.items():
         write_case(folder, cases or folder / "cases", of[0], folder / f"{file_name(kind)}.html")
@@ -79,7 +79,6 @@ def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int, draw
             for s in scored
         ],
     }  # fmt: skip
-    (folder / "scores.json").write_text(json.dumps(kept, indent=1), encoding="utf-8")
     counts = Counter(s.case.level for s in scored)
     text = "\n\n".join(
         (
@@ -92,8 +91,7 @@ def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int, draw
             mistake_table(kinds),
         )
     )
-    (folder / "proof.md").write_text(text + "\n", encoding="utf-8")
-    return text
+    write_scores(folder, kept, "proof.md", text + "\n")
 
 
 def _of(count: int, drawn: int) -> str:

@@ -19,7 +19,7 @@ from trackres_ros.diagnosis.findings.locate import evenly_filled
 from trackres_ros.evaluation.processes import check_seal, each, read_json, read_labels
 from trackres_ros.evaluation.sealed.answers import BASELINES, DESCRIBED, EARLIER, Answer, of_names, of_report
 from trackres_ros.evaluation.sealed.baselines import by_trees
-from trackres_ros.evaluation.sealed.cases import CATALOGUE, NOT_IN_CATALOGUE, RIGHT_FORMS, Case, first_by_name, sealed
+from trackres_ros.evaluation.sealed.cases import CATALOGUE, NOT_IN_CATALOGUE, RIGHT_FORMS, Case, first_by_name
 from trackres_ros.evaluation.sealed.drives import Array
 from trackres_ros.evaluation.sealed.follow import advised
 from trackres_ros.evaluation.sealed.generate import weight_and_radius
@@ -43,13 +43,12 @@ def main(folder: Path, first: int | None = None) -> None:
     labels = read_labels(folder)
     drawn = [Case(**c) for c in labels["cases"]]
     cases = drawn if first is None else first_by_name(drawn, first)
-    seal = sealed(labels["seed"], drawn)
-    check_seal(folder, seal, "begin anew with --fresh")
+    seal = check_seal(folder, labels, "begin anew with --fresh")
     simple = [read_json(folder / "results" / f"{case.name}.json")["simple"] for case in cases]
     expected = [_expected(case) for case in cases]
     trees: Sequence[str | None] = by_trees([s["features"] for s in simple], expected, list(CATALOGUE)) or [None] * len(cases)
     scored = each(partial(_score, folder), list(zip(cases, trees, strict=True)), "oracle fitted")
-    print(write_all(folder, scored, seal, labels["seed"], len(drawn)))
+    write_all(folder, scored, seal, labels["seed"], len(drawn))
 
 
 def _expected(case: Case) -> str:

@@ -46,7 +46,7 @@ def main(source: Path, folder: Path, first: int | None = None) -> None:
     chosen = sorted(labels["cases"], key=lambda label: label["case"])[:first]
     scored = each(partial(_scored, source / "cases", folder / "results"), chosen)
     seal = hashlib.sha256((source / "labels.json").read_bytes()).hexdigest()
-    print(write_all(folder, scored, seal, labels["seed"], len(labels["cases"]), source / "cases"))
+    write_all(folder, scored, seal, labels["seed"], len(labels["cases"]), source / "cases")
 
 
 def read_labels(source: Path) -> dict[str, Any]:
