@@ -65,6 +65,7 @@ def test_a_missing_or_refusing_bucket_does_not_stop_the_others(bucket, monkeypat
     import s3fs
 
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:1")
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     s3fs.S3FileSystem.clear_instance_cache()
     (refused,) = find_recordings([bucket])
     assert refused.problem

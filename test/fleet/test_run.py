@@ -207,7 +207,8 @@ def test_an_interrupt_while_workers_start_leaves_no_traceback(recordings):
 
 
 @pytest.mark.parametrize(("address", "part"), [("tcp://127.0.0.1:1", "no scheduler answers"), ("somewhere", "tcp://HOST:PORT")])
-def test_an_engine_that_is_not_there_is_one_line(recordings, refused, address, part):
+def test_an_engine_that_is_not_there_is_one_line(recordings, refused, monkeypatch, address, part):
+    monkeypatch.setattr(executor, "CONNECT_S", 0.5)
     assert part in refused(*words(recordings, "--engine", address))
 
 
