@@ -1,6 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
+import gc
 import importlib.util
 import io
 import pickle
@@ -36,6 +37,11 @@ class Squeak(Effect):
     def terms(self, at, p):
         return Terms(torque=p.torque * at.direction)
 """
+
+
+def pytest_collection_finish():
+    """What is loaded by now stays: the collector of cycles need not look at it again and again."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

@@ -68,8 +68,8 @@ def expression(random, depth):
 def effects(folder):
     """Each with up to as many expressions as it has terms."""
     random, most = Random(1), len(Terms._fields)
-    several = [("1.0", *SPECIAL), *(["1.0", *(expression(random, 3) for _ in range(most - 1))] for _ in range(2))]
-    several += [(one,) for one in FAILING]
+    drawn = [expression(random, 3) for _ in range(most - 1)]
+    several = [("1.0", *SPECIAL), ("1.0", *drawn), *((one,) for one in FAILING)]
     said = [", ".join(f"{name}={one}" for name, one in zip(Terms._fields, ones, strict=False)) for ones in several]
     text = HEAD + "".join(EFFECT.format(number=number, said=one) for number, one in enumerate(said))
     (folder / "own.py").write_text(text)
