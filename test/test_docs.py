@@ -13,7 +13,7 @@ import trackres_ros as tr
 from trackres_ros.estimator.columns import REASON_TEXT, Count
 from trackres_ros.estimator.constants import PLAUSIBLE
 from trackres_ros.node.notices import LIVE_KINDS
-from trackres_ros.node.report import COMPARISON_KEYS, ESTIMATE_KEYS, INPUT_KEYS, STATE_KEYS
+from trackres_ros.node.report import COMPARISON_KEYS, DISTURBANCE_KEYS, ESTIMATE_KEYS, INPUT_KEYS, STATE_KEYS
 
 GENERATED = ["docs/api.md", "docs/settings.md", "docs/node.md", "docs/effects.md", "docs/controller.md"]
 GENERATED += ["config/trackres.yaml", "config/plotjuggler.xml", "config/foxglove.json"]
@@ -69,7 +69,7 @@ def test_every_input_with_limits_is_listed(repository):
 
 def test_every_key_of_the_diagnostics_is_explained(repository):
     page = (repository / "docs" / "node.md").read_text()
-    for keys in (ESTIMATE_KEYS, INPUT_KEYS, COMPARISON_KEYS, STATE_KEYS):
+    for keys in (ESTIMATE_KEYS, INPUT_KEYS, COMPARISON_KEYS, STATE_KEYS, DISTURBANCE_KEYS):
         for key in keys:
             assert f"`{key}`" in page
 

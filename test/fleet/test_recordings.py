@@ -205,6 +205,8 @@ def test_a_recordings_vehicle_comes_from_its_folder_or_pattern(tmp_path):
         ("vehicles: {a: nothing.yaml}", "nothing.yaml"),
         ("vehicles: {a: {fil: xgd24d}}", "file"),
         ("vehicles: {a: {file: }}", "a mapping with file"),
+        ("vehicles: {a: ''}", "fleet.yaml: vehicles.a.file"),
+        ("vehicles: {a: {file: xgd24d, topics: ''}}", "fleet.yaml: vehicles.a.topics"),
         ("vehicles: {a: {file: xgd24d, topic: x}}", "topics"),
         ("vehicles: {a: {file: xgd24d, recordings: 3}}", "globs"),
         ("vehicles: {a: {file: xgd24d, limits: {x: hot}}}", "limits"),

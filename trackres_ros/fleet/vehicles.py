@@ -133,7 +133,10 @@ def _beside(path: Path, given: object, where: str) -> Path:
     local = path.parent / given
     if local.is_file():
         return local.resolve()
-    return (find_vehicle if where.endswith(".file") else find_topics)(given).resolve()
+    try:
+        return (find_vehicle if where.endswith(".file") else find_topics)(given).resolve()
+    except InputError as error:
+        raise InputError(where, error.given, error.allowed, error.remedy) from None
 
 
 def digest(path: Path) -> str:
