@@ -21,7 +21,7 @@ test: $(VENV)/.ready
 	$(MAKE) --no-print-directory -j 2 lint test-effects
 	$(MAKE) --no-print-directory -j 2 test-live test-rest
 
-# For the loop of a developer: style, types and the laws of the physics.
+# For the loop of a developer: style, unused code, types and the laws of the physics.
 FAST_LAWS := test/model test/estimator test/vehicle test/route test/text test/effects/test_laws.py \
 	test/learning/test_filter.py
 check: export OPENBLAS_NUM_THREADS := 1
@@ -61,6 +61,7 @@ site: $(VENV)/.ready
 lint: $(VENV)/.ready
 	$(RUN)/ruff check .
 	$(RUN)/ruff format --check --quiet .
+	$(RUN)/vulture
 	$(RUN)/mypy
 
 $(VENV)/.ready: setup.py

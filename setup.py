@@ -61,7 +61,7 @@ DDS = [*BAGS, CYCLONE]
 # No wheels elsewhere, and its source needs the C library: there the tests of that edge are skipped.
 DDS_TESTED = [f"{CYCLONE}; platform_machine == 'x86_64' and python_version < '3.14'"]
 TEST = ["pytest>=7.4", "pytest-xdist>=3.4", "hypothesis>=6.98", "rainflow>=3.1", "mcap>=1.1", "setuptools>=70.1"]
-TEST += ["jsonschema>=4.10", "ruff>=0.4", "mypy>=1.8", "types-PyYAML", "types-openpyxl"]
+TEST += ["jsonschema>=4.10", "ruff>=0.4", "mypy>=1.8", "vulture>=2.11", "types-PyYAML", "types-openpyxl"]
 TEST += ["fmpy>=0.3.20"]  # reads and simulates what `trackres export fmu` writes
 TEST += ["axe-playwright-python>=0.1.4"]  # axe-core, for what a page must have for everyone to use it
 TEST += ["colcon-common-extensions>=0.3", "lark>=1.1"]  # where ROS 2 is, the package is built into a workspace and launched there
