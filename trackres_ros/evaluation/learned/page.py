@@ -154,7 +154,7 @@ def _of_age(aged: list[dict[str, float]] | None) -> list[str]:
     first, last = np.mean(errors[: len(errors) // 2]), np.mean(errors[len(errors) // 2 :])
     return [
         f"An age of {len(aged)} hours of driving: the error of the torque is {100.0 * first:.2f} % over the first half and "
-        f"{100.0 * last:.2f} % over the second, {100.0 * max(errors):.2f} % in the worst hour; what is kept has "
+        f"{100.0 * last:.2f} % over the second. In the worst hour it is {100.0 * max(errors):.2f} %. The state file has "
         f"{aged[0]['bytes']:.0f} bytes after the first hour and {aged[-1]['bytes']:.0f} after the last.",
         "",
     ]
