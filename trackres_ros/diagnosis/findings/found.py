@@ -118,6 +118,6 @@ def with_interval(value: float, interval: Interval | None) -> str:
     if interval is None:
         return figures(value)
     if interval.bound_only:
-        return f"{figures(value)}, bounded only between {figures(interval.low)} and {figures(interval.high)}"
+        return f"between {figures(interval.low)} and {figures(interval.high)}"
     shown, low, high = alike((value, interval.low, interval.high), interval.high - interval.low)
     return f"{shown} [{low}, {high}]"
