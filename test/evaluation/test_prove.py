@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ from trackres_ros.cli import prove
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.learned import cases as learned
 from trackres_ros.evaluation.learned import score as learned_score
-from trackres_ros.evaluation.processes import show_count, write_sealed
+from trackres_ros.evaluation.processes import each, show_count, write_sealed
 from trackres_ros.evaluation.sealed import earlier, score
 from trackres_ros.evaluation.sealed.cases import draw_cases
 from trackres_ros.evaluation.sealed.oracle import LEAST_GAIN
@@ -63,6 +64,13 @@ def test_the_labels_are_opened_only_by_the_score(tmp_path):
     assert scores["known"]["mae"] < scores["known"]["mae_base"]
     assert len(scores["learned"]) > 1
     assert min(scores["learned"].values()) > 0.0
+
+
+def test_a_failed_task_stops_those_not_begun(tmp_path):
+    tasks = [["false"], *(["sh", "-c", f"sleep 0.1; touch {tmp_path / str(number)}"] for number in range(50))]
+    with pytest.raises(subprocess.CalledProcessError):
+        each(partial(subprocess.run, check=True), tasks)
+    assert len(list(tmp_path.iterdir())) < 25
 
 
 @pytest.mark.parametrize(

@@ -72,6 +72,8 @@ def each(work: Callable[[Task], Result], tasks: Sequence[Task], done: str = "") 
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         results = [pool.submit(work, task) for task in tasks]
         for count, result in enumerate(as_completed(results), start=1):
+            if result.exception():
+                pool.shutdown(cancel_futures=True)  # an error is known at once, not after all others
             result.result()
             if done:
                 left = (time.monotonic() - began) / count * (len(tasks) - count)

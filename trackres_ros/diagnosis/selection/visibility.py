@@ -91,8 +91,9 @@ def separability(effects: Mapping[str, Effect], fit: Fit, columns_of: EffectColu
     """Linearise all effects about a fit, and compare them with the fit's own parameters and with each other."""
     columns_of = columns_of or EffectColumns(fit)
     others = [effect for effect in effects.values() if effect.name not in fit.effect_names]
-    not_visible = [NotVisible(effect, why) for effect in others if (why := _infeasible(effect, fit))]
-    possible = [effect for effect in others if not _infeasible(effect, fit)]
+    reasons = [_infeasible(effect, fit) for effect in others]
+    not_visible = [NotVisible(effect, why) for effect, why in zip(others, reasons, strict=True) if why]
+    possible = [effect for effect, why in zip(others, reasons, strict=True) if not why]
     own = base_columns(fit)
     usual, short = _Visibility(fit, own), shortened(fit.noise)
     with_short = None if short is None else _Visibility(replace(fit, noises={**fit.noises, "torque": short}), own)
