@@ -38,6 +38,7 @@ def leaves(group=cli, path=()):
 
 
 COMMANDS = {" ".join(path): command for path, command in leaves()}
+assert sum(len(command.params) for command in COMMANDS.values()) > 100
 
 
 @pytest.fixture(scope="module")

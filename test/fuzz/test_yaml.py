@@ -170,4 +170,4 @@ def test_shipped_files_are_far_from_the_limits():
         assert path.stat().st_size < MOST_BYTES / 10
         read_yaml(path)
     assert make_parameters(read_parameters(config_dir() / "trackres.yaml")) == make_parameters({})
-    assert parse_yaml("{a: &x {b: 1e3}, c: {<<: *x, d: 2}}", "w") == {"a": {"b": 1000.0}, "c": {"b": 1000.0, "d": 2}}
+    assert parse_yaml("{a: &x {b: 1.2e11}, c: {<<: *x, d: 1e3}}", "w") == {"a": {"b": 1.2e11}, "c": {"b": 1.2e11, "d": 1e3}}

@@ -156,7 +156,7 @@ class Pace:
             rate = max(number.feedforward_rate for number in numbers)
             fading = max(number.feedforward_limit / number.feedforward_fade for number in numbers)
             away = abs(now) > abs(before) and now * before >= 0.0
-            most = rate if away else max(rate, fading) + fading
+            most = rate if away else rate + fading
             assert abs(now - before) <= most * (now_s - before_s) + 1e-3  # of a clock that counts nanoseconds
             assert now * target > 0.0 or (not away and now * before >= 0.0)
             longest_s = max(longest_s if wrong_s else 0.0, *(number.feedforward_fade for number in numbers))
