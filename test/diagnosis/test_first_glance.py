@@ -211,8 +211,9 @@ def test_what_is_only_suspected_asks_for_more_laps():
     assert tiles(r)[-1].answer == "Inspect the vehicle"
 
 
-def test_where_nothing_is_gained_nothing_is_to_be_done():
-    mae = {"nominal": 20.3, "refitted": 20.25, "with_effects": 20.25}
+@pytest.mark.parametrize("error", [20.3, 0.0])
+def test_where_nothing_is_gained_nothing_is_to_be_done(error):
+    mae = {"nominal": error, "refitted": 0.998 * error, "with_effects": 0.998 * error}
     _, what, better, following = tiles(report_of("none", "confirmed", mae=mae))
     assert (what.answer, better.answer, following.answer) == ("No physics is missing", "Nothing to gain", "Nothing to do")
 

@@ -230,11 +230,11 @@ def _followed(r: dict[str, Any]) -> float | None:
 
 
 def _share(r: dict[str, Any]) -> float:
-    """Share of the mean hold-out error that the last stage removes."""
+    """Share of the mean hold-out error that the last stage removes; 0 without an error, as of a torque of the model itself."""
     mae, followed, without = r["heldout"]["mae"], _followed(r), r["heldout"]["without_sensor_error"]
     after = mae[stage_of(r)] if without is None else without  # no file holds an error of the sensor
     after = after if followed is None else followed
-    return float((mae["nominal"] - after) / mae["nominal"])
+    return float((mae["nominal"] - after) / mae["nominal"]) if mae["nominal"] else 0.0
 
 
 def _sure(r: dict[str, Any]) -> list[dict[str, Any]]:
@@ -252,7 +252,7 @@ def _gained(term: dict[str, Any]) -> tuple[float, float]:
     if term["heldout"] is None:
         return 0.0, 1.0
     before, after = term["heldout"]["mae"]
-    return before - after, (before - after) / before
+    return before - after, (before - after) / before if before else 0.0
 
 
 def _names(r: dict[str, Any]) -> str:
