@@ -13,7 +13,7 @@ import pytest
 from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.findings.found import UnnamedTerm
-from trackres_ros.diagnosis.findings.locate import Location, regime_of, rms_over_time
+from trackres_ros.diagnosis.findings.locate import Location, regime_of, rms_over_time, rms_where, smoothed
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import Verdict
 from trackres_ros.diagnosis.report.pictures import draw_all, draw_regimes, draw_times
@@ -171,6 +171,16 @@ def test_the_size_of_an_effect_is_the_mean_over_the_marked_times(diagnosed):
     residual = np.concatenate(against_travel(d.sessions, torque_residuals(d.refitted)))
     assert here.samples == inside.sum()
     assert here.mean_residual == pytest.approx(residual[inside].mean())
+
+
+def test_the_root_mean_square_of_an_effect_is_of_its_own_range(diagnosed):
+    d, name = diagnosed, "time since start"
+    means = [smoothed(s, r) for s, r in zip(d.sessions, torque_residuals(d.refitted), strict=True)]
+    whole = Location(name, "s", -np.inf, np.inf, -np.inf, np.inf, 0.0, 1.0, 1.0)
+    assert rms_where(whole, d.final, means) == rms_over_time(means)[1]
+    shift = [np.where(s.time - s.time[0] > 300.0, x + 1000.0, x) for s, x in zip(d.sessions, means, strict=True)]
+    early = replace(whole, least=0.0, most=1e4, low=0.0, high=300.0)
+    assert rms_where(early, d.final, shift) == rms_where(early, d.final, means) < 500.0 < rms_over_time(shift)[1]
 
 
 def test_a_gated_curve_is_drawn_of_steps_with_an_open_gate(drawn, diagnosed, tmp_path):

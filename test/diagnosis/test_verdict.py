@@ -309,8 +309,8 @@ def test_the_sentence_gives_the_size_of_the_pictured_residual():
     assert "about 63 Nm more" in both.residual(here, regimes(), 20.0)
     everywhere, small = replace(one_way, low=0.0), replace(here, mean_residual=-3.0)
     assert "about 63 Nm more" in everywhere.residual(here, bins, 20.0)
-    assert "root mean square of 20 Nm" in everywhere.residual(small, bins, 20.0)
-    assert "about 3 Nm less" in one_way.residual(small, bins, 20.0)
+    for where in (everywhere, one_way):
+        assert "root mean square of 20 Nm" in where.residual(small, bins, 20.0)
 
 
 def test_an_edge_that_is_nothing_on_its_scale_is_zero():

@@ -22,7 +22,7 @@ from trackres_ros.units import GRAVITY
 
 ACTING_SHARE = 0.5  # of its 95th percentile
 BOTH_WAYS_SHARE = 0.25  # of the larger side: an effect with more than this on the other side changes its sign
-MEANS_LITTLE = 0.05  # of an effect's torque: where it acts everywhere, a smaller mean residual is what the re-fit left of it
+MEANS_LITTLE = 0.05  # of an effect's torque: a smaller mean residual is what the re-fit left of it
 FOLLOWS_LEAST = 0.3  # of the mean square: a smaller share means that the effect follows no variable
 JOINED_S, SHORTEST_S = 10.0, 5.0
 SLOW_S = 30.0
@@ -124,11 +124,10 @@ class Location:
     def residual(self, here: Bin, at_base: RegimeMap, rms_nm: float) -> str:
         """Residual of the re-fitted base where the effect acts, in words and with the numbers of the plots.
 
-        `here` is the mean residual where the effect acts, `rms_nm` the root mean square of the residual over time.
+        `here` is the mean residual where the effect acts, `rms_nm` the root mean square of the residual over time there.
         """
-        everywhere = not self.text and not self.both_ways
         little = abs(here.mean_residual) < MEANS_LITTLE * max(self.largest, -self.smallest)
-        if self.follows < FOLLOWS_LEAST or (everywhere and little):
+        if self.follows < FOLLOWS_LEAST or (little and not self.both_ways):
             size = f"with a root mean square of {in_nm(rms_nm)} Nm"
             return f"the vehicle needs sometimes more and sometimes less torque than the re-fitted model, {size}"
         means = [b.mean_residual for b in at_base.bins if b.variable == self.variable]
@@ -197,6 +196,15 @@ def rms_over_time(means: Sequence[Array]) -> tuple[list[float], float]:
     """Root mean square of a `smoothed` residual, of each session and of all their time [Nm]."""
     *sizes, of_all = (float(np.sqrt(np.nanmean(r**2))) if np.isfinite(r).any() else 0.0 for r in (*means, np.concatenate(means)))
     return sizes, of_all
+
+
+def rms_where(where: Location, final: Fit, means: Sequence[Array]) -> float:
+    """The same where an effect of the `final` fit acts by its text, or everywhere [Nm]."""
+    if not where.text:
+        return rms_over_time(means)[1]
+    limits = where.variable, where.low, where.high
+    there = (within(*limits, s, p) for s, p in zip(final.problem.sessions, final.predicted, strict=True))
+    return rms_over_time([np.where(here, r, np.nan) for here, r in zip(there, means, strict=True)])[1]
 
 
 @dataclass(frozen=True, slots=True)

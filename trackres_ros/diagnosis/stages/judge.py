@@ -22,7 +22,7 @@ from trackres_ros.diagnosis.findings.locate import (
     only_later,
     regime_of,
     residual_where_it_acts,
-    rms_over_time,
+    rms_where,
     slow_residual,
     smoothed,
     spans,
@@ -151,7 +151,7 @@ def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen, as_file: 
 def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
     final, sessions = chosen.final, chosen.final.problem.sessions
     of_base = torque_residuals(base.refitted)
-    rms_nm = rms_over_time([smoothed(s, r) for s, r in zip(sessions, of_base, strict=True)])[1]
+    over_time = [smoothed(s, r) for s, r in zip(sessions, of_base, strict=True)]
     found = []
     for active in final.effects:
         effect = active.effect
@@ -167,7 +167,7 @@ def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
             NamedEffect(
                 effect.name, effect.text, effect.acts_on, effect.parameters, chosen.steps[effect.name], active.values,
                 bounds_of(effect.name, bounds), adds, resists, spans(sessions, adds), where, regime,
-                where.residual(regime[0], base.at_base, rms_nm), chosen.graded[effect.name],
+                where.residual(regime[0], base.at_base, rms_where(where, final, over_time)), chosen.graded[effect.name],
             )
         )  # fmt: skip
     return [f for f in by_improvement(found) if isinstance(f, NamedEffect)]
