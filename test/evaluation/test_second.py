@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from trackres_ros.evaluation.sealed.second import _by_place, _comparable, _stated, main, read_labels
+from trackres_ros.evaluation.sealed.second import _accepted, _by_place, _comparable, _stated, main, read_labels
 
 
 def label(name, kind, level="outside", d_prime=40.0):
@@ -89,6 +89,17 @@ def test_a_confirmed_place_counts_as_the_soft_ground_there():
     assert not _by_place(["soft_ground"], report("suspected"))
     assert not _by_place(["soft_ground"], report("confirmed", "soft_ground"))
     assert not _by_place(["rain"], report("confirmed"))
+
+
+def test_a_name_that_labels_accept_counts_for_the_hidden_effect():
+    def in_class(name, *hidden):
+        return _accepted({"name": name, "class": [name]}, hidden)["class"]
+
+    grade, pump = ({"name": name, "acceptable": ["grade_profile", "drift"]} for name in ("grade", "pump"))
+    assert in_class("grade_profile", grade) == ["grade_profile", "grade"]
+    assert in_class("grade", grade) == ["grade"]
+    assert in_class("rain", grade) == ["rain"]
+    assert in_class("drift", pump) == ["drift"]  # outside the catalogue: no name is right, see `Scored.allowed`
 
 
 @pytest.mark.parametrize(("label", "ours"), [(0.04, -0.0385), (-0.03, 0.0309)])

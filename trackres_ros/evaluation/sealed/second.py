@@ -81,7 +81,8 @@ def _scored(cases: Path, results: Path, label: Mapping[str, Any]) -> Scored:
     seen = all(e["d_prime"] >= CLEAR for e in effects) if level == "outside" else bool(label["identifiable"])
     alike = tuple(sorted({name for e in effects for name in e["acceptable"]}))
     ignored = set(label["tolerated"]) - set(names)
-    report = {**report, "effects": [*(e for e in report["effects"] if e["name"] not in ignored), *_by_place(names, report)]}
+    named = [_accepted(e, effects) for e in report["effects"] if e["name"] not in ignored]
+    report = {**report, "effects": [*named, *_by_place(names, report)]}
     if level == "outside":  # hidden physics is known by its name alone: the residual is at least the noise
         before = float(report["heldout"]["mae"]["refitted"])
         known = OracleAnswer(0.5 * effects[0]["d_prime"] ** 2, (), seen, False, before, label["noise_mae"][-1]["one_s"])
@@ -93,6 +94,12 @@ def _scored(cases: Path, results: Path, label: Mapping[str, Any]) -> Scored:
         case, report, known, {OURS: of_report(report), **answers}, np.nan, np.nan, None, result["learned"],
         _stated(names, report) if level == "outside" else None, _comparable(effects, report),
     )  # fmt: skip
+
+
+def _accepted(found: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """A found effect, with the hidden ones in its class for which the labels accept its name."""
+    also = [e["name"] for e in effects if found["name"] in e["acceptable"] and e["name"] in CATALOGUE]
+    return {**found, "class": list(dict.fromkeys([*found["class"], *also]))}
 
 
 def _by_place(names: Sequence[str], report: Mapping[str, Any]) -> list[dict[str, Any]]:
