@@ -57,6 +57,14 @@ def test_the_scale_is_found_where_the_mass_is_known(tmp_path):
     assert "mass" not in found.base_values
 
 
+def test_the_torque_of_simulated_drives_has_their_load(tmp_path):
+    base = car(tmp_path)
+    light, heavy = (replace(s, accel=0.0 * s.accel) for s in drives(base, 30.0, 3, 1.0, np.random.default_rng(1))[1:])
+    torques = [base.predict([replace(light, weight=s.weight)], base.nominal, ())[0].torque for s in (light, heavy)]
+    assert (torques[1] >= torques[0]).all()
+    assert torques[1].mean() > 1.02 * torques[0].mean()
+
+
 def test_mass_and_torque_scale_are_not_refitted_if_both_are_open(tmp_path):
     assert {q.name for q in car(tmp_path).parameters} == set(FITTED) - {"mass", "torque_scale"}
 

@@ -56,6 +56,7 @@ def drives(
                 nan,
                 np.ones(steps, dtype=bool),
                 np.zeros(steps, dtype=np.int64),
+                given=frozenset({"load"}),
             )
         )
     return sessions
