@@ -309,6 +309,7 @@ def test_damaged_and_odd_messages_are_counted_and_kept(tmp_path: Path) -> None:
     with Writer(tmp_path / "bag", version=9) as writer:
         odom = writer.add_connection("/odom", ODOMETRY, typestore=STORE)
         joint = writer.add_connection("/joints", JOINTS, typestore=STORE)
+        writer.write(joint, START - 10**9, STORE.serialize_cdr(joints(STORE, START - 10**9, ["right"], [1.0]), JOINTS))
         for row in range(50):
             raw = bytes(STORE.serialize_cdr(odometry(STORE, START + row, float(row)), ODOMETRY))
             writer.write(odom, START + row, raw[:40] if row == 20 else raw)
@@ -318,8 +319,10 @@ def test_damaged_and_odd_messages_are_counted_and_kept(tmp_path: Path) -> None:
     recording = Recording.from_source(open_source([tmp_path / "bag"], Topics.parse(lines_of("speed", "torque"))))
     assert np.flatnonzero(np.isnan(recording.series["speed"].value)).tolist() == [20]
     assert recording.series["speed"].stamp_ns[20] == START + 20
-    assert len(recording.series["torque"]) == 44
+    assert len(recording.series["torque"]) == 45
     counts = {(finding.role, finding.kind): finding.count for finding in recording.findings}
+    places = {(finding.role, finding.kind): finding.first_time_s for finding in recording.findings}
+    assert places["speed", "malformed"] == places["speed", "non_finite"] == 20e-9  # from the first speed
     assert counts["speed", "malformed"] == 1
     assert counts["speed", "non_finite"] == 1
     assert counts["torque", "absent"] == 6
