@@ -24,6 +24,9 @@ from trackres_ros.api.arguments import LIMITS, as_paths, as_recordings
 from trackres_ros.cli.main import cli
 from trackres_ros.estimator.entry_points import COMPILED, interpreted_entries
 from trackres_ros.files.resources import config_dir, shipped_road_vehicles
+from trackres_ros.learning.columns import columns_of
+from trackres_ros.learning.parameters import learnables
+from trackres_ros.output.table import unit_of
 
 PACKAGE = Path(tr.__file__).parent
 DRIVE = "time_s,speed_kmh,ambient_degc\n" + "".join(f"{i * 0.1:.1f},{min(i, 100) * 0.2:.2f},10\n" for i in range(400))
@@ -341,6 +344,8 @@ def test_a_replay_into_a_file_does_not_keep_its_rows(drive, replayed, xgd24d, fo
         with pytest.raises(tr.InputError, match=r"streamed\.csv"):
             ask()
     assert "resistance" in result._repr_html_()
+    assert "speed_mps" in result
+    assert "nothing" not in result
 
 
 def test_a_replay_takes_parameters_and_goes_on_from_a_state(folder, xgd24d, replayed):
@@ -360,7 +365,8 @@ def test_a_replay_takes_parameters_and_goes_on_from_a_state(folder, xgd24d, repl
 
 def test_a_replay_has_no_unknown_column(replayed):
     assert "time_s" in replayed
-    assert "nothing" not in replayed
+    with pytest.raises(KeyError):
+        replayed["nothing"]
 
 
 def test_pandas_has_every_column_with_its_unit(replayed, folder):
@@ -374,6 +380,8 @@ def test_pandas_has_every_column_with_its_unit(replayed, folder):
     assert units["resistance_torque_nm"] == "N m"
     assert units["belt_degc/front_left"] == "degC"
     assert [name for name, unit in units.items() if not unit] == ["reasons"]
+    for one in learnables(tr.load_vehicle("ztbus_hess19")):
+        assert [unit_of(name) for name in columns_of(one)[:2]] == 2 * [{"1": "", "Nm": "N m"}.get(one.unit, one.unit)]
 
 
 def test_xarray_has_an_axis_of_assemblies(replayed):

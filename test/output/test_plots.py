@@ -11,9 +11,13 @@ import numpy as np
 import pytest
 
 from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.learning.buckets import SHAPE
+from trackres_ros.learning.columns import columns_of
+from trackres_ros.learning.parameters import VEHICLES_OWN, learnables
 from trackres_ros.offline.simulate import ramp_and_hold, run_drive, simulate
 from trackres_ros.output.plots import estimate_figure
 from trackres_ros.output.style import picture, thinned
+from trackres_ros.vehicle import load_any
 
 pytest.importorskip("matplotlib")
 
@@ -107,6 +111,23 @@ def test_lines_of_many_assemblies_differ(drawn, tmp_path):
     estimate_figure(np.arange(5.0), columns, "t", path=tmp_path / "a.png")
     lines = drawn.figures[0].axes[2].lines
     assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 16
+
+
+@pytest.mark.parametrize("vehicle", ["xgd24d", "ztbus_hess19"])
+def test_all_learned_values_and_the_driving_are_drawn(drawn, tmp_path, vehicle):
+    """The driving by belt temperature, or by load where there are no belts."""
+    described = load_any(vehicle)
+    own = [one for one in learnables(described) if one.state in VEHICLES_OWN]
+    shown = ("speed_mps", "resistance_torque_nm", "ambient_degc", *(f"belt_degc/{one.name}" for one in described.assemblies))
+    columns = dict.fromkeys((*shown, *(name for one in own for name in columns_of(one))), np.ones(5))
+    seconds = np.zeros(SHAPE)
+    seconds[1, :, 2] = 7.0
+    estimate_figure(np.arange(5.0), columns, "t", seconds, tmp_path / "a.png")
+    axes = {one.get_ylabel(): one for one in drawn.figures[0].axes}
+    assert len(axes["learned, over the first"].lines) == len(own)
+    driving = axes["speed [% of greatest]"]
+    assert ("belt" in driving.get_xlabel(), "load" in driving.get_xlabel()) == (bool(shown[3:]), not shown[3:])
+    assert [text.get_text() for text in driving.texts if text.get_text() != "0 s"] == (["7 s"] * 4 if shown[3:] else ["28 s"])
 
 
 @pytest.mark.parametrize("rows", [100, 9000])

@@ -67,10 +67,11 @@ def traffic(store: Any, count: int = 300, start_ns: int = START) -> Iterator[tup
     """Yield topic, type, log time and message, of several topics with strings that change."""
     for row in range(count):
         stamp = start_ns + row * 20_000_000
-        yield "/odom", ODOMETRY, stamp + 3_000_000, odometry(store, stamp, np.sin(row), "odom" if row % 7 else "x")
+        at_once = [("/odom", ODOMETRY, stamp + 3_000_000, odometry(store, stamp, np.sin(row), "odom" if row % 7 else "x"))]
         if row % 3 == 0:
             names = ["left", "right"] if row % 2 else ["right"]
-            yield "/joints", JOINTS, stamp + 3_000_000, joints(store, stamp - 1, names, [float(row)] * len(names))
+            at_once += [("/joints", JOINTS, stamp + 3_000_000, joints(store, stamp - 1, names, [float(row)] * len(names)))]
+        yield from at_once[:: 1 - 2 * (row % 2)]
         if row % 5 == 0:
             yield "/weight", "std_msgs/msg/Float64", stamp + 4_000_000, store.types["std_msgs/msg/Float64"](2e5 + row)
         yield "/chatter", "std_msgs/msg/String", stamp + 5_000_000, store.types["std_msgs/msg/String"]("x" * row)
@@ -204,6 +205,7 @@ def test_a_ros1_bag(tmp_path: Path) -> None:
     got = by_blocks(open_source([path], TOPICS))
     assert in_order(got) == in_order(by_library(path))
     assert len(got) == 760
+    assert got == by_blocks(open_source([write(tmp_path / "bag", "mcap")], TOPICS))  # in this order too
 
 
 def test_bags_one_after_another(tmp_path: Path) -> None:
@@ -307,6 +309,7 @@ def test_damaged_and_odd_messages_are_counted_and_kept(tmp_path: Path) -> None:
     with Writer(tmp_path / "bag", version=9) as writer:
         odom = writer.add_connection("/odom", ODOMETRY, typestore=STORE)
         joint = writer.add_connection("/joints", JOINTS, typestore=STORE)
+        writer.write(joint, START - 10**9, STORE.serialize_cdr(joints(STORE, START - 10**9, ["right"], [1.0]), JOINTS))
         for row in range(50):
             raw = bytes(STORE.serialize_cdr(odometry(STORE, START + row, float(row)), ODOMETRY))
             writer.write(odom, START + row, raw[:40] if row == 20 else raw)
@@ -316,8 +319,10 @@ def test_damaged_and_odd_messages_are_counted_and_kept(tmp_path: Path) -> None:
     recording = Recording.from_source(open_source([tmp_path / "bag"], Topics.parse(lines_of("speed", "torque"))))
     assert np.flatnonzero(np.isnan(recording.series["speed"].value)).tolist() == [20]
     assert recording.series["speed"].stamp_ns[20] == START + 20
-    assert len(recording.series["torque"]) == 44
+    assert len(recording.series["torque"]) == 45
     counts = {(finding.role, finding.kind): finding.count for finding in recording.findings}
+    places = {(finding.role, finding.kind): finding.first_time_s for finding in recording.findings}
+    assert places["speed", "malformed"] == places["speed", "non_finite"] == 20e-9  # from the first speed
     assert counts["speed", "malformed"] == 1
     assert counts["speed", "non_finite"] == 1
     assert counts["torque", "absent"] == 6

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from copy import deepcopy
@@ -17,7 +18,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-from drive_files import DBC, KINDS, TOPICS, Drive, mat_73, write
+from drive_files import DBC, KINDS, Drive, mat_73, write
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -109,7 +110,7 @@ def test_every_unit_of_a_role_is_known_in_any_spelling():
             assert conversion(unit, about.unit), role
     for given_, inside, same in (
         ("N·m", "Nm", "Nm"), ("°C", "degC", "degC"), ("KM/H", "m/s", "km/h"), ("m/s^2", "m/s2", "m/s2"), ("kn", "m/s", "knots"),
-        ("kn", "N", "kN"), ("lb", "N", "lbf"), ("hPa", "Pa", "mbar"), ("µs", "s", "us"),
+        ("kn", "N", "kN"), ("lb", "N", "lbf"), ("hPa", "Pa", "mbar"), ("µs", "s", "us"), ("[‰]", "1", "‰"),
     ):  # fmt: skip
         assert conversion(given_, inside) == UNITS[inside][same]
     assert conversion("degF", "degC") == pytest.approx((5 / 9, -17.7777777777))
@@ -201,8 +202,9 @@ def test_the_unit_of_a_file_fits_a_known_name_or_is_refused(name):
     assert known == wanted[0]
     assert role == TIME or notes == [f"{role}: {name} is in on/off according to the file: no known unit, so its name decides"]
     for other in {other for units in UNITS.values() for other in units} - {unit, "1"}:
-        if unit == "1" and other == "%":
-            assert (bound(other)[0].scale, bound(other)[1]) == (0.01, [f"{role}: {name} is in % according to the file"])
+        if unit == "1" and other in UNITS["1"]:
+            noted = [f"{role}: {name} is in {other} according to the file"]
+            assert (bound(other)[0].scale, bound(other)[1]) == (UNITS["1"][other].scale, noted)
             continue
         with pytest.raises(InputError, match=f"unit of {name}: given '{other}'; allowed: {unit}; .*{role}: {{channel: {name}"):
             bound(other)
@@ -439,15 +441,14 @@ def test_lines_that_are_no_frames_are_counted_alone(files, tmp_path, kind):
 
 
 def test_guessed_lines_are_a_topics_file(files, good, tmp_path):
-    for kind in ("MF4", "MF4 of a bus", "BLF"):
-        path, _ = files[kind]
-        dbc = () if kind == "MF4" else ("--dbc", path.with_name("bus.dbc"))
-        kept = tmp_path / "topics.yaml"
-        kept.write_text(good("topics", "guess", path, *dbc))
-        guessed, read = Recording.from_source(open_source([path], Topics.load(kept))), tr.read(path, topics=kept)
-        for role in TOPICS:
-            np.testing.assert_array_equal(guessed.series[role].value, read.series[role].value)
-        assert len(read.series["speed"]) == 1000
+    kept, dbc = tmp_path / "topics.yaml", shutil.copy(files["BLF"][0].with_name("bus.dbc"), tmp_path / "bus #2, new.dbc")
+    for kind in ("MF4", "MF4 of a bus", "BLF", "known names"):
+        path, of_a_bus = files[kind][0], kind in ("MF4 of a bus", "BLF")
+        kept.write_text(good("topics", "guess", path, *(("--dbc", dbc) if of_a_bus else ())))
+        guessed, read = (tr.replay(path, "xgd24d", topics=one) for one in ({"dbc": dbc} if of_a_bus else None, kept))
+        for name in guessed.columns:
+            np.testing.assert_array_equal(read[name], guessed[name], err_msg=f"{kind}: {name}")
+        assert len(read.time_s) == 1000
     done = good("replay", files["ASC"][0], "--dbc", files["ASC"][0].with_name("bus.dbc"), "--vehicle", "xgd24d", cwd=tmp_path)
     assert "speed: {channel: VehicleSpeed, unit: km/h}  # guessed" in done
 

@@ -154,6 +154,7 @@ def replay(
         written += saved.written
     title = one_line(f"{', '.join(path.name for path in paths) or source.name}: {estimator.vehicle.title}")
     findings = source.all_findings() if isinstance(source, KeptSource) else source.findings
+    findings = tuple(replace(one, first_time_s=one.first_time_s - done.late_s) for one in findings)
     rows = kept if file is None else None
     notes = source.notes if off_s is None else (*source.notes, AFTER_TIME_OFF.format(off_s))
     result = ReplayResult(done, rows, title, source.name, notes, findings, file, [*inputs, before])

@@ -37,7 +37,7 @@ from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.preview import ResultPreview
 from trackres_ros.output.table import TableWriter
 from trackres_ros.recording.roles import GROUND, POSITION, base_role
-from trackres_ros.recording.samples import SampleBlock, Source, standing_time
+from trackres_ros.recording.samples import SampleBlock, Source, first_valid, standing_time
 from trackres_ros.units import NANOSECOND
 
 BLOCK_ROWS = 8192  # results of so many messages stay in the cache and in memory already had
@@ -55,6 +55,7 @@ class Replayed:
     reasons: Mapping[at.Reason, int]  # of these steps
     picture: Array  # (samples, 1 + columns): time [s] and results, thinned
     last: Array  # last row of results
+    late_s: float  # from the first valid speed, which may be refused, to the first row
     learner: Learner | None = None
     learned_file: LearnedFile | None = None  # that it was asked to write
 
@@ -152,11 +153,12 @@ def replay(
             totals.add(times.of(steps), by_column(estimator, steps.rows))
         seen.take(steps, write)
 
-    messages = 0
+    messages, start = 0, None
     with ThreadPoolExecutor(max_workers=1) as worker:  # the kernel releases the interpreter: reading continues meanwhile
         running: Future[Steps] | None = None
         for block in source.blocks(BLOCK_ROWS):
             messages += len(block)
+            start = start or first_valid(block, block.role == source.roles.index("speed"), source.zero_is_unset)
             channel = channel_of[block.role]
             if not_needed:
                 rows = channel >= 0
@@ -179,7 +181,8 @@ def replay(
             "check topic, field, scale and unit of the speed",
         )
     found = session.reason_counts(reasons)
-    return Replayed(session, messages, seen.steps, totals, counts, found, seen.kept, seen.last, learner)
+    late_s = (seen.first_ns - start[0]) * NANOSECOND if start else 0.0
+    return Replayed(session, messages, seen.steps, totals, counts, found, seen.kept, seen.last, late_s, learner)
 
 
 class LearningSteps:

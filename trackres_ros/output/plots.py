@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
-from trackres_ros.learning.buckets import BELT_DEGC, FILLED_S, SPEED_SHARES
+from trackres_ros.learning.buckets import BELT_DEGC, FILLED_S, LOAD_SHARES, SPEED_SHARES
 from trackres_ros.output.preview import longest_step
 from trackres_ros.output.style import (
     BLACK,
@@ -47,10 +47,12 @@ ESTIMATE_INCHES = (9.0, 7.2)
 LEARNED_INCHES, MAP_INCHES = 1.8, 2.2  # taller with learned values
 ALIKE_K = 0.5  # assemblies with smaller temperature differences share one line
 LEARNED = {
-    "loss_modulus_scale": "loss of the belts", "bearing_friction": "bearings", "drag_coefficient": "drag",
-    "rotating_mass_factor": "mass",
+    "loss_modulus_scale": ("loss of the belts", BLUE), "film_scale": ("cooling of the belts", PURPLE),
+    "capacity_scale": ("heat capacity", VERMILION), "bearing_friction": ("bearings", ORANGE),
+    "rolling_coefficient": ("rolling", ORANGE), "drag_coefficient": ("drag", SKY), "drag_area": ("drag", SKY),
+    "rotating_mass_factor": ("mass", GREEN),
 }  # fmt: skip
-COLOURS = (BLUE, ORANGE, SKY, GREEN)
+"""Labels and colours of the learned values of a vehicle, with belts or without."""
 LINES = "-", "--", ":"  # of assemblies beyond the palette
 LETTERS_FROM = 0.6  # of the darkest: letters on it are white
 
@@ -88,7 +90,8 @@ def estimate_figure(
     title
         Heading of the picture.
     coverage
-        Seconds used for learning, as counted by `learning.buckets`; drawn as a map below the learned values.
+        Seconds used for learning, as counted by `learning.buckets`; drawn as a map below the learned values, by speed and
+        belt temperature, or load if there are no belts.
     path
         PNG file to write too.
     """
@@ -116,23 +119,25 @@ def _draw_estimate(
     gaps = np.flatnonzero((step > longest_step(time)) | (step < 0.0)) + 1
     x = TimeAxis(time / 3600.0 if in_hours else time, gaps)
     drawn: FigureBase = figure
-    if learned := _is_there(columns):
+    has_belts, learned = any(name.startswith("belt_degc") for name in columns), _learned(columns)
+    if learned:
         figure.set_size_inches(
             ESTIMATE_INCHES[0], ESTIMATE_INCHES[1] + LEARNED_INCHES + (0.0 if coverage is None else MAP_INCHES)
         )
         if coverage is not None:
             heights = (ESTIMATE_INCHES[1] + LEARNED_INCHES, MAP_INCHES)
             drawn, below = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=heights)))
-            _draw_coverage(below.subplots(), coverage)
-    parts = drawn.subplots(3 + learned, 1, sharex=True, height_ratios=(1.0, 1.8, 1.4, 1.2)[: 3 + learned])
+            _draw_coverage(below.subplots(), coverage, has_belts)
+    count = 3 + bool(learned)
+    parts = drawn.subplots(count, 1, sharex=True, height_ratios=(1.0, 1.8, 1.4, 1.2)[:count])
     speed, torque, belt = parts[:3]
     figure.suptitle(shortened(title, TITLE_LETTERS), x=0.01, ha="left", fontsize=11)
     _line(speed, x, np.asarray(columns["speed_mps"], float) * KMH_PER_MPS, "speed", BLACK)
     speed.set_ylabel("speed [km/h]")
-    _draw_torque(torque, x, columns)
+    _draw_torque(torque, x, columns, has_belts)
     _draw_belt(belt, x, columns)
     if learned:
-        _draw_values(parts[3], x, columns)
+        _draw_values(parts[3], x, learned)
     parts[-1].set_xlabel("time [h]" if in_hours else "time [s]")
     for axes in parts:
         axes.margins(x=0.01)
@@ -140,12 +145,11 @@ def _draw_estimate(
     drawn.align_ylabels()
 
 
-def _draw_torque(axes: Axes, x: TimeAxis, columns: Mapping[str, Array]) -> None:
+def _draw_torque(axes: Axes, x: TimeAxis, columns: Mapping[str, Array], has_belts: bool) -> None:
     if np.isfinite(columns.get("measured_torque_nm", np.nan)).any():
         _line(axes, x, columns["measured_torque_nm"], "measured", VERMILION, linewidth=0.9)
         if "drive_torque_nm" in columns:
             _line(axes, x, columns["drive_torque_nm"], "drive torque", GREY, linewidth=0.9)
-    has_belts = any(name.startswith("belt_degc") for name in columns)
     if "resistance_std_nm" in columns:
         _band(axes, x, columns["resistance_torque_nm"], columns["resistance_std_nm"], BLACK)
     for name, label, colour in (
@@ -205,17 +209,19 @@ def _band(axes: Axes, x: TimeAxis, middle: Array, std: Array, colour: str) -> No
     axes.fill_between(at, low, high, color=colour, alpha=0.15, linewidth=0.0, label="± 1 std")
 
 
-def _is_there(columns: Mapping[str, Array]) -> bool:
-    """Whether anything was learned from."""
-    return any(f"learned_{name}" in columns for name in LEARNED)
+def _learned(columns: Mapping[str, Array]) -> list[tuple[Array, Array, str, str]]:
+    """Value, standard deviation, label and colour of each learned value of the vehicle; a unit ends the names of its columns."""
+    return [
+        (np.asarray(columns[f"learned_{name}{unit}"], float), np.asarray(columns[f"learned_{name}_std{unit}"], float), *look)
+        for name, look in LEARNED.items()
+        for unit in ("", "_m^2")
+        if f"learned_{name}{unit}" in columns
+    ]
 
 
-def _draw_values(axes: Axes, x: TimeAxis, columns: Mapping[str, Array]) -> None:
+def _draw_values(axes: Axes, x: TimeAxis, learned: Sequence[tuple[Array, Array, str, str]]) -> None:
     """Values relative to the first, with one standard deviation to either side."""
-    for (name, label), colour in zip(LEARNED.items(), COLOURS, strict=True):
-        if f"learned_{name}" not in columns:
-            continue
-        value, std = np.asarray(columns[f"learned_{name}"], float), np.asarray(columns[f"learned_{name}_std"], float)
+    for value, std, label, colour in learned:
         first = value[0] if value[0] else 1.0
         every = np.arange(len(value))
         axes.plot(*x.broken(every, value / first), color=colour, label=label)
@@ -224,25 +230,30 @@ def _draw_values(axes: Axes, x: TimeAxis, columns: Mapping[str, Array]) -> None:
     axes.set_ylabel("learned, over the first")
 
 
-def _draw_coverage(axes: Axes, seconds: Array) -> None:
-    """Seconds that were learned from, by belt temperature and speed; loads are summed up.
+def _draw_coverage(axes: Axes, seconds: Array, has_belts: bool) -> None:
+    """Seconds that were learned from, by speed, and by belt temperature or load; those of all others are added.
 
     `seconds`: shape (speeds, belt temperatures, loads), as `learning.buckets` counts them.
     """
-    shown = np.asarray(seconds.sum(axis=2))
+    shown = np.asarray(seconds.sum(axis=2 if has_belts else 1))
+    edges, label = (BELT_DEGC, "belt [°C]") if has_belts else (_percent(LOAD_SHARES), "load [% of nominal]")
     most = max(float(shown.max()), FILLED_S)
     axes.imshow(shown, cmap="Blues", vmin=0.0, vmax=most, aspect="auto", origin="lower")
     for i, row in enumerate(shown.tolist()):
         for j, count in enumerate(row):
             colour = "white" if count > LETTERS_FROM * most else "black"
             axes.text(j, i, f"{count:.0f} s", ha="center", va="center", fontsize=7.0, color=colour)
-    axes.set_xticks(range(shown.shape[1]), _between(BELT_DEGC, "{:.0f}"))
-    axes.set_yticks(range(shown.shape[0]), _between(tuple(100.0 * share for share in SPEED_SHARES), "{:.0f}"))
-    axes.set_xlabel("learned from: belt [°C]")
+    axes.set_xticks(range(shown.shape[1]), _between(edges))
+    axes.set_yticks(range(shown.shape[0]), _between(_percent(SPEED_SHARES)))
+    axes.set_xlabel(f"learned from: {label}")
     axes.set_ylabel("speed [% of greatest]")
     axes.grid(visible=False)
 
 
-def _between(edges: tuple[float, ...], form: str) -> list[str]:
-    inner = [f"{form.format(a)}-{form.format(b)}" for a, b in pairwise(edges)]
-    return [f"< {form.format(edges[0])}", *inner, f"> {form.format(edges[-1])}"]
+def _percent(shares: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(100.0 * share for share in shares)
+
+
+def _between(edges: tuple[float, ...]) -> list[str]:
+    inner = [f"{a:.0f}-{b:.0f}" for a, b in pairwise(edges)]
+    return [f"< {edges[0]:.0f}", *inner, f"> {edges[-1]:.0f}"]

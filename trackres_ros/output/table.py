@@ -29,7 +29,7 @@ CHUNK_ROWS = 8192
 """Rows of a CSV that are put together at once."""
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 UNITS = {
-    "s": "s", "ns": "ns", "mps": "m/s", "mps2": "m/s^2", "n": "N", "nm": "N m", "degc": "degC", "k": "K", "w": "W",
+    "s": "s", "ns": "ns", "mps": "m/s", "mps2": "m/s^2", "n": "N", "nm": "N m", "degc": "degC", "k": "K", "w": "W", "m^2": "m^2",
 }  # fmt: skip
 """The unit in the last word of a column name."""
 

@@ -11,7 +11,7 @@ import shlex
 from collections.abc import Callable, Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import quote
 
 import yaml
@@ -50,6 +50,14 @@ it.
 SQLITE_LIMIT_LENGTH = 0
 JOURNALS = "-wal", "-journal"
 """Ends of the names of files with changes that a database lacks, or has in part."""
+
+
+class _Place(NamedTuple):
+    """Where a message of a ROS 1 bag is; places sort in the order of the log."""
+
+    time: int
+    chunk_pos: int
+    offset: int
 
 
 def is_ros1(path: Path) -> bool:
@@ -105,6 +113,8 @@ def _opener(path: Path) -> Callable[[Path], Reader]:
         place: Any = UnfinishedBag(path) if path.is_file() and is_unfinished(path) else path
         reader: Reader1 | Reader2 = Reader1(path) if is_ros1(path) else Reader2(place)
         reader.open()
+        for places in getattr(reader, "indexes", {}).values():  # rosbags compares the times alone: those at once came by topic
+            places[:] = sorted(map(_Place._make, places))
         return reader
 
     return opened

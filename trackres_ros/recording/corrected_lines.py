@@ -5,14 +5,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
-import yaml
-
 from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.guess import in_a_line
 from trackres_ros.recording.role_units import Conversion
 from trackres_ros.recording.roles import base_role
 
@@ -40,7 +38,7 @@ def corrected(role: str, by: Conversion, bindings: Mapping[str, TopicBinding]) -
 
 def line_of(role: str, binding: TopicBinding) -> str:
     """The line of a role; of one without a source only its numbers."""
-    text = yaml.safe_dump(_said(binding), default_flow_style=True, sort_keys=False, allow_unicode=True, width=math.inf).strip()
+    text = in_a_line(_said(binding))
     return f"{role}: {text if binding.parts or binding.topic or binding.column else f'{{..., {text[1:]}'}"
 
 

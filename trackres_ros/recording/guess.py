@@ -16,7 +16,7 @@ from trackres_ros.recording.binding import IN_DEGREES, TopicBinding
 from trackres_ros.recording.bindings import EXAMPLE, Topics, inside_unit
 from trackres_ros.recording.channel_file import Channel
 from trackres_ros.recording.role_units import UNITS, Conversion, conversion
-from trackres_ros.recording.roles import POSITION, ROLES, Role
+from trackres_ros.recording.roles import POSITION, ROLES, Role, base_role
 
 NOT_MEASURED = re.compile(
     r"\b(cmd|commands?|commanded|req|requests?|requested|demands?|demanded|dmd|target|desired|set ?point|soll|reference|ref|goal|"
@@ -218,7 +218,14 @@ def topics_line(role: str, binding: TopicBinding) -> str:
         line["unit"] = unit
     elif (binding.scale, binding.offset) != (1.0, 0.0):
         line |= {"scale": binding.scale, "offset": binding.offset}
-    return f"{role}: {yaml.safe_dump(line, default_flow_style=True, sort_keys=False, width=math.inf, allow_unicode=True).strip()}"
+    if base_role(role) == "belt":  # as it is read now: that of a line without it is the surface
+        line["sensor"] = binding.sensor or "mean"
+    return f"{role}: {in_a_line(line)}"
+
+
+def in_a_line(content: object) -> str:
+    """A list or mapping as YAML in one line."""
+    return yaml.safe_dump(content, default_flow_style=True, sort_keys=False, width=math.inf, allow_unicode=True).strip()
 
 
 def words(topic: str) -> str:

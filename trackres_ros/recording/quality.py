@@ -28,12 +28,12 @@ GRID_TOLERANCE = 1e-3
 """How far a step may be from a whole number of quanta [quanta]; float32 in km/h needs 1e-5."""
 
 
-def findings_of(role: str, samples: Series, start_ns: int, zero_is_unset: bool) -> list[Finding]:
+def findings_of(role: str, samples: Series, start: tuple[int, int], zero_is_unset: bool) -> list[Finding]:
     """Find the defects of one role: kinds ``empty``, ``non_finite``, ``zero_stamp``, ``duplicate_stamp``, ``backward_stamp``,
     ``stamp_jump``, ``stamp_offset``, ``gap``, ``quantised``, ``stuck``, ``dropout``.
 
-    `role`: the unit and the normal range depend on it; `samples`: in log order; `start_ns`: of the recording;
-    `zero_is_unset`: whether stamp 0 means "never set".
+    `role`: the unit and the normal range depend on it; `samples`: in log order; `start`: stamp and arrival [ns] of
+    the first valid speed; `zero_is_unset`: whether stamp 0 means "never set".
     """
     unit, lively = ROLES[base_role(role)].unit, ROLES[base_role(role)].lively
     finite = np.isfinite(samples.value)
@@ -44,11 +44,9 @@ def findings_of(role: str, samples: Series, start_ns: int, zero_is_unset: bool) 
 
     def note(kind: str, at: NDArray[np.intp], text: str) -> None:
         if at.size:
-            first, clock = int(at[0]), samples.stamp_ns
-            begin = start_ns
-            if kind == "zero_stamp":
-                clock, begin = samples.arrival_ns, int(samples.arrival_ns[0])
-            found.append(Finding(role, kind, int(at.size), (int(clock[first]) - begin) / 1e9, text))
+            of_log = kind == "zero_stamp"
+            clock = samples.arrival_ns if of_log else samples.stamp_ns
+            found.append(Finding(role, kind, int(at.size), (int(clock[at[0]]) - start[of_log]) / 1e9, text))
 
     bad = np.flatnonzero(~finite)
     note("non_finite", bad, f"{number_of(bad.size, 'value is', 'values are')} not finite")

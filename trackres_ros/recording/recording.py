@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.recording.quality import findings_of
 from trackres_ros.recording.roles import ROLES, base_role
-from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock, Series, Source
+from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock, Series, Source, first_valid
 from trackres_ros.recording.wheels import wheel_notes
 from trackres_ros.text.html import listed, panel, table
 from trackres_ros.text.numbers import figures
@@ -253,19 +253,18 @@ def defects_of(blocks: Sequence[SampleBlock], source: Source) -> tuple[Finding, 
 def _defects(series: Callable[[str], Series], source: Source) -> Iterator[Finding]:
     """Defects by role, of the stamps as recorded, without a `delay_s`.
 
-    Their times begin at the first valid stamp, as ``time_s`` of a replay does; it may not be the earliest.
+    Their times begin at the first valid speed, which may not have the earliest stamp.
     """
-    first_ns, bindings = 0, getattr(source, "bindings", {})
+    start, bindings = (0, 0), getattr(source, "bindings", {})
     for role in sorted(source.roles, key=lambda role: role == "speed"):
         samples = series(role)
-        valid = np.isfinite(samples.value) & ((samples.stamp_ns != 0) | (not source.zero_is_unset))
-        first_ns = int(samples.stamp_ns[np.argmax(valid)]) if valid.any() else first_ns
+        start = first_valid(samples, np.ones(len(samples), np.bool_), source.zero_is_unset) or start
     for role in source.roles:
         samples = series(role)
         if role in bindings and bindings[role].delay_ns:
             unset = source.zero_is_unset & (samples.stamp_ns == 0)
             samples = replace(samples, stamp_ns=np.where(unset, 0, samples.stamp_ns + bindings[role].delay_ns))
-        yield from findings_of(role, samples, first_ns, source.zero_is_unset)
+        yield from findings_of(role, samples, start, source.zero_is_unset)
 
 
 def _measures(samples: Series) -> tuple[str, str, str, str]:

@@ -29,7 +29,7 @@ _NUMBERS: dict[str, dict[str, tuple[float, ...]]] = {
     "Nm": {"Nm": (1.0,), "kNm": (1e3,), "lbf ft": (POUND_FORCE_N * FOOT_M,), "daNm": (10.0,)},
     "degC": {"degC": (1.0,), "K": (1.0, -ZERO_DEGC_K), "degF": (5.0 / 9.0, -160.0 / 9.0)},
     "m/s2": {"m/s2": (1.0,), "g": (GRAVITY,)},
-    "1": {"1": (1.0,), "%": (0.01,)},
+    "1": {"1": (1.0,), "%": (0.01,), "‰": (1e-3,)},
     "rad/s": {"rad/s": (1.0,), "deg/s": (DEGREE,)},
     "rad": {"rad": (1.0,), "deg": (DEGREE,)},
     "m": {"m": (1.0,), "km": (1e3,), "cm": (1e-2,), "mm": (1e-3,), "ft": (FOOT_M,), "mi": (MILE_M,)},
@@ -53,7 +53,7 @@ def _plain(text: str) -> str:
     """A unit without marks that differ from tool to tool: ``N·m``, ``N*m`` and ``N m`` alike."""
     for mark, plain in (("°", "deg"), ("º", "deg"), ("²", "2"), ("µ", "u")):
         text = text.replace(mark, plain)
-    plain = "".join(c for c in text if c.isalnum() or c in "/%")
+    plain = "".join(c for c in text if c.isalnum() or c in "/%‰")
     return plain or "1"
 
 

@@ -28,7 +28,7 @@ from trackres_ros.recording.message_types import Definitions, check_field, stamp
 from trackres_ros.recording.position_units import PositionUnits
 from trackres_ros.recording.reading import reading
 from trackres_ros.recording.ros_types import types_of
-from trackres_ros.recording.samples import Finding, IntArray, SampleBlock
+from trackres_ros.recording.samples import Finding, IntArray, SampleBlock, first_valid
 from trackres_ros.recording.sums import Sums, readings_of
 from trackres_ros.recording.torque_candidates import note_of, of_topics
 
@@ -67,7 +67,7 @@ TEXTS = {
 class _Tally:
     """Events of one reading: count and first log time [ns] by kind and role index; the time is nan without a place."""
 
-    first_ns: int | None = None
+    first_ns: int | None = None  # log time of the first valid speed
     events: dict[str, dict[int, tuple[int, float]]] = field(default_factory=lambda: {kind: {} for kind in TEXTS})
     unknown: int = 0
     speeds: int = 0
@@ -115,6 +115,7 @@ class BagSource:
             raise InputError(f"{topics.origin}: speed", "no topic", "a topic for speed", "add a line for it")
         self.roles = tuple(sorted(bindings, key=lambda role: role == "speed"))
         self._readings = readings_of(self.roles, bindings)
+        self._of_speed = np.array([one.role == "speed" for one in self._readings])
         self._origin = topics.origin
         self._topics = self._bound(found)
         self._position = PositionUnits(bindings)
@@ -255,8 +256,6 @@ class BagSource:
         self, topics: Sequence[_Topic], which: NDArray[np.intp], arrival_ns: IntArray, raws: Sequence[bytes], tally: _Tally
     ) -> SampleBlock:
         """Decode a batch of messages; those of topic `topics[which]`."""
-        if tally.first_ns is None:
-            tally.first_ns = int(arrival_ns[0])
         rows_each = np.array([len(topic.roles) for topic in topics])[which]
         start = np.cumsum(rows_each) - rows_each
         rows = int(rows_each.sum())
@@ -283,6 +282,8 @@ class BagSource:
                     if rows_of.any():
                         tally.add(kind, role, int(rows_of.sum()), int(arrived[rows_of][0]))
         tally.speeds += int(np.count_nonzero(keep & (block.role == len(self._readings) - 1)))
+        if tally.first_ns is None and (first := first_valid(block, keep & self._of_speed[block.role], self.zero_is_unset)):
+            tally.first_ns = first[1]
         if keep.all():
             return block
         return SampleBlock(block.role[keep], block.stamp_ns[keep], block.arrival_ns[keep], block.value[keep])

@@ -51,7 +51,8 @@ class Finding:
     role: str
     kind: str
     count: int  # number of samples
-    first_time_s: float  # its first occurrence, from the first valid speed [s], as time_s of a replay; NaN without a place
+    # first occurrence [s], of a replay from its first row, as its time_s, else from the first valid speed; NaN without a place
+    first_time_s: float
     text: str  # one sentence for the user
 
 
@@ -108,3 +109,12 @@ class Series:
 
     def __len__(self) -> int:
         return len(self.value)
+
+
+def first_valid(samples: Series | SampleBlock, rows: NDArray[np.bool_], zero_is_unset: bool) -> tuple[int, int] | None:
+    """Stamp and arrival [ns] of the first finite value among some rows, shape (n,); a stamp that was never set is the arrival."""
+    found = rows & np.isfinite(samples.value)
+    if not found.any():
+        return None
+    stamp_ns, arrival_ns = (int(times[np.argmax(found)]) for times in (samples.stamp_ns, samples.arrival_ns))
+    return arrival_ns if zero_is_unset and not stamp_ns else stamp_ns, arrival_ns

@@ -9,7 +9,7 @@ from typing import Any
 
 from trackres_ros.files.resources import shipped_topics
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.guess import NOT_GUESSED, topics_line
+from trackres_ros.recording.guess import NOT_GUESSED, in_a_line, topics_line
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.roles import base_role
 from trackres_ros.text.table import table
@@ -26,7 +26,7 @@ def guessed_topics(recording: Sequence[Path], topics: Topics | None) -> list[str
     source = open_source(recording, topics)
     lines = [f"# Guessed from {source.name}: check each line."]
     if topics and topics.dbc:
-        lines.append(f"dbc: [{', '.join(str(file) for _, file in topics.dbc)}]")
+        lines.append(f"dbc: {in_a_line([str(file) for _, file in topics.dbc])}")
     for role, binding in source.bindings.items():
         others = [note.partition(ALSO)[2] for note in source.notes if note.startswith(f"{role}: ") and ALSO in note]
         lines.append(topics_line(role, binding) + (f"  # or {others[0]}" if others else ""))

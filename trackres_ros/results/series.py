@@ -71,6 +71,9 @@ class SeriesResult(Mapping[str, Array]):
     def __len__(self) -> int:
         return len(self.columns)
 
+    def __contains__(self, name: object) -> bool:
+        return name in self.columns  # also where the rows went into a file
+
     @property
     def time_s(self) -> Array:
         """Times from the start [s], shape (times,)."""
