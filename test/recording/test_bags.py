@@ -330,6 +330,17 @@ def test_damaged_and_odd_messages_are_counted_and_kept(tmp_path: Path) -> None:
     assert any(f"6 messages do not have effort[right]: {reasons};" in finding.text for finding in recording.findings)
 
 
+def test_defects_have_times_where_no_speed_is_valid(tmp_path: Path) -> None:
+    with Writer(tmp_path / "bag", version=9) as writer:
+        odom = writer.add_connection("/odom", ODOMETRY, typestore=STORE)
+        for row in range(50):
+            raw = bytes(STORE.serialize_cdr(odometry(STORE, START + row * 10**8, float(row)), ODOMETRY))
+            writer.write(odom, START + row * 10**8, raw[:40])
+    recording = Recording.from_source(open_source([tmp_path / "bag"], Topics.parse(lines_of("speed"))))
+    assert {finding.first_time_s for finding in recording.findings if finding.kind == "malformed"} == {0.0}
+    assert all(not finding.first_time_s > 5.0 for finding in recording.findings)
+
+
 def test_messages_the_metadata_promises(tmp_path: Path) -> None:
     path = write(tmp_path / "bag", count=5)
     metadata = (path / "metadata.yaml").read_text()

@@ -67,7 +67,8 @@ TEXTS = {
 class _Tally:
     """Events of one reading: count and first log time [ns] by kind and role index; the time is nan without a place."""
 
-    first_ns: int | None = None  # log time of the first valid speed
+    begin_ns: int | None = None  # log time of the first valid speed, before it that of the first message
+    driven: bool = False  # whether a speed was valid
     events: dict[str, dict[int, tuple[int, float]]] = field(default_factory=lambda: {kind: {} for kind in TEXTS})
     unknown: int = 0
     speeds: int = 0
@@ -256,6 +257,8 @@ class BagSource:
         self, topics: Sequence[_Topic], which: NDArray[np.intp], arrival_ns: IntArray, raws: Sequence[bytes], tally: _Tally
     ) -> SampleBlock:
         """Decode a batch of messages; those of topic `topics[which]`."""
+        if tally.begin_ns is None:
+            tally.begin_ns = int(arrival_ns[0])
         rows_each = np.array([len(topic.roles) for topic in topics])[which]
         start = np.cumsum(rows_each) - rows_each
         rows = int(rows_each.sum())
@@ -282,8 +285,8 @@ class BagSource:
                     if rows_of.any():
                         tally.add(kind, role, int(rows_of.sum()), int(arrived[rows_of][0]))
         tally.speeds += int(np.count_nonzero(keep & (block.role == len(self._readings) - 1)))
-        if tally.first_ns is None and (first := first_valid(block, keep & self._of_speed[block.role], self.zero_is_unset)):
-            tally.first_ns = first[1]
+        if not tally.driven and (first := first_valid(block, keep & self._of_speed[block.role], self.zero_is_unset)):
+            tally.begin_ns, tally.driven = first[1], True
         if keep.all():
             return block
         return SampleBlock(block.role[keep], block.stamp_ns[keep], block.arrival_ns[keep], block.value[keep])
@@ -292,7 +295,7 @@ class BagSource:
         for kind, text in TEXTS.items():
             for role, (count, first) in tally.events[kind].items():
                 shown = text.format(count=count, field=self._field(role), lack=self._lack(role))
-                yield Finding(self._readings[role].role, kind, count, (first - (tally.first_ns or 0)) / 1e9, shown)
+                yield Finding(self._readings[role].role, kind, count, (first - (tally.begin_ns or 0)) / 1e9, shown)
         if tally.unknown:
             text = f"{tally.unknown} messages of topics that the bag does not describe are left out"
             yield Finding("", "unknown_topic", tally.unknown, float("nan"), text)
