@@ -31,6 +31,7 @@ from trackres_ros.vehicle.writing.vehicle_file import rubber_share, write_track_
 
 LOSS, BEARING, DRAG, FILM, CAPACITY = "loss_modulus_scale", "bearing_friction", "drag_coefficient", "film_scale", "capacity_scale"
 CONDUCTIVITY, SURFACE_SHARE = "conductivity", "surface_share"
+FILMS = "film_offset", "film_slope"
 MOST_AT_SURFACE = 0.8
 # Bounds of a fit, independent of the file's range, which after a diagnosis is a learned one: a fifth of the lower
 # and three times the upper end of the data sheet ranges of the shipped vehicles.
@@ -61,6 +62,8 @@ class TrackBase(FileBase):
             name: thermal_network(vehicle.thermal, track.belt, vehicle.rubber) for name, track in vehicle.tracks.items()
         }
         self._firsts, self._count = _kinds(self._constants)
+        shares = np.array([rubber_share(vehicle, vehicle.assemblies[i].track) for i in self._firsts])
+        self._of_rubber = shares / shares[0]  # relative change of a belt's heat capacity, over that of the first one
         self._loss_tables: tuple[tuple[tuple[float, slice], Array], ...] = ()
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = vehicle_constants(vehicle)
@@ -82,7 +85,7 @@ class TrackBase(FileBase):
         film, capacity = vehicle.parameters[f"tracks.{first.name}.belt.film_offset"], vehicle.parameters["rubber.heat_capacity"]
         assert isinstance(film.value, float)
         assert isinstance(capacity.value, float)
-        share = rubber_share(vehicle)
+        share = float(shares[0])
         learned = capacity.flag == FITTED
         capacity_std = share * capacity.standard_deviation / capacity.value if learned else CAPACITY_STD
         # Factors on the belt's heat capacity from the rubber's share: by the limits of a file, and by the range of this one.
@@ -91,12 +94,12 @@ class TrackBase(FileBase):
             for of in (RUBBER["heat_capacity"], capacity)
         )
         film_std = film.standard_deviation / film.value
-        film_factors = _film_factors(vehicle, *PLAUSIBLE_FILM, by_file=False)
+        film_factors = _belt_factors(vehicle, FILMS, *PLAUSIBLE_FILM, by_file=False)
         self.parameters: tuple[BaseParameter, ...] = (
             known(LOSS, "rubber.loss_modulus_scale"),
             known(BEARING, "chassis.bearing_friction"),
             known(DRAG, "chassis.drag_coefficient"),
-            BaseParameter(FILM, "1", 1.0, film_std, *film_factors, _film_factors(vehicle, 0.0, np.inf, by_file=True)),
+            BaseParameter(FILM, "1", 1.0, film_std, *film_factors, _belt_factors(vehicle, FILMS, 0.0, np.inf, by_file=True)),
             BaseParameter(
                 CAPACITY,
                 "1",
@@ -109,8 +112,11 @@ class TrackBase(FileBase):
         )
         if vehicle.thermal == "core_surface":
             # Two nodes approximate a continuous temperature profile, so their positions are uncertain.
-            of_surface = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share")
-            of_surface = replace(of_surface, high=min(of_surface.high, MOST_AT_SURFACE))
+            of_surface, its = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share"), first.belt.surface_share
+            ends = of_surface.low / its, min(of_surface.high, MOST_AT_SURFACE) / its
+            low, high = _belt_factors(vehicle, (SURFACE_SHARE,), *ends, by_file=False)
+            by_file = _belt_factors(vehicle, (SURFACE_SHARE,), 0.0, np.inf, by_file=True)
+            of_surface = replace(of_surface, low=its * low, high=its * high, by_file=(its * by_file[0], its * by_file[1]))
             self.parameters += (known(CONDUCTIVITY, "rubber.conductivity"), of_surface)
 
     def _own_effects(self, _: Values) -> Sequence[Active]:
@@ -168,8 +174,9 @@ class TrackBase(FileBase):
         assembly = k.assembly[self._firsts]
         assembly[:, at.Assembly.film_offset] *= values[FILM]
         assembly[:, at.Assembly.film_slope] *= values[FILM]
-        assembly[:, at.Assembly.capacity] *= values[CAPACITY]
-        assembly[:, at.Assembly.surface_share] = values.get(SURFACE_SHARE, assembly[:, at.Assembly.surface_share])
+        assembly[:, at.Assembly.capacity] *= 1.0 + self._of_rubber * (values[CAPACITY] - 1.0)
+        shares = assembly[:, at.Assembly.surface_share]
+        assembly[:, at.Assembly.surface_share] = values.get(SURFACE_SHARE, shares[0]) * (shares / shares[0])
         conducts = values.get(CONDUCTIVITY, vehicle.rubber.conductivity) / vehicle.rubber.conductivity
         for row, i in zip(assembly, self._firsts, strict=True):
             network = self._networks[vehicle.assemblies[i].track]
@@ -192,10 +199,10 @@ def _kinds(k: Constants) -> tuple[list[int], Array]:
     return [rows[0] for rows in found.values()], np.array([len(rows) for rows in found.values()], dtype=float)
 
 
-def _film_factors(vehicle: Vehicle, low: float, high: float, by_file: bool) -> tuple[float, float]:
-    """Factors that keep every film value within the limits of a vehicle file, or `by_file` inside its own range there."""
+def _belt_factors(vehicle: Vehicle, keys: Sequence[str], low: float, high: float, by_file: bool) -> tuple[float, float]:
+    """Factors that keep these values of every belt within the limits of a vehicle file, or `by_file` inside its own range there."""
     for name in vehicle.tracks:
-        for key in ("film_offset", "film_slope"):
+        for key in keys:
             q = vehicle.parameters[f"tracks.{name}.belt.{key}"]
             limit = q if by_file else BELT[key]
             assert isinstance(q.value, float)
