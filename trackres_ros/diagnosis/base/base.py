@@ -37,6 +37,7 @@ class BaseParameter:
     low: float  # bounds of a fit
     high: float
     by_file: tuple[float, float] = (-np.inf, np.inf)  # range in the vehicle file; the bounds of a fit are wider
+    of_file: float | None = None  # the value of the vehicle file of which it is a factor, in any unit; None where it is none
 
     def outside(self, value: float) -> bool:
         """Whether a value leaves the range of the vehicle file."""

@@ -24,6 +24,7 @@ from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import parting_resistance, thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle.belt_bulk import heat_capacity
 from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER
 from trackres_ros.vehicle.writing.changes import FileChanges
@@ -93,31 +94,21 @@ class TrackBase(FileBase):
             (1.0 + share * (of.low / capacity.value - 1.0), 1.0 + share * (of.high / capacity.value - 1.0))
             for of in (RUBBER["heat_capacity"], capacity)
         )
+        within = max(PLAUSIBLE_CAPACITY[0], least), min(PLAUSIBLE_CAPACITY[1], most)
         film_std = film.standard_deviation / film.value
         film_factors = _belt_factors(vehicle, FILMS, *PLAUSIBLE_FILM, by_file=False)
+        films_by_file = _belt_factors(vehicle, FILMS, 0.0, np.inf, by_file=True)
         self.parameters: tuple[BaseParameter, ...] = (
             known(LOSS, "rubber.loss_modulus_scale"),
             known(BEARING, "chassis.bearing_friction"),
             known(DRAG, "chassis.drag_coefficient"),
-            BaseParameter(FILM, "1", 1.0, film_std, *film_factors, _belt_factors(vehicle, FILMS, 0.0, np.inf, by_file=True)),
-            BaseParameter(
-                CAPACITY,
-                "1",
-                1.0,
-                capacity_std,
-                max(PLAUSIBLE_CAPACITY[0], least),
-                min(PLAUSIBLE_CAPACITY[1], most),
-                by_file,
-            ),
+            BaseParameter(FILM, "1", 1.0, film_std, *film_factors, films_by_file, film.value),
+            BaseParameter(CAPACITY, "1", 1.0, capacity_std, *within, by_file, heat_capacity(first.belt, vehicle.rubber)),
         )
         if vehicle.thermal == "core_surface":
             # Two nodes approximate a continuous temperature profile, so their positions are uncertain.
-            of_surface, its = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share"), first.belt.surface_share
-            ends = of_surface.low / its, min(of_surface.high, MOST_AT_SURFACE) / its
-            low, high = _belt_factors(vehicle, (SURFACE_SHARE,), *ends, by_file=False)
-            by_file = _belt_factors(vehicle, (SURFACE_SHARE,), 0.0, np.inf, by_file=True)
-            of_surface = replace(of_surface, low=its * low, high=its * high, by_file=(its * by_file[0], its * by_file[1]))
-            self.parameters += (known(CONDUCTIVITY, "rubber.conductivity"), of_surface)
+            of_surface = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share")
+            self.parameters += (known(CONDUCTIVITY, "rubber.conductivity"), _of_all_belts(vehicle, of_surface))
 
     def _own_effects(self, _: Values) -> Sequence[Active]:
         return self.vehicle.active
@@ -199,8 +190,16 @@ def _kinds(k: Constants) -> tuple[list[int], Array]:
     return [rows[0] for rows in found.values()], np.array([len(rows) for rows in found.values()], dtype=float)
 
 
+def _of_all_belts(vehicle: Vehicle, first: BaseParameter) -> BaseParameter:
+    """The share of the first belt at its surface, with bounds for those of all belts, which change in proportion."""
+    share, most = first.nominal, min(first.high, MOST_AT_SURFACE)
+    low, high = _belt_factors(vehicle, (first.name,), first.low / share, most / share, by_file=False)
+    of_file = _belt_factors(vehicle, (first.name,), 0.0, np.inf, by_file=True)
+    return replace(first, low=share * low, high=share * high, by_file=(share * of_file[0], share * of_file[1]))
+
+
 def _belt_factors(vehicle: Vehicle, keys: Sequence[str], low: float, high: float, by_file: bool) -> tuple[float, float]:
-    """Factors that keep these values of every belt within the limits of a vehicle file, or `by_file` inside its own range there."""
+    """Factors that keep values of every belt within the limits of a vehicle file, or `by_file` inside their own ranges there."""
     for name in vehicle.tracks:
         for key in keys:
             q = vehicle.parameters[f"tracks.{name}.belt.{key}"]
