@@ -58,7 +58,7 @@ def test_the_scale_is_found_where_the_mass_is_known(tmp_path):
     assert "mass" not in found.base_values
 
 
-def test_torques_are_those_at_the_wheels_whatever_the_sensor_shows(tmp_path):
+def test_torques_are_at_the_wheels_whatever_the_sensor_shows(tmp_path):
     """Of a motor current at a gear too; and a scale that is re-fitted shows in the written file as in the fit."""
     seen = []
     for scale in (1.0, 0.05):
