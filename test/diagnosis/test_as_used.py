@@ -3,6 +3,7 @@
 
 """What a diagnosis writes is judged as it is used: vehicle.yaml alone, and what else it writes beside that."""
 
+import copy
 import os
 import re
 from dataclasses import replace
@@ -317,8 +318,10 @@ def test_one_torque_at_all_stops_is_told_with_its_line(loaded, effects):
     for readings, told in (((60.0, 64.0, 56.0), True), ((60.0,), False), ((60.0, -60.0, 150.0), False), ((5.0, 4.0, 6.0), False)):
         for line in (None, {"column": "T", "unit": "kNm"}, {"column": "T", "scale": 1000.0, "offset": -90.0}):
             read = {} if line is None else Topics.parse({"torque": line}).bindings
-            stops = [replace(resting(session, reading, 100.0), bindings=read) for reading in readings]
-            notes = " ".join(without_an_offset(Gated(tuple(stops), (), ()), loaded.base, effects)[0].notes)
+            of_half = copy.copy(loaded.base)
+            of_half.torque_scale = 2.0  # the line is of what the sensor shows
+            stops = [replace(resting(session, 0.5 * reading, 100.0), bindings=read) for reading in readings]
+            notes = " ".join(without_an_offset(Gated(tuple(stops), (), ()), of_half, effects)[0].notes)
             has = "torque: {..., offset: -60.0}"
             if line is not None:  # whatever converts the torque now, the line corrects the result
                 has = f"torque: {{column: T, scale: 1000.0, offset: {line.get('offset', 0.0) - 60.0}}}"

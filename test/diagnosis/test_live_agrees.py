@@ -3,11 +3,13 @@
 
 """One dynamics: message by message, block by block and in a fit the same functions run, so the numbers are the same."""
 
+import copy
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
 from trackres_ros.diagnosis import load_base
 from trackres_ros.effects import Active, catalogue
@@ -162,6 +164,26 @@ def test_a_torque_by_place_is_the_same_live_and_in_a_fit(loaded, effects, drive,
     agree([picked(estimator, rows)], fitted)
     (bare, _), (ground, _) = *simulated(loaded.base, [drive], active), *fitted
     assert np.abs(ground - bare).max() > 600.0
+
+
+def test_belts_of_two_kinds_are_fitted_as_they_are_written(two_nodes, drive):
+    """Each keeps its own share of heat at the surface and in the cords; a re-fit changes all in proportion."""
+    content = yaml.safe_load(two_nodes.read_text())
+    content["tracks"]["rear"] = other = copy.deepcopy(content["tracks"]["triangular"])
+    for name, value, span in (("surface_share", 0.32, [0.2, 0.4]), ("cord_section", 0.0016, [0.0012, 0.002])):
+        other["belt"][name].update(value=value, range=span)
+    for assembly in content["assemblies"][2:]:
+        assembly["track"] = "rear"
+    path = two_nodes.with_name("two_kinds.yaml")
+    path.write_text(yaml.safe_dump(content))
+    base, estimator = load_base(path).base, Estimator(load(path))
+    agree(driven(estimator, [drive], replayed), simulated(base, [drive], ()))
+    for share, places in ((base.nominal["surface_share"], 12), (0.24, 5)):  # figures of a file
+        values = base.nominal | {"capacity_scale": 1.1 if share == 0.24 else 1.0, "surface_share": share}
+        now = base.as_written(values)
+        (fit,), (file,) = base.predict([drive], values, ()), now.predict([drive], now.nominal, ())
+        np.testing.assert_allclose(file.belt, fit.belt, rtol=10.0**-places)
+    assert now.vehicle.tracks["rear"].belt.surface_share == pytest.approx(0.32 * 0.24 / 0.2)
 
 
 def test_at_rest_a_surface_cools_before_its_core(two_nodes):

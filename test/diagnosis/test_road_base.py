@@ -14,6 +14,7 @@ from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.base.road_load import FITTED
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.stages.prepare import prepared
 from trackres_ros.evaluation.synthetic import drives
 from trackres_ros.files.resources import config_dir
 from trackres_ros.vehicle.writing.changes import FileChanges
@@ -63,6 +64,25 @@ def test_the_torque_of_simulated_drives_has_their_load(tmp_path):
     torques = [base.predict([replace(light, weight=s.weight)], base.nominal, ())[0].torque for s in (light, heavy)]
     assert (torques[1] >= torques[0]).all()
     assert torques[1].mean() > 1.02 * torques[0].mean()
+
+
+def test_torques_are_at_the_wheels_whatever_the_sensor_shows(tmp_path):
+    """Of a motor current at a gear too; and a scale that is re-fitted shows in the written file as in the fit."""
+    seen = []
+    for scale in (1.0, 0.05):
+        base = car(tmp_path, mass={"range": [1400.0, 1400.0]}, torque_scale={"value": scale, "range": [0.9 * scale, 1.1 * scale]})
+        drive = drives(base, 30.0, 1, 5.0, np.random.default_rng(1))
+        torque = scale * base.predict(drive, base.nominal, ())[0].torque
+        columns = {"time_s": drive[0].time, "speed_mps": drive[0].speed, "accel_mps2": drive[0].accel, "torque_nm": torque}
+        path = written(tmp_path / "drive.csv", columns, "%.18e")
+        gated, expected, _ = prepared(read_recordings([path], None), load_base(tmp_path / "car.yaml"))
+        values = base.nominal | {"torque_scale": 1.05 * scale}
+        now = base.as_written(values)
+        fit_nm, file_nm = (of.predict(gated.sessions, at, ())[0].torque for of, at in ((base, values), (now, now.nominal)))
+        assert file_nm == pytest.approx(fit_nm, rel=1e-5)
+        seen.append((gated.sessions[0].torque, expected[0], fit_nm))
+    for one, other in zip(*seen, strict=True):
+        assert one == pytest.approx(other, rel=1e-6)
 
 
 def test_mass_and_torque_scale_are_not_refitted_if_both_are_open(tmp_path):

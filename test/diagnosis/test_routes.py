@@ -314,6 +314,19 @@ def test_given_the_slope_the_torque_is_found_and_written_with_it(base, diagnosed
     assert errors[1] < 0.8 * errors[0]
 
 
+def test_spells_on_a_hilly_route_are_beside_the_slopes(base, diagnose, tmp_path):
+    """A live watch sees the torque that the written slopes leave, so its levels have none of them."""
+    session, one = session_of(base, 21, (*ROUNDS, 1, -1), slope=1.0)
+    lengths = np.random.default_rng(21).uniform(50.0, 150.0, 100).astype(int)
+    on = np.repeat(np.arange(100) % 2, lengths)[: len(session)]
+    path = as_table(tmp_path / "rounds.csv", replace(session, torque=session.torque + 1500.0 * on * (session.speed > 0.5)), one)
+    report = diagnose(path, tmp_path / "out")
+    assert report["kept"]["surroundings"] == ["grade"]
+    spells = load_any(tmp_path / "out" / "vehicle.yaml").disturbance
+    assert spells.level - spells.rest == pytest.approx(1500.0, rel=0.2)
+    assert spells.noise < 0.3 * 1500.0
+
+
 def expected_live(vehicle, sessions):
     """What the torque sensor would show by the live step, of sessions that begin soaked."""
     estimator = Estimator(vehicle)
@@ -332,8 +345,9 @@ def expected_live(vehicle, sessions):
 
 def test_live_errs_as_the_diagnosis_reports(hilly, diagnosed):
     files = diagnosed / "vehicle.yaml", diagnosed / "surroundings.yaml"
-    again = tr.diagnose(hilly, files[0], surroundings=files[1], quick=True).diagnosis
-    sessions = again.gated.sessions
+    result = tr.diagnose(hilly, files[0], surroundings=files[1], quick=True)
+    again, sessions = result.diagnosis, result.diagnosis.gated.sessions
+    assert [one.kind for one in result.vehicle.route] == [SLOPE]  # a vehicle in the given surroundings
     shown = expected_live(with_surroundings(load_any(files[0]), files[1]), sessions)
     errors = [np.abs(s.torque - one)[again.split.held_out_mask(s)] for s, one in zip(sessions, shown, strict=True)]
     assert np.concatenate(errors).mean() == pytest.approx(again.held_out.mae["nominal"], rel=1e-9)

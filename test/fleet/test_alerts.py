@@ -21,6 +21,7 @@ from waiting import wait_for
 pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
+from trackres_ros.diagnosis import load_base
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.fleet.draw import draw_fleet, write_recording
 from trackres_ros.fleet.alerts import COLUMNS, alerts, checked_url
@@ -34,6 +35,7 @@ from trackres_ros.fleet.run import alone, keep_limits, limits_of
 from trackres_ros.fleet.task import Task, analyse, broken
 from trackres_ros.fleet.trends import day_of, sentences, trends, without_copies
 from trackres_ros.fleet.vehicles import digest_of_values, one_vehicle, read_fleet
+from trackres_ros.vehicle.writing.changes import FileChanges
 
 BEGIN_S, RECORDINGS = 1.75e9, 12
 
@@ -226,7 +228,10 @@ def report(folder, effects, **refitted):
     """A folder of a diagnosis with values and their intervals."""
 
     def each(values):
-        return {name: {"unit": "Nm", "value": value, "ci95": ci95} for name, (value, ci95) in values.items()}
+        return {
+            name: {"unit": "Nm", "value": value, "ci95": ci95, "of_file": of[0] if of else None}
+            for name, (value, ci95, *of) in values.items()
+        }
 
     folder.mkdir()
     content = {
@@ -253,6 +258,20 @@ def test_each_parameter_of_two_reports_is_compared_or_listed(tmp_path):
         change, reach, differs = line.split()[-3:]
         assert (abs(float(change)) > float(reach)) == (differs == "yes")
     assert compare_text(found).count("Not compared: ") == 4
+
+
+def test_factors_on_values_of_two_files_are_compared_over_one(tmp_path):
+    """As of a month whose vehicle file is that of the month before: 1.2 times 40 is what 1 times 48 is."""
+    one = report(tmp_path / "1", {}, film=(1.2, [1.1, 1.3], 40.0), heat=(1.2, None, 40.0))
+    other = report(tmp_path / "2", {}, film=(1.0, [0.95, 1.05], 48.0), heat=(1.0, [0.9, 1.1], 48.0))
+    found = compare(one, other)
+    (film,), (heat,) = found["parameters"], found["not_compared"]
+    assert (film["other"], heat["other"]) == pytest.approx((1.2, 1.2))
+    assert film["other_std"] == pytest.approx(0.06 / 1.96)
+    fitted = load_base("xgd24d").base
+    fitted.write(tmp_path / "v.yaml", FileChanges(fitted.nominal | {"film_scale": 1.2, "capacity_scale": 1.1}, (), {}), "fitted")
+    designs = {q["parameter"]: q["other"] for q in compare("xgd24d", str(tmp_path / "v.yaml"))["parameters"]}
+    assert (designs["film_scale"], designs["capacity_scale"]) == pytest.approx((1.2, 1.1), rel=1e-5)
 
 
 def test_only_searched_vehicles_may_be_false_alarms(dataset):

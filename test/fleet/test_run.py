@@ -232,6 +232,15 @@ def test_a_limit_of_no_parameter_is_refused_before_the_work(tmp_path, refused):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_vehicle_file_that_the_run_would_replace_is_refused(tmp_path, refused):
+    place = tmp_path / "out" / "diagnosis" / "a" / "2025-06"
+    place.mkdir(parents=True)
+    (place / "vehicle.yaml").write_text("schema: 1\n")
+    (tmp_path / "fleet.yaml").write_text("vehicles: {a: out/diagnosis/a/2025-06/vehicle.yaml}")
+    assert "copy its folder" in refused(*words(tmp_path, "--period", "month"))
+    assert "copy its folder" not in refused(*words(tmp_path))
+
+
 def test_nothing_that_can_be_used_ends_with_two(tmp_path, refused):
     (tmp_path / "recordings").mkdir()
     (tmp_path / "fleet.yaml").write_text("vehicles: {a: xgd24d}")

@@ -89,13 +89,15 @@ def run_command(
     from trackres_ros.fleet.alerts import FILE, alerts, checked_url, write_alerts
     from trackres_ros.fleet.dataset import FleetDataset
     from trackres_ros.fleet.page.write import write_pages
-    from trackres_ros.fleet.periods import diagnose_periods
+    from trackres_ros.fleet.periods import diagnose_periods, refuse_replaced
     from trackres_ros.fleet.run import alone, check_limits, keep_limits, limits_of, run
     from trackres_ros.fleet.trends import sentences, trends
     from trackres_ros.fleet.vehicles import one_vehicle, read_fleet
 
     fleet = one_vehicle(vehicle, topics) if vehicle is not None else read_fleet(vehicles or Path())
     check_limits(fleet)
+    if period != "none":
+        refuse_replaced(output, fleet)
     if webhook is not None:
         checked_url(webhook)
     watch(output)

@@ -76,7 +76,7 @@ def write_recordings(
         for k, shock in enumerate(rng.normal(0.0, SLOW_NOISE_NM * np.sqrt(1.0 - slow**2), n)):
             now = slow * now + shock
             drift[k] = now
-        torque = predicted.torque + drift + rng.normal(0.0, TORQUE_NOISE_NM, n)
+        torque = base.torque_scale * predicted.torque + drift + rng.normal(0.0, TORQUE_NOISE_NM, n)
         time = START_S + i * APART_S + session.time + 0.5 * session.step
         shown = (session.speed + rng.normal(0.0, SPEED_NOISE_MPS, n), session.accel, session.weight, session.ambient)
         belt = predicted.belt + rng.normal(0.0, BELT_NOISE_K, n)

@@ -45,6 +45,7 @@ class Side:
     covariance: Array
     design: bool = False  # a vehicle file
     bounds: Mapping[str, tuple[float, str]] = field(default_factory=dict)  # values and units without an interval: at a bound
+    of_file: Mapping[str, float] = field(default_factory=dict)  # of factors: the values of the vehicle file that they multiply
     outdated: tuple[dict[str, str], ...] = ()  # recordings of a fleet that are not used, see `trends.of_present_files`
 
 
@@ -53,7 +54,7 @@ def compare(one: str, other: str) -> dict[str, Any]:
 
     Raises InputError if one cannot be compared, or both have nothing in common.
     """
-    sides = side(one), side(other)
+    sides = _of_one_file(side(one), side(other))
     names = [name for name in sides[0].names if name in sides[1].names]
     if not names:
         raise InputError(f"{one}, {other}", "no common parameter", "two with parameters in common")
@@ -87,6 +88,14 @@ def compare(one: str, other: str) -> dict[str, Any]:
         "one": sides[0].title, "other": sides[1].title, "parameters": listed, "threshold_std": most, "chance_of_all": chance,
         "not_compared": _not_compared(*sides), "outdated": [row for s in sides for row in s.outdated],
     }  # fmt: skip
+
+
+def _of_one_file(one: Side, other: Side) -> tuple[Side, Side]:
+    """Both sides, with the factors of the other one on the values of the file of the first, where both files are known."""
+    times = {name: x / one.of_file[name] for name, x in other.of_file.items() if name in one.of_file}
+    scale = np.array([times.get(name, 1.0) for name in other.names])
+    bounds = {name: (times.get(name, 1.0) * x, unit) for name, (x, unit) in other.bounds.items()}
+    return one, replace(other, value=scale * other.value, covariance=np.outer(scale, scale) * other.covariance, bounds=bounds)
 
 
 def _not_compared(one: Side, other: Side) -> list[dict[str, Any]]:
@@ -218,11 +227,12 @@ def _of_report(path: Path) -> Side:
             if name in known
         ]
         bounds = {name: (float(q["value"]), str(q["unit"])) for name, q in parameters.items() if name not in known}
+        of_file = {name: float(q["of_file"]) for name, q in parameters.items() if q.get("of_file")}
         if not all(std >= 0.0 for *_, std in listed):
             raise ValueError("an interval whose end is before its beginning")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(str(path), f"{type(error).__name__}: {error}", "report.json of trackres diagnose") from None
-    return replace(_uncorrelated(str(path.parent), listed), bounds=bounds)
+    return replace(_uncorrelated(str(path.parent), listed), bounds=bounds, of_file=of_file)
 
 
 def _of_design(given: str) -> Side:
@@ -231,7 +241,8 @@ def _of_design(given: str) -> Side:
     path = find_vehicle(given)
     base = load_base(path).base
     listed = [(q.name, q.unit, q.nominal, q.std if np.isfinite(q.std) else 0.0) for q in base.parameters]
-    return replace(_uncorrelated(f"{given}, as its file has it", listed), design=True)
+    of_file = {q.name: q.of_file for q in base.parameters if q.of_file is not None}
+    return replace(_uncorrelated(f"{given}, as its file has it", listed), design=True, of_file=of_file)
 
 
 def _uncorrelated(title: str, listed: list[tuple[str, str, float, float]]) -> Side:

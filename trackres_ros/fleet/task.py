@@ -21,7 +21,7 @@ from trackres_ros.fleet.recordings import FoundRecording
 from trackres_ros.fleet.vehicles import FleetVehicle, digest
 from trackres_ros.version import __version__
 
-ROW_VERSION = 3  # raised with any change of a row's content or computation: older rows are computed again
+ROW_VERSION = 4  # raised with any change of a row's content or computation: older rows are computed again
 GOOD, BROKEN, SAME = "good", "broken", "same"
 AGAIN = "again"  # instead of a digest of a row's inputs: a failure may not repeat
 NO_VEHICLE = NO_DAY = "none"

@@ -127,7 +127,7 @@ class DiagnosisResult:
         folder = Path(tempfile.mkdtemp(prefix="trackres-"))
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
         self._write_vehicle(folder)
-        return replace(load_any(folder / VEHICLE_FILE), surroundings=self._loaded.surroundings)
+        return replace(load_any(folder / VEHICLE_FILE), surroundings=self._loaded.surroundings, route=self._loaded.route)
 
     def _write_vehicle(self, folder: Path) -> list[Path]:
         names = ", ".join(path.name for path in self.recordings)

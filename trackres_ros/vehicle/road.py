@@ -126,10 +126,11 @@ class RoadVehicle:
         )  # fmt: skip
 
     @property
-    def torque_shown(self) -> tuple[float, float]:
+    def torque_share(self) -> tuple[float, float]:
         """Least and most times the expected torque that a sensor shows, by the ranges of its scale and of the mass."""
         scale, mass = (self.parameters[f"{SECTION}.{name}"] for name in ("torque_scale", "mass"))
-        return scale.low * mass.low / self.values["mass"], scale.high * mass.high / self.values["mass"]
+        product = self.values["torque_scale"] * self.values["mass"]
+        return scale.low * mass.low / product, scale.high * mass.high / product
 
     def nominal_loads(self) -> Array:
         """Its weight [N], shape (1,): all wheels are one."""

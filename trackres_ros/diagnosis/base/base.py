@@ -37,6 +37,7 @@ class BaseParameter:
     low: float  # bounds of a fit
     high: float
     by_file: tuple[float, float] = (-np.inf, np.inf)  # range in the vehicle file; the bounds of a fit are wider
+    of_file: float | None = None  # the value of the vehicle file of which it is a factor, in any unit; None where it is none
 
     def outside(self, value: float) -> bool:
         """Whether a value leaves the range of the vehicle file."""
@@ -71,7 +72,7 @@ class Base(ABC):
     has_belt = False
     rolls = False  # a sliding machine has friction instead, see `Effect.only_of`
     includes: tuple[str, ...] = ()  # names of effects that the model already has
-    torque_scale = 1.0  # shown over true torque, unless the torque's topic gives it
+    torque_scale = 1.0  # shown over true torque, by the file: the torques of sessions are divided by it
     rotating_mass_factor = 1.0  # effective over true mass in acceleration
 
     def __init__(self) -> None:
@@ -123,7 +124,7 @@ class Base(ABC):
         raise NotImplementedError
 
     def _shown(self, _: Values) -> float:
-        """Shown over sensed torque."""
+        """Torque of a session over the sensed one."""
         return 1.0
 
     @abstractmethod

@@ -94,7 +94,8 @@ def _road(road: RoadVehicle) -> LoadedBase:
         road.values["max_speed"],
         road.values["ambient"],
         road.friction_brakes or (False if base.rolls else None),  # a sliding machine has none
-        torque_scale=road.torque_shown,
+        torque_scale=base.torque_scale,
+        torque_share=road.torque_share,
         track_width=road.values.get("track_width"),
     )
     return LoadedBase(base, road.title, known, road.surroundings, road.route, road.source)

@@ -74,7 +74,7 @@ class RoadBase(FileBase):
         self.includes = (*chain, *refitted, *(active.effect.name for active in self._active))
 
     def _shown(self, values: Values) -> float:
-        return values["torque_scale"]
+        return values["torque_scale"] / self.torque_scale
 
     def _own_effects(self, values: Values) -> Sequence[Active]:
         chain = [Active(effect, {q: arm * values[name]}) for effect, q, name, arm in built_in(values)]

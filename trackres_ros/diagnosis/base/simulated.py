@@ -44,7 +44,9 @@ class FileBase(Base):
         with TemporaryDirectory() as folder:
             path = Path(folder) / "vehicle.yaml"
             self.write(path, FileChanges(values, (), {}), "")
-            return type(self)(replace(load_any(path), effects=now.effects, surroundings=now.surroundings, route=now.route))
+            found = type(self)(replace(load_any(path), effects=now.effects, surroundings=now.surroundings, route=now.route))
+        found.torque_scale = self.torque_scale  # the sessions stay divided by it
+        return found
 
 
 def simulated(

@@ -24,6 +24,7 @@ from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import parting_resistance, thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle.belt_bulk import heat_capacity
 from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER
 from trackres_ros.vehicle.writing.changes import FileChanges
@@ -31,6 +32,7 @@ from trackres_ros.vehicle.writing.vehicle_file import rubber_share, write_track_
 
 LOSS, BEARING, DRAG, FILM, CAPACITY = "loss_modulus_scale", "bearing_friction", "drag_coefficient", "film_scale", "capacity_scale"
 CONDUCTIVITY, SURFACE_SHARE = "conductivity", "surface_share"
+FILMS = "film_offset", "film_slope"
 MOST_AT_SURFACE = 0.8
 # Bounds of a fit, independent of the file's range, which after a diagnosis is a learned one: a fifth of the lower
 # and three times the upper end of the data sheet ranges of the shipped vehicles.
@@ -61,6 +63,8 @@ class TrackBase(FileBase):
             name: thermal_network(vehicle.thermal, track.belt, vehicle.rubber) for name, track in vehicle.tracks.items()
         }
         self._firsts, self._count = _kinds(self._constants)
+        shares = np.array([rubber_share(vehicle, vehicle.assemblies[i].track) for i in self._firsts])
+        self._of_rubber = shares / shares[0]  # relative change of a belt's heat capacity, over that of the first one
         self._loss_tables: tuple[tuple[tuple[float, slice], Array], ...] = ()
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = vehicle_constants(vehicle)
@@ -82,7 +86,7 @@ class TrackBase(FileBase):
         film, capacity = vehicle.parameters[f"tracks.{first.name}.belt.film_offset"], vehicle.parameters["rubber.heat_capacity"]
         assert isinstance(film.value, float)
         assert isinstance(capacity.value, float)
-        share = rubber_share(vehicle)
+        share = float(shares[0])
         learned = capacity.flag == FITTED
         capacity_std = share * capacity.standard_deviation / capacity.value if learned else CAPACITY_STD
         # Factors on the belt's heat capacity from the rubber's share: by the limits of a file, and by the range of this one.
@@ -90,28 +94,21 @@ class TrackBase(FileBase):
             (1.0 + share * (of.low / capacity.value - 1.0), 1.0 + share * (of.high / capacity.value - 1.0))
             for of in (RUBBER["heat_capacity"], capacity)
         )
+        within = max(PLAUSIBLE_CAPACITY[0], least), min(PLAUSIBLE_CAPACITY[1], most)
         film_std = film.standard_deviation / film.value
-        film_factors = _film_factors(vehicle, *PLAUSIBLE_FILM, by_file=False)
+        film_factors = _belt_factors(vehicle, FILMS, *PLAUSIBLE_FILM, by_file=False)
+        films_by_file = _belt_factors(vehicle, FILMS, 0.0, np.inf, by_file=True)
         self.parameters: tuple[BaseParameter, ...] = (
             known(LOSS, "rubber.loss_modulus_scale"),
             known(BEARING, "chassis.bearing_friction"),
             known(DRAG, "chassis.drag_coefficient"),
-            BaseParameter(FILM, "1", 1.0, film_std, *film_factors, _film_factors(vehicle, 0.0, np.inf, by_file=True)),
-            BaseParameter(
-                CAPACITY,
-                "1",
-                1.0,
-                capacity_std,
-                max(PLAUSIBLE_CAPACITY[0], least),
-                min(PLAUSIBLE_CAPACITY[1], most),
-                by_file,
-            ),
+            BaseParameter(FILM, "1", 1.0, film_std, *film_factors, films_by_file, film.value),
+            BaseParameter(CAPACITY, "1", 1.0, capacity_std, *within, by_file, heat_capacity(first.belt, vehicle.rubber)),
         )
         if vehicle.thermal == "core_surface":
             # Two nodes approximate a continuous temperature profile, so their positions are uncertain.
             of_surface = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share")
-            of_surface = replace(of_surface, high=min(of_surface.high, MOST_AT_SURFACE))
-            self.parameters += (known(CONDUCTIVITY, "rubber.conductivity"), of_surface)
+            self.parameters += (known(CONDUCTIVITY, "rubber.conductivity"), _of_all_belts(vehicle, of_surface))
 
     def _own_effects(self, _: Values) -> Sequence[Active]:
         return self.vehicle.active
@@ -168,8 +165,9 @@ class TrackBase(FileBase):
         assembly = k.assembly[self._firsts]
         assembly[:, at.Assembly.film_offset] *= values[FILM]
         assembly[:, at.Assembly.film_slope] *= values[FILM]
-        assembly[:, at.Assembly.capacity] *= values[CAPACITY]
-        assembly[:, at.Assembly.surface_share] = values.get(SURFACE_SHARE, assembly[:, at.Assembly.surface_share])
+        assembly[:, at.Assembly.capacity] *= 1.0 + self._of_rubber * (values[CAPACITY] - 1.0)
+        shares = assembly[:, at.Assembly.surface_share]
+        assembly[:, at.Assembly.surface_share] = values.get(SURFACE_SHARE, shares[0]) * (shares / shares[0])
         conducts = values.get(CONDUCTIVITY, vehicle.rubber.conductivity) / vehicle.rubber.conductivity
         for row, i in zip(assembly, self._firsts, strict=True):
             network = self._networks[vehicle.assemblies[i].track]
@@ -192,10 +190,18 @@ def _kinds(k: Constants) -> tuple[list[int], Array]:
     return [rows[0] for rows in found.values()], np.array([len(rows) for rows in found.values()], dtype=float)
 
 
-def _film_factors(vehicle: Vehicle, low: float, high: float, by_file: bool) -> tuple[float, float]:
-    """Factors that keep every film value within the limits of a vehicle file, or `by_file` inside its own range there."""
+def _of_all_belts(vehicle: Vehicle, first: BaseParameter) -> BaseParameter:
+    """The share of the first belt at its surface, with bounds for those of all belts, which change in proportion."""
+    share, most = first.nominal, min(first.high, MOST_AT_SURFACE)
+    low, high = _belt_factors(vehicle, (first.name,), first.low / share, most / share, by_file=False)
+    of_file = _belt_factors(vehicle, (first.name,), 0.0, np.inf, by_file=True)
+    return replace(first, low=share * low, high=share * high, by_file=(share * of_file[0], share * of_file[1]))
+
+
+def _belt_factors(vehicle: Vehicle, keys: Sequence[str], low: float, high: float, by_file: bool) -> tuple[float, float]:
+    """Factors that keep values of every belt within the limits of a vehicle file, or `by_file` inside their own ranges there."""
     for name in vehicle.tracks:
-        for key in ("film_offset", "film_slope"):
+        for key in keys:
             q = vehicle.parameters[f"tracks.{name}.belt.{key}"]
             limit = q if by_file else BELT[key]
             assert isinstance(q.value, float)

@@ -127,7 +127,7 @@ def rollouts(
         stretches += [RollOut(len(sessions), begin, end) for begin, end in falls]
         sessions.append(session)
         if drive.limit is not None:
-            remedies += _of_offset(session, _slows(session, settings)[1], limit)
+            remedies += _of_offset(session, _slows(session, settings)[1], limit, settings.torque_scale)
         elif torques := _torques(drive.recording):
             remedies.append(f"check sensor and unit of {min(torques)} in {session.name}, which {_hardly(limit)}")
     return Rollouts(tuple(sessions), tuple(stretches), dict(rejected), known.notes, tuple(remedies))
@@ -200,14 +200,14 @@ def _lacks_torque(session: DriveSession, unknown: Mapping[str, Mask], limit: flo
     return lasts and float((np.abs(session.torque[gains]) > limit).mean()) < DRIVEN_SHARE
 
 
-def _of_offset(session: DriveSession, falls: Mask, limit: float) -> list[str]:
-    """Line for the topics file if the torque is nearly constant while slowing down; else none."""
+def _of_offset(session: DriveSession, falls: Mask, limit: float, scale: float) -> list[str]:
+    """Line for the topics file if the torque, of which the sensor shows `scale` times, is nearly constant while slowing down."""
     if not falls.any():
         return []
     low, middle, high = np.percentile(session.torque[falls], (25.0, 50.0, 75.0))
     if abs(middle) <= limit or high - low > limit:
         return []
-    rounded = float(f"{middle:.3g}")
+    rounded = float(f"{scale * middle:.3g}")
     line = line_to_write("torque", Conversion(offset=-rounded), session.bindings)
     return [f"if the {figures(rounded)} Nm while {session.name} slows down are no torque, {line}"]
 

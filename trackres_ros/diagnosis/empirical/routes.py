@@ -186,8 +186,7 @@ def _slope_or_torque(
         SLOPE: PlaceColumns.of_slope(roads.within, per[SLOPE], roads.streets),
         TORQUE: PlaceColumns.of_torque(roads.within, per[TORQUE], roads.streets),
     }
-    scale = fitted.base_values.get("torque_scale", problem.base.torque_scale)
-    typical = {SLOPE: spread / (problem.base.facts.weight * problem.base.facts.radius * scale), TORQUE: spread / scale}
+    typical = {SLOPE: spread / (problem.base.facts.weight * problem.base.facts.radius), TORQUE: spread}
     base = _base_and_loads(current, fitted)
     at_places = [m & t.known for m, t in zip(masks, roads.at, strict=True)]  # elsewhere the base alone would take a slope
     learned = {kind: learn(c, residuals, at_places, noise, typical[kind], base) for kind, c in columns.items()}

@@ -302,7 +302,7 @@ def residual_sources(fit: Fit) -> ResidualSources:
     count = sum(int(mask.sum()) for mask in masks)
     for session, mask, residual in zip(sessions, masks, torque_residuals(fit), strict=True):
         squares += float((residual[mask] ** 2).sum()) / count
-        inertia = base.torque_scale * base.facts.radius * base.rotating_mass_factor * session.weight[mask] / GRAVITY
+        inertia = base.facts.radius * base.rotating_mass_factor * session.weight[mask] / GRAVITY
         torque += session.torque_noise**2 * int(mask.sum()) / count
         speed += float(((inertia * session.accel_noise) ** 2).sum()) / count
     used = [s for s, mask in zip(sessions, masks, strict=True) if mask.any()]

@@ -237,9 +237,10 @@ def _speed(grid: _Grid) -> _Speed:
 
 
 def _torque(grid: _Grid) -> tuple[list[tuple[Array, Array]], Array, Mask, float]:
-    """The torque itself, or the sum of its parts: samples of each, means of the sum, steps with a known value, and its noise."""
+    """The true torque, or the sum of its parts: samples of each, means of the sum, steps with a known value, and its noise."""
     roles = [role for role in grid.series if role.partition("/")[0] == "torque" and grid.has(role)]
-    samples = [grid.samples(role) for role in (["torque"] if "torque" in roles else roles)]
+    shown = [grid.samples(role) for role in (["torque"] if "torque" in roles else roles)]
+    samples = [(at, value / grid.settings.torque_scale) for at, value in shown]
     torque, known, noise = np.zeros(grid.count), ~grid.nowhere, 0.0
     for of_part in samples:
         part, there = means(*of_part, grid.edges)

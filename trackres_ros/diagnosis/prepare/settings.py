@@ -33,7 +33,8 @@ class GateSettings:
     friction_brakes: bool | None  # whether they may add to a braking torque, if not recorded; None for a vehicle without
     belt_shows_surface: bool = False  # whether a measured belt temperature is that of the surface, as from infrared
     motor_ratio: float | None = None  # motor turns per sprocket turn; None if not in the file
-    torque_scale: tuple[float, float] = (1.0, 1.0)  # limits of shown over expected torque, from the file
+    torque_scale: float = 1.0  # shown over true torque: sessions have the true one [Nm]
+    torque_share: tuple[float, float] = (1.0, 1.0)  # limits of true over expected torque, by the ranges of the file
     passenger_kg: float = PASSENGER_KG  # of one passenger
     track_width: float | None = None  # distance of left from right wheels [m]; None if not in the file
     has_belt: bool = False  # whether notes on belts apply

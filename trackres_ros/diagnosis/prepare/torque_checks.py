@@ -82,14 +82,14 @@ def check_torque(
         given = f"changes by {slope:.2g} times the expected torque (correlation {alike:.2f})"
         line = line_to_write("torque", Conversion(-1.0), sessions[0].bindings)
         raise InputError(where, given, "a torque that is positive when driving forward", line)
-    low, high = HEALTHY[0] * known.torque_scale[0], HEALTHY[1] * known.torque_scale[1]
+    low, high = HEALTHY[0] * known.torque_share[0], HEALTHY[1] * known.torque_share[1]
     least, most = _share_of_inertia(m, e - r, r)
     allowed = "the torque of the whole vehicle at sprockets or wheels, in Nm"
     if not (least <= high and most >= low):
         share = float(np.sqrt(least * most))
         given = f"about {share:.2g} times the expected torque, by the speed's changes"
         raise InputError(where, given, allowed, _remedy(share, sessions, known))
-    if not FAR_OFF[0] * known.torque_scale[0] < slope < FAR_OFF[1] * known.torque_scale[1]:
+    if not FAR_OFF[0] * known.torque_share[0] < slope < FAR_OFF[1] * known.torque_share[1]:
         raise InputError(where, f"about {slope:.2g} times the expected torque", allowed, _remedy(slope, sessions, known))
 
 

@@ -105,6 +105,7 @@ def _base(d: Diagnosis) -> dict[str, Any]:
                 "nominal": nominal[name].nominal,
                 "value": value,
                 "unit": nominal[name].unit,
+                "of_file": nominal[name].of_file,
                 **_interval(d.base_intervals.get(name)),
             }
             for name, value in d.final.base_values.items()

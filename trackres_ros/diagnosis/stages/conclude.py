@@ -18,6 +18,7 @@ from trackres_ros.diagnosis.stages.judge import Judgement
 from trackres_ros.diagnosis.stages.options import DiagnosisOptions
 from trackres_ros.diagnosis.stages.prepare import PreparedSessions
 from trackres_ros.diagnosis.stages.refit import Refitted
+from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.vehicle.writing.changes import FileChanges, LearnedDisturbance
 
 
@@ -34,7 +35,9 @@ def conclude(
     confirmed = [g.name for g in chosen.graded.values() if g.confirmed]
     passing = [name for name in confirmed if chosen.term(name).chain is not None or chosen.term(name).change is not None]
     kept = choose_written(believed, confirmed, final, base.refitted, base.use, judged.bounds, passing)
-    expected = base.use.expected(kept.values, kept.effects, alone=False)
+    names = {name for kind in BELONGS_TO for name in kept.names_of(kind)}
+    written = [active for active in final.effects if active.effect.name in names]  # those by place too
+    expected = base.use.expected(kept.values, written, alone=False)
     watched = [chosen.term(t.described.name) for t in judged.described if may_be_kept(t, judged.verdict, keep_suspected)]
     tracked = judged.tracked
     drifts = tracked is not None and (tracked.confirmed or (keep_suspected and tracked.grade != REFUTED))

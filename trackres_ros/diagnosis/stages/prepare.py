@@ -83,7 +83,7 @@ def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -
     none = usual_offset(base)
     seconds = seconds_without_torque(gated.sessions, none)
     if not seconds or TorqueOffset.name not in effects:
-        told = "" if seconds else _offset_at_rest(gated.sessions, none)
+        told = "" if seconds else _offset_at_rest(gated.sessions, none, base.torque_scale)
         return replace(gated, notes=(*gated.notes, *filter(None, [told]))), base, dict(effects)
     note = f"the torque is 0 Nm at rest, within {figures(none)} Nm over {seconds:.0f} s: the sensor has no offset"
     known = copy.copy(base)
@@ -100,8 +100,11 @@ def seconds_without_torque(sessions: Sequence[DriveSession], most: float) -> flo
     return seconds if seconds >= LEAST_S else 0.0
 
 
-def _offset_at_rest(sessions: Sequence[DriveSession], most: float) -> str:
-    """Note on a torque of more than `most` [Nm] at which all stops agree, with the line that corrects it; empty without one."""
+def _offset_at_rest(sessions: Sequence[DriveSession], most: float, scale: float) -> str:
+    """Note on a torque of more than `most` [Nm] at which all stops agree, with the line that corrects it; empty without one.
+
+    The sensor shows `scale` times the torque.
+    """
     stops = np.array(_stops(sessions)).reshape(-1, 2)
     seconds, torque = stops.T
     if seconds.sum() < LEAST_S or seconds.sum() ** 2 < FEWEST_STOPS * (seconds**2).sum():
@@ -110,9 +113,10 @@ def _offset_at_rest(sessions: Sequence[DriveSession], most: float) -> str:
     spread = math.sqrt(float(np.average((torque - mean) ** 2, weights=seconds)))
     if abs(mean) <= most or spread > ALIKE * abs(mean):
         return ""
-    line = line_to_write("torque", Conversion(offset=-float(figures(mean))), sessions[0].bindings)
+    shown = figures(scale * mean)
+    line = line_to_write("torque", Conversion(offset=-float(shown)), sessions[0].bindings)
     return WarningNote(
-        f"the torque is {figures(mean)} Nm at rest, alike in {len(stops)} stops of {seconds.sum():.0f} s together; if neither a "
+        f"the torque is {shown} Nm at rest, alike in {len(stops)} stops of {seconds.sum():.0f} s together; if neither a "
         f"slope nor a brake holds the vehicle, the sensor has an offset; {line}"
     )
 

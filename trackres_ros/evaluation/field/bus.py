@@ -85,7 +85,7 @@ def slope_found(tried: FieldTrial, given: FieldTrial) -> tuple[float, float] | N
     if not UPHILL & set(final.effect_names):
         return None
     named = next(name for name in final.effect_names if name in UPHILL)
-    radius = tried.found.base.facts.radius * final.base_values.get("torque_scale", tried.found.base.torque_scale)
+    radius = tried.found.base.facts.radius
     found, true = [], []
     for session, adds in zip(given.found.sessions, final.contribution(named), strict=True):
         surveyed = slope_by_all_passes(session.latitude, session.longitude, session.altitude, session.distance)

@@ -82,13 +82,15 @@ def _set_values(document: Document, vehicle: Vehicle, values: Mapping[str, float
             put((section, name), values[name], kept.range_of(name), limits)
     capacity = [_heat_capacity(vehicle, scale) for scale in (values["capacity_scale"], *(kept.range_of("capacity_scale") or ()))]
     put(("rubber", "heat_capacity"), capacity[0], _range(capacity[1:]), RUBBER)
+    first = vehicle.track_of(vehicle.assemblies[0]).belt
     for name, track in vehicle.tracks.items():
-        belt = ("tracks", name, "belt")
+        belt, over_first = ("tracks", name, "belt"), track.belt.surface_share / first.surface_share
         for film, old in (("film_offset", track.belt.film_offset), ("film_slope", track.belt.film_slope)):
             scaled = [old * scale for scale in (values["film_scale"], *(kept.range_of("film_scale") or ()))]
             put((*belt, film), scaled[0], _range(scaled[1:] if old else ()), BELT)  # 0 stays as uncertain as it is
         if "surface_share" in values:
-            put((*belt, "surface_share"), values["surface_share"], kept.range_of("surface_share"), BELT)
+            share, *ends = (over_first * x for x in (values["surface_share"], *(kept.range_of("surface_share") or ())))
+            put((*belt, "surface_share"), share, _range(ends), BELT)
 
 
 def _set_disturbance(document: Document, learned: LearnedDisturbance) -> None:
@@ -117,9 +119,9 @@ def _heat_capacity(vehicle: Vehicle, scale: float) -> float:
     return vehicle.rubber.heat_capacity * (scale - 1.0 + share) / share
 
 
-def rubber_share(vehicle: Vehicle) -> float:
-    """Share of the rubber, without cords, in the heat capacity of a belt."""
-    belt, rubber = vehicle.track_of(vehicle.assemblies[0]).belt, vehicle.rubber
+def rubber_share(vehicle: Vehicle, track: str = "") -> float:
+    """Share of the rubber, without cords, in the heat capacity of the belt of a track, by default of the first assembly."""
+    belt, rubber = vehicle.tracks[track or vehicle.assemblies[0].track].belt, vehicle.rubber
     return float(1.0 - heat_capacity(belt, replace(rubber, heat_capacity=0.0)) / heat_capacity(belt, rubber))
 
 
