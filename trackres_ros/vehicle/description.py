@@ -37,7 +37,9 @@ NOISE = QuantityLimits("Nm", 1e-3, 1e6, "standard deviation of 5 s means of the 
 
 def mean_of(values: Sequence[float], weights: Sequence[float] | Array = ()) -> float:
     """Weighted mean; of equal values that value, without rounding."""
-    return values[0] if len(set(values)) == 1 else float(np.average(np.array(values), weights=np.array(weights) if len(weights) else None))
+    if len(set(values)) == 1:
+        return values[0]
+    return float(np.average(np.array(values), weights=np.array(weights) if len(weights) else None))
 
 
 def limits_of(part: type) -> dict[str, QuantityLimits]:
