@@ -17,6 +17,9 @@ from trackres_ros.design.steady import FileErrors, held, solver, steady
 from trackres_ros.design.uncertain import difference_std, moved, slopes_of
 from trackres_ros.effects.effect import Active
 from trackres_ros.effects.registry import catalogue
+from trackres_ros.estimator.columns import Reason
+from trackres_ros.files.resources import find_vehicle
+from trackres_ros.files.yamls import read_yaml
 from trackres_ros.fleet.compare import draw_overlay
 from trackres_ros.model.operating_point import explain, explain_road
 from trackres_ros.model.track import belt_network, with_methods
@@ -230,12 +233,19 @@ def test_what_cannot_be_is_one_line(refused, given, part):
 
 
 @pytest.mark.parametrize(("degc", "outside"), [(-60, True), (10, False)])
-def test_each_part_of_a_comparison_says_that_it_extrapolates(tmp_path, degc, outside):
+def test_each_part_of_a_comparison_says_what_it_lacks(tmp_path, degc, outside):
+    """Rubber data, and the yaw rate of an effect."""
+    scrub = {**read_yaml(find_vehicle("xgd24d")), "effects": {"turning_scrub": {"friction": 0.5}}}
+    (tmp_path / "scrub.yaml").write_text(yaml.safe_dump(scrub))
     (tmp_path / "drive.csv").write_text("time_s,speed_kmh\n0,50\n9,50\n")
     conditions = {"speed_kmh": "50", "belt_degc": str(degc), "ambient_degc": str(degc), "cycle": (str(tmp_path / "drive.csv"),)}
-    found = compare_designs(asked_of(("xgd24d", "xgd24d"), **conditions))
-    parts = ["xgd24d", "xgd24d, table of resistance", "xgd24d on drive.csv"] if outside else []
-    assert {text.partition(": track")[0] for text in found["remarks"]} == set(parts)
+    found = compare_designs(asked_of(("xgd24d", str(tmp_path / "scrub.yaml")), **conditions))
+    parts = [f"{name}{of}" for name in ("xgd24d", "scrub") for of in ("", ", table of resistance", " on drive.csv") if outside]
+    assert {text.partition(": track")[0] for text in found["remarks"] if ": track" in text} == set(parts)
+    assert [text for text in found["remarks"] if ": track" not in text] == [f"scrub on drive.csv: {Reason.EFFECT_LEFT_OUT.text}"]
+    assert [note.partition(": inactive")[0] for note in found["notes"]] == [
+        "steady states and table of resistance of scrub: turning_scrub"
+    ]
     assert all(f"  ! {text}" in designs_text(found) for text in found["remarks"])
 
 

@@ -15,8 +15,9 @@ import yaml
 import trackres_ros as tr
 from trackres_ros.design import sensitivity as sensing
 from trackres_ros.design.compare import wheels_compared, wheels_text
+from trackres_ros.design.drives import driven, read_cycle
 from trackres_ros.design.steady import WARMEST_K, Steady, steady
-from trackres_ros.design.sweep import SweepRequest, Swept, draw, sweep
+from trackres_ros.design.sweep import SweepRequest, Swept, draw, point, sweep
 from trackres_ros.design.values import Varied, meant, scalars, varied
 from trackres_ros.effects import Active, Effect, Parameter, Terms, catalogue
 from trackres_ros.engine import executor
@@ -115,7 +116,7 @@ def test_a_steady_state_is_where_a_long_drive_ends(mixed, thermal, name, share, 
 
 
 def test_energy_is_that_of_each_assembly_at_its_own_sprocket(mixed, tmp_path):
-    """By part, and in any order of the assemblies."""
+    """By part, and in any order of the assemblies; an effect of the air acts where the air acts."""
     vehicle, chassis = with_effects(mixed, "drivetrain_drag", "drivetrain_efficiency"), mixed.chassis
     turned = replace(vehicle, assemblies=vehicle.assemblies[::-1])
     (tmp_path / "drive.csv").write_text("time_s,speed_kmh\n" + "".join(f"{t},{min(t, 30)}\n" for t in range(90)))
@@ -132,6 +133,12 @@ def test_energy_is_that_of_each_assembly_at_its_own_sprocket(mixed, tmp_path):
     in_fleet = _replayed(recording, turned)
     assert {part: in_fleet[f"{part}_mj"] for part in of} == pytest.approx({part: 1e-6 * energy for part, energy in of.items()})
     assert steady(turned, SPEED, AIR).outcomes == pytest.approx(steady(vehicle, SPEED, AIR).outcomes)
+    blown, share = tr.replay(recording, with_effects(turned, "air_drag")), catalogue()["air_drag"].values()["share"]
+    assert blown["effects_nm"] == pytest.approx(share * rows["wind_nm"])
+    assert energy_j(turned, step, blown, "effects_nm") == pytest.approx(share * of["wind"])
+    assert energy_j(turned, step, blown, RESISTANCE) == pytest.approx(
+        sum(energy_j(turned, step, blown, column) for column in RESISTANCE_PARTS.values())
+    )
 
 
 @pytest.mark.parametrize("step_s", [0.1, 1.0, 4.0, 20.0])
@@ -237,6 +244,28 @@ def test_torque_rises_with_load_and_a_sweep_equals_single_runs():
     assert np.all(np.diff(cold, axis=1) > 0.0)
     one = load("agri3t", {path: float(found.columns[path][5]) for path in (loads, "rubber.loss_modulus_scale")})
     assert found.columns["cold_nm"][5] == pytest.approx(explain(one, 2.5, AIR, AIR)["torque_nm"]["resistance"], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "vary", ["loss_modulus_scale=1,1.2", "chassis.ambient=0,20", "axles.load=+20%", "tracks.low.own_weight=2000,3000"]
+)
+@pytest.mark.parametrize("own_air", [True, False])
+def test_a_sweep_drives_as_recorded_unless_told_otherwise(tmp_path, vary, own_air):
+    """In the air and with the load of the recording; a varied value and an option replace them."""
+    profile, paths = tmp_path / "p.csv", varied(load("agri3t"), vary)
+    profile.write_text("time_s,speed_kmh,ambient_degc,weight_n\n0,0,-20,40e3\n20,8,-20,40e3\n60,8,-20,40e3\n")
+    asked = SweepRequest("agri3t", (paths,), 2.5, AIR, str(profile), own_air)
+    if "ambient" in vary and not own_air:
+        with pytest.raises(tr.InputError, match="leave out --ambient-degc"):
+            sweep(asked)
+        return
+    for number, values in enumerate(asked.points):
+        vehicle = load("agri3t", values)
+        air = values.get("chassis.ambient", None if own_air else AIR)
+        state = steady(vehicle, 2.5, vehicle.chassis.ambient if own_air else AIR)
+        cycle, weight = read_cycle(str(profile), 5.0), vehicle.weight if "load" in vary or "weight" in vary else None
+        total, _ = driven(Estimator(vehicle), cycle, weight, air)
+        assert point(asked, (number, values))[0] == (*state.outcomes, total["kwh_per_km"])
 
 
 @pytest.mark.long

@@ -86,7 +86,8 @@ def sweep_command(
     described = load(find_vehicle(vehicle))
     not_an_input(file, [cycle, *files_of(described)], "output")
     air = described.chassis.ambient if ambient_degc is None else ambient_degc
-    asked = SweepRequest(vehicle, tuple(varied(described, one) for one in vary), _held(described, speed_kmh), air, cycle)
+    of_each = tuple(varied(described, one) for one in vary)
+    asked = SweepRequest(vehicle, of_each, _held(described, speed_kmh), air, cycle, own_air=ambient_degc is None)
     with progress("points", len(asked.points)) as advance:
         found = sweep(asked, engine, workers, advance)
     written = []

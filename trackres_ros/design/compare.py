@@ -19,6 +19,7 @@ from trackres_ros.design.drives import STAGES, DriveCycle, check_weight, driven,
 from trackres_ros.design.steady import J_PER_KWH, WARMEST_K, Array, FileErrors, Steady, remarks_on, solver, steady
 from trackres_ros.design.uncertain import LogDerivatives, difference_std, half_width, moved, slopes_of
 from trackres_ros.errors import InputError, one_line
+from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
@@ -158,7 +159,7 @@ def compare_designs(asked: ComparisonRequest, advance: Callable[[float], None] =
         Ready for JSON. `designs`: of each vehicle torque [Nm] and coefficient (resistance over weight) by belt temperature and
         speed, and the totals of the first drive. `steady` and `drives`: a row for each condition and outcome with both values
         and their difference. Its standard deviations are those by the ranges that both files have in common, and by all.
-        `remarks`: on belts outside the rubber data and loads outside the table.
+        `remarks`: on belts outside the rubber data, loads outside the table, and effects that a drive leaves out.
     """
     names = shown_names(asked.vehicles)
     slopes = _Slopes(asked)
@@ -186,7 +187,7 @@ def compare_designs(asked: ComparisonRequest, advance: Callable[[float], None] =
     notes = [note for cycle in asked.cycles for note in cycle.notes]
     for vehicle, name in zip(asked.vehicles, names, strict=True):
         if left_out := left_out_at(vehicle, asked.steady_kmh[0] / KMH_PER_MPS, asked.ambients_degc[0]):
-            notes.append(f"steady states of {name}: {', '.join(left_out)}: {INACTIVE}")
+            notes.append(f"steady states and table of resistance of {name}: {', '.join(left_out)}: {INACTIVE}")
     return {
         "speeds_kmh": list(asked.speeds_kmh), "belts_degc": list(asked.belts_degc), "designs": designs, "steady": rows_steady,
         "drives": rows_driven, "notes": notes,
@@ -263,7 +264,8 @@ def _driven(
 
         found, columns = driven(estimator, cycle, weight, ambient)
         totals.append(found)
-        remarks.append(beyond(estimator.vehicle, columns))
+        left_out = bool(np.any(columns["reasons"].astype(np.int64) & int(Reason.EFFECT_LEFT_OUT)))
+        remarks.append([*beyond(estimator.vehicle, columns), *([Reason.EFFECT_LEFT_OUT.text] if left_out else [])])
         values.append(np.array([found[name] for name in DRIVEN]))
         speed = found["distance_m"] / max(found["under_way_s"], 1.0)
         mean = 0.5 * (found["coldest_belt_degc"] + found["warmest_belt_degc"])

@@ -26,6 +26,7 @@ from trackres_ros.text.table import table
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import load
 
+AIR, OF_WEIGHT = "chassis.ambient", (".load", ".own_weight")
 MOST_POINTS = 100_000
 ALONE = 200  # points without a drive that this process makes itself: an engine takes longer to begin
 MOST_TICKS = 5  # of the first value: more would touch
@@ -44,13 +45,17 @@ PLACES = {"cold_nm": 0, "warm_nm": 0, "belt_degc": 1, "kwh_per_km": 3, DRIVE: 3}
 
 @dataclass(frozen=True, slots=True)
 class SweepRequest:
-    """Inputs of a sweep: vehicle file, values by path, speed [m/s], air [degC], and a drive for `drives.read_cycle`."""
+    """Inputs of a sweep: vehicle file, values by path, speed [m/s], air [degC], and a drive for `drives.read_cycle`.
+
+    `own_air`: the air is that of each vehicle's file. On a drive it is the recorded one, unless it is varied, like the load.
+    """
 
     file: str
     varied: tuple[Varied, ...]
     speed: float
     ambient: float
     cycle: str | None = None
+    own_air: bool = False
 
     @property
     def points(self) -> list[dict[str, float]]:
@@ -62,6 +67,12 @@ class SweepRequest:
     def paths(self) -> list[str]:
         """Paths of all varied values."""
         return [path for one in self.varied for path in one.paths]
+
+    @property
+    def state(self) -> str:
+        """Speed and air of the steady states, in words."""
+        air = "as varied" if AIR in self.paths else f"{self.ambient:g} degC"
+        return f"steady at {KMH_PER_MPS * self.speed:g} km/h, air {air}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +114,7 @@ class Swept:
             number, texts = next(iter(self.remarks.items()))
             lines.append(f"  ! points outside the data: {len(self.remarks)} of {count}; the first, {self._at(number)}:")
             lines += [f"  ! {text}" for text in texts]
-        kmh = KMH_PER_MPS * self.asked.speed
-        lines.append(
-            f"Steady at {kmh:g} km/h, air {self.asked.ambient:g} degC; cold: belts at air temperature, "
-            "warm: belts at their steady temperature"
-        )
+        lines.append(f"S{self.asked.state[1:]}; cold: belts at air temperature, warm: belts at their steady temperature")
         if self.effects_left_out:
             lines.append(f"{', '.join(self.effects_left_out)}: {INACTIVE}")
         return "\n".join(lines)
@@ -138,6 +145,8 @@ def sweep(
     points, twice = asked.points, [path for path in asked.paths if asked.paths.count(path) > 1]
     if twice:
         raise InputError("--vary", f"{twice[0]} twice", "each value once")
+    if AIR in asked.paths and not asked.own_air:
+        raise InputError("--vary", AIR, "another value", "leave out --ambient-degc, which takes its place")
     if len(points) > MOST_POINTS:
         raise InputError("--vary", f"{len(points)} points", f"at most {MOST_POINTS} in all")
     of_each = partial(point, replace(asked, file=str(find_vehicle(asked.file)), varied=()))
@@ -160,14 +169,17 @@ def sweep(
 
 def point(asked: SweepRequest, numbered: tuple[int, dict[str, float]]) -> tuple[tuple[float, ...], list[str]] | str:
     """Outcomes and remarks of one point, a number and values, or why a vehicle cannot be so."""
+    _, values = numbered
     try:
-        vehicle = load(asked.file, numbered[1])
-        found = steady(vehicle, asked.speed, asked.ambient)
-        remarks = remarks_on(vehicle, asked.speed, asked.ambient, [found])
+        vehicle = load(asked.file, values)
+        air = vehicle.chassis.ambient if asked.own_air else asked.ambient
+        found = steady(vehicle, asked.speed, air)
+        remarks = remarks_on(vehicle, asked.speed, air, [found])
         if asked.cycle is None:
             return found.outcomes, remarks
         cycle, estimator = read_cycle(asked.cycle, vehicle.chassis.max_speed), Estimator(vehicle)
-        total, columns = driven(estimator, cycle, None, asked.ambient)
+        weight = vehicle.weight if any(path.endswith(OF_WEIGHT) for path in values) else None
+        total, columns = driven(estimator, cycle, weight, None if asked.own_air and AIR not in values else air)
         return (*found.outcomes, total["kwh_per_km"]), [*remarks, *beyond(vehicle, columns)]
     except InputError as error:
         return one_line(str(error))
@@ -181,9 +193,8 @@ def draw(found: Swept, path: Path) -> Path:
     paths = found.asked.paths
     shape = tuple(len(one.points) for one in found.asked.varied)
     label = _label(first, paths)
-    asked = found.asked
-    state = f": steady at {KMH_PER_MPS * asked.speed:g} km/h, air {asked.ambient:g} degC"
-    title = shortened(asked.file, TITLE_LETTERS - len(state)) + state
+    state = f": {found.asked.state}"
+    title = shortened(found.asked.file, TITLE_LETTERS - len(state)) + state
     if len(others) == 1 and min(shape) > MOST_LINES:
         with picture(path, 7.5, 5.0) as figure:
             axes = figure.subplots()

@@ -84,9 +84,9 @@ def values_type(names: tuple[str, ...]) -> Any:
 
 
 class VehicleConstants(NamedTuple):
-    """Constants of the vehicle that an effect may use, in SI units; some are per assembly."""
+    """Constants of the vehicle that an effect may use, in SI units; some are per assembly: means of unlike ones."""
 
-    radius: float  # sprocket pitch radius, or of the wheel
+    radius: float  # sprocket pitch radius, or of the wheel; of unlike sprockets the mean by nominal load
     weight: float  # nominal, whole vehicle
     drag_area: float  # C_d A
     air_density: float

@@ -224,8 +224,9 @@ def advance(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array)
     driving, of_effects = driving_torque(work, resisting + lasting, of_place, total.grade, total.inertia)
     of_effects += lasting
     resistance = resisting + of_effects
-    for i in range(belts.shape[0]):  # effects act on the whole vehicle, shared by load
-        out[FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH + RESISTANCE_OF_ONE] += of_effects * (inputs.load[i] / weight)
+    for i in range(belts.shape[0]):  # effects act on the whole vehicle: their force is shared by load
+        at_own_radius = inputs.load[i] * k.assembly[i, RADIUS] / (weight * arm)
+        out[FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH + RESISTANCE_OF_ONE] += of_effects * at_own_radius
     # Only resistance to motion is fed forward, so no effects at standstill: friction holds a standing vehicle by itself,
     # and any other torque of an effect at rest would push it.
     fed_effects = (work[TERM_FED] + lasting) * abs(direction(speed))

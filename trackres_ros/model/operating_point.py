@@ -155,9 +155,10 @@ def vehicle_state(
         before, terms = terms, _on_belts(usable, at._replace(drive_torque=torque["resistance"]))
         if terms == before:
             break
-    shares = [sum(one.torque.values()) + torque["effects"] * one.load / weight for one in assemblies]
     radii = vehicle.sprocket_radii
-    force = float(resistance.at_first_radius(torque["resistance"], shares, radii)) / radii[0]
+    arms = loads * radii / (loads @ radii)  # effects act on the whole vehicle, each assembly's part at its own radius
+    shares = [sum(one.torque.values()) + torque["effects"] * arm for one, arm in zip(assemblies, arms, strict=True)]
+    force = float(resistance.force_along(torque["resistance"], shares, radii))
     refused, remarks = _doubted(usable, at._replace(drive_torque=torque["resistance"]))
     return VehicleState(assemblies, mean, torque, force, [*left_out, *refused], remarks)
 

@@ -29,8 +29,8 @@ def resistance_parts(has_belts: bool) -> dict[str, str]:
     return RESISTANCE_PARTS if has_belts else ON_WHEELS
 
 
-def at_first_radius(torque: ArrayLike, of_assemblies: Iterable[ArrayLike], radii: Sequence[float]) -> Array:
-    """Torque at a sprocket of the first assembly's radius that has the power of all [Nm].
+def force_along(torque: ArrayLike, of_assemblies: Iterable[ArrayLike], radii: Sequence[float]) -> Array:
+    """Force along the way that has the power of all [N].
 
     Parameters
     ----------
@@ -40,8 +40,8 @@ def at_first_radius(torque: ArrayLike, of_assemblies: Iterable[ArrayLike], radii
         Of the assemblies' sprockets [m].
     """
     if len(set(radii)) == 1:
-        return np.asarray(torque)
-    return np.asarray(sum(np.asarray(one) * (radii[0] / radius) for one, radius in zip(of_assemblies, radii, strict=True)))
+        return np.asarray(torque) / radii[0]
+    return np.asarray(sum(np.asarray(one) / radius for one, radius in zip(of_assemblies, radii, strict=True)))
 
 
 @inlined

@@ -16,8 +16,7 @@ import numpy as np
 from trackres_ros.arrays import Array
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.model.resistance import at_first_radius
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.resistance import force_along
 from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.units import NANOSECOND, SECOND_NS, STANDSTILL_MPS
 from trackres_ros.vehicle import AnyVehicle, Vehicle
@@ -83,26 +82,22 @@ def energy_j(vehicle: AnyVehicle, step_s: Array, of: Mapping[str, Array], name: 
     `step_s`: see `steps_of`; `of`: the columns of a vehicle's results, shape (rows,); `name`: the torque's. Unknown values add
     nothing.
     """
-    power = of["speed_mps"] * _at_first_radius(vehicle, of, name)
-    return summed(step_s, power, of["speed_mps"]) / vehicle_constants(vehicle).radius
+    return summed(step_s, of["speed_mps"] * _force(vehicle, of, name), of["speed_mps"])
 
 
-def _at_first_radius(vehicle: AnyVehicle, of: Mapping[str, Array], name: str) -> Array:
+def _force(vehicle: AnyVehicle, of: Mapping[str, Array], name: str) -> Array:
     if isinstance(vehicle, Vehicle):
-        return at_first_radius(of[name], _of_assemblies(vehicle, of, name), vehicle.sprocket_radii)
-    return of[name]
+        return force_along(of[name], _of_assemblies(vehicle, of, name), vehicle.sprocket_radii)
+    return of[name] / vehicle.constants.radius
 
 
 def _of_assemblies(vehicle: Vehicle, of: Mapping[str, Array], name: str) -> Iterator[Array]:
-    """Shares of the assemblies in a torque, as the step has them: effects by load, forces on the vehicle by load and radius."""
+    """Shares of the assemblies in a torque, as the step has them: forces on the vehicle by load and radius."""
     names = [assembly.name for assembly in vehicle.assemblies]
-    loads = [of[f"load_n/{assembly}"] for assembly in names]
-    arms = [load * radius for load, radius in zip(loads, vehicle.sprocket_radii, strict=True)]
-    for assembly, load, arm in zip(names, loads, arms, strict=True):
+    arms = [of[f"load_n/{assembly}"] * radius for assembly, radius in zip(names, vehicle.sprocket_radii, strict=True)]
+    for assembly, arm in zip(names, arms, strict=True):
         if f"{name}/{assembly}" in of:
             yield of[f"{name}/{assembly}"]
-        elif name == "effects_nm":
-            yield of[name] * (load / of["weight_n"])
         elif name == "drive_torque_nm":  # a grade and the inertia beside the resistance
             yield of[f"{RESISTANCE}/{assembly}"] + (of[name] - of[RESISTANCE]) * (arm / sum(arms))
         else:
@@ -130,7 +125,7 @@ class DriveTotals:
         """Add rows: the time from the row before to each [s], shape (rows,), and their columns, each of that shape."""
         speed, torque = of["speed_mps"], of[RESISTANCE]
         moving = np.where(np.abs(speed) > STANDSTILL_MPS, np.abs(torque), np.nan)
-        rates = np.stack([speed, np.abs(speed), moving, speed * _at_first_radius(self._vehicle, of, RESISTANCE)])
+        rates = np.stack([speed, np.abs(speed), moving, speed * _force(self._vehicle, of, RESISTANCE)])
         rates = np.concatenate([self._rates if self._rates.size else rates[:, :1], rates], axis=1)
         self._rates, step = rates[:, -1:], np.concatenate([[0.0], step_s])
         v, size, resists, power = rates
@@ -145,7 +140,7 @@ class DriveTotals:
     def as_dict(self) -> dict[str, float]:
         """The totals; those of the belts if there are any."""
         _, under_way, driven, resisted, energy = self._sums.tolist()
-        energy_mj = energy / vehicle_constants(self._vehicle).radius / MEGA
+        energy_mj = energy / MEGA
         belts = {"coldest_belt_degc": self._coldest, "warmest_belt_degc": self._warmest} if self._vehicle.assemblies else {}
         return {
             "distance_m": driven,

@@ -9,7 +9,7 @@ with each value is narrower and is that vehicle's.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, NamedTuple, get_args, get_type_hints
@@ -33,6 +33,13 @@ class QuantityLimits(NamedTuple):
 
 # Of a watched disturbance: that of blocks of `estimator.disturbance.BLOCK_S`.
 NOISE = QuantityLimits("Nm", 1e-3, 1e6, "standard deviation of 5 s means of the measured torque about the expected torque")
+
+
+def mean_of(values: Sequence[float], weights: Sequence[float] | Array = ()) -> float:
+    """Weighted mean; of equal values that value, without rounding."""
+    if len(set(values)) == 1:
+        return values[0]
+    return float(np.average(np.array(values), weights=np.array(weights) if len(weights) else None))
 
 
 def limits_of(part: type) -> dict[str, QuantityLimits]:
@@ -280,8 +287,13 @@ class Vehicle:
 
     @property
     def size(self) -> float:
-        """Weight times sprocket radius [Nm], of the first kind of track."""
-        return self.weight * self.track_of(self.assemblies[0]).sprocket_radius
+        """Weight times sprocket radius [Nm]."""
+        return self.weight * self.arm
+
+    @property
+    def arm(self) -> float:
+        """Arm of a force on the whole vehicle [m]: mean of the sprocket radii, weighted by the nominal loads."""
+        return mean_of(self.sprocket_radii, self.nominal_loads())
 
     @property
     def own(self) -> tuple[Active, ...]:
