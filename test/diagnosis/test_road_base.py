@@ -15,7 +15,7 @@ from trackres_ros.diagnosis.base.road_load import FITTED
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.stages.prepare import prepared
-from trackres_ros.evaluation.synthetic import drives
+from trackres_ros.evaluation.synthetic import drives, write_recordings
 from trackres_ros.files.resources import config_dir
 from trackres_ros.vehicle.writing.changes import FileChanges
 
@@ -64,6 +64,14 @@ def test_the_torque_of_simulated_drives_has_their_load(tmp_path):
     torques = [base.predict([replace(light, weight=s.weight)], base.nominal, ())[0].torque for s in (light, heavy)]
     assert (torques[1] >= torques[0]).all()
     assert torques[1].mean() > 1.02 * torques[0].mean()
+
+
+def test_the_recorded_torque_of_simulated_drives_is_the_shown_one(tmp_path):
+    base = car(tmp_path, torque_scale={"value": 0.5, "range": [0.5, 0.5]})
+    drive = drives(base, 30.0, 1, 5.0, np.random.default_rng(1))
+    (path,) = write_recordings(base, tmp_path, drive, (), np.random.default_rng(2))
+    shown, expected = read_recordings([path], None)[0].series["torque"].value, base.predict(drive, base.nominal, ())[0].torque
+    assert np.abs(shown).mean() == pytest.approx(0.5 * np.abs(expected).mean(), rel=0.1)
 
 
 def test_torques_are_at_the_wheels_whatever_the_sensor_shows(tmp_path):

@@ -270,6 +270,20 @@ def test_equation_31_is_in_metres_per_second(xgd24d):
     assert film_coefficient(-FULL_SPEED, 44.39, 1.295) == film_coefficient(FULL_SPEED, 44.39, 1.295)
 
 
+def test_what_effects_know_of_unlike_tracks_are_means(xgd24d):
+    """No value is that of the first kind, and the torques of the tensions add up."""
+    one = xgd24d.tracks["triangular"]
+    belt = replace(one.belt, width=0.8 * one.belt.width, pretension=2e4, film_offset=90.0, film_slope=4.0)
+    wheels = replace(one.road_wheels, ground_run=2.0 * one.road_wheels.ground_run)
+    tracks = {"triangular": one, "other": replace(one, sprocket_radius=0.45, road_wheels=wheels, belt=belt)}
+    assemblies = [replace(a, track="other" if a.axle == "rear" else "triangular") for a in xgd24d.assemblies]
+    mixed, turned = (replace(xgd24d, tracks=tracks, assemblies=tuple(of)) for of in (assemblies, assemblies[::-1]))
+    facts = vehicle_constants(mixed)
+    assert facts == pytest.approx(vehicle_constants(turned))
+    torques = [tracks[a.track].belt.pretension * tracks[a.track].sprocket_radius for a in assemblies]
+    assert facts.assemblies * facts.radius * facts.tension == pytest.approx(sum(torques))
+
+
 def test_the_mean_is_not_the_surface(xgd24d):
     """Equation (30) takes the mean: at 50 km/h the Biot number of half the belt is about 4, and the skin is much cooler."""
     belt, rubber = xgd24d.tracks["triangular"].belt, xgd24d.rubber
