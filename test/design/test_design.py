@@ -494,6 +494,15 @@ def test_the_command_sweeps_says_what_cannot_be_and_draws(good, tmp_path, monkey
     assert lines[3] == "5.0,,,,,"
 
 
+def test_a_sweep_over_the_air_says_so(good, refused):
+    words = "sweep", "agri3t", "--vary", "chassis.ambient=0,20"
+    assert "air as varied" in good(*words)
+    told = json.loads(good(*words, "--json"))
+    assert told["ambient_degc"] is None
+    assert told["columns"]["cold_nm"][0] > told["columns"]["cold_nm"][1]
+    assert "--ambient-degc" in refused(*words, "--ambient-degc", "5")
+
+
 def test_the_command_says_what_to_measure_first(good, tmp_path, vary):
     pytest.importorskip("matplotlib")
     vary("rubber.loss_modulus_scale", "chassis.bearing_friction", "rubber.density")

@@ -115,6 +115,8 @@ class Swept:
             lines.append(f"  ! points outside the data: {len(self.remarks)} of {count}; the first, {self._at(number)}:")
             lines += [f"  ! {text}" for text in texts]
         lines.append(f"S{self.asked.state[1:]}; cold: belts at air temperature, warm: belts at their steady temperature")
+        if self.asked.cycle is not None:
+            lines.append("drive: air and load as recorded, where they are and are neither varied nor given")
         if self.effects_left_out:
             lines.append(f"{', '.join(self.effects_left_out)}: {INACTIVE}")
         return "\n".join(lines)
@@ -127,7 +129,7 @@ class Swept:
         """Ready for JSON."""
         plain = {name: [None if np.isnan(x) else float(x) for x in values] for name, values in self.columns.items()}
         return {
-            "vehicle": self.asked.file, "speed_mps": self.asked.speed, "ambient_degc": self.asked.ambient,
+            "vehicle": self.asked.file, "speed_mps": self.asked.speed, "ambient_degc": None if AIR in self.asked.paths else self.asked.ambient,
             "columns": plain, "refused": {str(number): why for number, why in self.refused.items()},
             "effects_left_out": list(self.effects_left_out),
             "remarks": {str(number): texts for number, texts in self.remarks.items()},

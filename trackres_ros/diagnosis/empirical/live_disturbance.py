@@ -25,16 +25,17 @@ from trackres_ros.vehicle.writing.changes import LearnedDisturbance
 Range = tuple[float, float]
 
 
-def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array]) -> LearnedDisturbance:
+def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array], shown: float = 1.0) -> LearnedDisturbance:
     """Spells of the final fit, with both levels relative to the written file's torque [Nm], of each session.
 
-    The file may include the mean of the spells: then the rest level is negative.
+    The file may include the mean of the spells: then the rest level is negative. Live, the torque is that of the sessions
+    over `shown`.
     """
     assert term.chain is not None
     chain = term.chain
     with_spells = torque_blocks(final, residuals_without(final, term.candidate.name))
     there = spell_probability(with_spells, chain)
-    b = _over(final, expected)
+    b = _over(final, expected, shown)
     level, rest, noise = levels_given(b, there)
     found = Spells(level, rest, BLOCK_S / chain.goes, BLOCK_S / chain.comes, _of_blocks(noise, final))
     count = int(beginnings(b, there).sum())
@@ -50,9 +51,9 @@ def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array]) -> Learne
     )
 
 
-def drift_to_watch(final: Fit, expected: Sequence[Array]) -> LearnedDisturbance:
-    """Drift relative to the written file's torque [Nm], for each session."""
-    b = _over(final, expected)
+def drift_to_watch(final: Fit, expected: Sequence[Array], shown: float = 1.0) -> LearnedDisturbance:
+    """Drift relative to the written file's torque [Nm], for each session; see `spells_to_watch` for `shown`."""
+    b = _over(final, expected, shown)
     drifting, _ = find_drifting_level(b)
     found = Drift(drifting.size, drifting.seconds, _of_blocks(drifting.noise, final))
     apart = max(1.0, BLOCK_S * len(b.mean) / (2.0 * drifting.seconds))  # number of independent stretches
@@ -76,8 +77,8 @@ def drift_on_held_out(final: Fit, laps: HeldOutLaps) -> Improvement:
     return laps.improvement(without, [e + x for e, x in zip(without, against_travel(sessions, shape), strict=True)])
 
 
-def _over(final: Fit, expected: Sequence[Array]) -> Blocks:
-    return torque_blocks(final, [s.torque - e for s, e in zip(final.problem.sessions, expected, strict=True)])
+def _over(final: Fit, expected: Sequence[Array], shown: float = 1.0) -> Blocks:
+    return torque_blocks(final, [(s.torque - e) / shown for s, e in zip(final.problem.sessions, expected, strict=True)])
 
 
 def _of_blocks(noise: float, final: Fit) -> float:
