@@ -129,7 +129,8 @@ class Swept:
         """Ready for JSON."""
         plain = {name: [None if np.isnan(x) else float(x) for x in values] for name, values in self.columns.items()}
         return {
-            "vehicle": self.asked.file, "speed_mps": self.asked.speed, "ambient_degc": None if AIR in self.asked.paths else self.asked.ambient,
+            "vehicle": self.asked.file, "speed_mps": self.asked.speed,
+            "ambient_degc": None if AIR in self.asked.paths else self.asked.ambient,
             "columns": plain, "refused": {str(number): why for number, why in self.refused.items()},
             "effects_left_out": list(self.effects_left_out),
             "remarks": {str(number): texts for number, texts in self.remarks.items()},
