@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from trackres_ros.estimator import columns as at
+from trackres_ros.learning.columns import LearningColumns
 from trackres_ros.learning.learner import Learner
 from trackres_ros.units import GRAVITY
 
@@ -26,6 +27,7 @@ class Road:
         for which, departure in (true or {}).items():
             at.Learned(self.true.learned).departures[which] = departure
         self.session, self.learner = estimator.session(), Learner(estimator, mode)
+        self.columns = LearningColumns(self.learner)
         self.random, self.steps, self.rows = np.random.default_rng(seed), 0, []
         self.said = set()
         self.ahead_ns = 0  # of the stamps
@@ -54,19 +56,13 @@ class Road:
             estimate = self.session.handle(at.SPEED, stamp, arrival, now)
             if estimate is None:  # until a jump of the clock is confirmed
                 continue
-            self.learner.take(stamp, estimate.row.tolist(), self.session)
-            self.rows.append((truth["resistance_torque_nm"], estimate["resistance_torque_nm"], self.expected(estimate)))
+            row = estimate.row.tolist()
+            self.learner.take(stamp, row, self.session)
+            learned = self.columns.of(row, self.session)[0]
+            self.rows.append((truth["resistance_torque_nm"], estimate["resistance_torque_nm"], learned))
             if self.learner.frozen:
                 self.said.add(self.learner.frozen.split(":")[0])
         return self
-
-    def expected(self, estimate):
-        """Resistance with learned values, whether they act or not."""
-        learned = self.session.learned
-        if learned[at.Learned.on] > 0.0:
-            return estimate["resistance_torque_nm"]
-        moved = self.learner.learned.applied * learned[at.Learned.sensitivities]
-        return estimate["resistance_torque_nm"] + moved.sum() - moved[at.OF_MASS]
 
     def errors(self, minutes):
         """Mean error of the last minutes, without and with learned values, over the torque."""

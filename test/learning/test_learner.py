@@ -17,7 +17,7 @@ import trackres_ros as tr
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.blocks import BLOCK_S, LATE, ResidualBlock
-from trackres_ros.learning.columns import HELD, shown
+from trackres_ros.learning.columns import HELD, lines, shown
 from trackres_ros.learning.correction import accepted
 from trackres_ros.learning.disturbances import LASTING_SHARE, close_block
 from trackres_ros.learning.filter import corrected
@@ -162,7 +162,8 @@ def test_bumps_of_the_road_are_noise_and_hills_are_what_wanders(road):
 
 
 def test_of_a_disturbance_no_more_is_fed_than_its_bound(driven_before):
-    driven = driven_before("on").drive(5.0, lambda torque, _i: torque + 400.0)
+    driven, watching = (driven_before(mode).drive(5.0, lambda torque, _i: torque + 400.0) for mode in ("on", "watch"))
+    assert watching.rows[-1][1] + 200.0 < watching.rows[-1][2] == pytest.approx(driven.rows[-1][1], rel=0.003)
     state = driven.learner.learned
     assert abs(state.lasting_nm) <= LASTING_SHARE * state.rolling * 1.01
     lasting = abs(state.lasting_nm)
@@ -312,21 +313,23 @@ def test_a_rest_alone_takes_nothing_learned_away(driven_before, how):
 def test_unrenewed_belt_departures_fade_but_not_the_vehicles(driven_before, how):
     driven = driven_before("on")
     s, begins_s = driven.learner.learned, 0.1 * driven.steps
-    shown, speed = (lambda torque, _i: torque), (lambda t: 8.0 + 6.0 * math.sin(t / 60.0))
+    sensor, speed = (lambda torque, _i: torque), (lambda t: 8.0 + 6.0 * math.sin(t / 60.0))
     if how == "parked":
         speed = lambda t: max(8.0 + 6.0 * math.sin(begins_s / 60.0) - (t - begins_s), 0.0)  # noqa: E731
     elif how != "stopped":
-        shown = lambda torque, i: None if how == "silent" else torque * (3.0 if i % 3 == 0 else 1.0)  # noqa: E731
-        driven.drive(1.0, shown, speed)
+        sensor = lambda torque, i: None if how == "silent" else torque * (3.0 if i % 3 == 0 else 1.0)  # noqa: E731
+        driven.drive(1.0, sensor, speed)
     s.applied[at.OF_BELT], s.seconds = 10.0, 1.0
     s.aim[:] = s.applied
     before = s.applied.copy()
     driven.steps += 9000 if how == "stopped" else 0
-    driven.drive(0.02 if how == "stopped" else 15.0, shown, speed)
+    driven.drive(0.02 if how == "stopped" else 15.0, sensor, speed)
     assert bool(driven.learner.frozen) is (how == "frozen")
     acting = at.Learned(driven.session.learned).departures
     assert acting[at.OF_BELT] == pytest.approx(10.0 * math.exp(-1.0), rel=0.05)
     assert np.delete(acting, at.OF_BELT) == pytest.approx(np.delete(before, at.OF_BELT), abs=1e-12)
+    said = {name: dict(known)["acts"] == "true" for name, _, known in lines(driven.learner, shown(driven.learner))}
+    assert said == {one.name: one.state in VEHICLES_OWN and before[one.state] != 0.0 for one in driven.learner.learnables}
 
 
 class Sure(Learner):

@@ -354,6 +354,8 @@ def test_what_holds_of_a_slow_speed_is_shown_between_its_steps(desk, jitter, per
         d.forward(period + (jitter if step % 2 else -jitter))
         d.send("speed", 8.0)
     assert all("LOAD_NOMINAL" in reasons for reasons in d.reasons)
+    shown = [{entry.name: entry.level for entry in entries} for topic, entries in d.statuses if topic == "/diagnostics"]
+    assert {levels["trackres: input speed"] for levels in shown[3:]} == {Level.OK}
 
 
 def test_a_change_of_settings_builds_no_table_again(desk):

@@ -186,3 +186,4 @@ def test_a_disturbance_is_reported_with_its_kind_if_known(desk, topics, disturbe
     assert int(found[2]) < 100
     assert (found[3] or "") == kind
     assert found[0] in head.message
+    assert {status.level for status in learned_topic(d).values()} == {KINDS["LEARNING_FROZEN"].level}

@@ -27,6 +27,8 @@ AGE_LIMITS = {
     "enable": "enable_hold_s",
 }
 """Setting behind `max_age_s` of a role; several roles may share one, then the smallest applies."""
+LIKE_MOTION = ("yaw_rate", "heading", "wheel_speed", "specific_force")
+"""Roles with the age limit of an acceleration, without a `max_age_s` of their own."""
 FIELDS = {"passenger_kg": "kg_each", "belt_sensor": "sensor", "belt_measured_std_k": "std_k"}
 """Field of a topics file behind a setting; behind all others it is `max_age_s`."""
 ENABLE_HOLD_S = 0.5
@@ -53,6 +55,12 @@ def settings_for(settings: Settings, topics: Topics | None, roles: Collection[st
         return replace(settings, **changes)
     except InputError as error:
         raise InputError(f"{topics.origin}: max_age_s: {error.where}", error.given, error.allowed, error.remedy) from None
+
+
+def longest_age_s(settings: Settings, role: str) -> float:
+    """How long the last value of a role is used [s]. One of a belt, odometer or altimeter is used as long as a gap is bridged."""
+    base = base_role(role)
+    return float(getattr(settings, "motion_hold_s" if base in LIKE_MOTION else AGE_LIMITS.get(base, "bridge_s")))
 
 
 def given_by(topics: Topics) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from trackres_ros.estimator.estimator import Session
 from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import DELAY, VEHICLES_OWN, Learnable
+from trackres_ros.model.resistance import direction
 from trackres_ros.text.numbers import figures
 
 LEARNING, LEARNED, FROZEN, HELD = range(4)
@@ -36,9 +37,10 @@ class LearningColumns:
         if second != self._second:
             self._values, self._second = shown(learner), second
         torque = row[at.Results.resistance_torque_nm]
-        if learned[at.Learned.on] == 0.0 and learner.acts:
+        if learned[at.Learned.on] == 0.0 and learner.acts and learner.learned.applied.any():
             moved = learner.learned.applied * learned[at.Learned.sensitivities]
             torque += float(moved.sum()) - float(moved[at.OF_MASS])
+            torque += learner.learned.lasting_nm * direction(row[at.Results.speed_mps])
         return [torque, *self._values]
 
 
@@ -69,7 +71,7 @@ def shown(learner: Learner) -> list[float]:
             continue
         counts = one.state in VEHICLES_OWN and bool(counted[one.state])
         known = HELD if counts and held[one.state] else LEARNED if counts else LEARNING
-        state = FROZEN if frozen and one.state in VEHICLES_OWN else known
+        state = FROZEN if frozen and counts else known
         found += [one.value(float(learner.learned.mean[one.state])), one.size(float(stds[one.state])), float(state)]
     return found
 

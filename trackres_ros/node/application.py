@@ -322,7 +322,8 @@ class Application:
         try:
             peers = [self._transport.peers(i) for i in range(len(self.inputs))]
         finally:  # rates and refusals are of interest without peers too
-            self._watch.every_second(self.session, self.messages.reader, peers, steady)
+            arrival = self.clock.recorded_ns(steady, self.clock.pace_ns(steady))
+            self._watch.every_second(self.session, self.messages.reader, peers, steady, arrival)
             self._reasons_seen = None
 
     def _log_notices(self, steady: int) -> None:

@@ -112,7 +112,6 @@ class LiveLearning:
         """A status of each learned value, as published."""
         if self.learner is None or self.mode == OFF:
             return ()
-        level = Level.WARN if self.learner.frozen else Level.OK
         overall = (
             ("mode", self.mode),
             ("acts", str(self.learner.acts).lower()),
@@ -121,7 +120,7 @@ class LiveLearning:
         )
         learned = lines(self.learner, shown(self.learner))
         listed = [("learning", self.text, overall), *learned]
-        return [Status(level, f"{node}: {name}", message, vehicle, known) for name, message, known in listed]
+        return [Status(Level.OK, f"{node}: {name}", message, vehicle, known) for name, message, known in listed]
 
     def notices(self) -> list[Notice]:
         """Present notices of the learning."""

@@ -204,11 +204,11 @@ def _input_level(given: InputState) -> tuple[Level, str]:
     why = [f"rejected in the last second: {given.refused}"] if given.refused else []
     if math.isnan(given.age_s):
         return Level.STALE, "; ".join(["no accepted message yet", *why])
-    if given.rate_hz == 0.0:
-        return Level.STALE, "no message in the last second"
+    if given.too_old:
+        return Level.STALE, "; ".join([f"no accepted message for {given.age_s:.1f} s", *why])
     if why:
         return Level.WARN, why[0]
-    return Level.OK, f"{given.rate_hz:.1f} Hz"
+    return Level.OK, f"{given.rate_hz:.1f} Hz" if given.rate_hz else "no message in the last second"
 
 
 def _text(value: float, digits: int = 1) -> str:

@@ -14,10 +14,12 @@ import numpy as np
 from trackres_ros.arrays import IntArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.estimator.topic_settings import longest_age_s
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.input_reader import InputReader
 from trackres_ros.node.notices import KINDS, Notice, level_of, of_reasons
 from trackres_ros.node.transport import Level, Peer
+from trackres_ros.units import NANOSECOND
 
 REFUSED_SHARE = 0.1  # of the messages of a second: more is not the odd late one
 CLOCK_OFFSET_NS = 1_000_000_000
@@ -37,6 +39,7 @@ class InputState:
     value: float  # the last accepted one, in the unit of the role; nan if there was none
     counts: tuple[tuple[str, int], ...]  # counters that are not zero, by name
     refused: str = ""  # numbers and kinds, where too many were rejected
+    too_old: bool = False  # whether the last accepted value is not used any more
 
 
 class Watch:
@@ -87,8 +90,10 @@ class Watch:
             for state in self._inputs
         )
 
-    def every_second(self, session: Session, reader: InputReader, peers: Sequence[Sequence[Peer]], steady: int) -> None:
-        """Work out rates and refusals since the last call, and begin a new second."""
+    def every_second(
+        self, session: Session, reader: InputReader, peers: Sequence[Sequence[Peer]], steady: int, arrival: int
+    ) -> None:
+        """Work out rates and refusals since the last call, and begin a new second. `arrival` is that of a message now [ns]."""
         elapsed_s = math.nan if self._looked_ns is None else max((steady - self._looked_ns) * 1e-9, 1e-9)
         new = self._since("counts", session.memory.counters)
         bad_stamp, alone = self._since("bad_stamp", reader.bad_stamp), self._since("alone", reader.alone())
@@ -111,7 +116,11 @@ class Watch:
             value = float(session.memory.values[channel])
             shown = tuple((name, number) for name, number in seen if number)
             messages += 0 if role in reader.sums else int(absent[channel])
-            states.append(InputState(role, self._topics[i].name, messages / elapsed_s, math.nan, value, shown, why))
+            since = steady - (self.accepted_ns[channel] or 0)  # simulated time does not age a speed
+            if role != "speed":
+                since = arrival - int(session.memory.times[channel, at.Times.last_arrival])
+            old = since * NANOSECOND > longest_age_s(session.estimator.settings, role)
+            states.append(InputState(role, self._topics[i].name, messages / elapsed_s, math.nan, value, shown, why, old))
         self._inputs = tuple(states)
         still = self._last_reasons if not (self._steps or self._old) else 0  # of a slow speed, until its next step
         self.steps_hz, self._steps = self._steps / elapsed_s, 0
