@@ -66,7 +66,7 @@ def test_the_torque_of_simulated_drives_has_their_load(tmp_path):
     assert torques[1].mean() > 1.02 * torques[0].mean()
 
 
-def test_the_recorded_torque_of_simulated_drives_is_the_shown_one(tmp_path):
+def test_simulated_drives_record_the_torque_that_a_sensor_shows(tmp_path):
     base = car(tmp_path, torque_scale={"value": 0.5, "range": [0.5, 0.5]})
     drive = drives(base, 30.0, 1, 5.0, np.random.default_rng(1))
     (path,) = write_recordings(base, tmp_path, drive, (), np.random.default_rng(2))
