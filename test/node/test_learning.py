@@ -131,6 +131,11 @@ def test_it_can_be_turned_off_and_on_while_it_runs(desk, topics):
     assert d.app.learning.learner.learned.seconds > 5.0
     d.app.change({"learning": "watch"})
     assert not d.app.session.learned[: at.Learned.sensitivities.start].any()
+    d.app.learning.learner.learned.fresh.better = True
+    for mode in ("watch", "off"):
+        d.app.change({"learning": mode})
+        row = list(d.app.overview().values.values())
+        assert d.app.learning.columns(row, d.app.session)[2] == (mode != "off")  # whether learned values act, or would
     with pytest.raises(InputError, match="off, watch, on"):
         d.app.change({"learning": "fast"})
 

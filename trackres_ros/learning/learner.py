@@ -293,8 +293,8 @@ class Learner:
 
     @property
     def acts(self) -> bool:
-        """Whether learned values are used, or would be: some are accepted, and they fit better than the file."""
-        return self.learned.fresh.better
+        """Whether learned values are used, or would be by mode `on`: some are accepted, and they fit better than the file."""
+        return self.learned.fresh.better and self.mode != OFF
 
     # Output
 
