@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from trackres_ros.estimator import columns as at
@@ -13,8 +12,8 @@ from trackres_ros.estimator.estimator import Session
 from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import DELAY, VEHICLES_OWN, Learnable
+from trackres_ros.model.resistance import direction
 from trackres_ros.text.numbers import figures
-from trackres_ros.units import STANDSTILL_MPS
 
 LEARNING, LEARNED, FROZEN, HELD = range(4)
 STATES_OF = ("learning", "learned", "frozen", "at its bound")
@@ -41,7 +40,7 @@ class LearningColumns:
         if learned[at.Learned.on] == 0.0 and learner.acts and learner.learned.applied.any():
             moved = learner.learned.applied * learned[at.Learned.sensitivities]
             torque += float(moved.sum()) - float(moved[at.OF_MASS])
-            torque += learner.learned.lasting_nm * math.tanh(row[at.Results.speed_mps] / STANDSTILL_MPS)
+            torque += learner.learned.lasting_nm * direction(row[at.Results.speed_mps])
         return [torque, *self._values]
 
 

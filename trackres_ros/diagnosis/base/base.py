@@ -37,7 +37,7 @@ class BaseParameter:
     low: float  # bounds of a fit
     high: float
     by_file: tuple[float, float] = (-np.inf, np.inf)  # range in the vehicle file; the bounds of a fit are wider
-    of_file: float | None = None  # the value of the vehicle file of which it is a factor, in any unit; None where it is none
+    of_file: float | None = None  # value of the vehicle file that it multiplies, in any unit; None if it is no factor
 
     def outside(self, value: float) -> bool:
         """Whether a value leaves the range of the vehicle file."""

@@ -201,7 +201,7 @@ def _lacks_torque(session: DriveSession, unknown: Mapping[str, Mask], limit: flo
 
 
 def _of_offset(session: DriveSession, falls: Mask, limit: float, scale: float) -> list[str]:
-    """Line for the topics file if the torque, of which the sensor shows `scale` times, is nearly constant while slowing down."""
+    """Line for the topics file if the torque is nearly constant while slowing down. The sensor shows `scale` times the torque."""
     if not falls.any():
         return []
     low, middle, high = np.percentile(session.torque[falls], (25.0, 50.0, 75.0))

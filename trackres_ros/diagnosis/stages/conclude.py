@@ -38,8 +38,8 @@ def conclude(
     names = {name for kind in BELONGS_TO for name in kept.names_of(kind)}
     written = [active for active in final.effects if active.effect.name in names]  # those by place too
     expected = base.use.expected(kept.values, written, alone=False)
-    of_file = prepared.base.torque_scale  # by which the sessions are divided; live, it is by that of the written file
-    shown = (kept.values or {}).get("torque_scale", of_file) / of_file
+    old = prepared.base.torque_scale  # divides the torques of the sessions; live, the scale of the written file does
+    shown = (kept.values or {}).get("torque_scale", old) / old
     watched = [chosen.term(t.described.name) for t in judged.described if may_be_kept(t, judged.verdict, keep_suspected)]
     tracked = judged.tracked
     drifts = tracked is not None and (tracked.confirmed or (keep_suspected and tracked.grade != REFUTED))
