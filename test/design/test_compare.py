@@ -13,11 +13,13 @@ import yaml
 import trackres_ros as tr
 from trackres_ros.design.compare import asked_of, compare_designs
 from trackres_ros.design.compare_text import designs_text, draw_designs
+from trackres_ros.design.drives import driven, read_cycle, with_factors
 from trackres_ros.design.steady import FileErrors, held, solver, steady
 from trackres_ros.design.uncertain import difference_std, moved, slopes_of
 from trackres_ros.effects.effect import Active
 from trackres_ros.effects.registry import catalogue
 from trackres_ros.estimator.columns import Reason
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.fleet.compare import draw_overlay
@@ -202,13 +204,34 @@ def test_errors_of_a_file_act_with_its_effects():
         assert solvers[1](FileErrors("another", **change | {"drag_area": 0.0})).outcomes == tuple(before[1])
 
 
+def test_a_radius_error_moves_energy_by_torques_of_effects():
+    """On a drive: their force along the way is smaller with a larger sprocket. The belt's loss is a force already."""
+    plain, radius = load("agri3t"), 1.25
+    dragged = replace(plain, effects=(Active(catalogue()["drivetrain_drag"], {"drag": 20.0}),))
+    totals = [
+        [driven(with_factors(Estimator(one), FileErrors(radius=r)), read_cycle("laps", 3.0), None, 5.0)[0] for r in (1.0, radius)]
+        for one in (plain, dragged)
+    ]
+    for name, factor in (("kwh_per_km", 1.0 / radius), ("mean_resistance_nm", 1.0)):
+        (bare, barer), (first, last) = ([total[name] for total in pair] for pair in totals)
+        assert last - barer == pytest.approx(factor * (first - bare), rel=1e-3)
+        assert barer == pytest.approx(bare * (radius if name.endswith("_nm") else 1.0), rel=1e-3)
+
+
 def test_the_same_design_twice_is_the_same(good, softer):
-    same = json.loads(good("compare", softer, softer, "--speed-kmh", "10", "--belt-degc", "20", "--json"))
+    """However narrow a range is in one of the files."""
+    content, known = yaml.safe_load(softer.read_text()), softer.with_name("known.yaml")
+    content["rubber"]["loss_modulus_scale"].update(range=[0.49, 0.51])
+    drag = content["chassis"]["drag_coefficient"]
+    drag.update(range=[drag["value"]] * 2)
+    known.write_text(yaml.safe_dump(content))
+    same = json.loads(good("compare", softer, known, "--speed-kmh", "10", "--belt-degc", "20", "--json"))
     for row in (*same["designs"]["steady"], *same["designs"]["drives"]):
-        assert row["difference"] == row["std"] == row["std_with_changed"] == 0.0
+        assert row["difference"] == 0.0
+        assert row["std"] == row["std_with_changed"] < 1e-4 * row["one"]
     one, other = same["designs"]["designs"]
-    assert one == other
-    assert same["values"] == []
+    assert {**one, "vehicle": "known"} == other
+    assert [value["ratio"] for value in same["values"]] == [1.0, 1.0]
     assert not any(q["difference_std"] or q["differs"] for q in same["parameters"])
     assert "both take the same energy" in designs_text(same["designs"])
 
@@ -276,6 +299,7 @@ def test_in_the_picture_two_equal_values_have_equal_bars(drawn, tmp_path):
 
 
 def test_designs_of_any_name_are_drawn(drawn, tmp_path):
-    designs = [{"vehicle": name, "coefficient": [[0.02, 0.03]]} for name in ("a $x$ $", r"$\b$")]
-    draw_designs({"designs": designs, "speeds_kmh": [5.0, 9.0], "belts_degc": [20.0]}, tmp_path / "designs.png")
+    designs = [{"vehicle": name, "coefficient": [[0.03, 0.02]]} for name in ("a $x$ $", r"$\b$")]
+    draw_designs({"designs": designs, "speeds_kmh": [9.0, 5.0], "belts_degc": [20.0]}, tmp_path / "designs.png")
     assert [axes.get_title(loc="left") for axes in drawn.figures[0].axes] == ["a $x$ $", r"$\b$"]
+    np.testing.assert_allclose([axes.lines[0].get_xydata() for axes in drawn.figures[0].axes], [[[5.0, 2.0], [9.0, 3.0]]] * 2)

@@ -21,6 +21,7 @@ from trackres_ros.design.sweep import SweepRequest, Swept, draw, point, sweep
 from trackres_ros.design.values import Varied, meant, scalars, varied
 from trackres_ros.effects import Active, Effect, Parameter, Terms, catalogue
 from trackres_ros.engine import executor
+from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.settings import Settings
@@ -482,6 +483,23 @@ def test_a_sweep_of_any_lines_can_be_read(drawn, tmp_path, count):
         assert legend.get_title().get_text() == ("(and 3 more)" if count == 11 else "")
 
 
+@pytest.mark.parametrize("count", [3, 9])
+def test_values_in_any_order_are_drawn_where_they_belong(drawn, tmp_path, count):
+    """As lines, or as a map."""
+    first, second = (tuple(map(float, np.random.default_rng(seed).permutation(count))) for seed in (1, 2))
+    asked = SweepRequest("v.yaml", (Varied(("a.b",), "N", (first,)), Varied(("c.d",), "m", (second,))), 5.0, AIR)
+    outcome = np.add.outer(np.square(first), 0.1 * np.array(second))
+    draw(Swept(asked, dict.fromkeys(("cold_nm", "warm_nm", "belt_degc", "kwh_per_km"), outcome.ravel()), {}), tmp_path / "s.png")
+    axes, rising = drawn.figures[0].axes[0], np.arange(float(count))
+    if count > 8:
+        (shades,) = axes.collections
+        assert np.allclose(shades.get_array(), np.add.outer(rising**2, 0.1 * rising))
+        assert np.allclose((axes.get_xlim(), axes.get_ylim()), (-0.5, count - 0.5))
+        return
+    for line, of in zip(axes.lines, second, strict=True):
+        np.testing.assert_allclose(line.get_xydata(), np.c_[rising, rising**2 + 0.1 * of])
+
+
 def test_the_command_sweeps_says_what_cannot_be_and_draws(good, tmp_path, monkeypatch):
     pytest.importorskip("matplotlib")
     monkeypatch.chdir(tmp_path)
@@ -539,9 +557,14 @@ def test_design_commands_name_effects_that_they_leave_out(monkeypatch, tmp_path,
     tracks, wheels = str(files["agri3t"]), (str(files["bmw_i3"]), "bmw_i3")
     for module in ("sweep", "sensitivity"):  # the numbers do not matter here
         monkeypatch.setattr(f"trackres_ros.design.{module}.steady", lambda v, *_: Steady(*[v.rubber.loss_modulus_scale] * 4))
-    swept = sweep(SweepRequest(tracks, (varied(load(tracks), "bearing_friction=0.01,0.02"),), 2.5, AIR))
-    assert swept.as_dict()["effects_left_out"] == ["turning_scrub"]
-    assert swept.text().splitlines()[-1].startswith("turning_scrub: inactive")
+    (tmp_path / "drive.csv").write_text("time_s,speed_kmh,torque_nm\n0,9,1\n9,9,1\n")
+    for cycle, on in ((None, []), (str(tmp_path / "drive.csv"), ["not torque", Reason.EFFECT_LEFT_OUT.text])):
+        swept = sweep(SweepRequest(tracks, (varied(load(tracks), "bearing_friction=0.01,0.02"),), 2.5, AIR, cycle))
+        assert swept.as_dict()["effects_left_out"] == ["turning_scrub"]
+        assert swept.text().splitlines()[-1].startswith("turning_scrub: inactive")
+        assert all(note.endswith(end) for note, end in zip(swept.as_dict()["notes"], on, strict=True))
+        assert all(f"drive: {note}\n" in swept.text() for note in swept.notes)
+        assert Reason.EFFECT_LEFT_OUT.text not in str(swept.remarks)
     assert f"turning_scrub of {wheels[0]}: inactive" in wheels_text(wheels_compared(wheels), wheels)
     vary("rubber.loss_modulus_scale")
     held = sensing.sensitivity(tracks, 2.5, AIR, 8).held

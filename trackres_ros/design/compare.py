@@ -15,11 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.design.drives import STAGES, DriveCycle, check_weight, driven, read_cycle, with_factors
+from trackres_ros.design.drives import STAGES, DriveCycle, check_weight, driven, left_out, read_cycle, with_factors
 from trackres_ros.design.steady import J_PER_KWH, WARMEST_K, Array, FileErrors, Steady, remarks_on, solver, steady
 from trackres_ros.design.uncertain import LogDerivatives, difference_std, half_width, moved, slopes_of
 from trackres_ros.errors import InputError, one_line
-from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
@@ -186,8 +185,8 @@ def compare_designs(asked: ComparisonRequest, advance: Callable[[float], None] =
         }  # fmt: skip
     notes = [note for cycle in asked.cycles for note in cycle.notes]
     for vehicle, name in zip(asked.vehicles, names, strict=True):
-        if left_out := left_out_at(vehicle, asked.steady_kmh[0] / KMH_PER_MPS, asked.ambients_degc[0]):
-            notes.append(f"steady states and table of resistance of {name}: {', '.join(left_out)}: {INACTIVE}")
+        if inactive := left_out_at(vehicle, asked.steady_kmh[0] / KMH_PER_MPS, asked.ambients_degc[0]):
+            notes.append(f"steady states and table of resistance of {name}: {', '.join(inactive)}: {INACTIVE}")
     return {
         "speeds_kmh": list(asked.speeds_kmh), "belts_degc": list(asked.belts_degc), "designs": designs, "steady": rows_steady,
         "drives": rows_driven, "notes": notes,
@@ -259,13 +258,11 @@ def _driven(
 
         def outcomes(off: FileErrors, capacity: float, estimator: Estimator = estimator) -> Array:
             found, _ = driven(with_factors(estimator, off, capacity), cycle, weight, ambient)
-            # The radius does not affect the drive itself: it scales the torque, but not the energy.
-            return np.array([found[name] * (off.radius if name.endswith("_nm") else 1.0) for name in DRIVEN])
+            return np.array([found[name] for name in DRIVEN])
 
         found, columns = driven(estimator, cycle, weight, ambient)
         totals.append(found)
-        left_out = bool(np.any(columns["reasons"].astype(np.int64) & int(Reason.EFFECT_LEFT_OUT)))
-        remarks.append([*beyond(estimator.vehicle, columns), *([Reason.EFFECT_LEFT_OUT.text] if left_out else [])])
+        remarks.append([*beyond(estimator.vehicle, columns), *left_out(columns)])
         values.append(np.array([found[name] for name in DRIVEN]))
         speed = found["distance_m"] / max(found["under_way_s"], 1.0)
         mean = 0.5 * (found["coldest_belt_degc"] + found["warmest_belt_degc"])
@@ -335,6 +332,6 @@ def wheels_text(rows: Sequence[dict[str, Any]], names: Sequence[str]) -> str:
         [figures(row["speed_kmh"]), *(figures(x) for key in ("resistance_nm", "force_n", "kwh_per_km") for x in row[key])]
         for row in rows
     ]
-    left_out = zip(names, rows[0]["effects_left_out"], strict=True)
-    notes = [f"{', '.join(effects)} of {name}: {INACTIVE}" for name, effects in left_out if effects]
+    inactive = zip(names, rows[0]["effects_left_out"], strict=True)
+    notes = [f"{', '.join(effects)} of {name}: {INACTIVE}" for name, effects in inactive if effects]
     return "\n".join(["", "Resistance on the level, straight on", table(cells, head), *notes])

@@ -121,12 +121,13 @@ def draw_designs(found: Mapping[str, Any], path: Path) -> Path:
 
 def _draw_coefficients(figure: "Figure", found: Mapping[str, Any]) -> None:
     axes = figure.subplots(1, len(found["designs"]), sharey=True, squeeze=False)[0]
-    marker = "o" if len(found["speeds_kmh"]) == 1 else ""
+    speeds, order = np.array(found["speeds_kmh"]), np.argsort(found["speeds_kmh"])  # which may be listed in any order
+    marker = "o" if len(speeds) == 1 else ""
     for one, design in zip(axes, found["designs"], strict=True):
         for i, degc in enumerate(found["belts_degc"]):
             share = i / max(len(found["belts_degc"]) - 1, 1)
             percent, colour = 100.0 * np.array(design["coefficient"][i]), (share, 0.25, 1.0 - share)
-            one.plot(found["speeds_kmh"], percent, color=colour, marker=marker, label=f"{degc:g} degC")
+            one.plot(speeds[order], percent[order], color=colour, marker=marker, label=f"{degc:g} degC")
         one.set_title(design["vehicle"])
         one.set_xlabel("speed [km/h]")
         one.grid(alpha=0.3)

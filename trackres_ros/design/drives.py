@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from trackres_ros.design.steady import Array, FileErrors
+from trackres_ros.design.steady import Array, FileErrors, with_errors
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE, kernel_arguments
+from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE, kernel_arguments, work_space
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.coverage import check_speed
+from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.offline.energy import taken
 from trackres_ros.offline.sample import lap_drive
 from trackres_ros.offline.simulate import SimulatedDrive, by_column, run_drive, through_points
@@ -133,8 +134,14 @@ def driven(
     return taken(vehicle, cycle.drive.time_s, columns), columns
 
 
+def left_out(columns: Mapping[str, Array]) -> list[str]:
+    """A sentence, if a drive leaves out an effect, of an estimator's columns by name."""
+    some = np.any(columns["reasons"].astype(np.int64) & int(at.Reason.EFFECT_LEFT_OUT))
+    return [at.Reason.EFFECT_LEFT_OUT.text] if some else []
+
+
 def with_factors(estimator: Estimator, off: FileErrors, capacity: float = 1.0) -> Estimator:
-    """The same vehicle with losses, cooling or heat capacity off by a factor, or bearings or drag by a sum; the radius stays.
+    """The same vehicle with losses, cooling, heat capacity or radius off by a factor, or bearings or drag by a sum.
 
     `capacity`: factor on the heat capacity of the belts of `off.track`.
     """
@@ -147,10 +154,13 @@ def with_factors(estimator: Estimator, off: FileErrors, capacity: float = 1.0) -
         (at.Assembly.film_offset, off.film),
         (at.Assembly.film_slope, off.film),
         (at.Assembly.capacity, capacity),
+        (at.Assembly.radius, off.radius),
     ):
         assembly[own, column] *= factor
     friction, area = k.number.bearing_friction + off.bearing_friction, k.number.drag_area + off.drag_area
     number = k.number._replace(bearing_friction=friction, drag_area=area)
-    changed.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive)
+    changed.vehicle = with_errors(estimator.vehicle, off)
+    work = work_space(vehicle_constants(changed.vehicle), len(assembly))
+    changed.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive, work=work)
     changed.kernel_arguments = kernel_arguments(changed.constants, estimator.entries.compiled)
     return changed

@@ -146,10 +146,10 @@ def solver(vehicle: Vehicle, speed: float, ambient: float, weight: float | None 
     """The steady state of a vehicle as a function of errors of its file; see `steady`."""
     if not vehicle.active:
         return held(vehicle, speed, ambient, weight).solve
-    return lambda off: _with_effects(_with_errors(vehicle, off), speed, ambient, weight, off)
+    return lambda off: _with_effects(with_errors(vehicle, off), speed, ambient, weight, off)
 
 
-def _with_errors(vehicle: Vehicle, off: FileErrors) -> Vehicle:
+def with_errors(vehicle: Vehicle, off: FileErrors) -> Vehicle:
     """A vehicle with errors in its values, but for the loss."""
     tracks = {}
     for name, track in vehicle.tracks.items():

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.design.drives import driven, read_cycle
+from trackres_ros.design.drives import driven, left_out, read_cycle
 from trackres_ros.design.steady import OUTCOMES, Array, remarks_on, steady
 from trackres_ros.design.values import Varied, short
 from trackres_ros.engine.executor import LOCAL, results
@@ -40,6 +40,7 @@ HEADS = {
     "kwh_per_km": "warm\nkWh/km",
     DRIVE: "drive\nkWh/km",
 }
+Outcomes = tuple[tuple[float, ...], list[str], list[str]]  # of a point, with its remarks and notes
 PLACES = {"cold_nm": 0, "warm_nm": 0, "belt_degc": 1, "kwh_per_km": 3, DRIVE: 3}
 
 
@@ -85,6 +86,7 @@ class Swept:
     effects_left_out: tuple[str, ...] = ()  # of the steady states, with the values of the file
     # on belts outside the rubber data and loads outside the table, by the number of the point
     remarks: Mapping[int, list[str]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()  # on the drive: unused content of a recording, an effect that it leaves out
 
     @property
     def outcomes(self) -> list[str]:
@@ -112,11 +114,12 @@ class Swept:
             lines.append(f"skipped: {self._at(number)}: {why}")
         if self.remarks:
             number, texts = next(iter(self.remarks.items()))
-            lines.append(f"  ! points outside the data: {len(self.remarks)} of {count}; the first, {self._at(number)}:")
+            lines.append(f"  ! points outside the data or the table: {len(self.remarks)} of {count}; the first, {self._at(number)}:")
             lines += [f"  ! {text}" for text in texts]
         lines.append(f"S{self.asked.state[1:]}; cold: belts at air temperature, warm: belts at their steady temperature")
         if self.asked.cycle is not None:
             lines.append("drive: air and load as recorded, where they are and are neither varied nor given")
+        lines += [f"drive: {note}" for note in self.notes]
         if self.effects_left_out:
             lines.append(f"{', '.join(self.effects_left_out)}: {INACTIVE}")
         return "\n".join(lines)
@@ -133,7 +136,7 @@ class Swept:
             "ambient_degc": None if AIR in self.asked.paths else self.asked.ambient,
             "columns": plain, "refused": {str(number): why for number, why in self.refused.items()},
             "effects_left_out": list(self.effects_left_out),
-            "remarks": {str(number): texts for number, texts in self.remarks.items()},
+            "remarks": {str(number): texts for number, texts in self.remarks.items()}, "notes": list(self.notes),
         }  # fmt: skip
 
 
@@ -153,8 +156,8 @@ def sweep(
     if len(points) > MOST_POINTS:
         raise InputError("--vary", f"{len(points)} points", f"at most {MOST_POINTS} in all")
     of_each = partial(point, replace(asked, file=str(find_vehicle(asked.file)), varied=()))
-    left_out = left_out_at(load(asked.file), asked.speed, asked.ambient)
-    found: list[tuple[tuple[float, ...], list[str]] | str] = [""] * len(points)
+    inactive = left_out_at(load(asked.file), asked.speed, asked.ambient)
+    found: list[Outcomes | str] = [""] * len(points)
     few = asked.cycle is None and len(points) <= ALONE
     for (number, _), result in results(of_each, list(enumerate(points)), address, workers, few):
         found[number] = result
@@ -166,12 +169,14 @@ def sweep(
     names.append(BEYOND)
     rows = np.array([[np.nan] * len(names) if isinstance(one, str) else (*one[0], float(bool(one[1]))) for one in found])
     columns = {path: np.array([values[path] for values in points]) for path in asked.paths}
-    remarks = {number: one[1] for number, one in enumerate(found) if not isinstance(one, str) and one[1]}
-    return Swept(asked, {**columns, **dict(zip(names, rows.T, strict=True))}, refused, tuple(left_out), remarks)
+    usable = {number: one for number, one in enumerate(found) if not isinstance(one, str)}
+    remarks = {number: texts for number, (_, texts, _) in usable.items() if texts}
+    notes = tuple(dict.fromkeys(note for *_, of_drive in usable.values() for note in of_drive))
+    return Swept(asked, {**columns, **dict(zip(names, rows.T, strict=True))}, refused, tuple(inactive), remarks, notes)
 
 
-def point(asked: SweepRequest, numbered: tuple[int, dict[str, float]]) -> tuple[tuple[float, ...], list[str]] | str:
-    """Outcomes and remarks of one point, a number and values, or why a vehicle cannot be so."""
+def point(asked: SweepRequest, numbered: tuple[int, dict[str, float]]) -> Outcomes | str:
+    """Outcomes, remarks and notes of one point, a number and values, or why a vehicle cannot be so."""
     _, values = numbered
     try:
         vehicle = load(asked.file, values)
@@ -179,11 +184,12 @@ def point(asked: SweepRequest, numbered: tuple[int, dict[str, float]]) -> tuple[
         found = steady(vehicle, asked.speed, air)
         remarks = remarks_on(vehicle, asked.speed, air, [found])
         if asked.cycle is None:
-            return found.outcomes, remarks
+            return found.outcomes, remarks, []
         cycle, estimator = read_cycle(asked.cycle, vehicle.chassis.max_speed), Estimator(vehicle)
         weight = vehicle.weight if any(path.endswith(OF_WEIGHT) for path in values) else None
         total, columns = driven(estimator, cycle, weight, None if asked.own_air and AIR not in values else air)
-        return (*found.outcomes, total["kwh_per_km"]), [*remarks, *beyond(vehicle, columns)]
+        notes = [*cycle.notes, *left_out(columns)]
+        return (*found.outcomes, total["kwh_per_km"]), [*remarks, *beyond(vehicle, columns)], notes
     except InputError as error:
         return one_line(str(error))
 
@@ -195,14 +201,16 @@ def draw(found: Swept, path: Path) -> Path:
     first, *others = found.asked.varied
     paths = found.asked.paths
     shape = tuple(len(one.points) for one in found.asked.varied)
+    orders = [np.argsort(one.values[0]) for one in found.asked.varied]  # values may be listed in any order
+    rising = [np.array(one.values[0])[order] for one, order in zip(found.asked.varied, orders, strict=True)]
     label = _label(first, paths)
     state = f": {found.asked.state}"
     title = shortened(found.asked.file, TITLE_LETTERS - len(state)) + state
     if len(others) == 1 and min(shape) > MOST_LINES:
         with picture(path, 7.5, 5.0) as figure:
             axes = figure.subplots()
-            grid = found.columns["warm_nm"].reshape(shape)
-            shades = axes.pcolormesh(others[0].values[0], first.values[0], grid, shading="nearest", cmap="viridis")
+            grid = found.columns["warm_nm"].reshape(shape)[np.ix_(*orders)]
+            shades = axes.pcolormesh(rising[1], rising[0], grid, shading="nearest", cmap="viridis")
             axes.set(xlabel=_label(others[0], paths), ylabel=label, title=title)
             figure.colorbar(shades, ax=axes, label="warm resistance [Nm]")
         return path
@@ -212,10 +220,10 @@ def draw(found: Swept, path: Path) -> Path:
     with picture(path, 9.0, 6.0) as figure:
         grid = figure.subplots(2, 2)
         for axes, (name, outcome) in zip(grid.flat, shown, strict=True):
-            lines = found.columns[name].reshape(shape[0], -1)
+            lines = found.columns[name].reshape(shape[0], -1)[orders[0]]
             for place, of in enumerate(every[:MOST_LINES]):
                 named = ",\n".join(_value(o, v, paths) for o, v in zip(others, of, strict=True))
-                axes.plot(first.values[0], lines[:, place], marker="." if shape[0] <= MANY else "", label=named or None)
+                axes.plot(rising[0], lines[:, place], marker="." if shape[0] <= MANY else "", label=named or None)
             axes.locator_params(axis="x", nbins=MOST_TICKS)
             axes.set(xlabel=label, ylabel=outcome)
         figure.suptitle(title, x=0.01, ha="left", fontsize=10)

@@ -121,14 +121,19 @@ def difference_std(
 ) -> tuple[Array, Array]:
     """Standard deviations of the second less the first, shape (outcomes,) each: from values that both files have alike, and with
     the ranges of those that differ too.
+
+    An equal value has one error in both files; the narrower of its two ranges holds.
     """
     one, other = changes
     common = own = np.zeros_like(next(iter(one.values())))
     for path in {**one, **other}:
-        quantities = [vehicle.parameters.get(path) for vehicle in vehicles]
-        alike = quantities[0] is not None and quantities[1] is not None and quantities[0].value == quantities[1].value
+        quantities = [vehicle.parameters[path] for vehicle in vehicles if path in vehicle.parameters]
+        stds = [quantity.standard_deviation for quantity in quantities]
+        alike = len(quantities) == len(vehicles) and quantities[0].value == quantities[1].value
+        if alike and min(stds) == 0.0:
+            continue
         if alike and path in one and path in other:
-            common = common + (other[path] - one[path]) ** 2
+            common = common + (min(stds) * (other[path] / stds[1] - one[path] / stds[0])) ** 2
         else:
             own = own + sum(change[path] ** 2 for change in changes if path in change)
     return np.sqrt(common), np.sqrt(common + own)
