@@ -86,9 +86,11 @@ def read_sweep(path: Path, frequency_hz: float | None = None) -> Sweep:
     marked as comments. Separators are tab, semicolon or comma, decimals have a point or a comma. `frequency_hz` is that of the
     whole sweep, if the file does not give it.
     """
-    text, coding = _decoded(read_bytes(path, WHAT, MOST_BYTES))
+    content, name = read_bytes(path, WHAT, MOST_BYTES), one_line(str(path))
+    if b"\0" in content and not content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise InputError(name, "a binary file, such as an Excel workbook", f"a {WHAT}", "save the sweep as text, such as CSV")
+    text, coding = _decoded(content)
     lines = text.splitlines()
-    name = one_line(str(path))
     notes = [] if coding == "utf-8" else [f"the file is not UTF-8; read as {coding}"]
     at, separator, cells = _header(lines, name)
     below = next((i for i in range(at + 1, len(lines)) if not _is_comment(lines[i])), None)
