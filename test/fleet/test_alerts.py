@@ -27,7 +27,7 @@ from trackres_ros.evaluation.fleet.draw import draw_fleet, write_recording
 from trackres_ros.fleet.alerts import COLUMNS, alerts, checked_url
 from trackres_ros.fleet.changes import DAY_S
 from trackres_ros.fleet.compare import REPORT, compare, compare_text
-from trackres_ros.fleet.dataset import FleetDataset
+from trackres_ros.fleet.dataset import LISTS_OF_NUMBERS, NUMBERS, FleetDataset
 from trackres_ros.fleet.page.write import write_pages
 from trackres_ros.fleet.periods import DIAGNOSES, INPUTS, REASON, verdicts
 from trackres_ros.fleet.recordings import FoundRecording
@@ -272,6 +272,14 @@ def test_factors_on_values_of_two_files_are_compared_over_one(tmp_path):
     fitted.write(tmp_path / "v.yaml", FileChanges(fitted.nominal | {"film_scale": 1.2, "capacity_scale": 1.1}, (), {}), "fitted")
     designs = {q["parameter"]: q["other"] for q in compare("xgd24d", str(tmp_path / "v.yaml"))["parameters"]}
     assert (designs["film_scale"], designs["capacity_scale"]) == pytest.approx((1.2, 1.1), rel=1e-5)
+    assert row("worn", 0)["names"][1] == "loss_modulus_scale"
+    for folder, of_file in (("may", 40.0), ("june", 48.0)):
+        fleet = FleetDataset(tmp_path / folder)
+        fleet.prepare()
+        fleet.put({**row("worn", 0), "of_file": [None, of_file]}, None)
+    one, other = str(tmp_path / "may"), str(tmp_path / "june")
+    bearings, loss = compare(one, other)["parameters"]
+    assert (bearings["one"], 1.2 * loss["one"]) == pytest.approx((bearings["other"], loss["other"]))
 
 
 def test_only_searched_vehicles_may_be_false_alarms(dataset):
@@ -369,6 +377,7 @@ def test_copies_are_only_listed(dataset):
 
 
 def test_a_row_says_whether_a_load_was_recorded(tmp_path):
+    """A hidden one is as one that was not."""
     vehicle = one_vehicle("xgd24d", None).vehicles["xgd24d"]
     (truck,) = draw_fleet(1, 1, 1.0, 3.0, (), seed=1)
     path = write_recording(tmp_path, truck, 0, 3.0)
@@ -381,9 +390,11 @@ def test_a_row_says_whether_a_load_was_recorded(tmp_path):
             table.writeheader()
             table.writerows(rows)
         done = analyse(Task(str(tmp_path / f"{name}.csv"), "1", vehicle))
-        assert done["load_recorded"] is not dropped, done["reason"]
-        assert done["load_recorded"] == (name == "with")
+        assert done["load_recorded"] == (name == "with"), done["reason"]
         assert done["vehicle_values"] == digest_of_values(vehicle.file)
+    hidden = analyse(Task(str(tmp_path / "with.csv"), "1", vehicle, hide=("load",)))
+    alike = {"load_recorded", *NUMBERS, *LISTS_OF_NUMBERS} - {"took_s"}
+    assert {name: hidden[name] for name in alike & set(done)} == {name: done[name] for name in alike & set(done)}
 
 
 def test_one_run_at_a_time_writes_into_a_folder(tmp_path, refused):

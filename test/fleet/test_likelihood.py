@@ -50,7 +50,8 @@ def days(tmp_path_factory):
         found.append(path)
     loaded = load_base(VEHICLE)
     return [
-        evidence(read(path), loaded, hide) for path, hide in ((found[0], ()), (found[1], ()), (found[1], ("heading", "yaw_rate")))
+        evidence(read(path).without(hide), loaded)
+        for path, hide in ((found[0], ()), (found[1], ()), (found[1], ("heading", "yaw_rate")))
     ]
 
 

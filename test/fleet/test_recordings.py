@@ -403,7 +403,7 @@ def test_a_worker_uses_the_topics_file_as_it_is_now(tmp_path, monkeypatch):
     topics, seen = tmp_path / "topics.yaml", []
     (tmp_path / "x.csv").write_text("time_s,speed_mps,n\n" + "".join(f"{i},{i},9\n" for i in range(60)))
     monkeypatch.setattr(fleet_task, "_replayed", lambda *_: {})
-    monkeypatch.setattr("trackres_ros.fleet.likelihood.evidence", lambda _, loaded, __: seen.append(loaded.known.passenger_kg))
+    monkeypatch.setattr("trackres_ros.fleet.likelihood.evidence", lambda _, loaded: seen.append(loaded.known.passenger_kg))
     for kg in (60.0, 90.0):
         topics.write_text(f"speed: {{column: speed_mps}}\npassengers: {{column: n, kg_each: {kg}}}\n")
         analyse(Task(str(tmp_path / "x.csv"), "1", one_vehicle("ztbus_hess19", str(topics)).vehicles["ztbus_hess19"]))

@@ -218,6 +218,7 @@ def test_an_engine_that_is_not_there_is_one_line(recordings, refused, monkeypatc
         (("--vehicle", "xgd24d"), "both"),
         (("--topics", "sample"), "--topics with --vehicle alone"),
         (("--hide", "gradde"), "did you mean grade"),
+        (("--hide", "speed"), "--hide"),  # nothing is left to compare
         (("--engine",), "requires an argument"),
     ],
 )

@@ -41,6 +41,7 @@ FINITE = (
 LOAD_RECORDED = "load_recorded"  # without a load the weight of the vehicle file is assumed
 LISTS_OF_TEXT = ("names", "units", "findings", "notes")
 LISTS_OF_NUMBERS = ("nominal", "std", "point", "covariance", "precision", "linear")
+OF_FILE = "of_file"  # see `likelihood.Evidence`; None in rows of earlier versions
 OF_PATH = ("vehicle", "day")
 BATCH = 4096  # rows that are read at a time
 
@@ -212,7 +213,7 @@ def _schema() -> pa.Schema:
         + [("messages", pa.int64()), (LOAD_RECORDED, pa.bool_())]
         + [(name, pa.float64()) for name in NUMBERS]
         + [(name, pa.list_(pa.string())) for name in LISTS_OF_TEXT]
-        + [(name, pa.list_(pa.float64())) for name in LISTS_OF_NUMBERS]
+        + [(name, pa.list_(pa.float64())) for name in (*LISTS_OF_NUMBERS, OF_FILE)]
     )
 
 

@@ -37,6 +37,7 @@ class Evidence:
     # of the vehicle file, shape (p,)
     nominal: Array
     std: Array
+    of_file: tuple[float | None, ...]  # of factors: the values of the vehicle file that they multiply; None of others
     # estimate of the fit and its covariance with the file's ranges, shapes (p,) and (p, p)
     point: Array
     covariance: Array
@@ -60,12 +61,12 @@ class Evidence:
     notes: tuple[str, ...]  # assumptions of the gate
 
 
-def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = ()) -> Evidence:
+def evidence(recording: Recording, loaded: LoadedBase) -> Evidence:
     """Fit the base to one recording, and expand its likelihood about the fit.
 
     Raises InputError if the recording cannot be compared, with the reason.
     """
-    gated = gate([recording], loaded.known, hide)
+    gated = gate([recording], loaded.known)
     (session,) = gated.sessions
     whole = Problem(loaded.base, gated.sessions, (session.used,))
     training = _training(session)
@@ -74,6 +75,7 @@ def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = (
     precision, linear, std = quadratic(whole, fitted)
     precision, linear, std = *whatever_others(precision, linear, own), std[own]
     free = [f for f, kept in zip(fitted.free, own, strict=True) if kept]
+    of_file = {q.name: q.of_file for q in loaded.base.parameters}
     by_file = loaded.base.predict(gated.sessions, loaded.base.nominal, ())[0].torque
     refit, used, held = fitted.predicted[0].torque, session.used, session.used & ~training
     torque = float(np.abs(session.torque[used]).mean())
@@ -88,6 +90,7 @@ def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = (
         units=tuple(f.unit for f in free),
         nominal=np.array([f.nominal for f in free]),
         std=std,
+        of_file=tuple(of_file.get(name_of(f)) for f in free),
         point=fitted.point[own],
         covariance=fitted.covariance[np.ix_(own, own)],
         precision=precision,

@@ -26,6 +26,7 @@ from trackres_ros.fleet.vehicles import HIGHEST_LIMIT, Fleet
 from trackres_ros.recording.roles import ROLES, base_role
 
 MOST_READ = 200
+COMPARED = "speed", "torque"  # without them a recording cannot be used
 LIMITS, MOST_LIMITS_BYTES = "fleet.json", 1 << 24
 UNKNOWN = "unknown"  # instead of a digest without a vehicle
 
@@ -63,7 +64,7 @@ def run(
     engine's own page, if it has one.
     """
     for channel in hide:
-        one_of(base_role(channel), "--hide", ROLES)
+        one_of(base_role(channel), "--hide", [role for role in ROLES if role not in COMPARED])
     dataset.prepare()
     this_run = _Run(recordings, fleet, dataset, hide)
     counts, new = this_run.counts, this_run.tasks()

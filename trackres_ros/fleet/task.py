@@ -21,7 +21,7 @@ from trackres_ros.fleet.recordings import FoundRecording
 from trackres_ros.fleet.vehicles import FleetVehicle, digest
 from trackres_ros.version import __version__
 
-ROW_VERSION = 4  # raised with any change of a row's content or computation: older rows are computed again
+ROW_VERSION = 5  # raised with any change of a row's content or computation: older rows are computed again
 GOOD, BROKEN, SAME = "good", "broken", "same"
 AGAIN = "again"  # instead of a digest of a row's inputs: a failure may not repeat
 NO_VEHICLE = NO_DAY = "none"
@@ -106,10 +106,10 @@ def _analysed(path: Path, task: Task, row: dict[str, Any]) -> dict[str, Any]:
     times = recording.time_s("speed")
     found = [one_line(f"{f.role}: {f.text}" if f.role else f.text) for f in recording.findings]
     row |= {"start_s": start_s, "day": _day(start_s), "duration_s": float(times[-1]) if len(times) else 0.0, "findings": found}
-    of = task.vehicle
+    of, recording = task.vehicle, recording.without(task.hide)
     loaded, vehicle = _vehicle(of.file, of.sha)
     row |= {"vehicle_values": of.values, **_replayed(recording, vehicle)}
-    likelihood = asdict(evidence(recording, loaded.with_topics(recording.topics), task.hide))
+    likelihood = asdict(evidence(recording, loaded.with_topics(recording.topics)))
     upper = np.triu_indices(len(likelihood["names"]))
     for name in ("covariance", "precision"):
         likelihood[name] = likelihood[name][upper]

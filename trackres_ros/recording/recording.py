@@ -87,6 +87,13 @@ class Recording:
         """Roles in the order of `order`."""
         return tuple(self.series)
 
+    def without(self, hidden: Collection[str]) -> Recording:
+        """The recording without some roles; a role hides those of its axles and assemblies too."""
+        shown = {role: s for role, s in self.series.items() if role not in hidden and base_role(role) not in hidden}
+        order = self._order()
+        numbers = np.array([list(shown).index(role) if role in shown else -1 for role in self.series], np.int16)[order]
+        return replace(self, series=shown, order=numbers[numbers >= 0])
+
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
         """All samples again, in the order of the log, at most `max_rows` at a time."""
         order = self._order()

@@ -35,7 +35,6 @@ from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S, GateSet
 from trackres_ros.diagnosis.prepare.split import lap_numbers
 from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.roles import base_role
 from trackres_ros.recording.samples import standing_time
 
 UNUSED = "in recordings that are left out"
@@ -135,8 +134,7 @@ class _Resampled(_Admitted):
 
 
 def _admitted(recording: Recording, hide: Sequence[str], settings: GateSettings) -> _Admitted:
-    shown = {role: s for role, s in recording.series.items() if role not in hide and base_role(role) not in hide}
-    logged, recording = recording, replace(recording, series=shown, order=None)
+    logged, recording = recording, replace(recording.without(hide), order=None)
     shortest_s = SHORTEST_S * pace(step_for([recording], slowest_speed=settings.slowest))
     check_compared(recording, shortest_s)
     recording, notes = on_one_clock(recording)
