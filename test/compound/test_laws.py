@@ -16,6 +16,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from sweeps import FERRY_K, FREQUENCIES, moduli, published, sweep
 
+from trackres_ros.compound.coverage import need_of
 from trackres_ros.compound.fitting import ARRHENIUS, KEPT, WLF, fit_compound
 from trackres_ros.compound.reading import read_sweep
 from trackres_ros.compound.shift import ABSOLUTE_ZERO_DEGC, GAS_CONSTANT, Shift
@@ -250,6 +251,16 @@ def test_the_written_vehicle_has_the_measured_moduli(vehicle, natural_rubber, tm
     assert "# Written by trackres compound fit from made.csv" in written.rubber_source.read_text()
     again = write_compound(natural_rubber, written, files_of(tmp_path / "NR 7.csv", tmp_path / "again"))
     assert again.source.read_text() == written.source.read_text()
+
+
+@pytest.mark.parametrize("of_thin", ["front", "rear"])
+def test_the_need_is_that_of_all_kinds_of_track(of_thin):
+    plain = load("xgd24d")
+    ((name, track),) = plain.tracks.items()
+    tracks = {name: track, "thin": replace(track, name="thin", belt=replace(track.belt, thickness=0.025))}
+    assemblies = tuple(replace(one, track="thin" if one.axle == of_thin else name) for one in plain.assemblies)
+    need = need_of(replace(plain, tracks=tracks, assemblies=assemblies))
+    assert need.fastest == need_of(replace(plain, tracks={name: tracks["thin"]})).fastest > need_of(plain).fastest
 
 
 def test_an_interrupted_fit_leaves_the_old_vehicle_or_the_new(vehicle, natural_rubber, tmp_path, monkeypatch):

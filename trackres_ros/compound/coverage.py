@@ -5,7 +5,6 @@
 
 from dataclasses import dataclass
 from math import floor
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from trackres_ros.compound.fitting import CompoundFit
 from trackres_ros.model.coverage import balance_degc
 from trackres_ros.model.loss_table import loss_table
-from trackres_ros.model.operating_point import explain
+from trackres_ros.model.track import track_model
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Vehicle
 
@@ -68,8 +67,9 @@ def need_of(vehicle: Vehicle) -> Need:
     air, top = vehicle.parameters["chassis.ambient"], vehicle.chassis.max_speed
     hottest = max(balance_degc(vehicle, name, loss_table(vehicle, name), top, air.high) for name in vehicle.tracks)
     longest = max(track.belt.loop_length for track in vehicle.tracks.values())
-    contacts: list[dict[str, Any]] = explain(vehicle, top, air.low)["contact"]
-    fastest = max(contact["frequency_hz"] for contact in contacts)
+    loads = zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)
+    contacts = [track_model(vehicle, one.track).loss.contacts(top, air.low, load) for one, load in loads]
+    fastest = float(max(contact.frequency.max() for contact in contacts))
     return Need(air.low, hottest, SLOWEST_KMH / KMH_PER_MPS / longest, fastest)
 
 
