@@ -145,10 +145,6 @@ def test_the_order_of_rows_makes_no_difference():
     assert sorted(len(of) for of in Vehicles.of(other)) == [8, 16]
 
 
-def test_nothing_is_found_where_nothing_changed(quiet):
-    assert not [c for v in quiet.by_vehicle for c in vehicle_changes(quiet, v)[0]]
-
-
 @pytest.mark.parametrize("size", [0.4, -0.4])
 def test_a_step_is_found_with_day_and_size_in_its_vehicle_alone(size):
     pooled = pool(drawn(moved=lambda v, r: np.array([size * (v == 2 and r >= 12), 0.0, 0.0])))

@@ -227,16 +227,6 @@ def test_a_vehicle_has_the_name_that_its_file_says(tmp_path, name):
     assert list(fleet_of(tmp_path, f"vehicles:\n  {name} : xgd24d\n").vehicles) == [name.strip("'\"")]
 
 
-def test_the_digest_of_a_vehicle_follows_the_files_it_names(tmp_path, repository):
-    shutil.copytree(repository / "config", tmp_path / "config")
-    path = tmp_path / "config" / "xgd24d.yaml"
-    before = digest(path)
-    assert before == digest(path) == one_vehicle(str(path), None).vehicles["xgd24d"].sha
-    for sweep in (tmp_path / "config" / "rubber").glob("*.csv"):
-        sweep.write_text(sweep.read_text() + "\n")
-    assert digest(path) != before
-
-
 @pytest.mark.parametrize("of", [digest, digest_of_values])
 @pytest.mark.parametrize(
     "text",
@@ -303,11 +293,6 @@ def test_any_tool_can_read_the_dataset(tmp_path):
     frame = pd.read_parquet(tmp_path / "rows")
     assert sorted(frame["url"]) == ["a", "b"]
     assert set(frame["vehicle"].astype(str)) == {"t1"}
-
-
-def test_no_results_is_one_line(tmp_path):
-    with pytest.raises(InputError, match="trackres fleet"):
-        FleetDataset.existing(tmp_path / "x")
 
 
 def good(vehicle, start_s):

@@ -17,7 +17,7 @@ import numpy as np
 
 from trackres_ros.design.drives import STAGES, DriveCycle, check_weight, driven, left_out, read_cycle, with_factors
 from trackres_ros.design.steady import J_PER_KWH, WARMEST_K, Array, FileErrors, Steady, remarks_on, solver, steady
-from trackres_ros.design.uncertain import LogDerivatives, difference_std, half_width, moved, slopes_of
+from trackres_ros.design.uncertain import LogDerivatives, difference_std, moved, slopes_of
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
@@ -46,6 +46,7 @@ DRIVEN = {
     "warmest_belt_degc": ("warmest belt", "degC"),
 }
 OPTIONS = "--speed-kmh", "--belt-degc", "--ambient-degc", "--weight-kn", "--cycle"
+TWO_SIDED_95 = 1.96
 SLOPE_POINTS = 3  # belt temperatures at which it is looked at how sure the loss is
 
 
@@ -301,7 +302,7 @@ def _grid(asked: ComparisonRequest, vehicle: Vehicle, name: str, advance: Callab
 
 def interval(row: Mapping[str, Any], key: str) -> float | None:
     """Half-width of the 95 % interval of a row's difference."""
-    return None if row[key] is None else half_width(row[key])
+    return None if row[key] is None else TWO_SIDED_95 * row[key]
 
 
 def wheels_compared(given: Sequence[str]) -> list[dict[str, Any]] | None:

@@ -5,16 +5,13 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from trackres_ros.design.compare import DRIVEN, STEADY, interval
 from trackres_ros.text.numbers import alike, decimals, figures
 from trackres_ros.text.table import table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TABLES = ("Resistance [Nm]", "torque_nm", 1.0, 0), ("Resistance over weight [%]", "coefficient", 100.0, 2)
 PLACES = {"Nm": 0, "degC": 1, "kWh/km": 3}
@@ -115,22 +112,18 @@ def draw_designs(found: Mapping[str, Any], path: Path) -> Path:
     from trackres_ros.output.style import picture
 
     with picture(path, 8.0, 4.5) as figure:
-        _draw_coefficients(figure, found)
+        axes = figure.subplots(1, len(found["designs"]), sharey=True, squeeze=False)[0]
+        speeds, order = np.array(found["speeds_kmh"]), np.argsort(found["speeds_kmh"])  # which may be listed in any order
+        marker = "o" if len(speeds) == 1 else ""
+        for one, design in zip(axes, found["designs"], strict=True):
+            for i, degc in enumerate(found["belts_degc"]):
+                share = i / max(len(found["belts_degc"]) - 1, 1)
+                percent, colour = 100.0 * np.array(design["coefficient"][i]), (share, 0.25, 1.0 - share)
+                one.plot(speeds[order], percent[order], color=colour, marker=marker, label=f"{degc:g} degC")
+            one.set_title(design["vehicle"])
+            one.set_xlabel("speed [km/h]")
+            one.grid(alpha=0.3)
+        axes[0].set_ylabel("resistance over weight [%]")
+        axes[0].set_ylim(bottom=0.0)
+        figure.legend(*axes[0].get_legend_handles_labels(), title="belt", loc="outside right center")
     return path
-
-
-def _draw_coefficients(figure: "Figure", found: Mapping[str, Any]) -> None:
-    axes = figure.subplots(1, len(found["designs"]), sharey=True, squeeze=False)[0]
-    speeds, order = np.array(found["speeds_kmh"]), np.argsort(found["speeds_kmh"])  # which may be listed in any order
-    marker = "o" if len(speeds) == 1 else ""
-    for one, design in zip(axes, found["designs"], strict=True):
-        for i, degc in enumerate(found["belts_degc"]):
-            share = i / max(len(found["belts_degc"]) - 1, 1)
-            percent, colour = 100.0 * np.array(design["coefficient"][i]), (share, 0.25, 1.0 - share)
-            one.plot(speeds[order], percent[order], color=colour, marker=marker, label=f"{degc:g} degC")
-        one.set_title(design["vehicle"])
-        one.set_xlabel("speed [km/h]")
-        one.grid(alpha=0.3)
-    axes[0].set_ylabel("resistance over weight [%]")
-    axes[0].set_ylim(bottom=0.0)
-    figure.legend(*axes[0].get_legend_handles_labels(), title="belt", loc="outside right center")

@@ -7,7 +7,6 @@ To first order, as the live estimate propagates them (`estimator.uncertainty`). 
 cancels. Errors of differing values are independent.
 """
 
-import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -137,8 +136,3 @@ def difference_std(
         else:
             own = own + sum(change[path] ** 2 for change in changes if path in change)
     return np.sqrt(common), np.sqrt(common + own)
-
-
-def half_width(std: float) -> float:
-    """Of a 95 % interval."""
-    return 1.96 * std if math.isfinite(std) else math.nan

@@ -6,7 +6,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc, ndtri
@@ -23,9 +23,6 @@ from trackres_ros.fleet.trends import NUMBERS, TEXTS, of_one_file, of_present_fi
 from trackres_ros.output.style import picture
 from trackres_ros.text.numbers import alike, figures, some_of
 from trackres_ros.text.table import table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 SURE = 0.05  # probability of any false difference by chance
 REPORT, MOST_BYTES = "report.json", 1 << 26
@@ -255,27 +252,23 @@ def _uncorrelated(title: str, listed: list[tuple[str, str, float, float]]) -> Si
 def draw_overlay(found: Mapping[str, Any], path: Path) -> Path:
     """Each parameter of both with its 95 % interval, over how sure the difference is."""
     with picture(path, 8.0, 1.4 + 0.45 * len(found["parameters"])) as figure:
-        _draw_parameters(figure, found)
+        listed, axes = found["parameters"], figure.subplots()
+        for row, q in enumerate(listed):
+            unit = q["difference_std"] or float(np.hypot(q["one_std"], q["other_std"])) or abs(q["difference"]) or 1.0
+            middle = 0.5 * (q["one"] + q["other"])
+            for side, (which, colour) in enumerate(zip(("one", "other"), COLOURS, strict=True)):
+                label = found[which] if row == 0 else None
+                spread = TWO_SIDED_95 * q[f"{which}_std"] / unit
+                axes.errorbar(
+                    [(q[which] - middle) / unit], [row + 0.15 * (2 * side - 1)], xerr=[spread], fmt="o", color=colour, label=label
+                )
+        axes.set_yticks(range(len(listed)), [f"{q['parameter']}{' *' if q['differs'] else ''}" for q in listed])
+        axes.invert_yaxis()
+        axes.axvline(0.0, color="0.8", zorder=0)
+        label = "distance from the mean of both, in standard deviations of the difference (* differs)"
+        drawn = {q["parameter"] for q in listed}
+        if rest := [v["path"] for v in found.get("values", ()) if v["path"].rpartition(".")[2] not in drawn]:
+            label += f"\nnot drawn, but different in the files: {some_of(rest)}"
+        axes.set_xlabel(label)
+        figure.legend(loc="outside upper center", ncols=1)
     return path
-
-
-def _draw_parameters(figure: "Figure", found: Mapping[str, Any]) -> None:
-    listed, axes = found["parameters"], figure.subplots()
-    for row, q in enumerate(listed):
-        unit = q["difference_std"] or float(np.hypot(q["one_std"], q["other_std"])) or abs(q["difference"]) or 1.0
-        middle = 0.5 * (q["one"] + q["other"])
-        for side, (which, colour) in enumerate(zip(("one", "other"), COLOURS, strict=True)):
-            label = found[which] if row == 0 else None
-            spread = TWO_SIDED_95 * q[f"{which}_std"] / unit
-            axes.errorbar(
-                [(q[which] - middle) / unit], [row + 0.15 * (2 * side - 1)], xerr=[spread], fmt="o", color=colour, label=label
-            )
-    axes.set_yticks(range(len(listed)), [f"{q['parameter']}{' *' if q['differs'] else ''}" for q in listed])
-    axes.invert_yaxis()
-    axes.axvline(0.0, color="0.8", zorder=0)
-    label = "distance from the mean of both, in standard deviations of the difference (* differs)"
-    drawn = {q["parameter"] for q in listed}
-    if rest := [v["path"] for v in found.get("values", ()) if v["path"].rpartition(".")[2] not in drawn]:
-        label += f"\nnot drawn, but different in the files: {some_of(rest)}"
-    axes.set_xlabel(label)
-    figure.legend(loc="outside upper center", ncols=1)
