@@ -123,8 +123,6 @@ BAD = {
     "no file of columns": ("a\nb\n", "without column names"),
     "nothing": ("", "without column names"),
     "no text": ("PK\3\4\0\n1\0", "a binary file, such as an Excel workbook.*save the sweep as text"),
-    "no loss": (text(PLAIN[:3], [T, F, E1 / 1e6]), "line 1: .*missing: a loss modulus .* or tan delta"),
-    "no temperature": (text(["f [Hz]", "E' [MPa]", "E'' [MPa]"], [F, E1 / 1e6, E2 / 1e6]), "line 1: .*a temperature"),
     "no unit": (
         GOOD.replace(" (Hz)", ""), "line 1, unit of Frequency: given 'none'; allowed: Hz, kHz, mHz or rad/s",
     ),

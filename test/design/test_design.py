@@ -18,7 +18,7 @@ from trackres_ros.design.compare import wheels_compared, wheels_text
 from trackres_ros.design.drives import driven, read_cycle
 from trackres_ros.design.steady import WARMEST_K, Steady, steady
 from trackres_ros.design.sweep import SweepRequest, Swept, draw, point, sweep
-from trackres_ros.design.values import Varied, meant, scalars, varied
+from trackres_ros.design.values import Varied, meant, varied
 from trackres_ros.effects import Active, Effect, Parameter, Terms, catalogue
 from trackres_ros.engine import executor
 from trackres_ros.estimator.columns import Reason
@@ -233,18 +233,6 @@ def test_a_belt_that_finds_no_balance_has_no_steady_state():
     assert math.isnan(found.warm_nm)
     assert found.cold_nm > 0.0
     assert explain(vehicle, SPEED, AIR + WARMEST_K, AIR)["heat_w"] > explain(vehicle, SPEED, AIR + WARMEST_K, AIR)["cooling_w"]
-
-
-def test_torque_rises_with_load_and_a_sweep_equals_single_runs():
-    vehicle = load("agri3t")
-    loads = next(path for path in scalars(vehicle) if path.endswith(".load"))
-    asked = SweepRequest("agri3t", (varied(vehicle, f"{loads}"), varied(vehicle, "loss_modulus_scale=0.8,1.2")), 2.5, AIR)
-    found = sweep(asked)
-    cold = found.columns["cold_nm"].reshape(9, 2)
-    assert np.all(np.diff(cold, axis=0) > 0.0)
-    assert np.all(np.diff(cold, axis=1) > 0.0)
-    one = load("agri3t", {path: float(found.columns[path][5]) for path in (loads, "rubber.loss_modulus_scale")})
-    assert found.columns["cold_nm"][5] == pytest.approx(explain(one, 2.5, AIR, AIR)["torque_nm"]["resistance"], rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -337,12 +337,6 @@ def test_a_broken_recording_is_a_row_with_its_reason(tmp_path, content, part):
     assert "a bug" not in done["reason"]
 
 
-def test_what_may_be_otherwise_the_next_time_is_tried_again(tmp_path):
-    done = analyse(Task(f"file://{tmp_path}/gone.csv", "1", one_vehicle("xgd24d", None).vehicles["xgd24d"]))
-    assert done["status"] == "broken"
-    assert done["inputs"] == AGAIN
-
-
 @pytest.mark.parametrize(
     ("error", "again"),
     [

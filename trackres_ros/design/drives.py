@@ -62,9 +62,10 @@ class DriveCycle:
         Raises InputError on a value that is implausible for the vehicle.
         """
         found: dict[str, Array] = {}
+        limits = {**PLAUSIBLE, "load": (LEAST_LOAD_SHARE * vehicle.weight, LARGEST_LOAD_SHARE * vehicle.weight)}
         for role in self.conditions(given):
             assert self.recording is not None
-            value, time, (low, high) = self.recording.series[role].value, self.recording.time_s(role), self._limits(vehicle)[role]
+            value, time, (low, high) = self.recording.series[role].value, self.recording.time_s(role), limits[role]
             usable = np.flatnonzero(np.isfinite(value))
             order = usable[np.argsort(time[usable], kind="stable")]
             least, most = value[order].min(), value[order].max()
@@ -73,10 +74,6 @@ class DriveCycle:
                 raise InputError(f"--cycle {self.name}: {role}", spread, f"{low:g} to {high:g} for {vehicle.name}")
             found[role] = np.interp(self.drive.time_s, time[order], value[order])
         return found
-
-    def _limits(self, vehicle: Vehicle) -> dict[str, tuple[float, float]]:
-        load = LEAST_LOAD_SHARE * vehicle.weight, LARGEST_LOAD_SHARE * vehicle.weight
-        return {"load": load, "ambient": PLAUSIBLE["ambient"]}
 
 
 def read_cycle(given: str, fastest_mps: float) -> DriveCycle:
@@ -157,10 +154,10 @@ def with_factors(estimator: Estimator, off: FileErrors, capacity: float = 1.0) -
         (at.Assembly.radius, off.radius),
     ):
         assembly[own, column] *= factor
-    friction, area = k.number.bearing_friction + off.bearing_friction, k.number.drag_area + off.drag_area
-    number = k.number._replace(bearing_friction=friction, drag_area=area)
-    changed.vehicle = with_errors(estimator.vehicle, off)
-    work = work_space(vehicle_constants(changed.vehicle), len(assembly))
+    changed.vehicle = vehicle = with_errors(estimator.vehicle, off)
+    facts = vehicle_constants(vehicle)
+    number = k.number._replace(bearing_friction=vehicle.chassis.bearing_friction, drag_area=facts.drag_area)
+    work = work_space(facts, len(assembly))
     changed.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive, work=work)
     changed.kernel_arguments = kernel_arguments(changed.constants, estimator.entries.compiled)
     return changed

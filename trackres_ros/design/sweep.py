@@ -114,9 +114,7 @@ class Swept:
             lines.append(f"skipped: {self._at(number)}: {why}")
         if self.remarks:
             number, texts = next(iter(self.remarks.items()))
-            lines.append(
-                f"  ! points outside the data or the table: {len(self.remarks)} of {count}; the first, {self._at(number)}:"
-            )
+            lines.append(f"  ! points with remarks: {len(self.remarks)} of {count}; the first, {self._at(number)}:")
             lines += [f"  ! {text}" for text in texts]
         lines.append(f"S{self.asked.state[1:]}; cold: belts at air temperature, warm: belts at their steady temperature")
         if self.asked.cycle is not None:
