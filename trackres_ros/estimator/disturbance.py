@@ -159,12 +159,19 @@ class DisturbanceWatch:
         self._sum, self._seconds = 0.0, 0.0
         self._present = False
         self._since_ns: int | None = None
+        self._ahead_ns = 0
 
-    def take(self, stamp_ns: int, residual_nm: float, speed_mps: float) -> Belief:
+    def take(self, stamp_ns: int, residual_nm: float, speed_mps: float, ahead_ns: int = 0, jumped: bool = False) -> Belief:
         """Process measured less expected torque, nan where it is invalid; return the belief at that time.
 
-        The sign of the speed is the direction of travel.
+        The sign of the speed is the direction of travel. The stamp is ahead of its arrival by some time [ns]. Where the clock of
+        the stamps has jumped, all times move with it.
         """
+        if jumped:
+            by_ns, of_stamps = ahead_ns - self._ahead_ns, (self._block_ns, self._last_ns, self._since_ns)
+            self._known_ns += by_ns
+            self._block_ns, self._last_ns, self._since_ns = (None if at is None else at + by_ns for at in of_stamps)
+        self._ahead_ns = ahead_ns
         began_ns = stamp_ns
         if self._block_ns is not None and stamp_ns - self._block_ns < -LATE_NS:
             self.restart()
