@@ -223,10 +223,10 @@ def test_messages_come_in_order_with_the_time_they_were_sent(wire):
 @pytest.mark.parametrize("simulated_s", [(), (3, 4, 5)])
 def test_a_bag_is_played_with_one_clock_its_own_if_it_has_one(wire, tmp_path, simulated_s):
     log_s = (1000, 1001, 1002)
-    rows = [("/c", FLOAT, at * 10**9, bytes(STORE.serialize_cdr(build(FLOAT), FLOAT))) for at in log_s]
-    for at, now in zip(log_s, simulated_s, strict=False):
+    rows = [("/c", FLOAT, log * 10**9, bytes(STORE.serialize_cdr(build(FLOAT), FLOAT))) for log in log_s]
+    for log, now in zip(log_s, simulated_s, strict=False):
         clock = build(CLOCK_TYPE, clock={"sec": now})
-        rows.append(("/clock", CLOCK_TYPE, at * 10**9, bytes(STORE.serialize_cdr(clock, CLOCK_TYPE))))
+        rows.append(("/clock", CLOCK_TYPE, log * 10**9, bytes(STORE.serialize_cdr(clock, CLOCK_TYPE))))
     fill(Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP), rows)
     heard, player = wire.subscribe("/clock", CLOCK_TYPE), Player(tmp_path / "bag", 20.0)
     try:

@@ -180,7 +180,9 @@ class Application:
             self._next_output_ns = steady + int(LONGEST_PERIOD_S * SECOND_NS)
             self.guard.essential("publishing", self._publish, self.clock.steady_ns())
         self._state_at = time.time() - waited * NANOSECOND
-        news = self.guard("the comparison with the measured torque", self.comparison.take, stamp, values, arrival, published - stamp)
+        news = self.guard(
+            "the comparison with the measured torque", self.comparison.take, stamp, values, arrival, published - stamp
+        )
         if news:
             self._reasons_seen = None
             self._log(Level.OK, news)

@@ -13,6 +13,7 @@ import dataclasses
 import difflib
 import math
 import re
+import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -210,8 +211,10 @@ class Parameters:
 
     def diagnose_command(self) -> str:
         """Command that explains where and why measured and expected torque differ."""
-        given = [f" --{name} {self.text(name)}" for name in ("surroundings", "topics") if self.text(name)]
-        return f"trackres diagnose RECORDING --vehicle {self.text('vehicle')}{''.join(given)} -o report"
+        given = [
+            part for name in ("vehicle", "surroundings", "topics") if (file := self.text(name)) for part in (f"--{name}", file)
+        ]
+        return shlex.join(["trackres", "diagnose", "RECORDING", *given, "-o", "report"])
 
     def settings(self) -> Settings:
         """The estimator's share."""

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Plays a bag onto the wire without ROS: its messages at their log times, with a clock."""
+"""Plays a bag onto the wire without ROS: its messages at their log times, with a clock: its own, or one of these times."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ WAIT_S = 0.05
 
 
 class Player:
-    """Publishes the messages of a bag of ROS 2 on their topics, at a speed relative to the recording; with a clock if it has none.
+    """Publishes the messages of a bag of ROS 2 on their topics, at a speed relative to the recording, and a clock if it has none.
 
     Raises InputError if it cannot be read, or contains no message of a known type.
     """
