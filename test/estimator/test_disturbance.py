@@ -175,13 +175,6 @@ def test_a_spike_says_little_of_a_drift():
     assert at_s(spiked, 300.0).torque_nm == pytest.approx(at_s(calm, 300.0).torque_nm, abs=DRIFT.noise)
 
 
-@pytest.mark.parametrize("disturbance", [SPELLS, DRIFT])
-def test_a_clock_that_was_set_back_begins_anew(disturbance):
-    watch, fresh = DisturbanceWatch(disturbance), DisturbanceWatch(disturbance)
-    fed(watch, 300.0, 60.0, start_s=3600.0)
-    assert fed(watch, 0.0, 20.0) == fed(fresh, 0.0, 20.0)
-
-
 @pytest.mark.parametrize("by_s", [-3600.0, 3600.0])
 def test_a_jump_of_the_clock_changes_no_column_of_a_replay(by_s):
     rows = np.zeros((400, len(at.VEHICLE_COLUMNS)))

@@ -69,13 +69,6 @@ def test_a_delay_is_found_within_20_ms_in_ten_minutes(delay, rate_hz, seed):
     assert kept.known
 
 
-@pytest.mark.parametrize("shift", [-0.2, 0.25])
-def test_a_torque_shifted_in_time_shifts_the_delay(shift):
-    drives = Drive(0.2, step_mps=1e-9, noise_nm=0.0), Drive(0.2 + shift, step_mps=1e-9, noise_nm=0.0)
-    before, after = (drive.on(8.0).value[0] for drive in drives)
-    assert after - before == pytest.approx(shift, abs=1.5e-3)
-
-
 def test_the_stamps_of_the_torque_count_not_when_it_is_seen():
     """A torque that is held while ten speeds come is as late as its own stamp says."""
     drive = Drive(0.3, rate_hz=50.0)

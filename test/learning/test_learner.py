@@ -35,7 +35,6 @@ from trackres_ros.learning.parameters import (
 )
 from trackres_ros.learning.vehicle_file import write_learned
 from trackres_ros.vehicle import RoadVehicle
-from trackres_ros.vehicle.belt_bulk import heat_capacity
 from trackres_ros.vehicle.writing.vehicle_file import opened
 
 
@@ -422,21 +421,6 @@ def test_an_error_of_the_rise_is_in_the_stated_stds(slowest, fastest):
     stated, known = learner.stds(covariance, learner.own), np.sqrt(np.diag(covariance))
     for state in rolling:
         assert abs(mean[state]) == pytest.approx(np.sqrt(stated[state] ** 2 - known[state] ** 2), rel=0.3)
-
-
-def test_a_learned_heat_capacity_is_that_of_all_belts(xgd24d):
-    rear = replace(xgd24d.tracks[xgd24d.assemblies[0].track], name="rear")
-    rear = replace(rear, belt=replace(rear.belt, cord_section=3.0 * rear.belt.cord_section))
-    front, *others = xgd24d.assemblies
-    mixed = replace(
-        xgd24d, tracks={**xgd24d.tracks, "rear": rear}, assemblies=(front, *(replace(one, track="rear") for one in others))
-    )
-    one = next(one for one in learnables(mixed) if one.state == at.OF_CAPACITY)
-    warmer = replace(mixed.rubber, heat_capacity=mixed.rubber.heat_capacity * (1.0 + 0.1 * one.factor))
-    before, after = (
-        sum(heat_capacity(mixed.track_of(a).belt, rubber) for a in mixed.assemblies) for rubber in (mixed.rubber, warmer)
-    )
-    assert after == pytest.approx(1.1 * before, rel=1e-9)
 
 
 def test_a_value_of_0_cannot_depart_by_a_share_of_itself():
