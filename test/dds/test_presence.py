@@ -20,13 +20,16 @@ from cyclonedds.idl import types as idl
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
-from ros_messages import STORE
+from ros_messages import STORE, build, fill
+from rosbags.rosbag2 import StoragePlugin, Writer
 from waiting import exit_code, wait_for
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import save
+from trackres_ros.node.dds.node import CLOCK_TYPE
 from trackres_ros.node.dds.participant import Participant, Publication
+from trackres_ros.node.dds.player import Player
 from trackres_ros.node.dds.wire import type_hash
 from trackres_ros.node.endpoints import Quality
 from trackres_ros.vehicle import load
@@ -215,6 +218,25 @@ def test_messages_come_in_order_with_the_time_they_were_sent(wire):
         assert wait(1) == 0
     finally:
         mine.close()
+
+
+@pytest.mark.parametrize("simulated_s", [(), (3, 4, 5)])
+def test_a_bag_is_played_with_one_clock_its_own_if_it_has_one(wire, tmp_path, simulated_s):
+    log_s = (1000, 1001, 1002)
+    rows = [("/c", FLOAT, log * 10**9, bytes(STORE.serialize_cdr(build(FLOAT), FLOAT))) for log in log_s]
+    for log, now in zip(log_s, simulated_s, strict=False):
+        clock = build(CLOCK_TYPE, clock={"sec": now})
+        rows.append(("/clock", CLOCK_TYPE, log * 10**9, bytes(STORE.serialize_cdr(clock, CLOCK_TYPE))))
+    fill(Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP), rows)
+    heard, player = wire.subscribe("/clock", CLOCK_TYPE), Player(tmp_path / "bag", 20.0)
+    try:
+        assert wait_for(lambda: (player._clock or player._writers["/clock"]).readers)
+        player.play(lambda _: None, lambda: True)
+        assert wait_for(lambda: len(heard.update()) >= 3)
+        times = {one.message.clock.sec for one in heard.update()}
+        assert times == set(simulated_s) if simulated_s else times <= set(log_s)
+    finally:
+        player.close()
 
 
 def test_a_publisher_that_offers_less_than_asked_is_remarked(wire, command, start):

@@ -17,9 +17,11 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.evaluation.synthetic import drives
+from trackres_ros.learning.parameters import learnables
 from trackres_ros.offline.replay import replay
 from trackres_ros.recording.samples import SampleBlock
 from trackres_ros.vehicle import load
+from trackres_ros.vehicle.belt_bulk import heat_capacity
 
 START_NS = 1_700_000_000_000_000_000
 CHANNELS = {"load": "weight", "ambient": "ambient", "yaw_rate": "yaw_rate", "heading": "heading", "accel": "accel"}
@@ -184,6 +186,11 @@ def test_belts_of_two_kinds_are_fitted_as_they_are_written(two_nodes, drive):
         (fit,), (file,) = base.predict([drive], values, ()), now.predict([drive], now.nominal, ())
         np.testing.assert_allclose(file.belt, fit.belt, rtol=10.0**-places)
     assert now.vehicle.tracks["rear"].belt.surface_share == pytest.approx(0.32 * 0.24 / 0.2)
+    vehicle, rubber = estimator.vehicle, estimator.vehicle.rubber
+    learned = next(one for one in learnables(vehicle) if one.state == at.OF_CAPACITY)  # of all belts together
+    warmer = replace(rubber, heat_capacity=rubber.heat_capacity * (1.0 + 0.1 * learned.factor))
+    heat = [sum(heat_capacity(vehicle.track_of(one).belt, of) for one in vehicle.assemblies) for of in (rubber, warmer)]
+    assert heat[1] == pytest.approx(1.1 * heat[0])
 
 
 def test_at_rest_a_surface_cools_before_its_core(two_nodes):

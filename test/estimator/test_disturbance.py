@@ -4,12 +4,14 @@
 """The watch for disturbances: laws of its two filters, and its result on residuals that begin, end and drop out."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.disturbance import (
     BLOCK_S,
     LONGEST_MEANS,
@@ -20,6 +22,8 @@ from trackres_ros.estimator.disturbance import (
     seen_level,
     seen_there,
 )
+from trackres_ros.estimator.estimate import Steps
+from trackres_ros.offline.disturbance import DisturbanceColumns
 from trackres_ros.vehicle import Drift, Spells
 
 START_NS = 1_700_000_000_000_000_000
@@ -171,11 +175,15 @@ def test_a_spike_says_little_of_a_drift():
     assert at_s(spiked, 300.0).torque_nm == pytest.approx(at_s(calm, 300.0).torque_nm, abs=DRIFT.noise)
 
 
-@pytest.mark.parametrize("disturbance", [SPELLS, DRIFT])
-def test_a_clock_that_was_set_back_begins_anew(disturbance):
-    watch, fresh = DisturbanceWatch(disturbance), DisturbanceWatch(disturbance)
-    fed(watch, 300.0, 60.0, start_s=3600.0)
-    assert fed(watch, 0.0, 20.0) == fed(fresh, 0.0, 20.0)
+@pytest.mark.parametrize("by_s", [-3600.0, 3600.0])
+def test_a_jump_of_the_clock_changes_no_column_of_a_replay(by_s):
+    rows = np.zeros((400, len(at.VEHICLE_COLUMNS)))
+    rows[:, at.Results.residual_nm], rows[:, at.Results.speed_mps] = 300.0, 8.0
+    rows[201, at.Results.reasons] = at.Reason.CLOCK_JUMPED
+    arrivals = START_NS + 10**8 * np.arange(400)
+    stamps = (arrivals, arrivals + (np.arange(400) > 200) * round(by_s * 1e9))
+    still, jumped = (DisturbanceColumns(SimpleNamespace(disturbance=SPELLS)).of(Steps(now, arrivals, rows)) for now in stamps)
+    np.testing.assert_array_equal(jumped, still)
 
 
 def test_a_late_residual_is_left_out():

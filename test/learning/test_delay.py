@@ -4,17 +4,20 @@
 """Laws of the delay of the torque behind the speed: it shifts with the torque, and is unknown where nothing tells it."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.columns import LEARNED, shown
 from trackres_ros.learning.delay import FIRST_STD_S, DelayEstimator, KeptDelays
 from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S, SPAN_S, WORST_STD_S, window_delay
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.store import stored, take
+from trackres_ros.vehicle import load_any
 
 START_NS = 1_700_000_000_000_000_000
 INERTIA, ROLLING_NM = 11_000.0, 3000.0
@@ -64,13 +67,6 @@ def test_a_delay_is_found_within_20_ms_in_ten_minutes(delay, rate_hz, seed):
     assert value == pytest.approx(delay, abs=0.02)
     assert abs(value - delay) < 3.0 * std
     assert kept.known
-
-
-@pytest.mark.parametrize("shift", [-0.2, 0.25])
-def test_a_torque_shifted_in_time_shifts_the_delay(shift):
-    drives = Drive(0.2, step_mps=1e-9, noise_nm=0.0), Drive(0.2 + shift, step_mps=1e-9, noise_nm=0.0)
-    before, after = (drive.on(8.0).value[0] for drive in drives)
-    assert after - before == pytest.approx(shift, abs=1.5e-3)
 
 
 def test_the_stamps_of_the_torque_count_not_when_it_is_seen():
@@ -198,18 +194,18 @@ def test_at_any_rate_memory_stays_bounded():
     assert max(len(held.speed), len(held.torque)) < 3500
 
 
-def learner_of(road, delay_steps):
-    """Values learned of a vehicle with a torque delayed by some steps of 0.1 s."""
+def learner_of(road, delay_steps, minutes=8.0, scale=1.0, **vehicle):
+    """Values learned of a vehicle with a scaled torque delayed by some steps of 0.1 s."""
     held = []
 
     def shown_late(torque, _i):
-        held.append(torque)
+        held.append(scale * torque)
         return held[max(len(held) - 1 - delay_steps, 0)]
 
     def speed(t):
         return 8.0 + 3.0 * np.tanh(2.0 * np.sin(t / 4.0)) * np.sin(t / 15.0)
 
-    return road("watch").drive(8.0, shown_late, speed=speed).learner
+    return road("watch", **vehicle).drive(minutes, shown_late, speed=speed, noise=30.0 * scale).learner
 
 
 @pytest.fixture(scope="module")
@@ -229,6 +225,15 @@ def test_the_learner_says_it_of_the_estimates_own_torque(late):
 
 def test_a_torque_two_steps_later_is_two_steps_later(road, late):
     assert late.delay.kept.value[0] - learner_of(road, 0).delay.kept.value[0] == pytest.approx(0.2, abs=0.01)
+
+
+def test_the_torque_scale_of_a_file_changes_no_delay(road):
+    car, found = load_any("bmw_i3"), []
+    for scale in (1.0, 0.4):
+        scaled = replace(car, values={**car.values, "torque_scale": scale})
+        found.append(learner_of(road, 2, 3.0, scale, estimator=Estimator(scaled)).delay.kept)
+    assert found[1].count == found[0].count > 5
+    np.testing.assert_allclose(found[1].delays, found[0].delays, atol=1e-6)
 
 
 def test_it_is_kept_over_a_restart_but_to_be_confirmed(reference, late):

@@ -5,6 +5,7 @@
 
 import inspect
 import math
+import shlex
 import time
 
 import numpy as np
@@ -185,13 +186,6 @@ def test_an_input_that_stays_away_is_a_warning(desk):
     assert d.statuses[0][1][0].level is Level.STALE  # the status says it from the first second on
 
 
-def test_a_fault_just_after_the_start_is_a_warning_at_once(desk):
-    d = desk()
-    d.found_peers = {"speed": (Peer("std_msgs/msg/Float32", True),)}
-    d.drive(1.2)
-    assert [text for level, text in d.logged if level is Level.WARN and "std_msgs/msg/Float32" in text]
-
-
 def test_topics_are_shown_under_their_remapped_names(desk):
     d = desk(remapped={"speed": "/car/odometry/speed", "load": "/scale"})
     d.found_peers = {"speed": (Peer(TWIST, True), Peer(TWIST, True))}
@@ -217,34 +211,6 @@ def test_parameters_change_without_losing_the_temperature(desk):
     assert d.last("track_temperature/front_left")[1][0] == pytest.approx(belt, abs=0.2)
     row = d.app.overview().values
     assert row["feedforward_torque_nm"] == pytest.approx(row["bearing_nm"])
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"vehicle": "agri3t"}, "reads it once"),
-        ({"gap_s": math.nan}, "a number from 0.05 to 60 s"),
-        ({"gap_s": 1e9}, "a number from 0.05 to 60 s"),
-        ({"feedforward_parts": ["wheels"]}, "hysteresis"),
-        ({"gap": 2.0}, "did you mean gap_s?"),
-    ],
-)
-def test_what_cannot_be_changed_is_refused_with_the_reason(desk, given, said):
-    d = desk()
-    before = d.app.parameters
-    with pytest.raises(InputError) as error:
-        d.app.change(given)
-    assert said in str(error.value)
-    assert d.app.parameters is before
-
-
-def test_a_topics_file_age_limit_cannot_be_overridden(desk):
-    d = desk(f"speed: {{topic: speed, type: {TWIST}, field: twist.linear.x, max_age_s: 3.0}}\n")
-    d.drive(1.0)
-    d.forward(2.5)
-    assert "SPEED_OLD" not in d.names()
-    with pytest.raises(InputError, match="topics file"):
-        d.app.change({"speed_max_age_s": 1.0})
 
 
 def test_a_reset_while_driving_keeps_inputs_and_feedforward(desk):
@@ -478,14 +444,14 @@ def test_publishing_ends_at_zero_and_begins_there_again(desk, ended_by, nm_per_s
 
 
 def test_surroundings_that_are_assumed_are_said_and_warned_of(desk, tmp_path):
-    file = tmp_path / "surroundings.yaml"
+    file = tmp_path / "it's here.yaml"
     file.write_text("schema: 1\nvehicle: xgd24d\neffects:\n  grade: {grade: 0.02}\n")
     plain, d = desk(), desk(surroundings=str(file))
     for one in (plain, d):
         one.drive(2.0, load=272e3, ambient=15.0)
     assert d.names() - plain.names() == {"SURROUNDINGS"}
     assert next(notice.level for notice in d.app.notices() if notice.name == "SURROUNDINGS") is Level.WARN
-    assert f"--surroundings {file}" in d.app.parameters.diagnose_command()
+    assert str(file) in shlex.split(d.app.parameters.diagnose_command())
     fed, expected = ([one.last(name)[1][0] for one in (plain, d)] for name in ("feedforward_torque", "resistance_torque"))
     assert fed[0] == pytest.approx(fed[1], rel=1e-3)
     assert expected[0] != pytest.approx(expected[1], rel=0.1)

@@ -4,6 +4,7 @@
 """An intermittent torque, watched for live: reported in the statuses, and never fed forward."""
 
 import re
+from pathlib import Path
 
 import pytest
 
@@ -43,8 +44,9 @@ def of(d, entry):
     return next(((s.level, s.message, dict(s.values)) for s in statuses if s.name.endswith(f": {entry}")), None)
 
 
-def test_the_status_shows_a_spell_and_the_log_its_start_and_end(desk, given):
-    d = desk(**given[0])
+@pytest.mark.parametrize("stamp", ["header", "log"])
+def test_the_status_shows_a_spell_and_the_log_its_start_and_end(desk, given, topics, stamp):
+    d = desk(Path(topics).read_text().replace("}", f", stamp: {stamp}}}"), vehicle=given[0]["vehicle"])
     d.drive(20.0, dt=0.2)
     drive(d, 40.0, 0.0)
     level, _, away = of(d, "disturbance")
@@ -62,6 +64,11 @@ def test_the_status_shows_a_spell_and_the_log_its_start_and_end(desk, given):
     assert float(there["torque_nm"]) == pytest.approx(LEVEL_NM, rel=0.1)
     assert float(there["since"]) == pytest.approx(START_NS * 1e-9 + began_s, abs=6.0)
     assert "is present" in message
+    d.clock_offset_s = 3600.0
+    drive(d, 10.0, LEVEL_NM)
+    _, message, later = of(d, "disturbance")
+    assert "is present (" in message
+    assert float(later["since"]) - float(there["since"]) == pytest.approx(3600.0, abs=0.01)
     assert "DISTURBANCE" in d.names()
     assert next(r for r in d.app.notices() if r.name == "DISTURBANCE").level is Level.OK
     drive(d, 40.0, 0.0)
@@ -109,7 +116,7 @@ def taken(comparison, residual_nm, seconds, start_s=0.0, drive_nm=3000.0):
     for i in range(round(seconds)):
         time_s = start_s + i
         row[at.Results.residual_nm] = residual_nm(time_s) if callable(residual_nm) else residual_nm
-        comparison.take(START_NS + round(time_s * 1e9), row)
+        comparison.take(START_NS + round(time_s * 1e9), row, START_NS + round(time_s * 1e9))
 
 
 def test_a_known_spell_is_no_mismatch_but_a_larger_one_is():

@@ -39,10 +39,16 @@ def watch(residual, dt=1.0, settings=None, speed=8.0, accel=0.0, detector=None, 
     return detector, turned
 
 
-@pytest.mark.parametrize(("phi", "size"), [(0.0, 30.0), (0.5, 300.0), (0.97, 300.0), (0.97, 1500.0)])
-def test_noise_alone_is_no_mismatch(phi, size):
-    for seed in range(2):
-        detector, turned = watch(noise(6.0, phi, size, seed))
+@pytest.mark.parametrize(
+    ("phi", "size", "dt", "settings"),
+    [
+        *((phi, size, 1, MismatchSettings()) for phi, size in ((0.0, 30.0), (0.97, 300.0), (0.97, 1500.0))),
+        *((phi, 300.0, dt, NOTHING_TOLERATED) for phi, dt in ((0.5, 1), (0.99, 10))),
+    ],
+)
+def test_noise_alone_is_no_mismatch(phi, size, dt, settings):
+    for seed in range(3):
+        detector, turned = watch(noise(8.0, phi, size, seed)[::dt], dt=dt, settings=settings)
         assert not turned
         assert detector.verdict.settled
         assert detector.verdict.text == "no lasting difference"
@@ -51,10 +57,6 @@ def test_noise_alone_is_no_mismatch(phi, size):
 def test_hills_that_nobody_measured_seldom_raise_it():
     alarms = [watch(noise(6.0, 0.99, 1500.0, seed))[1] for seed in range(5)]  # half the torque, over minutes
     assert sum(map(bool, alarms)) <= 1
-
-
-def test_with_nothing_tolerated_noise_alone_is_still_none():
-    assert not any(watch(noise(8.0, 0.5, seed=seed), settings=NOTHING_TOLERATED)[1] for seed in range(3))
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.8])
@@ -67,13 +69,6 @@ def test_false_alarms_are_rarer_than_the_bound_of_the_evidence(phi):
     assert 0 < alarms < a_bin * hours * 3600.0 / bin_s
 
 
-def test_slow_noise_in_a_torque_that_comes_every_10_s_is_none():
-    for seed in range(4):
-        detector, turned = watch(noise(8.0, 0.99, seed=seed)[::10], dt=10.0, settings=NOTHING_TOLERATED)
-        assert not turned
-        assert detector.verdict.settled
-
-
 def test_it_says_so_while_it_cannot_know():
     settings = MismatchSettings()
     known_s = KNOWN_AFTER * settings.mismatch_hold_s
@@ -81,7 +76,13 @@ def test_it_says_so_while_it_cannot_know():
     assert not turned
     assert not early.verdict.settled
     assert "not enough driving" in early.verdict.text
-    assert watch(noise(known_s / 3600.0 + 0.01) + 5000.0)[0].verdict.parted
+    known = watch(noise(known_s / 3600.0 + 0.01) + 5000.0)[0]
+    assert known.verdict.parted
+    assert known.verdict.after_s == 0.0
+    assert "from the start on" in known.verdict.text
+    known.restart()
+    assert not known.verdict.parted
+    assert not known.verdict.settled
 
 
 @pytest.mark.parametrize("bias", [270.0, -270.0])
@@ -97,7 +98,6 @@ def test_a_lasting_offset_is_found_with_its_time_size_and_sign(phi, bias):
     verdict = detector.verdict
     assert verdict.parted
     assert turned[0] >= 1800 + 300 - 4
-    assert (verdict.since_ns - START_NS) * 1e-9 == pytest.approx(1800.0, abs=90.0)
     assert verdict.after_s == pytest.approx(1800.0, abs=90.0)
     assert verdict.mean_nm == pytest.approx(bias, rel=0.15)
     assert verdict.share == pytest.approx(bias / DRIVE_NM, rel=0.15)
@@ -112,12 +112,6 @@ def test_a_larger_offset_is_found_sooner():
         found.append(watch(residual)[1][0])
     assert found == sorted(found, reverse=True)
     assert found[-1] < found[0]
-
-
-def test_an_offset_from_the_start_is_said_to_be_from_the_start():
-    verdict = watch(noise(1.0) + 800.0)[0].verdict
-    assert verdict.after_s == 0.0
-    assert "from the start on" in verdict.text
 
 
 def test_what_comes_round_each_lap_is_none():
@@ -158,12 +152,6 @@ def test_standing_and_hard_acceleration_are_not_compared(speed, accel):
     assert not turned
     assert not detector.verdict.settled
     assert "not enough driving" in detector.verdict.text
-
-
-def test_spikes_do_not_raise_it():
-    residual = noise(4.0, 0.5, seed=3)
-    residual[np.random.default_rng(1).random(len(residual)) < 0.01] += 50000.0
-    assert not watch(residual)[1]
 
 
 @pytest.mark.parametrize("spike", [5e4, 1e150])
@@ -219,7 +207,7 @@ def test_any_allowed_settings_and_any_numbers_do_no_harm(seed):
         speed, accel = random.choice([0.0, 5.0, 40.0, math.nan]), random.normal(0.0, 0.2)
         detector.take(stamp, residual, drive, abs(std), speed, accel)
     verdict = detector.verdict
-    assert verdict.parted == math.isfinite(verdict.mean_nm) == math.isfinite(verdict.share) == (verdict.since_ns is not None)
+    assert verdict.parted == math.isfinite(verdict.mean_nm) == math.isfinite(verdict.share) == math.isfinite(verdict.after_s)
 
 
 @pytest.mark.parametrize("value", [0.0, 1e9, -1e12, 1e-12])
@@ -239,14 +227,6 @@ def test_what_is_not_finite_or_goes_back_in_time_is_left_out():
     assert detector.verdict == before
     watch(noise(0.5), detector=detector, start_s=-10000.0)
     assert not detector.verdict.parted
-
-
-def test_restart_forgets():
-    detector, _ = watch(noise(1.0) + 900.0)
-    assert detector.verdict.parted
-    detector.restart()
-    assert not detector.verdict.parted
-    assert not detector.verdict.settled
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ LISTENERS_WITHIN_S = 30.0
 @click.option("--wait-for", multiple=True, metavar="TOPIC", help="Start once this topic has a subscriber; may be repeated.")
 @options.json
 def play_command(recording: Path, rate: float, wait_for: tuple[str, ...], as_json: bool) -> None:
-    """Play a ROS 2 bag with a /clock to a live node, without ROS. With ROS, use `ros2 bag play --clock`.
+    """Play a ROS 2 bag with its /clock, or one of its log times, to a live node. With ROS, use `ros2 bag play --clock`.
 
     \b
     trackres live --transport dds --vehicle xgd24d --topics sample -p use_sim_time:=true

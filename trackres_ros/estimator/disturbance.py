@@ -21,13 +21,12 @@ BLOCK_S = 5.0
 STEADY_MPS, STEADY_MPS2 = 1.0, 0.3  # slower, or with a larger acceleration, measured and expected torque are not compared
 LEAST_COMPARED_S = 1.0  # per block: less carries almost no information
 LONGEST_STEP_S = 2.0  # between two residuals: over a longer pause it may not have rolled
-LATE_S = 30.0  # a stamp from further back: the clock was set back
 BEGINS, ENDS = 0.9, 0.1  # probability from which a spell is reported as present or as over
 LONGEST_MEANS = 7.0  # mean lengths: of spells that end by chance one in a thousand is longer
 MOST_DRIFT = 2.0  # standard deviations of a drift: limit of its level
 LARGEST_NM = 1e100  # larger numbers are ignored like those that are not finite: the square would overflow
 OUTLIER = 5.0  # standard deviations: limit of a block's distance from a drift
-BLOCK_NS, LATE_NS = int(BLOCK_S / NANOSECOND), int(LATE_S / NANOSECOND)
+BLOCK_NS = int(BLOCK_S / NANOSECOND)
 MOST_LOG = 500.0  # of a ratio of likelihoods: its exponential is finite
 
 
@@ -159,15 +158,20 @@ class DisturbanceWatch:
         self._sum, self._seconds = 0.0, 0.0
         self._present = False
         self._since_ns: int | None = None
+        self._ahead_ns = 0
 
-    def take(self, stamp_ns: int, residual_nm: float, speed_mps: float) -> Belief:
+    def take(self, stamp_ns: int, residual_nm: float, speed_mps: float, ahead_ns: int = 0, jumped: bool = False) -> Belief:
         """Process measured less expected torque, nan where it is invalid; return the belief at that time.
 
-        The sign of the speed is the direction of travel.
+        The sign of the speed is the direction of travel. The stamp is ahead of its arrival by some time [ns]. Where the clock of
+        the stamps has jumped, all times move with it.
         """
+        if jumped:
+            by_ns, of_stamps = ahead_ns - self._ahead_ns, (self._block_ns, self._last_ns, self._since_ns)
+            self._known_ns += by_ns
+            self._block_ns, self._last_ns, self._since_ns = (None if at is None else at + by_ns for at in of_stamps)
+        self._ahead_ns = ahead_ns
         began_ns = stamp_ns
-        if self._block_ns is not None and stamp_ns - self._block_ns < -LATE_NS:
-            self.restart()
         if self._block_ns is None:
             self._block_ns = self._known_ns = stamp_ns
         elif stamp_ns - self._block_ns >= BLOCK_NS:

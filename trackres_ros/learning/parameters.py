@@ -86,7 +86,7 @@ def learnables(vehicle: AnyVehicle) -> tuple[Learnable, ...]:
 def _of_tracks(vehicle: Vehicle) -> tuple[Learnable, ...]:
     chassis, scale = vehicle.chassis, vehicle.rubber.loss_modulus_scale
     films = tuple(f"tracks.{name}.belt.{film}" for name in vehicle.tracks for film in ("film_offset", "film_slope"))
-    heat = ("rubber.heat_capacity",), 1.0 / rubber_share(vehicle)  # of a belt's: cords hold the rest
+    heat = ("rubber.heat_capacity",), 1.0 / rubber_share(vehicle)  # of all belts': cords hold the rest
     drag, mass = ("chassis.drag_coefficient",), ("chassis.rotating_mass_factor",)
     return (
         Learnable("loss_modulus_scale", "1", "scale of the belts' loss", at.OF_LOSS, scale, ("rubber.loss_modulus_scale",)),

@@ -170,7 +170,8 @@ class Application:
         if not all(math.isfinite(values[column]) for column in MUST_BE_FINITE):
             raise ArithmeticError(f"the estimate is not finite: {values}")
         stamp, waited = int(self.session.memory.times[at.SPEED, at.Times.last_stamp]), self._waited_ns(at.SPEED, arrival)
-        published = stamp + (0 if self.messages.reader.stamped else self.clock.set_by_ns(now, arrival))
+        set_ns = 0 if self.messages.reader.stamped else self.clock.set_by_ns(now, arrival)
+        published = stamp + set_ns
         self._publisher.take(values, published, steady, waited)
         offset = now - waited - published
         new_reasons = self.guard("watching the reasons", self._watch.accepted, int(values[at.Results.reasons]), offset)
@@ -180,7 +181,7 @@ class Application:
             self._next_output_ns = steady + int(LONGEST_PERIOD_S * SECOND_NS)
             self.guard.essential("publishing", self._publish, self.clock.steady_ns())
         self._state_at = time.time() - waited * NANOSECOND
-        news = self.guard("the comparison with the measured torque", self.comparison.take, stamp, values)
+        news = self.guard("the comparison with the measured torque", self.comparison.take, stamp, values, arrival, set_ns)
         if news:
             self._reasons_seen = None
             self._log(Level.OK, news)

@@ -17,7 +17,7 @@ from trackres_ros.node.mismatch import Mismatch, MismatchDetector, MismatchSetti
 from trackres_ros.node.notices import Notice
 from trackres_ros.vehicle import Disturbance
 
-TIME_RESET = int(at.Reason.TIME_RESET)
+TIME_RESET, CLOCK_JUMPED = int(at.Reason.TIME_RESET), int(at.Reason.CLOCK_JUMPED)
 
 
 class Comparison:
@@ -31,6 +31,7 @@ class Comparison:
         self._detector = MismatchDetector(settings)
         self._watch = None if disturbance is None else DisturbanceWatch(disturbance)
         self.belief = None if self._watch is None else self._watch.belief(0)
+        self._set_ns = 0
 
     @property
     def verdict(self) -> Mismatch:
@@ -49,15 +50,21 @@ class Comparison:
         if settings != self._detector.settings:
             self._detector = MismatchDetector(settings)
 
-    def take(self, stamp_ns: int, row: Sequence[float]) -> str:
-        """Take the results of a step at a time [ns]; return a text for the log, or an empty one."""
+    def take(self, stamp_ns: int, row: Sequence[float], arrival_ns: int, set_ns: int = 0) -> str:
+        """Take the results of a step, its stamp and its arrival [ns]; return a text for the log, or an empty one.
+
+        `set_ns` is how far this machine's clock was set since the start, where stamps do not show it.
+        """
         if int(row[at.Results.reasons]) & TIME_RESET:
             self.restart()
+        jumped = bool(int(row[at.Results.reasons]) & CLOCK_JUMPED) or set_ns != self._set_ns
+        self._set_ns = set_ns
         residual, speed, accel = row[at.Results.residual_nm], row[at.Results.speed_mps], row[at.Results.accel_mps2]
         before, explained = self.belief, 0.0
         if self._watch is not None:
             counts = self._detector.settings.compares(speed, accel)
-            self.belief = self._watch.take(stamp_ns, residual if counts else math.nan, speed)
+            now_ns = stamp_ns + set_ns
+            self.belief = self._watch.take(now_ns, residual if counts else math.nan, speed, now_ns - arrival_ns, jumped)
             explained = 0.0 if self.belief.overdue else self.belief.torque_nm * math.copysign(1.0, speed)
         self._detector.take(
             stamp_ns, residual - explained, row[at.Results.drive_torque_nm], row[at.Results.resistance_std_nm], speed, accel

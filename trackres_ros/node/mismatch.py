@@ -71,8 +71,7 @@ class Mismatch:
     """Result of the detector."""
 
     parted: bool  # whether there is a mismatch
-    since_ns: int | None  # stamp of its beginning, estimated afterwards
-    after_s: float  # driving time compared until then
+    after_s: float  # driving time compared until its beginning, estimated afterwards
     mean_nm: float  # mean difference since then, measured less expected, in the direction of travel
     share: float  # the same relative to the mean size of the expected torque
     settled: bool  # whether there were enough data to judge
@@ -153,15 +152,15 @@ class _Page:
 
     def clear(self) -> None:
         self.sum, self.bins, self.seconds, self.residual, self.drive = 0.0, 0, 0.0, 0.0, 0.0
-        self.since_ns, self.seconds_before = 0, 0.0
+        self.seconds_before = 0.0
 
-    def add(self, excess: float, since_ns: int, seconds_before: float) -> None:
-        """Add a bin; if the sum was zero, it begins at the given time."""
+    def add(self, excess: float, seconds_before: float) -> None:
+        """Add a bin; if the sum was zero, it begins at the given driving time."""
         if self.sum + excess <= 0.0:
             self.clear()
             return
         if self.bins == 0:
-            self.since_ns, self.seconds_before = since_ns, seconds_before
+            self.seconds_before = seconds_before
         self.sum += excess
         self.bins += 1
 
@@ -189,7 +188,7 @@ class MismatchDetector:
         """Reset after a restart of the estimate."""
         self._begin_bin(0)
         self._before: _Bin | None = None
-        self._first_ns, self._seconds = 0, 0.0
+        self._seconds = 0.0
         self._noise = _Noise()
         self._judging = False
         self._sides = {1.0: _Page(), -1.0: _Page()}
@@ -225,7 +224,7 @@ class MismatchDetector:
         settled = self._settled
         if self._side is None:
             text = "no lasting difference" if settled else "not enough driving with a measured torque yet"
-            return Mismatch(False, None, math.nan, math.nan, math.nan, settled, text)
+            return Mismatch(False, math.nan, math.nan, math.nan, settled, text)
         page = self._sides[self._side]
         mean, share = page.residual / page.seconds, page.residual / max(page.drive, 1e-9)
         after_s = page.seconds_before
@@ -234,7 +233,7 @@ class MismatchDetector:
             f"the measured torque is {abs(mean):.0f} Nm ({100.0 * abs(share):.0f} %) "
             f"{'above' if mean > 0.0 else 'below'} the expected torque for {page.seconds / 60.0:.1f} min of driving, {when}"
         )
-        return Mismatch(True, page.since_ns, after_s, mean, share, settled, text)
+        return Mismatch(True, after_s, mean, share, settled, text)
 
     @property
     def _settled(self) -> bool:
@@ -248,9 +247,7 @@ class MismatchDetector:
         s = self.settings
         now = _Bin(self._bin_start, *(total / self._samples for total in (self._residual, self._drive, self._std)))
         before, seconds = self._before, s.mismatch_bin_s
-        if before is None:
-            self._first_ns = now.start_ns
-        elif 0 < now.start_ns - before.start_ns <= self._related_ns:
+        if before is not None and 0 < now.start_ns - before.start_ns <= self._related_ns:
             seconds = (now.start_ns - before.start_ns) * NANOSECOND
         else:  # after a long pause, or the clock was set back
             before = None
@@ -274,18 +271,18 @@ class MismatchDetector:
         allowance = max(s.mismatch_share * now.drive, s.mismatch_std * now.std) * gain
         # Outliers are judged by their unexpected part, after the offset within the allowance.
         white = _within(white, OUTLIER + allowance)
-        began = (now.start_ns, self._seconds) if self._judging else (self._first_ns, 0.0)
+        began = self._seconds if self._judging else 0.0
         self._judging = True
         typical = self._noise.typical
         for side, page in self._sides.items():
             if side != self._side:
-                page.add(side * white - allowance, *began)
+                page.add(side * white - allowance, began)
             page.gather(typical, now.drive, seconds)
         if self._side is None:
             enough = (side for side, page in self._sides.items() if page.exceeds(s.mismatch_evidence, s.mismatch_hold_s))
             self._side = next(enough, None) if self._settled else None
             return
-        self._back.add(allowance - self._side * white, *began)
+        self._back.add(allowance - self._side * white, began)
         self._back.gather(typical, now.drive, seconds)
         if self._back.exceeds(s.mismatch_evidence, s.mismatch_hold_s):
             self._sides[self._side].clear()

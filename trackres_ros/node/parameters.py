@@ -12,9 +12,10 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import re
+import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -210,8 +211,10 @@ class Parameters:
 
     def diagnose_command(self) -> str:
         """Command that explains where and why measured and expected torque differ."""
-        given = [f" --{name} {self.text(name)}" for name in ("surroundings", "topics") if self.text(name)]
-        return f"trackres diagnose RECORDING --vehicle {self.text('vehicle')}{''.join(given)} -o report"
+        given = [
+            part for name in ("vehicle", "surroundings", "topics") if (file := self.text(name)) for part in (f"--{name}", file)
+        ]
+        return shlex.join(["trackres", "diagnose", "RECORDING", *given, "-o", "report"])
 
     def settings(self) -> Settings:
         """The estimator's share."""
@@ -298,11 +301,16 @@ def read_entries(path: Path, node: str, namespace: str) -> dict[str, object]:
     if not any(isinstance(value, Mapping) for value in content.values()):
         return dict(content)
     sections = _sections(content, "", str(path))
-    fitting = [values for pattern, values in sections if fnmatchcase(full, pattern) or pattern == "/**"]
+    fitting = [values for pattern, values in sections if fits(pattern, full)]
     if not fitting:
         names = ", ".join(pattern for pattern, _ in sections)
         raise InputError(str(path), f"parameters of {names}", f"a section for {full}", "use that name, or /** for any node")
     return {name: value for values in fitting for name, value in values.items()}
+
+
+def fits(pattern: str, node: str) -> bool:
+    """Whether a section is of a node with a full name, by the wildcards of ROS: /* is any one name, /** any number of them."""
+    return re.fullmatch(re.escape(pattern).replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+"), node) is not None
 
 
 def section_names(path: Path) -> list[str]:

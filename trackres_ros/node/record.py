@@ -9,6 +9,7 @@ counted and reported, and recording continues once the disk works again.
 
 from __future__ import annotations
 
+import shlex
 import threading
 import time
 from collections import deque
@@ -125,7 +126,10 @@ class Recorder:
             self._thread.start()
         application.on_estimate, application.on_restored = self._take, self._start_from
         application.recording_notices = self.notices
-        return [f"{path} is unfinished but readable; repair it with: trackres recover {path} -o FILE" for path in unfinished]
+        return [
+            f"{path} is unfinished but readable; repair it with: trackres recover {shlex.quote(str(path))} -o FILE"
+            for path in unfinished
+        ]
 
     def end(self) -> list[str]:
         """Finish the bag and draw the picture; return texts for the log. It never raises."""
@@ -146,7 +150,7 @@ class Recorder:
         if not self._is_finished:
             lines.append(f"{self._part} is unfinished: {self._error}; it is readable, repair it with: trackres recover")
         lines += [
-            f"{path}: the state restored before it; for the same numbers: trackres replay --resume {path}"
+            f"{path}: the state restored before it; for the same numbers: trackres replay --resume {shlex.quote(str(path))}"
             for path in self._starts
         ]
         return [*lines, *self._picture()]

@@ -23,7 +23,7 @@ MEANING = MappingProxyType(
         TORQUE: "its estimated torque against travel [Nm], from the previous 5 s blocks; no other column includes it",
     }
 )
-TIME_RESET = int(at.Reason.TIME_RESET)
+TIME_RESET, CLOCK_JUMPED = int(at.Reason.TIME_RESET), int(at.Reason.CLOCK_JUMPED)
 LOOKED_AT = [at.Results.residual_nm, at.Results.speed_mps, at.Results.accel_mps2, at.Results.reasons]
 
 
@@ -40,11 +40,12 @@ class DisturbanceColumns:
         if watch is None:
             return []
         found = np.empty((len(self.names), len(steps)))
-        for i, (stamp, row) in enumerate(zip(steps.stamp_ns.tolist(), steps.rows[:, LOOKED_AT].tolist(), strict=True)):
-            residual, speed, accel, reasons = row
+        times, rows = (steps.stamp_ns.tolist(), steps.arrival_ns.tolist()), steps.rows[:, LOOKED_AT].tolist()
+        for i, (stamp, arrival, (residual, speed, accel, reasons)) in enumerate(zip(*times, rows, strict=True)):
             if int(reasons) & TIME_RESET:
                 watch.restart()
             counts = abs(speed) >= STEADY_MPS and abs(accel) <= STEADY_MPS2
-            belief = watch.take(stamp, residual if counts else math.nan, speed)
+            jumped = bool(int(reasons) & CLOCK_JUMPED)
+            belief = watch.take(stamp, residual if counts else math.nan, speed, stamp - arrival, jumped)
             found[:, i] = belief.there, belief.torque_nm
         return list(found)

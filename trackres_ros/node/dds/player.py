@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Plays a bag onto the wire without ROS: its messages at their log times, with a clock."""
+"""Plays a bag onto the wire without ROS: its messages at their log times, with a clock: its own, or one of these times."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ WAIT_S = 0.05
 
 
 class Player:
-    """Publishes the messages of a bag of ROS 2 on their topics, at a speed relative to the recording.
+    """Publishes the messages of a bag of ROS 2 on their topics, at a speed relative to the recording, and a clock if it has none.
 
     Raises InputError if it cannot be read, or contains no message of a known type.
     """
@@ -45,7 +45,9 @@ class Player:
             raise InputError(str(path), f"topics {', '.join(self.left_out)}", "a topic of a common message type")
         self._participant = Participant("trackres_player", "/")
         self._writers = {topic: self._participant.writer(topic, kind, QUALITY) for topic, kind in known.items()}
-        self._clock = self._participant.writer("/clock", "rosgraph_msgs/msg/Clock", CLOCK_QUALITY)
+        self._clock = None  # a second clock beside that of the bag would set the time back and forth
+        if "/clock" not in known:
+            self._clock = self._participant.writer("/clock", "rosgraph_msgs/msg/Clock", CLOCK_QUALITY)
         self._participant.announce()
 
     @property
@@ -72,8 +74,9 @@ class Player:
                 now_s = time.monotonic() - begin
                 if not going_on():
                     return count
-                if now_s >= next_clock:
-                    self._tell_time(start_ns + int(min(now_s, due_s) * self.rate * SECOND_NS))
+                if self._clock and now_s >= next_clock:
+                    now_ns = start_ns + int(min(now_s, due_s) * self.rate * SECOND_NS)
+                    self._clock.write(struct.pack("<4siI", b"\0\1\0\0", *divmod(now_ns, SECOND_NS)))
                     next_clock = now_s + CLOCK_PERIOD_S
                 if now_s >= due_s:
                     break
@@ -94,6 +97,3 @@ class Player:
             wanted: list[Any] = [c for c in reader.connections if c.topic in self._writers]
             for connection, at_ns, raw in messages(reader, wanted):
                 yield self._writers[connection.topic], at_ns, bytes(raw)
-
-    def _tell_time(self, now_ns: int) -> None:
-        self._clock.write(struct.pack("<4siI", b"\0\1\0\0", *divmod(now_ns, SECOND_NS)))

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +15,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from trackres_ros.errors import InputError, nearest
-from trackres_ros.node.parameters import PARAMETERS, NodeParameter, Parameters, Value, known, make_parameters, section_names
+from trackres_ros.node.parameters import PARAMETERS, NodeParameter, Parameters, Value, fits, known, make_parameters, section_names
 from trackres_ros.node.ros.qos import OVERRIDES
 
 SIM_TIME = "use_sim_time"  # declared by rclpy itself
@@ -58,7 +57,7 @@ def files_without_effect(node: Node, arguments: Sequence[str]) -> list[str]:
         except InputError as error:  # a pipe that ROS has already read
             found.append(str(error))
             continue
-        if not any(re.fullmatch(name.replace("/*", r"(/\w+)"), full) for name in names):
+        if not any(fits(name, full) for name in names):
             given = f"parameters of {', '.join(names)}, which have no effect"
             found.append(str(InputError(path, given, f"a section for {full}", "use that name, or /** for any node")))
     return found

@@ -114,15 +114,19 @@ def _range(pair: Sequence[float]) -> Range:
 
 
 def _heat_capacity(vehicle: Vehicle, scale: float) -> float:
-    """Specific heat capacity of the rubber [J/kg/K] with which the whole belt, including cords, holds so many times the heat."""
-    share = rubber_share(vehicle)
+    """Specific heat capacity of the rubber [J/kg/K] with which the first belt, including cords, holds so many times the heat."""
+    share = rubber_share(vehicle, vehicle.assemblies[0].track)
     return vehicle.rubber.heat_capacity * (scale - 1.0 + share) / share
 
 
 def rubber_share(vehicle: Vehicle, track: str = "") -> float:
-    """Share of the rubber, without cords, in the heat capacity of the belt of a track, by default of the first assembly."""
-    belt, rubber = vehicle.tracks[track or vehicle.assemblies[0].track].belt, vehicle.rubber
-    return float(1.0 - heat_capacity(belt, replace(rubber, heat_capacity=0.0)) / heat_capacity(belt, rubber))
+    """Share of the rubber, without cords, in the heat capacity of the belt of a track, by default of all belts together."""
+    belts = [vehicle.tracks[track or one.track].belt for one in vehicle.assemblies]
+    cords, whole = (
+        sum(heat_capacity(belt, rubber) for belt in belts)
+        for rubber in (replace(vehicle.rubber, heat_capacity=0.0), vehicle.rubber)
+    )
+    return float(1.0 - cords / whole)
 
 
 def opened(source: Path) -> Document:
