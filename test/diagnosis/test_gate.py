@@ -99,16 +99,17 @@ def test_what_is_wrong_is_said_with_the_line_that_mends_it(run, recorded, tmp_pa
     assert not (tmp_path / "out" / "vehicle.yaml").exists()
 
 
-def test_a_load_in_parts_gets_the_lines_of_all_parts(recorded, loaded):
+@pytest.mark.parametrize(("parts", "share"), [(("load/front", "load/rear"), 0.5), (("load/rear_left",), 0.25)])
+def test_a_load_in_parts_gets_the_lines_of_all_parts(parts, share, recorded, loaded):
     (recording, *_) = read_recordings(recorded(), None)
-    of_all, parts = recording.series["load"], ("load/front", "load/rear")
-    half = replace(of_all, value=0.5 * of_all.value / 9806.65)
-    series = {**{role: s for role, s in recording.series.items() if role != "load"}, **dict.fromkeys(parts, half)}
+    of_all = recording.series["load"]
+    part = replace(of_all, value=share * of_all.value / 9806.65)
+    series = {**{role: s for role, s in recording.series.items() if role != "load"}, **dict.fromkeys(parts, part)}
     bindings = {role: TopicBinding(column=role[-4:]) for role in parts}
     with pytest.raises(InputError) as refused:
         gate([replace(recording, series=series, bindings=bindings)], loaded.known)
     lines = [f"{role}: {{column: {bindings[role].column}, scale: 9806.65}}" for role in parts]
-    assert str(refused.value).endswith(f"its lines in the topics file should be {' and '.join(lines)}")
+    assert str(refused.value).endswith(f"in the topics file should be {' and '.join(lines)}")
 
 
 def test_only_vehicles_with_belts_have_notes_on_belts(recorded, loaded):

@@ -8,6 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from trackres_ros.arrays import Array
 from trackres_ros.recording.roles import PASSENGER_KG
 
 STEP_S = 1.0  # mean torque over a step against its change of speed: exact for any course within
@@ -40,7 +43,26 @@ class GateSettings:
     has_belt: bool = False  # whether notes on belts apply
     axles: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # by axle, nominal loads of its assemblies [N]
 
+    def total_load(self, known: Mapping[str, Array]) -> Array:
+        """Load of the whole vehicle [N], from loads of it, of axles or of assemblies by role, alike in shape, at least one.
+
+        Where that of an axle or assembly is unknown, it is the nominal one.
+        """
+        if "load" in known:
+            return known["load"]
+        if not known.keys() <= {f"load/{name}" for axle, of in self.axles.items() for name in (axle, *of)}:
+            return np.asarray(np.sum(list(known.values()), axis=0))
+        return np.asarray(np.sum([_of_axle(known, *axle) for axle in self.axles.items()], axis=0))
+
     @property
     def slowest(self) -> float:
         """Speed below which friction may be static [m/s]."""
         return min(SLOWEST_MPS, SLOWEST_SHARE * self.max_speed)
+
+
+def _of_axle(known: Mapping[str, Array], name: str, nominal: Mapping[str, float]) -> Array:
+    """Load of an axle [N], from its own or from those of its assemblies; where unknown, from their nominal loads."""
+    unknown = np.full_like(next(iter(known.values())), np.nan)
+    own, *each = (known.get(f"load/{one}", unknown) for one in (name, *nominal))
+    whole = np.sum([np.where(np.isfinite(x), x, load) for x, load in zip(each, nominal.values(), strict=True)], axis=0)
+    return np.where(np.isfinite(own), own, whole)
