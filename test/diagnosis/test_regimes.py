@@ -23,7 +23,7 @@ from trackres_ros.diagnosis.prepare.session import DriveSession
 N = 3000
 
 
-def fitted(residual, speed=None, yaw_rate=0.0, heading=0.0, white=None, belt=None, split=1):
+def fitted(residual, speed=None, accel=0.0, yaw_rate=0.0, heading=0.0, white=None, belt=None, split=1):
     """A fit whose torque residual is given, of sessions of equal length; belts are nowhere."""
     n = len(residual)
     speed = np.ones(n) if speed is None else speed
@@ -33,8 +33,8 @@ def fitted(residual, speed=None, yaw_rate=0.0, heading=0.0, white=None, belt=Non
         full = lambda x, part=part, none=none: none + (x[part] if np.ndim(x) else x)  # noqa: E731
         sessions.append(
             DriveSession(
-                f"drive_{i}", 1.0, none, full(speed), none, none + 2e5, none + 15.0, none, full(yaw_rate), full(heading), none,
-                none, none, none == 0.0, none.astype(np.int64),
+                f"drive_{i}", 1.0, none, full(speed), full(accel), none + 2e5, none + 15.0, none, full(yaw_rate), full(heading),
+                none, none, none, none == 0.0, none.astype(np.int64),
             )
         )  # fmt: skip
         whites.append((residual if white is None else white)[part])
@@ -65,6 +65,14 @@ def test_a_residual_of_one_regime_is_found_there_with_its_size():
     assert (clearest.unit, clearest.samples) == ("m/s", N // BINS)
     assert found.p == clearest.p == pytest.approx(1.0 / (REPLICATES + 1.0))
     assert found.samples == N
+
+
+def test_in_reverse_too_an_acceleration_is_speeding_up():
+    ahead, speeding = np.sign(np.sin(np.arange(N) / 700.0)), np.sin(np.arange(N) / 80.0)
+    found = mapped(ahead * (noise() + 0.8 * (speeding > 0.87)), speed=3.0 * ahead, accel=ahead * speeding)
+    (clearest, *_) = found.significant
+    assert (clearest.variable, clearest.unit) == ("acceleration", "m/s^2")
+    assert (clearest.low, clearest.mean_residual) == pytest.approx((0.87, 0.8), abs=0.15)
 
 
 def test_noise_alone_hardly_ever_stands_out():
