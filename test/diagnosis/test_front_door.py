@@ -158,7 +158,7 @@ def test_without_the_libraries_of_the_page_the_rest_is_written(found, tmp_path, 
     (tmp_path / "bare").mkdir()
     before = [tmp_path / "bare" / name for name in ("report.html", "effect_earlier.svg", "of_mine.svg")]
     for file in before:
-        file.touch()
+        file.write_text("<title>Diagnosis of another vehicle</title>")
     with pytest.warns(UserWarning, match=r"no page: .*pip install jinja2"):
         folder = found.report(tmp_path / "bare")
     assert (folder / "vehicle.yaml").is_file()
