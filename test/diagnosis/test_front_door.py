@@ -136,13 +136,6 @@ def test_the_terminal_shows_the_warnings_alone(found):
     assert "Warning" not in repr(found)
 
 
-def test_where_nothing_is_kept_the_vehicle_is_the_one_given(found, xgd24d):
-    nothing = replace(found.diagnosis, kept=FileChanges(None, (), {}, "nothing is kept"))
-    result = tr.DiagnosisResult(nothing, found._loaded, found.recordings)
-    assert values_of(result.vehicle) == values_of(xgd24d)
-    assert effects_of(result.vehicle) == []
-
-
 def test_given_surroundings_stay_and_found_ones_are_not_added(found, xgd24d, effects):
     site, headwind = (tr.effects.Active(effects[name], effects[name].values()) for name in ("grade_profile", "headwind"))
     here = load_base(replace(xgd24d, surroundings=(site,)))

@@ -325,17 +325,6 @@ def test_slightly_overlapping_clocks_are_noted_unless_undated(recorded, loaded, 
     assert not any("clocks overlap" in n for n in judged(undated, loaded).notes)
 
 
-def test_a_short_recording_among_others_is_left_out_with_a_note(recorded, loaded, tmp_path):
-    one, other = recorded()
-    short = rewritten(other, tmp_path, rows(lambda _: slice(400)), "short.csv")
-    found = judged([one, short], loaded)
-    assert [s.name for s in found.sessions] == [str(one)]
-    assert any("short.csv" in note and "not used" in note for note in found.notes)
-    assert [seconds for reason, seconds in found.excluded.items() if "left out" in reason] == [79]
-    with pytest.raises(InputError, match="at least 120 s"):
-        judged([short], loaded)
-
-
 def off_odometer(columns):
     columns["distance_m"] = np.cumsum(columns["speed_mps"]) * 0.19
 
@@ -397,6 +386,7 @@ UNUSABLE = {
     standing: "a vehicle that moves",
     mostly_standing: "s of driving with a torque",
     stuck: "s torque stuck",
+    rows(lambda _: slice(400)): "at least 120 s",
     rows(lambda _: slice(None, None, 300)): "record speed and torque more often",  # one in a minute
     rows(lambda _: slice(None, None, 50)): "diagnose it without the others",
 }

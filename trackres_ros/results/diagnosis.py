@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from trackres_ros.diagnosis.report.interactive import Interactive
 
 REPORT_FILE, VEHICLE_FILE, PAGE_FILE = "report.json", "vehicle.yaml", "report.html"
-TITLE = "Diagnosis of "  # of a page
 PICTURES = (
     "believed.svg", "before_after.svg", "where_*.svg", "effect_*.svg", "term_*.svg", "route.svg", "route_beside.svg",
     "held_out.svg", "noise.svg", "separability.svg",
@@ -166,7 +165,7 @@ class DiagnosisResult:
             not_an_input(place / name, self._inputs, "folder")
         place.mkdir(parents=True, exist_ok=True)
         earlier = place / PAGE_FILE
-        if earlier.is_file() and f"<title>{TITLE}" in earlier.read_text(encoding="utf-8", errors="replace"):
+        if earlier.is_file() and "<title>Diagnosis of " in earlier.read_text(encoding="utf-8", errors="replace"):
             for old in (earlier, *(picture for name in PICTURES for picture in place.glob(name))):
                 old.unlink()
         file = place / REPORT_FILE
@@ -186,7 +185,7 @@ class DiagnosisResult:
         pictures = draw_all(self.diagnosis, place)
         vehicle = [self._loaded.source] if self._loaded.source else []
         made_of = provenance([*self.recordings, *vehicle], self._seconds)
-        path, title = place / PAGE_FILE, f"{TITLE}{self._loaded.title}"
+        path, title = place / PAGE_FILE, f"Diagnosis of {self._loaded.title}"
         write_page(path, self._content, pictures, title, _plots(self.diagnosis), made_of)
         return path, *(picture.path for picture in pictures)
 

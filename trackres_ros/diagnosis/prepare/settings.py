@@ -53,17 +53,15 @@ class GateSettings:
             return known["load"]
         if not known.keys() <= {f"load/{name}" for axle, of in self.axles.items() for name in (axle, *of)}:
             return np.asarray(np.sum(list(known.values()), axis=0))
-        return np.asarray(np.sum([_of_axle(known, *axle) for axle in self.axles.items()], axis=0))
+        unknown = np.full_like(next(iter(known.values())), np.nan)
+        total = np.zeros_like(unknown)
+        for axle, nominal in self.axles.items():
+            own, *each = (known.get(f"load/{name}", unknown) for name in (axle, *nominal))
+            whole = np.sum([np.where(np.isfinite(x), x, load) for x, load in zip(each, nominal.values(), strict=True)], axis=0)
+            total += np.where(np.isfinite(own), own, whole)
+        return total
 
     @property
     def slowest(self) -> float:
         """Speed below which friction may be static [m/s]."""
         return min(SLOWEST_MPS, SLOWEST_SHARE * self.max_speed)
-
-
-def _of_axle(known: Mapping[str, Array], name: str, nominal: Mapping[str, float]) -> Array:
-    """Load of an axle [N], from its own or from those of its assemblies; where unknown, from their nominal loads."""
-    unknown = np.full_like(next(iter(known.values())), np.nan)
-    own, *each = (known.get(f"load/{one}", unknown) for one in (name, *nominal))
-    whole = np.sum([np.where(np.isfinite(x), x, load) for x, load in zip(each, nominal.values(), strict=True)], axis=0)
-    return np.where(np.isfinite(own), own, whole)

@@ -47,20 +47,13 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
     there = [_correlation(_moved(session.torque, -s), expected, used[s]) for s in shifts]
     best = int(np.argmax(there))
     shift, gain = shifts[best], there[best] - there[LARGEST_SHIFT_S]
-    if abs(shift) < LEAST_SHIFT_S or gain < CLEARLY_BETTER or there[best] < SURE:
-        return session, ""
-    as_it_is, changes = (
+    changes, shifted = (
         _correlation(np.diff(_moved(session.torque, -s)), np.diff(expected), used[s][1:] & used[s][:-1]) for s in (0, shift)
     )
-    if changes < as_it_is:
+    if abs(shift) < LEAST_SHIFT_S or gain < CLEARLY_BETTER or there[best] < SURE or shifted < changes:
         return session, ""
     course = session.torque_course and Cumulative(session.torque_course.at - shift * session.step, session.torque_course.integral)
-    moved = replace(
-        session,
-        torque=_moved(session.torque, -shift),
-        used=used[shift],
-        torque_course=course,
-    )
+    moved = replace(session, torque=_moved(session.torque, -shift), used=used[shift], torque_course=course)
     return moved, f"{session.name}: the torque's clock differs from the speed's by {shift * session.step:+g} s; corrected"
 
 

@@ -31,12 +31,8 @@ def sensor_lines(
     for name, bindings in recorded.items() if sensors else ():
         for role, line in _lines(sensors, bindings, torque_scale).items():
             names.setdefault(role, {}).setdefault(line, []).append(one_line(name))
-    found = {}
-    for role, lines in names.items():
-        for line, of in lines.items():
-            alike = len(of) == len(recorded)
-            found[role if alike else f"{role} of {', '.join(of)}"] = line if alike else f"{line}  # {', '.join(of)}"
-    return found
+    each = [(role, line, "" if len(of) == len(recorded) else ", ".join(of)) for role in names for line, of in names[role].items()]
+    return {f"{role} of {of}" if of else role: f"{line}  # {of}" if of else line for role, line, of in each}
 
 
 def _lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding], torque_scale: float) -> dict[str, str]:
