@@ -345,13 +345,6 @@ def test_only_notes_to_act_on_are_warnings(with_first, change, warning):
     assert all(warning in note for note in found.warnings), found.warnings
 
 
-def test_start_of_a_recording_that_counts_from_zero():
-    stamps = np.array([0, 10, 20]) * 10**9
-    made = Recording("t", {"speed": Series(stamps, stamps, np.zeros(3))}, zero_is_unset=False)
-    assert made.time_s("speed").tolist() == [0.0, 10.0, 20.0]
-    assert replace(made, zero_is_unset=True).time_s("speed").tolist() == [-10.0, 0.0, 10.0]
-
-
 # One recording among others
 
 
