@@ -127,7 +127,7 @@ def test_a_notebook_shows_sentence_values_and_a_picture(found):
 def test_the_terminal_shows_the_warnings_alone(found):
     notes = ("an assumption", *(WarningNote(f"{n}.csv: not used") for n in range(12)))
     noted = replace(found.diagnosis, gated=replace(found.diagnosis.gated, notes=notes))
-    result = tr.DiagnosisResult(noted, found._loaded, found.recordings, {})
+    result = tr.DiagnosisResult(noted, found._loaded, found.recordings)
     assert result.warnings == notes[1:]
     assert json.loads(json.dumps(result.as_dict()))["warnings"] == list(notes[1:])
     assert repr(result).count("Warning: ") == 10
@@ -136,18 +136,11 @@ def test_the_terminal_shows_the_warnings_alone(found):
     assert "Warning" not in repr(found)
 
 
-def test_where_nothing_is_kept_the_vehicle_is_the_one_given(found, xgd24d):
-    nothing = replace(found.diagnosis, kept=FileChanges(None, (), {}, "nothing is kept"))
-    result = tr.DiagnosisResult(nothing, found._loaded, found.recordings, {})
-    assert values_of(result.vehicle) == values_of(xgd24d)
-    assert effects_of(result.vehicle) == []
-
-
 def test_given_surroundings_stay_and_found_ones_are_not_added(found, xgd24d, effects):
     site, headwind = (tr.effects.Active(effects[name], effects[name].values()) for name in ("grade_profile", "headwind"))
     here = load_base(replace(xgd24d, surroundings=(site,)))
     with_wind = replace(found.diagnosis, kept=FileChanges(None, (headwind,), {}, "a wind is kept"))
-    result = tr.DiagnosisResult(with_wind, here, found.recordings, {})
+    result = tr.DiagnosisResult(with_wind, here, found.recordings)
     assert result.vehicle.surroundings == (site,)
     assert found.vehicle.surroundings == ()
 
@@ -155,11 +148,15 @@ def test_given_surroundings_stay_and_found_ones_are_not_added(found, xgd24d, eff
 def test_without_the_libraries_of_the_page_the_rest_is_written(found, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "jinja2", None)
     monkeypatch.setattr("trackres_ros.diagnosis.report.pictures.draw_all", lambda *_: [])  # they take long
+    (tmp_path / "bare").mkdir()
+    before = [tmp_path / "bare" / name for name in ("report.html", "effect_earlier.svg", "of_mine.svg")]
+    for file in before:
+        file.write_text("<title>Diagnosis of another vehicle</title>")
     with pytest.warns(UserWarning, match=r"no page: .*pip install jinja2"):
         folder = found.report(tmp_path / "bare")
     assert (folder / "vehicle.yaml").is_file()
     assert json.loads((folder / "report.json").read_text()) == found.as_dict()
-    assert not (folder / "report.html").exists()
+    assert [file.exists() for file in before] == [False, False, True]  # an earlier page would contradict report.json
 
 
 def test_a_vehicle_that_was_changed_in_memory_is_refused(recorded, xgd24d):
@@ -174,7 +171,7 @@ def test_a_road_vehicle_is_given_by_name_and_comes_back_as_one(found):
     name = next(iter(shipped_road_vehicles()))
     base = load_base(name)
     nothing = replace(found.diagnosis, base=base.base, kept=FileChanges(None, (), {}, "nothing is kept"))
-    result = tr.DiagnosisResult(found.diagnosis, base, found.recordings, {})
+    result = tr.DiagnosisResult(found.diagnosis, base, found.recordings)
     result.diagnosis = nothing
     road = result.vehicle
     assert isinstance(road, RoadVehicle)

@@ -99,16 +99,17 @@ def test_what_is_wrong_is_said_with_the_line_that_mends_it(run, recorded, tmp_pa
     assert not (tmp_path / "out" / "vehicle.yaml").exists()
 
 
-def test_a_load_in_parts_gets_the_lines_of_all_parts(recorded, loaded):
+@pytest.mark.parametrize(("parts", "share"), [(("load/front", "load/rear"), 0.5), (("load/rear_left",), 0.25)])
+def test_a_load_in_parts_gets_the_lines_of_all_parts(parts, share, recorded, loaded):
     (recording, *_) = read_recordings(recorded(), None)
-    of_all, parts = recording.series["load"], ("load/front", "load/rear")
-    half = replace(of_all, value=0.5 * of_all.value / 9806.65)
-    series = {**{role: s for role, s in recording.series.items() if role != "load"}, **dict.fromkeys(parts, half)}
+    of_all = recording.series["load"]
+    part = replace(of_all, value=share * of_all.value / 9806.65)
+    series = {**{role: s for role, s in recording.series.items() if role != "load"}, **dict.fromkeys(parts, part)}
     bindings = {role: TopicBinding(column=role[-4:]) for role in parts}
     with pytest.raises(InputError) as refused:
         gate([replace(recording, series=series, bindings=bindings)], loaded.known)
     lines = [f"{role}: {{column: {bindings[role].column}, scale: 9806.65}}" for role in parts]
-    assert str(refused.value).endswith(f"its lines in the topics file should be {' and '.join(lines)}")
+    assert str(refused.value).endswith(f"in the topics file should be {' and '.join(lines)}")
 
 
 def test_only_vehicles_with_belts_have_notes_on_belts(recorded, loaded):
@@ -324,17 +325,6 @@ def test_slightly_overlapping_clocks_are_noted_unless_undated(recorded, loaded, 
     assert not any("clocks overlap" in n for n in judged(undated, loaded).notes)
 
 
-def test_a_short_recording_among_others_is_left_out_with_a_note(recorded, loaded, tmp_path):
-    one, other = recorded()
-    short = rewritten(other, tmp_path, rows(lambda _: slice(400)), "short.csv")
-    found = judged([one, short], loaded)
-    assert [s.name for s in found.sessions] == [str(one)]
-    assert any("short.csv" in note and "not used" in note for note in found.notes)
-    assert [seconds for reason, seconds in found.excluded.items() if "left out" in reason] == [79]
-    with pytest.raises(InputError, match="at least 120 s"):
-        judged([short], loaded)
-
-
 def off_odometer(columns):
     columns["distance_m"] = np.cumsum(columns["speed_mps"]) * 0.19
 
@@ -353,13 +343,6 @@ def test_only_notes_to_act_on_are_warnings(with_first, change, warning):
     found, _ = with_first(change)
     assert len(found.notes) > len(found.warnings) == (warning is not None)
     assert all(warning in note for note in found.warnings), found.warnings
-
-
-def test_start_of_a_recording_that_counts_from_zero():
-    stamps = np.array([0, 10, 20]) * 10**9
-    made = Recording("t", {"speed": Series(stamps, stamps, np.zeros(3))}, zero_is_unset=False)
-    assert made.time_s("speed").tolist() == [0.0, 10.0, 20.0]
-    assert replace(made, zero_is_unset=True).time_s("speed").tolist() == [-10.0, 0.0, 10.0]
 
 
 # One recording among others
@@ -396,6 +379,7 @@ UNUSABLE = {
     standing: "a vehicle that moves",
     mostly_standing: "s of driving with a torque",
     stuck: "s torque stuck",
+    rows(lambda _: slice(400)): "at least 120 s",
     rows(lambda _: slice(None, None, 300)): "record speed and torque more often",  # one in a minute
     rows(lambda _: slice(None, None, 50)): "diagnose it without the others",
 }

@@ -20,6 +20,7 @@ from trackres_ros.estimator import snapshot
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.uncertainty import spread
 from trackres_ros.evaluation.synthetic import drives, write_recordings
+from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
@@ -271,7 +272,7 @@ def test_with_the_line_that_is_printed_a_sensor_shows_what_is_so(wrong, loaded, 
     (shown,) = write_recordings(loaded.base, tmp_path, [session], active, np.random.default_rng(3))
     (tmp_path / "true").mkdir()
     (true,) = write_recordings(loaded.base, tmp_path / "true", [session], [], np.random.default_rng(3))
-    lines = sensor_lines(active, open_source([shown]).bindings, 1.0)
+    lines = sensor_lines(active, {"drive.csv": open_source([shown]).bindings}, 1.0)
     role = "speed" if "speed_scale" in wrong else "torque"
     assert set(lines) == {role}
     topics = Topics.parse(yaml.safe_load("\n".join(lines.values())))
@@ -292,7 +293,11 @@ def test_lines_of_two_sides_correct_the_sum_of_their_torques(wrong):
     active = [Active(known[name], {known[name].parameters[0].name: value}) for name, value in wrong.items()]
     given = {"torque/left": {"column": "l", "scale": 2.0, "offset": 5.0}, "torque/right": {"column": "r", "delay_s": 0.1}}
     before = Topics.parse(given)
-    lines = sensor_lines(active, {role: before[role] for role in given}, 1.0)
+    recorded = {"a.csv": {role: before[role] for role in given}, "b.csv": {"torque": TopicBinding(column="m")}}
+    lines, other = (sensor_lines(active, {name: of}, 1.0) for name, of in recorded.items())
+    each = [("a.csv", *line) for line in lines.items()] + [("b.csv", *line) for line in other.items()]
+    assert sensor_lines(active, recorded, 1.0) == {f"{role} of {name}": f"{line}  # {name}" for name, role, line in each}
+    assert sensor_lines(active, {"a.csv": recorded["a.csv"], "c.csv": recorded["a.csv"]}, 1.0) == lines
     assert lines.keys() == given.keys()
     after = Topics.parse(yaml.safe_load("\n".join(lines.values())))
     measured, corrected = (sum(of[role].scale * x + of[role].offset for role, x in raw.items()) for of in (before, after))

@@ -75,7 +75,7 @@ def test_passengers_are_carried_on_and_weigh(tmp_path):
     assert not loaded.payload.any()
 
 
-@pytest.mark.parametrize("of", ["front", "front rear", "rear_left", "front rear_left", "front front_left", "left right"])
+@pytest.mark.parametrize("of", ["front", "front rear", "front_left", "front rear_left", "front front_left", "left right"])
 def test_loads_of_parts_weigh_what_they_weigh_in_a_replay(tmp_path, of):
     loads = {"front": 200e3, "rear": 100e3, "front_left": 50e3, "rear_left": 90e3, "left": 120e3, "right": 130e3}
     path = drive(tmp_path, **{f"weight_n/{part}": np.full(SECONDS, loads[part]) for part in of.split()})

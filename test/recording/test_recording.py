@@ -147,9 +147,10 @@ def test_what_is_normal_is_not_found() -> None:
 
 def test_zero_is_a_time_in_a_table_and_unset_in_a_bag() -> None:
     time = np.arange(100) / 10.0
-    series = {"speed": (time, np.sin(time))}
-    assert "zero_stamp" not in found(Recording.from_source(Given(series, zero_is_unset=False)))
-    assert found(Recording.from_source(Given(series, zero_is_unset=True)))["zero_stamp"].count == 1
+    table, bag = (recorded(unset, speed=(time, np.sin(time))) for unset in (False, True))
+    assert "zero_stamp" not in found(table)
+    assert found(bag)["zero_stamp"].count == 1
+    assert (table.time_s("speed")[1], bag.time_s("speed")[1]) == (0.1, 0.0)
     for before in (1e3, 1.7e9):  # a first time of 0, and then others
         late = {"speed": (np.append(0.0, before + time), np.append(0.0, np.sin(time)))}
         assert found(Recording.from_source(Given(late, zero_is_unset=False)))["gap"].count == 1

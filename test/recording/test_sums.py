@@ -21,7 +21,7 @@ from trackres_ros.node.endpoints import input_topics
 from trackres_ros.node.input_reader import InputReader
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.corrected_lines import corrected, line_of
+from trackres_ros.recording.corrected_lines import corrected, line_of, line_to_write
 from trackres_ros.recording.role_units import UNITS, Conversion
 from trackres_ros.recording.sums import Sum
 
@@ -177,6 +177,9 @@ def test_a_corrected_line_converts_the_values_read_with_the_old(before, by):
 def test_an_offset_is_divided_among_the_parts_of_a_role():
     given = {"torque/left": TopicBinding(column="l"), "torque/right": TopicBinding(column="r", offset=3.0)}
     assert [one.offset for one in corrected("torque", Conversion(offset=-8.0), given).values()] == [-4.0, -1.0]
+    other = {"torque": TopicBinding(column="c")}
+    said = [line_to_write("torque", Conversion(-1.0), *each) for each in ((other,), (given,), (other, given, other))]
+    assert said[2].split(" should be ")[1] == " and ".join(of.split(" should be ")[1] for of in said[:2])
 
 
 PART = {"column": "a"}

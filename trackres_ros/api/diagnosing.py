@@ -137,7 +137,7 @@ def diagnose(
     used = {session.name for session in found.sessions}
     paths = paths_of([session for session in sessions if session.name in used])
     inputs = input_files(mapping, *paths, loaded.source, surroundings)
-    return DiagnosisResult(found, loaded, paths, sessions[0].bindings, time.monotonic() - begun, inputs)
+    return DiagnosisResult(found, loaded, paths, time.monotonic() - begun, inputs)
 
 
 def _name(recording: StrPath | Recording) -> str:

@@ -42,9 +42,9 @@ def line_of(role: str, binding: TopicBinding) -> str:
     return f"{role}: {text if binding.parts or binding.topic or binding.column else f'{{..., {text[1:]}'}"
 
 
-def line_to_write(role: str, by: Conversion, bindings: Mapping[str, TopicBinding]) -> str:
-    """What to write in the topics file, for the end of a sentence."""
-    lines = [line_of(one, binding) for one, binding in corrected(role, by, bindings).items()]
+def line_to_write(role: str, by: Conversion, *each: Mapping[str, TopicBinding]) -> str:
+    """What to write in the topics file for the bindings of each recording, for the end of a sentence."""
+    lines = list(dict.fromkeys(line_of(*one) for bindings in each for one in corrected(role, by, bindings).items()))
     return f"{'its line' if len(lines) == 1 else 'its lines'} in the topics file should be {' and '.join(lines)}"
 
 

@@ -11,7 +11,7 @@ import json
 import shutil
 import tempfile
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from html import escape
@@ -30,7 +30,6 @@ from trackres_ros.diagnosis.report.series import stages
 from trackres_ros.errors import MissingExtraError, one_line
 from trackres_ros.files.output_files import not_an_input, output_folder
 from trackres_ros.files.own_files import write
-from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.text.html import listed, panel, paragraph, table
 from trackres_ros.text.numbers import alike, figures
 from trackres_ros.vehicle import AnyVehicle, load_any
@@ -39,7 +38,12 @@ from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
 if TYPE_CHECKING:
     from trackres_ros.diagnosis.report.interactive import Interactive
 
-REPORT_FILE, VEHICLE_FILE = "report.json", "vehicle.yaml"
+REPORT_FILE, VEHICLE_FILE, PAGE_FILE = "report.json", "vehicle.yaml", "report.html"
+PICTURES = (
+    "believed.svg", "before_after.svg", "where_*.svg", "effect_*.svg", "term_*.svg", "route.svg", "route_beside.svg",
+    "held_out.svg", "noise.svg", "separability.svg",
+)  # fmt: skip
+"""Pictures of a page; those of an earlier diagnosis would look like this one's."""
 REPLAYED = {
     "accel": "the acceleration from past speeds alone", "grade": "no slope from the altitude", "yaw_rate": "no yaw rate",
     "heading": "no heading",
@@ -67,7 +71,6 @@ class DiagnosisResult:
         found: Diagnosis,
         loaded: LoadedBase,
         recordings: Sequence[Path],
-        bindings: Mapping[str, TopicBinding],
         seconds: float | None = None,
         inputs: Sequence[Path] = (),
     ) -> None:
@@ -77,7 +80,7 @@ class DiagnosisResult:
         self._loaded = loaded
         self._seconds = seconds
         self._inputs = inputs
-        self._content = report(found, self.recordings, bindings)
+        self._content = report(found, self.recordings)
 
     @property
     def sentence(self) -> str:
@@ -138,7 +141,7 @@ class DiagnosisResult:
         """Write the files of `trackres diagnose -o`: report.json, report.html with pictures, vehicle.yaml, and
         surroundings.yaml if an effect belongs to the surroundings.
 
-        Without jinja2 or matplotlib there is no page, only a warning.
+        Page and pictures of an earlier report there are removed. Without jinja2 or matplotlib there is no page, only a warning.
 
         Parameters
         ----------
@@ -161,6 +164,10 @@ class DiagnosisResult:
         for name in DATA_FILES:
             not_an_input(place / name, self._inputs, "folder")
         place.mkdir(parents=True, exist_ok=True)
+        earlier = place / PAGE_FILE
+        if earlier.is_file() and "<title>Diagnosis of " in earlier.read_text(encoding="utf-8", errors="replace"):
+            for old in (earlier, *(picture for name in PICTURES for picture in place.glob(name))):
+                old.unlink()
         file = place / REPORT_FILE
         write(file, (json.dumps(self._content, indent=2, allow_nan=False) + "\n").encode())
         self.written = (file, *self._write_vehicle(place))
@@ -178,7 +185,7 @@ class DiagnosisResult:
         pictures = draw_all(self.diagnosis, place)
         vehicle = [self._loaded.source] if self._loaded.source else []
         made_of = provenance([*self.recordings, *vehicle], self._seconds)
-        path, title = place / "report.html", f"Diagnosis of {self._loaded.title}"
+        path, title = place / PAGE_FILE, f"Diagnosis of {self._loaded.title}"
         write_page(path, self._content, pictures, title, _plots(self.diagnosis), made_of)
         return path, *(picture.path for picture in pictures)
 

@@ -30,7 +30,7 @@ class Variable:
 
 VARIABLES = (
     Variable("speed", "m/s", lambda s, _: s.speed),
-    Variable("acceleration", "m/s^2", lambda s, _: s.accel_around),
+    Variable("acceleration", "m/s^2", lambda s, _: s.accel_around * s.ahead),  # along travel, as in learned curves
     Variable("yaw rate", "rad/s", lambda s, _: np.abs(s.yaw_rate)),
     Variable("yaw rate to the left", "rad/s", lambda s, _: s.yaw_rate),
     Variable("curvature", "1/m", lambda s, _: np.abs(s.yaw_rate) / np.maximum(np.abs(s.speed), SLOWEST_TURNING_MPS)),

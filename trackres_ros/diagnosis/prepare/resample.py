@@ -163,7 +163,7 @@ def resample(
     series = recording.series
     check_compared(recording, shortest_s)
     edges = np.arange(0.0, ordered(series["speed"], recording.start_ns)[0][-1] + 1e-9, step)
-    notes += check_units(recording, settings.weight)
+    notes += check_units(recording, settings)
     grid = _Grid(recording.name, recording.bindings, series, recording.start_ns, edges, step, settings, notes, set())
     grid.given.update(role for role in CHANNELS if grid.has(role))
     speed, (torques, torque, torque_known, torque_noise) = _speed(grid), _torque(grid)
@@ -367,18 +367,5 @@ def _weight(grid: _Grid) -> Array:
     if not known:
         return np.full(grid.count, nominal)
     grid.given.add("load")
-    if "load" in known:
-        total = known["load"]
-    elif known.keys() <= {f"load/{name}" for axle, of in grid.settings.axles.items() for name in (axle, *of)}:
-        total = np.sum([_of_axle(known, *axle) for axle in grid.settings.axles.items()], axis=0)
-    else:
-        total = np.sum(list(known.values()), axis=0)
+    total = grid.settings.total_load(known)
     return np.where(np.isfinite(total) & (total > 0.1 * nominal), total, nominal)
-
-
-def _of_axle(known: Mapping[str, Array], name: str, nominal: Mapping[str, float]) -> Array:
-    """Load of an axle [N], from its own or from those of its assemblies; where unknown, from their nominal loads."""
-    unknown = np.full_like(next(iter(known.values())), np.nan)
-    own, *each = (known.get(f"load/{one}", unknown) for one in (name, *nominal))
-    whole = np.sum([np.where(np.isfinite(x), x, load) for x, load in zip(each, nominal.values(), strict=True)], axis=0)
-    return np.where(np.isfinite(own), own, whole)

@@ -8,8 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from trackres_ros.recording.roles import PASSENGER_KG
 
+Array = NDArray[np.float64]
 STEP_S = 1.0  # mean torque over a step against its change of speed: exact for any course within
 LEAST_SAMPLES = 5  # in a step: with fewer, sampling affects the change of speed and the mean torque as much as the drive does
 SLOWEST_MPS, SLOWEST_SHARE = 0.3, 0.1  # of the greatest speed; below both friction may be static
@@ -39,6 +43,23 @@ class GateSettings:
     track_width: float | None = None  # distance of left from right wheels [m]; None if not in the file
     has_belt: bool = False  # whether notes on belts apply
     axles: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # by axle, nominal loads of its assemblies [N]
+
+    def total_load(self, known: Mapping[str, Array]) -> Array:
+        """Load of the whole vehicle [N], from loads of it, of axles or of assemblies by role, alike in shape, at least one.
+
+        Where that of an axle or assembly is unknown, it is the nominal one.
+        """
+        if "load" in known:
+            return known["load"]
+        if not known.keys() <= {f"load/{name}" for axle, of in self.axles.items() for name in (axle, *of)}:
+            return np.asarray(np.sum(list(known.values()), axis=0))
+        unknown = np.full_like(next(iter(known.values())), np.nan)
+        total = np.zeros_like(unknown)
+        for axle, nominal in self.axles.items():
+            own, *each = (known.get(f"load/{name}", unknown) for name in (axle, *nominal))
+            whole = np.sum([np.where(np.isfinite(x), x, load) for x, load in zip(each, nominal.values(), strict=True)], axis=0)
+            total += np.where(np.isfinite(own), own, whole)
+        return total
 
     @property
     def slowest(self) -> float:

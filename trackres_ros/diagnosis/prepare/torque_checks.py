@@ -37,7 +37,8 @@ CLEARLY_BETTER = 0.05  # in correlation
 def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession, str]:
     """The session with its torque shifted to the best correlation with the speed, and a note.
 
-    Shifts only by whole steps from `LEAST_SHIFT_S` on: a shorter delay is physical, or a sensor's.
+    Shifts only by whole steps from `LEAST_SHIFT_S` on: a shorter delay is physical, or a sensor's. The changes from step to
+    step must agree: on hills without a recorded slope, a smooth drive correlates best at another time by chance.
     """
     if session.used.sum() < FEWEST_COMPARED:
         return session, ""
@@ -46,15 +47,13 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
     there = [_correlation(_moved(session.torque, -s), expected, used[s]) for s in shifts]
     best = int(np.argmax(there))
     shift, gain = shifts[best], there[best] - there[LARGEST_SHIFT_S]
-    if abs(shift) < LEAST_SHIFT_S or gain < CLEARLY_BETTER or there[best] < SURE:
+    changes, shifted = (
+        _correlation(np.diff(_moved(session.torque, -s)), np.diff(expected), used[s][1:] & used[s][:-1]) for s in (0, shift)
+    )
+    if abs(shift) < LEAST_SHIFT_S or gain < CLEARLY_BETTER or there[best] < SURE or shifted < changes:
         return session, ""
     course = session.torque_course and Cumulative(session.torque_course.at - shift * session.step, session.torque_course.integral)
-    moved = replace(
-        session,
-        torque=_moved(session.torque, -shift),
-        used=used[shift],
-        torque_course=course,
-    )
+    moved = replace(session, torque=_moved(session.torque, -shift), used=used[shift], torque_course=course)
     return moved, f"{session.name}: the torque's clock differs from the speed's by {shift * session.step:+g} s; corrected"
 
 
@@ -80,7 +79,7 @@ def check_torque(
     slope, alike = float(m @ e / (e @ e)), float(np.corrcoef(m, e)[0, 1]) if np.ptp(e) > 0.0 else 0.0
     if alike < -SURE or (slope < 0.0 and abs(m.mean()) > 0.3 * abs(e.mean())):
         given = f"changes by {slope:.2g} times the expected torque (correlation {alike:.2f})"
-        line = line_to_write("torque", Conversion(-1.0), sessions[0].bindings)
+        line = line_to_write("torque", Conversion(-1.0), *(s.bindings for s in sessions))
         raise InputError(where, given, "a torque that is positive when driving forward", line)
     low, high = HEALTHY[0] * known.torque_share[0], HEALTHY[1] * known.torque_share[1]
     least, most = _share_of_inertia(m, e - r, r)
@@ -137,12 +136,12 @@ def _remedy(share: float, sessions: Sequence[DriveSession], known: GateSettings)
         whats["of the motor"] = known.motor_ratio
     fitting = [what for what, factor in whats.items() if 1.0 / NEAR < share * factor < NEAR]
     nearest = min(fitting, key=lambda what: abs(np.log(share * whats[what])), default="")
-    said = []
+    said, each = [], [s.bindings for s in sessions]
     fastest = max(float(np.percentile(np.abs(s.speed), 99.0)) for s in sessions)
     if 1.0 / NEAR < share * KMH_PER_MPS < NEAR and fastest > KMH_PER_MPS * SLOWEST_MPS:
-        said.append(f"if the speed is in km/h, {line_to_write('speed', Conversion(1.0 / KMH_PER_MPS), sessions[0].bindings)}")
+        said.append(f"if the speed is in km/h, {line_to_write('speed', Conversion(1.0 / KMH_PER_MPS), *each)}")
     if nearest:
-        said.append(f"if it is {nearest}, {line_to_write('torque', Conversion(whats[nearest]), sessions[0].bindings)}")
+        said.append(f"if it is {nearest}, {line_to_write('torque', Conversion(whats[nearest]), *each)}")
     else:
         said.append("with scale in the topics file, multiply a motor torque by its gear ratio and the torque of one side by two")
     return "; ".join(said)

@@ -11,6 +11,7 @@ import numpy as np
 
 from trackres_ros.diagnosis.prepare.notes import WarningNote
 from trackres_ros.diagnosis.prepare.session import Array
+from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import PLAUSIBLE
 from trackres_ros.recording.binding import TopicBinding
@@ -31,8 +32,8 @@ RELATED = 0.8  # correlation from which the ratio of two series is due to units
 FEWEST = 30
 
 
-def check_units(recording: Recording, weight: float) -> list[str]:
-    """Refuse values in a wrong unit, with the line for the topics file; note unusual ones. `weight` is the file's [N]."""
+def check_units(recording: Recording, known: GateSettings) -> list[str]:
+    """Refuse values in a wrong unit, with the line for the topics file; note unusual ones. `known` are facts of the vehicle."""
     said, bindings = [], recording.bindings
     for role, samples in recording.series.items():
         value = samples.value[np.isfinite(samples.value)]
@@ -49,7 +50,7 @@ def check_units(recording: Recording, weight: float) -> list[str]:
             _refuse(where, f"slopes of {most:.3g}", allowed, "%", role, bindings)
         elif base == "heading" and _turns_by(value, 360.0) and not _turns_by(value, 2.0 * np.pi):
             _refuse(where, "jumps of 360", "an angle in rad", "deg", role, bindings)
-    said += _weight(recording, weight)
+    said += _weight(recording, known)
     return said
 
 
@@ -115,14 +116,16 @@ def _temperature(where: str, role: str, middle: float, bindings: Mapping[str, To
     return []
 
 
-def _weight(recording: Recording, weight: float) -> list[str]:
-    """Compare the sum of the loads with the vehicle file's weight."""
-    series = recording.series
-    roles = ["load"] if "load" in series else [role for role in series if base_role(role) == "load"]
-    values = [series[role].value[np.isfinite(series[role].value)] for role in roles]
-    if not roles or not all(len(value) for value in values):
+def _weight(recording: Recording, known: GateSettings) -> list[str]:
+    """Compare the recorded loads with the vehicle file's of the same parts."""
+    finite = {role: s.value[np.isfinite(s.value)] for role, s in recording.series.items() if base_role(role) == "load"}
+    loads = {role: np.array(np.median(value)) for role, value in finite.items() if len(value)}
+    roles = ["load"] if "load" in loads else list(loads)
+    if not roles:
         return []
-    share = sum(float(np.median(value)) for value in values) / weight
+    others = float(known.total_load({role: np.array(0.0) for role in loads}))  # nominal, of the parts without a load
+    weight = known.weight - others
+    share = (float(known.total_load(loads)) - others) / weight
     where, low, high = f"{recording.name}: {', '.join(roles)}", *WEIGHTS
     given = f"{share * weight:.4g} {ROLES['load'].unit}, {share:.2g} of the vehicle file's {weight:.4g} N"
     if not low <= share <= high:

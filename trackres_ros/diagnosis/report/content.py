@@ -26,7 +26,6 @@ from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, Improvement
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.effects.effect import BELONGS_TO
-from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.vehicle.writing.changes import Interval
 from trackres_ros.vehicle.writing.sensor_lines import REPLACED, sensor_lines
@@ -36,11 +35,11 @@ SCHEMA = 1
 BINS, CELLS = 24, (24, 12)  # of a histogram; of speed and acceleration
 
 
-def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBinding] = {}) -> dict[str, Any]:
-    """All findings as plain data; `bindings` are how the recordings were read."""
+def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
+    """All findings as plain data."""
     belongs_to = {active.effect.name: active.effect.belongs_to for active in d.final.effects}
     scale = (d.kept.values or {}).get("torque_scale", d.base.torque_scale)
-    lines = sensor_lines(d.kept.of("sensor"), bindings, scale)
+    lines = sensor_lines(d.kept.of("sensor"), {s.name: s.bindings for s in d.sessions}, scale)
     kept = {kind: d.kept.names_of(kind) for kind in BELONGS_TO}
     routes = [_route(route, d.final) for route in d.routes]
     content = {

@@ -114,7 +114,7 @@ def _offset_at_rest(sessions: Sequence[DriveSession], most: float, scale: float)
     if abs(mean) <= most or spread > ALIKE * abs(mean):
         return ""
     shown = figures(scale * mean)
-    line = line_to_write("torque", Conversion(offset=-float(shown)), sessions[0].bindings)
+    line = line_to_write("torque", Conversion(offset=-float(shown)), *(s.bindings for s in sessions))
     return WarningNote(
         f"the torque is {shown} Nm at rest, alike in {len(stops)} stops of {seconds.sum():.0f} s together; if neither a "
         f"slope nor a brake holds the vehicle, the sensor has an offset; {line}"

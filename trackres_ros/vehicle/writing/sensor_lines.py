@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from trackres_ros.effects.effect import Active, VehicleConstants, conditions, together
+from trackres_ros.errors import one_line
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.corrected_lines import corrected, line_of
 from trackres_ros.recording.role_units import Conversion
@@ -17,14 +18,24 @@ REPLACED = "in the topics file, replace the line of the role with"
 NOTHING_KNOWN = conditions(VehicleConstants(1.0, 1.0, 0.0, 0.0, 1.0, 1, 0.0, 0.0))  # a sensor's error is independent of the drive
 
 
-def sensor_lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding], torque_scale: float) -> dict[str, str]:
+def sensor_lines(
+    sensors: Sequence[Active], recorded: Mapping[str, Mapping[str, TopicBinding]], torque_scale: float
+) -> dict[str, str]:
     """Lines for the topics file by role, which correct the effects of sensors and replace the bindings of the recordings.
 
-    `torque_scale` is the measured over the true torque, from the vehicle file. Torques that are added, as of two sides,
-    get a line each; the offset is divided among them.
+    `recorded` has these by the name of the recording. Where they differ, each line ends with the names that it is for, and
+    its key has them too. `torque_scale` is the measured over the true torque, from the vehicle file. Torques that are added,
+    as of two sides, get a line each; the offset is divided among them.
     """
-    if not sensors:
-        return {}
+    names: dict[str, dict[str, list[str]]] = {}
+    for name, bindings in recorded.items() if sensors else ():
+        for role, line in _lines(sensors, bindings, torque_scale).items():
+            names.setdefault(role, {}).setdefault(line, []).append(one_line(name))
+    each = [(role, line, "" if len(of) == len(recorded) else ", ".join(of)) for role in names for line, of in names[role].items()]
+    return {f"{role} of {of}" if of else role: f"{line}  # {of}" if of else line for role, line, of in each}
+
+
+def _lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding], torque_scale: float) -> dict[str, str]:
     terms = together([active.terms(NOTHING_KNOWN) for active in sensors])
     gain = terms.sensor_gain
     of_torque = Conversion(1.0 / gain, -terms.sensor_offset * torque_scale / gain)
