@@ -59,12 +59,13 @@ def test_what_heats_a_steady_belt_cools_it(name, speed, with_effect):
 
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory, good):
-    """The reference vehicle whose rear tracks have larger sprockets."""
+    """The reference vehicle whose rear tracks have larger sprockets and carry more."""
     folder = tmp_path_factory.mktemp("mixed")
     good("vehicle", "new", "mixed", "-o", folder)
     content = yaml.safe_load((folder / "mixed.yaml").read_text())
     content["tracks"]["large"] = deepcopy(content["tracks"]["triangular"])
     content["tracks"]["large"]["sprocket_radius"].update(value=0.45, range=[0.4, 0.5])
+    content["chassis"]["axles"][1]["load"]["value"] = 140e3
     for assembly in content["assemblies"]:
         assembly["track"] = "large" if assembly["axle"] == "rear" else "triangular"
     (folder / "mixed.yaml").write_text(yaml.safe_dump(content))

@@ -292,12 +292,12 @@ def test_lines_of_two_sides_correct_the_sum_of_their_torques(wrong):
     active = [Active(known[name], {known[name].parameters[0].name: value}) for name, value in wrong.items()]
     given = {"torque/left": {"column": "l", "scale": 2.0, "offset": 5.0}, "torque/right": {"column": "r", "delay_s": 0.1}}
     before = Topics.parse(given)
-    lines = sensor_lines(active, {role: before[role] for role in given}, 1.0)
+    lines = sensor_lines(active, {role: before[role] for role in given}, 0.3)
     assert lines.keys() == given.keys()
     after = Topics.parse(yaml.safe_load("\n".join(lines.values())))
     measured, corrected = (sum(of[role].scale * x + of[role].offset for role, x in raw.items()) for of in (before, after))
     gain, offset = 1.0 + wrong.get("torque_gain", 0.0), wrong.get("torque_offset", 0.0)
-    assert corrected == pytest.approx((measured - offset) / gain, rel=1e-5)
+    assert corrected == pytest.approx((measured - 0.3 * offset) / gain, rel=1e-5)  # the sensor shows 0.3 times the torque
     for role in given:
         assert after[role].delay_s == pytest.approx(before[role].delay_s + wrong.get("delay", 0.0))
 

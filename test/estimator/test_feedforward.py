@@ -121,7 +121,9 @@ def test_its_way_is_one_and_a_wrong_sign_goes_first_and_fast(rate, value, target
 
 
 def test_feedforward_keeps_its_limit_whatever_is_no_number():
+    """And below the nominal weight it is on its way to less, in proportion to the weight."""
     constants, random = RATES[2000.0].constants, np.random.default_rng(3)
+    arms, nominal = (constants.assembly[:, place] for place in (at.Assembly.radius, at.Assembly.nominal_load))
     fed = [name for name in constants.number._fields if name.startswith("feed")]
 
     def some(count, most=1e5):
@@ -140,6 +142,8 @@ def test_feedforward_keeps_its_limit_whatever_is_no_number():
         with np.errstate(invalid="ignore", divide="ignore"):
             moved, _ = interpreted(feedforward)(k, at.Motion(motion), at.Part(total), of_effects, inputs, abs(dt))
         assert abs(moved) <= (math.inf if limit == math.inf else LIMIT_NM)
+        present = float(inputs.load @ arms / (nominal @ arms))
+        assert not abs(motion[at.Motion.feedforward_target]) > limit * (present if present < 1.0 else 1.0) * (1.0 + 1e-12)
 
 
 @pytest.mark.parametrize("rate", [1.0, 500.0, 2000.0, 20000.0])
