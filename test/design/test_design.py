@@ -248,7 +248,7 @@ def test_torque_rises_with_load_and_a_sweep_equals_single_runs():
 
 
 @pytest.mark.parametrize(
-    "vary", ["loss_modulus_scale=1,1.2", "chassis.ambient=0,20", "axles.load=+20%", "tracks.low.own_weight=2000,3000"]
+    "vary", ["loss_modulus_scale=1,1.2", "chassis.ambient=-60,20", "axles.load=+20%", "tracks.low.own_weight=2000,3000"]
 )
 @pytest.mark.parametrize("own_air", [True, False])
 def test_a_sweep_drives_as_recorded_unless_told_otherwise(tmp_path, vary, own_air):
@@ -266,7 +266,9 @@ def test_a_sweep_drives_as_recorded_unless_told_otherwise(tmp_path, vary, own_ai
         state = steady(vehicle, 2.5, vehicle.chassis.ambient if own_air else AIR)
         cycle, weight = read_cycle(str(profile), 5.0), vehicle.weight if "load" in vary or "weight" in vary else None
         total, _ = driven(Estimator(vehicle), cycle, weight, air)
-        assert point(asked, (number, values))[0] == (*state.outcomes, total["kwh_per_km"])
+        found, remarks = point(asked, (number, values))
+        assert found == (*state.outcomes, total["kwh_per_km"])
+        assert any("a belt is at -60 degC" in text for text in remarks) == (values.get("chassis.ambient") == -60.0)
 
 
 @pytest.mark.long

@@ -338,6 +338,13 @@ def test_simulated_time_that_goes_back_starts_anew(desk):
     assert ("ambient", Count.ACCEPTED, 1) in list(d.app.session.counts())
 
 
+def test_the_feedforward_keeps_the_time_of_a_fast_simulated_clock(desk):
+    d = desk(use_sim_time=True, feedforward_rate=1000.0, output_rate_hz=50.0)
+    d.simulated_in_a_second = 10.0
+    d.drive(0.4)
+    assert d.last("feedforward_torque_nm")[1][0] > 3000.0
+
+
 @pytest.mark.parametrize(("changed_s", "anew"), [(10.0, False), (1.0, True)])
 def test_a_changed_clock_jump_holds_for_the_simulated_clock(desk, changed_s, anew):
     d = desk(use_sim_time=True, clock_jump_s=5.0)
@@ -453,11 +460,12 @@ def test_a_deactivated_node_keeps_the_temperature_and_is_silent(desk):
 @pytest.mark.parametrize("nm_per_s", [2e4, 2000.0])
 @pytest.mark.parametrize("ended_by", ["deactivate", "close", "fault"])
 def test_publishing_ends_at_zero_and_begins_there_again(desk, ended_by, nm_per_s):
-    d = desk(feedforward_rate=nm_per_s)
+    d = desk(feedforward_rate=nm_per_s, speed_max_age_s=5.0)
     d.drive(4.0, load=250e3, ambient=12.0)
     full, count = d.last("feedforward_torque_nm")[1][0], len(d.published)
     assert full > 3000.0
     began_s, limit = d.steady_s, d.app.estimator.constants.number.feedforward_limit  # the fade takes 1 s
+    d.app.change({"feedforward_share": 1e-3})  # nor does it take longer from above a limit that was just lowered
     {"deactivate": d.app.deactivate, "close": d.app.close, "fault": lambda: d.app.deactivate(OSError("gone"))}[ended_by]()
     assert d.steady_s - began_s <= 1.0 + d.app.period_s
     torques = [values[0] for name, _, values in d.published[count:] if name == "feedforward_torque_nm"]
@@ -469,6 +477,7 @@ def test_publishing_ends_at_zero_and_begins_there_again(desk, ended_by, nm_per_s
     count, statuses = len(d.published), len(d.statuses)
     d.drive(6.0, load=250e3, ambient=12.0)
     assert (len(d.published), len(d.statuses)) == (count, statuses)
+    d.app.change({"feedforward_share": 0.1})
     d.app.activate()
     d.drive(4.0, load=250e3, ambient=12.0)
     torques = [values[0] for name, _, values in d.published[count:] if name == "feedforward_torque_nm"]
