@@ -28,7 +28,7 @@ from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.fleet.task import _replayed
 from trackres_ros.model import resistance
-from trackres_ros.model.operating_point import explain
+from trackres_ros.model.operating_point import explain, vehicle_state
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.model.track import with_methods
 from trackres_ros.model.vehicle_constants import vehicle_constants
@@ -137,6 +137,10 @@ def test_energy_is_that_of_each_assembly_at_its_own_sprocket(mixed, tmp_path):
     blown, share = tr.replay(recording, with_effects(turned, "air_drag")), catalogue()["air_drag"].values()["share"]
     assert blown["effects_nm"] == pytest.approx(share * rows["wind_nm"])
     assert energy_j(turned, step, blown, "effects_nm") == pytest.approx(share * of["wind"])
+    steady_states = (with_effects(turned, "air_drag"), with_effects(turned))
+    windy, calm = (vehicle_state(one, SPEED, [AIR] * 4, AIR, turned.weight).force for one in steady_states)
+    wind = resistance.wind_force(SPEED, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density)
+    assert windy - calm == pytest.approx(share * wind, rel=5e-3)
     assert energy_j(turned, step, blown, RESISTANCE) == pytest.approx(
         sum(energy_j(turned, step, blown, column) for column in RESISTANCE_PARTS.values())
     )

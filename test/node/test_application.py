@@ -43,6 +43,7 @@ def test_what_leaves_is_what_an_offline_session_gives(desk):
             stamp, values = d.last(topic.name)
             assert stamp == now
             np.testing.assert_allclose(values, expected, rtol=1e-12)
+    assert d.all_finite()
 
 
 def test_nothing_but_a_status_leaves_before_the_first_speed(desk):
@@ -125,6 +126,9 @@ def test_values_that_cannot_be_are_refused_and_said(desk, value):
     d = desk()
     d.drive(2.0)
     torque = d.last("resistance_torque")[1][0]
+    d.drive(0.02, speed=16.0)  # too early: it is in doubt
+    assert d.statuses[-1][1][0].level is Level.WARN
+    assert "SPEED_IMPLAUSIBLE" in dict(d.statuses[-1][1][0].values)["remarks"]
     d.drive(0.4, speed=value)
     d.forward(1.0)
     assert d.last("resistance_torque")[1][0] == pytest.approx(torque, rel=0.01)
@@ -433,14 +437,23 @@ def test_what_waits_for_a_speed_is_counted_when_the_node_ends(desk):
     assert sum(number for name, _, number in d.app.session.counts() if name == "load") == before + 1
 
 
-def test_a_fault_inside_is_said_and_does_not_silence_the_outputs(desk, monkeypatch):
+@pytest.mark.parametrize("odd", [None, "resistance_torque_nm", "resistance_std_nm", "feedforward_torque_nm"])
+def test_a_fault_inside_is_said_and_does_not_silence_the_outputs(desk, monkeypatch, odd):
+    """An exception, or a number of the estimate that is none; the log has it once."""
     d = desk()
     d.drive(1.0)
-    monkeypatch.setattr(d.app.session, "feed", lambda *_: 1 / 0)
+    feed = d.app.session.feed
+
+    def faulty(*message):
+        estimate = feed(*message)
+        estimate.row[1 // 0 if odd is None else d.app.estimator.column_index[odd]] = math.nan
+        return estimate
+
+    monkeypatch.setattr(d.app.session, "feed", faulty)
     d.drive(0.3)
     assert "INTERNAL_ERROR" in d.names()
     assert d.app.overview().level is Level.ERROR
-    assert [level for level, text in d.logged if "ZeroDivisionError" in text] == [Level.ERROR]
+    assert [level for level, text in d.logged if "because of a bug" in text] == [Level.ERROR]
     count = len(d.published)
     d.forward(0.5)
     assert len(d.published) > count
@@ -484,6 +497,11 @@ def test_publishing_ends_at_zero_and_begins_there_again(desk, ended_by, nm_per_s
     assert max(np.diff([0.0, *torques])) <= nm_per_s * 0.021
     assert torques[-1] == pytest.approx(full, rel=0.01)
     assert not {"INACTIVE", "INTERNAL_ERROR"} & d.names()
+    d.app.change({"feedforward_share": 1e-3})
+    d.app.deactivate()
+    d.app.activate()
+    d.forward(0.1)
+    assert d.last("feedforward_torque_nm")[1][0] <= 0.1 * nm_per_s
 
 
 def test_surroundings_that_are_assumed_are_said_and_warned_of(desk, tmp_path):
