@@ -27,6 +27,7 @@ from trackres_ros.learning.parameters import (
     REACH_STD,
     SLOW,
     STATES,
+    STEP,
     VEHICLES_OWN,
     learnables,
     limits_of,
@@ -72,6 +73,16 @@ def test_on_and_watching_learn_the_same(learned, road):
     own = list(VEHICLES_OWN)
     assert on.learner.learned.mean[own] == pytest.approx(learned.learner.learned.mean[own], abs=2e-3)
     assert on.errors(5.0)[0] < 0.02
+
+
+def test_in_reverse_it_learns_as_ahead(road):
+    ahead, back = (
+        road("on", {at.OF_LOSS: 0.2}).drive(1.0, speed=lambda t, way=way: way * (8.0 + 6.0 * math.sin(t / 10.0)), noise=0.0)
+        for way in (1.0, -1.0)
+    )
+    assert back.learner.learned.seconds == ahead.learner.learned.seconds > 20.0
+    alike = [*range(at.LEARNABLE), SLOW, STEP]  # against travel
+    assert back.learner.learned.mean[alike] == pytest.approx(ahead.learner.learned.mean[alike], rel=1e-6, abs=1e-9)
 
 
 def test_where_no_torque_is_measured_nothing_changes(road):
@@ -127,13 +138,14 @@ def test_a_torque_from_outside_is_reported_while_it_lasts(driven_before):
     assert driven.learner.disturbance == ""
 
 
-def test_a_disturbance_ends_at_its_change_of_sign(reference):
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_disturbance_ends_at_its_change_of_sign(reference, way):
     """Of a torque that swings slowly; and a parked vehicle adds nothing to its time."""
     learner = Learner(reference)
     s, random = learner.learned, np.random.default_rng(3)
     for number in range(160):
         torque = 0.06 * s.rolling * (math.sin(number / 16.0) + 0.03 * random.normal())
-        s.block = ResidualBlock(BLOCK_S, 1.0, torque, 0.0, 1.0)
+        s.block = ResidualBlock(BLOCK_S, 1.0, way * torque, 0.0, way)
         close_block(s)
         if learner.disturbance:
             since = number - math.floor(number / 16.0 / math.pi) * math.pi * 16.0  # the torque crossed zero

@@ -322,7 +322,7 @@ def test_damaged_and_odd_messages_are_counted_and_kept(tmp_path: Path) -> None:
     assert len(recording.series["torque"]) == 45
     counts = {(finding.role, finding.kind): finding.count for finding in recording.findings}
     places = {(finding.role, finding.kind): finding.first_time_s for finding in recording.findings}
-    assert (places["speed", "malformed"], places["speed", "non_finite"]) == (20e-9, 13e-9)  # from the first speed by log and stamp
+    assert (places["speed", "malformed"], places["speed", "non_finite"]) == (20e-9, 13e-9)  # of log and stamp
     assert counts["speed", "malformed"] == 1
     assert counts["speed", "non_finite"] == 1
     assert counts["torque", "absent"] == 6
