@@ -196,14 +196,3 @@ def test_at_rest_the_standard_deviation_is_that_of_a_crawl():
     assert rested == pytest.approx(crawling, rel=0.05)
     walking = rows_of(RATES[20000.0], [(0.02, 0.2)] * 3)[-1][1].resistance_std_nm
     assert 0.5 * walking < rested < 2.0 * walking
-
-
-def test_without_uncertainty_the_std_is_its_sensor_floor():
-    sure = Settings(initial_belt_std_k=0.0, process_noise_k=0.0, ambient_std_k=0.0, ambient_unknown_std_k=0.0)
-    estimator = Estimator(load("xgd24d"), sure)
-    k = estimator.constants
-    k.assembly[:, at.CONSIDER_FACTOR :] = 0.0
-    estimator.kernel_arguments[0]["bearing_friction_std"] = estimator.kernel_arguments[0]["drag_area_std"] = 0.0
-    for speed in (0.0, 8.0):
-        estimate = rows_of(estimator, [(0.02, speed)])[-1][1]
-        assert estimate.resistance_std_nm == pytest.approx(1e-3 * 3000.0, rel=0.5)

@@ -113,14 +113,16 @@ def test_without_speed_feedforward_fades_and_other_outputs_hold(desk, rate):
     assert d.all_finite()
 
 
-def test_the_status_reports_loss_and_return_of_speed_at_once(desk):
-    d = desk()
-    d.drive(2.0)
-    assert d.statuses[-1][1][0].level is Level.WARN  # nominal load and ambient
+@pytest.mark.parametrize("given", [{}, {"load": 250e3}, {"ambient": 12.0}, {"load": 250e3, "ambient": 12.0}])
+def test_the_status_reports_loss_and_return_of_speed_at_once(desk, given):
+    d, level = desk(), Level.OK if len(given) == 2 else Level.WARN  # a nominal load or ambient is a warning
+    all_there(d)
+    d.drive(2.0, **given)
+    assert d.statuses[-1][1][0].level is level
     d.forward(0.65)
     assert d.statuses[-1][1][0].level is Level.STALE
-    d.drive(0.15)
-    assert d.statuses[-1][1][0].level is Level.WARN
+    d.drive(0.15, **given)
+    assert d.statuses[-1][1][0].level is level
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9])
@@ -347,7 +349,7 @@ def test_simulated_time_that_goes_back_starts_anew(desk):
     assert ("ambient", Count.ACCEPTED, 1) in list(d.app.session.counts())
 
 
-def test_the_feedforward_keeps_the_time_of_a_fast_simulated_clock(desk):
+def test_feedforward_keeps_the_time_of_a_fast_simulated_clock(desk):
     d = desk(use_sim_time=True, feedforward_rate=1000.0, output_rate_hz=50.0)
     d.simulated_in_a_second = 10.0
     d.drive(0.4)
