@@ -698,7 +698,7 @@ def test_wheels_that_disagree_stop_the_feedforward(guard, wheel):
             guard.send(begins + i * 100 * MS, 0.0, wheel)
             fed = guard.inputs().fed
             assert fed == (0.0 if i > 10 else 1.0)
-        assert guard.reasons() & Reason.SPEED_DISAGREES
+        assert guard.reasons() & ~at.HARMLESS & Reason.SPEED_DISAGREES  # a warning
     guard.send(begins + 13 * 100 * MS, 8.0)
     guard.send(begins + 13 * 100 * MS, 7.0, wheel)
     assert guard.inputs().fed == 1.0
