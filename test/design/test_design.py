@@ -29,7 +29,7 @@ from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.fleet.task import _replayed
 from trackres_ros.model import resistance
-from trackres_ros.model.operating_point import explain
+from trackres_ros.model.operating_point import explain, vehicle_state
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.model.track import with_methods
 from trackres_ros.model.vehicle_constants import vehicle_constants
@@ -60,12 +60,13 @@ def test_what_heats_a_steady_belt_cools_it(name, speed, with_effect):
 
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory, good):
-    """The reference vehicle whose rear tracks have larger sprockets."""
+    """The reference vehicle whose rear tracks have larger sprockets and carry more."""
     folder = tmp_path_factory.mktemp("mixed")
     good("vehicle", "new", "mixed", "-o", folder)
     content = yaml.safe_load((folder / "mixed.yaml").read_text())
     content["tracks"]["large"] = deepcopy(content["tracks"]["triangular"])
     content["tracks"]["large"]["sprocket_radius"].update(value=0.45, range=[0.4, 0.5])
+    content["chassis"]["axles"][1]["load"]["value"] = 140e3
     for assembly in content["assemblies"]:
         assembly["track"] = "large" if assembly["axle"] == "rear" else "triangular"
     (folder / "mixed.yaml").write_text(yaml.safe_dump(content))
@@ -137,6 +138,10 @@ def test_energy_is_that_of_each_assembly_at_its_own_sprocket(mixed, tmp_path):
     blown, share = tr.replay(recording, with_effects(turned, "air_drag")), catalogue()["air_drag"].values()["share"]
     assert blown["effects_nm"] == pytest.approx(share * rows["wind_nm"])
     assert energy_j(turned, step, blown, "effects_nm") == pytest.approx(share * of["wind"])
+    steady_states = (with_effects(turned, "air_drag"), with_effects(turned))
+    windy, calm = (vehicle_state(one, SPEED, [AIR] * 4, AIR, turned.weight).force for one in steady_states)
+    wind = resistance.wind_force(SPEED, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density)
+    assert windy - calm == pytest.approx(share * wind, rel=5e-3)
     assert energy_j(turned, step, blown, RESISTANCE) == pytest.approx(
         sum(energy_j(turned, step, blown, column) for column in RESISTANCE_PARTS.values())
     )
@@ -236,7 +241,7 @@ def test_a_belt_that_finds_no_balance_has_no_steady_state():
 
 
 @pytest.mark.parametrize(
-    "vary", ["loss_modulus_scale=1,1.2", "chassis.ambient=0,20", "axles.load=+20%", "tracks.low.own_weight=2000,3000"]
+    "vary", ["loss_modulus_scale=1,1.2", "chassis.ambient=-60,20", "axles.load=+20%", "tracks.low.own_weight=2000,3000"]
 )
 @pytest.mark.parametrize("own_air", [True, False])
 def test_a_sweep_drives_as_recorded_unless_told_otherwise(tmp_path, vary, own_air):
@@ -254,7 +259,9 @@ def test_a_sweep_drives_as_recorded_unless_told_otherwise(tmp_path, vary, own_ai
         state = steady(vehicle, 2.5, vehicle.chassis.ambient if own_air else AIR)
         cycle, weight = read_cycle(str(profile), 5.0), vehicle.weight if "load" in vary or "weight" in vary else None
         total, _ = driven(Estimator(vehicle), cycle, weight, air)
-        assert point(asked, (number, values))[0] == (*state.outcomes, total["kwh_per_km"])
+        found, remarks = point(asked, (number, values))
+        assert found == (*state.outcomes, total["kwh_per_km"])
+        assert any("a belt is at -60 degC" in text for text in remarks) == (values.get("chassis.ambient") == -60.0)
 
 
 @pytest.mark.long

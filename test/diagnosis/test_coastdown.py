@@ -87,7 +87,7 @@ def cart(path, mass, rise=(-0.002, 0.002)):
     )
     held = {
         "air_density": (1.2, "kg/m^3"), "mass": (mass, "kg"), "rotating_mass_factor": (1.1, "1"), "wheel_radius": (0.4, "m"),
-        "torque_scale": (1.0, "1"), "efficiency": (1.0, "1"), "torque_delay": (0.0, "s"), "contact_length": (3.0, "m"),
+        "torque_scale": (0.3, "1"), "efficiency": (1.0, "1"), "torque_delay": (0.0, "s"), "contact_length": (3.0, "m"),
         "max_speed": (25.0, "m/s"), "ambient": (15.0, "degC"),
     }  # fmt: skip
     text += "".join(
@@ -436,14 +436,16 @@ def test_a_coast_down_given_twice_is_refused(tmp_path, rolled):
 
 
 def test_what_is_driven_or_braked_is_not_taken(tmp_path, xgd24d, rolled):
-    driven = rolled.copy()
-    offset = 3.0 * NO_TORQUE_SHARE * xgd24d.weight * 0.4
-    driven[:, 2] += offset  # somebody keeps his foot on it
-    with pytest.raises(tr.InputError, match="no coast-down") as error:
-        tr.coastdown(written(tmp_path / "driven.csv", driven), "xgd24d")
-    assert "both directions" in error.value.remedy
-    assert "slowing down with a torque above" in error.value.given
-    assert f"offset: {-float(f'{offset:.3g}')}}}" in error.value.remedy  # or it is the sensor's
+    car = cart(tmp_path / "car.yaml", CAR_KG)
+    for vehicle, table, weight, shown in (("xgd24d", rolled, xgd24d.weight, 1.0), (car, car_drive(), CAR_KG * GRAVITY, 0.3)):
+        driven = table[:, :4] * [1.0, 1.0, shown, 1.0]
+        offset = shown * 3.0 * NO_TORQUE_SHARE * weight * 0.4
+        driven[:, 2] += offset  # somebody keeps his foot on it
+        with pytest.raises(tr.InputError, match="no coast-down") as error:
+            tr.coastdown(written(tmp_path / "driven.csv", driven), vehicle)
+        assert "both directions" in error.value.remedy
+        assert "slowing down with a torque above" in error.value.given
+        assert f"offset: {-float(f'{offset:.3g}')}}}" in error.value.remedy  # or it is the sensor's
     time = np.arange(0.0, 200.0, DT_S)
     saw = np.interp(time % 50.0, [0.0, 30.0, 45.0, 50.0], [0.0, 14.0, 0.0, 0.0])
     braked = np.column_stack([time, saw, 0.0 * time, 0.0 * time])

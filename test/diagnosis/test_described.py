@@ -228,15 +228,15 @@ def test_where_nothing_is_hidden_nothing_is_described(diagnoses):
 def test_written_spells_are_those_of_a_replay_with_the_new_scale(tmp_path):
     content = yaml.safe_load((config_dir() / "bmw_i3.yaml").read_text())
     content["road_load"]["mass"]["range"] = [1400.0, 1400.0]
-    content["road_load"]["torque_scale"]["range"] = [0.6, 1.7]
+    content["road_load"]["torque_scale"].update(value=0.3, range=[0.2, 0.5])
     (tmp_path / "car.yaml").write_text(yaml.safe_dump(content))
     base, rng, paths = load_base(tmp_path / "car.yaml").base, np.random.default_rng(5), []
     for session in drives(base, 30.0, 2, 20.0, rng):
         on = np.repeat(np.arange(100) % 2, rng.integers(60, 180, 100) * 5)[: len(session)] * (session.speed > 0.5)
         torque = base.predict([session], base.nominal, ())[0].at_sprockets + PUMP_NM * on + rng.normal(0.0, 15.0, len(session))
-        columns = {"time_s": session.time, "speed_mps": session.speed, "accel_mps2": session.accel, "torque_nm": 1.4 * torque}
+        columns = {"time_s": session.time, "speed_mps": session.speed, "accel_mps2": session.accel, "torque_nm": 0.42 * torque}
         columns |= {"grade": 0.0 * torque, "weight_n": session.weight}
         paths.append(csv_tables.written(tmp_path / f"{session.name}.csv", columns))
     vehicle = tr.diagnose(paths, tmp_path / "car.yaml", quick=True).vehicle
-    assert vehicle.values["torque_scale"] == pytest.approx(1.4, rel=0.1)
+    assert vehicle.values["torque_scale"] == pytest.approx(0.42, rel=0.1)
     assert vehicle.disturbance.level - vehicle.disturbance.rest == pytest.approx(PUMP_NM, rel=0.1)

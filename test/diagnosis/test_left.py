@@ -294,15 +294,15 @@ def test_lines_of_two_sides_correct_the_sum_of_their_torques(wrong):
     given = {"torque/left": {"column": "l", "scale": 2.0, "offset": 5.0}, "torque/right": {"column": "r", "delay_s": 0.1}}
     before = Topics.parse(given)
     recorded = {"a.csv": {role: before[role] for role in given}, "b.csv": {"torque": TopicBinding(column="m")}}
-    lines, other = (sensor_lines(active, {name: of}, 1.0) for name, of in recorded.items())
+    lines, other = (sensor_lines(active, {name: of}, 0.3) for name, of in recorded.items())
     each = [("a.csv", *line) for line in lines.items()] + [("b.csv", *line) for line in other.items()]
-    assert sensor_lines(active, recorded, 1.0) == {f"{role} of {name}": f"{line}  # {name}" for name, role, line in each}
-    assert sensor_lines(active, {"a.csv": recorded["a.csv"], "c.csv": recorded["a.csv"]}, 1.0) == lines
+    assert sensor_lines(active, recorded, 0.3) == {f"{role} of {name}": f"{line}  # {name}" for name, role, line in each}
+    assert sensor_lines(active, {"a.csv": recorded["a.csv"], "c.csv": recorded["a.csv"]}, 0.3) == lines
     assert lines.keys() == given.keys()
     after = Topics.parse(yaml.safe_load("\n".join(lines.values())))
     measured, corrected = (sum(of[role].scale * x + of[role].offset for role, x in raw.items()) for of in (before, after))
     gain, offset = 1.0 + wrong.get("torque_gain", 0.0), wrong.get("torque_offset", 0.0)
-    assert corrected == pytest.approx((measured - offset) / gain, rel=1e-5)
+    assert corrected == pytest.approx((measured - 0.3 * offset) / gain, rel=1e-5)  # the sensor shows 0.3 times the torque
     for role in given:
         assert after[role].delay_s == pytest.approx(before[role].delay_s + wrong.get("delay", 0.0))
 

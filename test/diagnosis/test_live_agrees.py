@@ -22,6 +22,7 @@ from trackres_ros.offline.replay import replay
 from trackres_ros.recording.samples import SampleBlock
 from trackres_ros.vehicle import load
 from trackres_ros.vehicle.belt_bulk import heat_capacity
+from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 
 START_NS = 1_700_000_000_000_000_000
 CHANNELS = {"load": "weight", "ambient": "ambient", "yaw_rate": "yaw_rate", "heading": "heading", "accel": "accel"}
@@ -180,12 +181,16 @@ def test_belts_of_two_kinds_are_fitted_as_they_are_written(two_nodes, drive):
     path.write_text(yaml.safe_dump(content))
     base, estimator = load_base(path).base, Estimator(load(path))
     agree(driven(estimator, [drive], replayed), simulated(base, [drive], ()))
-    for share, places in ((base.nominal["surface_share"], 12), (0.24, 5)):  # figures of a file
+    bounds = next(q for q in base.parameters if q.name == "surface_share")
+    for share, places in ((bounds.nominal, 12), (bounds.low, 5), (bounds.high, 5), (0.24, 5)):  # figures of a file
         values = base.nominal | {"capacity_scale": 1.1 if share == 0.24 else 1.0, "surface_share": share}
         now = base.as_written(values)
         (fit,), (file,) = base.predict([drive], values, ()), now.predict([drive], now.nominal, ())
         np.testing.assert_allclose(file.belt, fit.belt, rtol=10.0**-places)
-    assert now.vehicle.tracks["rear"].belt.surface_share == pytest.approx(0.32 * 0.24 / 0.2)
+    base.write(path, FileChanges(values, (), {("", "surface_share"): Interval(0.21, 0.26, True)}), "with its interval")
+    front, rear = (load(path).parameters[f"tracks.{name}.belt.surface_share"] for name in ("triangular", "rear"))
+    assert (rear.value, rear.low, rear.high) == pytest.approx([0.32 / 0.2 * x for x in (0.24, 0.21, 0.26)])
+    assert (front.value, front.low, front.high) == pytest.approx((0.24, 0.21, 0.26))
     vehicle, rubber = estimator.vehicle, estimator.vehicle.rubber
     learned = next(one for one in learnables(vehicle) if one.state == at.OF_CAPACITY)  # of all belts together
     warmer = replace(rubber, heat_capacity=rubber.heat_capacity * (1.0 + 0.1 * learned.factor))

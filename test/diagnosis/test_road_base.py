@@ -3,6 +3,7 @@
 
 """The road load: what is re-fitted, and what stays where the file has it."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from trackres_ros.diagnosis.base.road_load import FITTED
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.stages.prepare import prepared
+from trackres_ros.errors import InputError
 from trackres_ros.evaluation.synthetic import drives, write_recordings
 from trackres_ros.files.resources import config_dir
 from trackres_ros.vehicle.writing.changes import FileChanges
@@ -74,16 +76,29 @@ def test_simulated_drives_record_the_torque_that_a_sensor_shows(tmp_path):
     assert np.abs(shown).mean() == pytest.approx(0.5 * np.abs(expected).mean(), rel=0.1)
 
 
+def prepared_drive(base, folder, scale):
+    """A drive of the car as prepared by its file, and the expected torque; the sensor shows `scale` times the true one."""
+    drive = drives(base, 30.0, 1, 5.0, np.random.default_rng(1))
+    torque = scale * base.predict(drive, base.nominal, ())[0].torque
+    columns = {"time_s": drive[0].time, "speed_mps": drive[0].speed, "accel_mps2": drive[0].accel, "torque_nm": torque}
+    recordings = read_recordings([written(folder / "drive.csv", columns, "%.18e")], None)
+    return prepared(recordings, load_base(folder / "car.yaml"))[:2]
+
+
+@pytest.mark.parametrize("shown", [1 / 30.0, 1 / 3.0, 3.0, 30.0])
+def test_a_torque_is_refused_only_beyond_the_range_of_its_scale(tmp_path, shown):
+    for widest in (1.1, 50.0):
+        base = car(tmp_path, torque_scale={"value": 0.5, "range": [0.5 / widest, 0.5 * widest]})
+        with pytest.raises(InputError, match="times the expected torque") if widest < 2.0 else nullcontext():
+            prepared_drive(base, tmp_path, 0.5 * shown)
+
+
 def test_torques_are_at_the_wheels_whatever_the_sensor_shows(tmp_path):
     """Of a motor current at a gear too; and a scale that is re-fitted shows in the written file as in the fit."""
     seen = []
     for scale in (1.0, 0.05):
         base = car(tmp_path, mass={"range": [1400.0, 1400.0]}, torque_scale={"value": scale, "range": [0.9 * scale, 1.1 * scale]})
-        drive = drives(base, 30.0, 1, 5.0, np.random.default_rng(1))
-        torque = scale * base.predict(drive, base.nominal, ())[0].torque
-        columns = {"time_s": drive[0].time, "speed_mps": drive[0].speed, "accel_mps2": drive[0].accel, "torque_nm": torque}
-        path = written(tmp_path / "drive.csv", columns, "%.18e")
-        gated, expected, _ = prepared(read_recordings([path], None), load_base(tmp_path / "car.yaml"))
+        gated, expected = prepared_drive(base, tmp_path, scale)
         values = base.nominal | {"torque_scale": 1.05 * scale}
         now = base.as_written(values)
         fit_nm, file_nm = (of.predict(gated.sessions, at, ())[0].torque for of, at in ((base, values), (now, now.nominal)))

@@ -3,6 +3,7 @@
 
 """The smoothed speed: what it is off is what it says, whatever the sensor rounds, repeats, loses or shows at rest."""
 
+import copy
 import json
 from dataclasses import replace
 from itertools import pairwise
@@ -350,6 +351,8 @@ def test_what_is_left_is_split_by_where_it_comes_from(recorded, loaded):
     found = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)))
     sources = residual_sources(found)
     assert sources.torque_sensor == pytest.approx(TORQUE_NOISE_NM / np.sqrt(1.0 / STEP_S), rel=0.15)
+    (of_a_gear := copy.copy(loaded.base)).torque_scale = 0.3  # the torques of sessions are at the wheels already
+    assert residual_sources(replace(found, problem=replace(found.problem, base=of_a_gear))) == sources
     known = sources.torque_sensor**2 + sources.speed_sensor**2
     assert sources.model == pytest.approx(np.sqrt(max(sources.total**2 - known, 0.0)))
     assert sources.model < 0.6 * sources.total  # the recordings are made by the model that is fitted

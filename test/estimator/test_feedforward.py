@@ -121,7 +121,9 @@ def test_its_way_is_one_and_a_wrong_sign_goes_first_and_fast(rate, value, target
 
 
 def test_feedforward_keeps_its_limit_whatever_is_no_number():
+    """And below the nominal weight it is on its way to less, in proportion to the weight."""
     constants, random = RATES[2000.0].constants, np.random.default_rng(3)
+    arms, nominal = (constants.assembly[:, place] for place in (at.Assembly.radius, at.Assembly.nominal_load))
     fed = [name for name in constants.number._fields if name.startswith("feed")]
 
     def some(count, most=1e5):
@@ -140,6 +142,8 @@ def test_feedforward_keeps_its_limit_whatever_is_no_number():
         with np.errstate(invalid="ignore", divide="ignore"):
             moved, _ = interpreted(feedforward)(k, at.Motion(motion), at.Part(total), of_effects, inputs, abs(dt))
         assert abs(moved) <= (math.inf if limit == math.inf else LIMIT_NM)
+        present = float(inputs.load @ arms / (nominal @ arms))
+        assert not abs(motion[at.Motion.feedforward_target]) > limit * (present if present < 1.0 else 1.0) * (1.0 + 1e-12)
 
 
 @pytest.mark.parametrize("rate", [1.0, 500.0, 2000.0, 20000.0])
@@ -192,14 +196,3 @@ def test_at_rest_the_standard_deviation_is_that_of_a_crawl():
     assert rested == pytest.approx(crawling, rel=0.05)
     walking = rows_of(RATES[20000.0], [(0.02, 0.2)] * 3)[-1][1].resistance_std_nm
     assert 0.5 * walking < rested < 2.0 * walking
-
-
-def test_without_uncertainty_the_std_is_its_sensor_floor():
-    sure = Settings(initial_belt_std_k=0.0, process_noise_k=0.0, ambient_std_k=0.0, ambient_unknown_std_k=0.0)
-    estimator = Estimator(load("xgd24d"), sure)
-    k = estimator.constants
-    k.assembly[:, at.CONSIDER_FACTOR :] = 0.0
-    estimator.kernel_arguments[0]["bearing_friction_std"] = estimator.kernel_arguments[0]["drag_area_std"] = 0.0
-    for speed in (0.0, 8.0):
-        estimate = rows_of(estimator, [(0.02, speed)])[-1][1]
-        assert estimate.resistance_std_nm == pytest.approx(1e-3 * 3000.0, rel=0.5)

@@ -124,6 +124,8 @@ def test_a_certain_vehicle_is_certain(xgd24d, cache):
     certain = drive(with_open_ranges(xgd24d, []), cache, 10.0)
     assert certain["belt_std_k/front_left"].max() < 1e-3
     assert certain["resistance_std_nm"] == pytest.approx(LEAST_STD_SHARE * certain["resistance_torque_nm"], rel=1e-6)
+    rested = drive(with_open_ranges(xgd24d, []), cache, 0.0)
+    assert rested["resistance_std_nm"][0] == pytest.approx(certain["resistance_std_nm"][0], rel=0.5)  # friction has a size
 
 
 def test_the_uncertainty_of_the_ambient_temperature(xgd24d, cache):

@@ -237,7 +237,7 @@ def test_a_vehicle_file_that_the_run_would_replace_is_refused(tmp_path, refused)
     place = tmp_path / "out" / "diagnosis" / "a" / "2025-06"
     place.mkdir(parents=True)
     (place / "vehicle.yaml").write_text("schema: 1\n")
-    (tmp_path / "fleet.yaml").write_text("vehicles: {a: out/diagnosis/a/2025-06/vehicle.yaml}")
+    (tmp_path / "fleet.yaml").write_text("vehicles: {a: out/../out/diagnosis/a/2025-06/vehicle.yaml}")
     assert "copy its folder" in refused(*words(tmp_path, "--period", "month"))
     assert "copy its folder" not in refused(*words(tmp_path))
 

@@ -18,15 +18,17 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.blocks import BLOCK_S, LATE, ResidualBlock
 from trackres_ros.learning.columns import HELD, lines, shown
-from trackres_ros.learning.correction import accepted
+from trackres_ros.learning.correction import accepted, move
 from trackres_ros.learning.disturbances import LASTING_SHARE, close_block
 from trackres_ros.learning.filter import corrected
+from trackres_ros.learning.gate import UNSURE
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import (
     LEAST_FACTOR,
     REACH_STD,
     SLOW,
     STATES,
+    STEP,
     VEHICLES_OWN,
     learnables,
     limits_of,
@@ -74,6 +76,16 @@ def test_on_and_watching_learn_the_same(learned, road):
     assert on.errors(5.0)[0] < 0.02
 
 
+def test_in_reverse_it_learns_as_ahead(road):
+    ahead, back = (
+        road("on", {at.OF_LOSS: 0.2}).drive(1.0, speed=lambda t, way=way: way * (8.0 + 6.0 * math.sin(t / 10.0)), noise=0.0)
+        for way in (1.0, -1.0)
+    )
+    assert back.learner.learned.seconds == ahead.learner.learned.seconds > 20.0
+    alike = [*range(at.LEARNABLE), SLOW, STEP]  # against travel
+    assert back.learner.learned.mean[alike] == pytest.approx(ahead.learner.learned.mean[alike], rel=1e-6, abs=1e-9)
+
+
 def test_where_no_torque_is_measured_nothing_changes(road):
     driven = road("on", {at.OF_LOSS: 0.2}).drive(6.0, lambda _torque, _i: None)
     assert not driven.session.learned[: at.Learned.sensitivities.start].any()
@@ -98,6 +110,10 @@ def test_another_sensor_is_a_step_and_not_the_rubber(driven_before, share):
     driven.drive(4.0, lambda torque, _i: (1.0 + share) * torque)
     assert any(text.startswith("a disturbance of") for text in driven.said)
     assert driven.learner.learned.applied[VEHICLES_OWN,] == pytest.approx(before[VEHICLES_OWN,], abs=0.03)
+    frozen = driven.learner.learned.mean[VEHICLES_OWN,].copy()
+    driven.drive(0.1, lambda torque, _i: (1.0 + share) * torque)
+    assert driven.learner.frozen
+    assert driven.learner.learned.mean[VEHICLES_OWN,] == pytest.approx(frozen, abs=1e-12)
 
 
 def test_a_pump_goes_as_it_came(driven_before):
@@ -127,13 +143,14 @@ def test_a_torque_from_outside_is_reported_while_it_lasts(driven_before):
     assert driven.learner.disturbance == ""
 
 
-def test_a_disturbance_ends_at_its_change_of_sign(reference):
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_disturbance_ends_at_its_change_of_sign(reference, way):
     """Of a torque that swings slowly; and a parked vehicle adds nothing to its time."""
     learner = Learner(reference)
     s, random = learner.learned, np.random.default_rng(3)
     for number in range(160):
         torque = 0.06 * s.rolling * (math.sin(number / 16.0) + 0.03 * random.normal())
-        s.block = ResidualBlock(BLOCK_S, 1.0, torque, 0.0, 1.0)
+        s.block = ResidualBlock(BLOCK_S, 1.0, way * torque, 0.0, way)
         close_block(s)
         if learner.disturbance:
             since = number - math.floor(number / 16.0 / math.pi) * math.pi * 16.0  # the torque crossed zero
@@ -194,6 +211,19 @@ def test_what_is_wrong_with_the_torque_is_told_and_not_learned(driven_before, sh
     assert driven.learner.left_out == ""
 
 
+def test_nothing_is_learned_from_a_doubtful_estimate(road):
+    driven = road("watch").drive(0.05)
+    gate, memory = driven.learner.gate, driven.session.memory
+    now, speed = int(memory.times[at.SPEED, at.Times.last_arrival]), float(memory.values[at.SPEED])
+    for reason in (at.Reason.NONE, *(one for one in at.REASON_TEXT if one & UNSURE)):
+        now += 10**8
+        row, before = driven.session.handle(at.SPEED, now, now, speed).row, gate.second.taken
+        changed = [at.Results.measured_torque_nm, at.Results.residual_nm, at.Results.reasons]
+        row[changed] = row[at.Results.drive_torque_nm], 0.0, reason
+        gate.take(now, row.tolist(), driven.session)
+        assert gate.second.taken - before == (not reason)
+
+
 def test_a_yaw_rate_that_died_in_a_bend_stops_no_learning(road):
     driven = road("watch")
     driven.session.handle(at.YAW_RATE, 1, 1, 1.0)
@@ -227,6 +257,20 @@ def test_nothing_leaves_the_ranges_of_the_file(road):
     assert (learner.learned.mean <= learner.prior.high).all()
     assert (learner.learned.mean >= learner.prior.low).all()
     assert (learner.learned.applied <= learner.prior.high[: at.LEARNABLE]).all()
+    for state in VEHICLES_OWN:  # nor where none but this one is accepted
+        alone = accepted(learner.learned, learner.prior, np.arange(at.LEARNABLE) == state)[state]
+        assert learner.prior.low[state] <= alone <= learner.prior.high[state]
+
+
+def test_acting_values_are_as_uncertain_as_they_lag_and_wander(reference):
+    s, learned = Learner(reference).learned, np.zeros(at.Learned.columns)
+    s.mean[: at.LEARNABLE], s.applied[:] = 0.03, 0.01
+    s.mean[STEP], s.lasting_nm, s.step_s, s.past.white = 90.0, 40.0, 1.0, (0.1 * s.rolling) ** 2
+    move(s, True, learned, s.second, 0.0)
+    factor = at.Learned(learned).factor.reshape(at.LEARNABLE, at.LEARNABLE)
+    assert factor @ factor.T == pytest.approx(s.covariance[: at.LEARNABLE, : at.LEARNABLE] + 0.02**2, abs=1e-9)
+    assert at.Learned(learned).slow ** 2 == pytest.approx(s.slow_std**2 + s.hills_variance + 50.0**2)
+    assert min(s.slow_std, s.hills_variance) > 0.0
 
 
 def test_a_value_at_its_bound_is_neither_learned_nor_written(driven_before, tmp_path):

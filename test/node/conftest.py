@@ -38,7 +38,7 @@ class Desk:
 
     def __init__(self, remapped=(), **given):
         self.remapped = dict(remapped)
-        self.time_s, self.steady_s = 0.0, 0.0
+        self.time_s, self.steady_s, self.simulated_in_a_second = 0.0, 0.0, 1.0
         self.clock_offset_s = 0.0  # of the machine's clock against steady time
         self.published, self.statuses, self.logged = [], [], []
         self.reasons, self.left = [], []  # of each estimate: reasons, and share of the feed-forward
@@ -83,7 +83,8 @@ class Desk:
         left = seconds
         while left > 1e-9:
             step = min(left, self.app.period_s)
-            self.time_s, self.steady_s, left = self.time_s + step, self.steady_s + step, left - step
+            self.time_s, self.steady_s = self.time_s + step * self.simulated_in_a_second, self.steady_s + step
+            left -= step
             if tick:
                 self.app.tick()
 

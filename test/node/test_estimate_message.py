@@ -116,7 +116,7 @@ def test_its_reasons_are_those_of_the_status_within_its_second(desk):
     d = desk(output_rate_hz=50.0)
     d.drive(3.0)
     d.forward(1.0)
-    name, (status, *_) = next(found for found in reversed(d.statuses) if found[0] == "status")
+    name, (status,) = next(found for found in reversed(d.statuses) if found[0] == "status")
     assert name == "status"
     notices = dict(status.values)["remarks"].split()
     assert set(d.reasons[-1]) == set(notices)

@@ -265,9 +265,13 @@ def test_a_quantity_has_one_sign_on_all_topics(desk):
 def test_the_age_of_an_input_goes_on_while_nothing_comes(desk):
     d = desk(output_rate_hz=50.0)
     d.drive(2.0, load=250e3)
-    for _ in range(100):  # loads go on
-        d.forward(0.05)
-        d.send("load", 250e3)
+    for load, level in ((math.nan, Level.WARN), (250e3, Level.OK)):
+        for _ in range(50):  # loads go on
+            d.forward(0.05)
+            d.send("load", load)
+        entries = next(found for name, found in reversed(d.statuses) if name == "/diagnostics")
+        levels = [one.level for role in ("load", "speed", "ambient") for one in entries if one.name.endswith(f"input {role}")]
+        assert levels == [level, Level.STALE, Level.STALE]
     ages = {given.role: given.age_s for given in d.app.overview().inputs}
     assert ages["speed"] == pytest.approx(5.0, abs=0.1)
     assert ages["load"] == pytest.approx(0.0, abs=0.1)

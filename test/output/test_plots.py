@@ -126,7 +126,8 @@ def test_all_learned_values_and_the_driving_are_drawn(drawn, tmp_path, vehicle):
     axes = {one.get_ylabel(): one for one in drawn.figures[0].axes}
     assert len(axes["learned, over the first"].lines) == len(own)
     driving = axes["speed [% of greatest]"]
-    assert ("belt" in driving.get_xlabel(), "load" in driving.get_xlabel()) == (bool(shown[3:]), not shown[3:])
+    of_x = ("learned from: belt [°C]", "< 15") if shown[3:] else ("learned from: load [% of nominal]", "< 90")
+    assert (driving.get_xlabel(), driving.get_xticklabels()[0].get_text()) == of_x
     assert [text.get_text() for text in driving.texts if text.get_text() != "0 s"] == (["7 s"] * 4 if shown[3:] else ["28 s"])
 
 

@@ -105,19 +105,23 @@ def test_a_jump_of_the_stamps_is_no_gap() -> None:
     assert "stamp_jump" not in found(recorded(speed=(paused, speed, paused + 0.2)))
 
 
-def test_findings_have_the_time_of_the_output() -> None:
-    """Which begins at the first speed that is not refused, though the clock is set back later."""
+def test_findings_have_the_time_of_the_output(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which begins at the first speed that is not refused, though the clock is set back later, or lags behind the log."""
+    monkeypatch.setattr("trackres_ros.offline.replay.BLOCK_ROWS", 100)
     time, speed = smooth(400)
     speed[[100, 350]] = 0.0
     set_back = np.where(np.arange(400) >= 300, time - 50.0, time)
     assert found(recorded(speed=(set_back, speed, time)))["dropout"].first_time_s == pytest.approx(10.0)
     assert found(recorded(speed=(set_back, speed, time)))["backward_stamp"].first_time_s == pytest.approx(-20.0)
     speed[:20] = 999.0
-    recording = recorded(speed=(time, speed), load=([0.0, 131.0], 2.7e5, [130.0, 131.0]))
-    assert found(recording, "load")["zero_stamp"].first_time_s == pytest.approx(30.0)
-    result = tr.replay(recording, "xgd24d")
-    assert {one.kind: one.first_time_s for one in result.findings}["dropout"] == pytest.approx(8.0)
-    assert result["stamp_ns"][0] == 102 * S
+    for first, begins in ((100.0, 100.0), (0.0, 105.0)):  # of a stamp that was never set the log tells the time
+        stamps = np.append(first, time[1:])
+        recording = recorded(speed=(stamps, speed, time + 5.0), load=([0.0, 131.0], 2.7e5, [135.0, 136.0]))
+        assert found(recording, "load")["zero_stamp"].first_time_s == pytest.approx(30.0)
+        assert found(recording)["dropout"].first_time_s == pytest.approx(110.0 - begins)
+        result = tr.replay(recording, "xgd24d")
+        assert {one.kind: one.first_time_s for one in result.findings}["dropout"] == pytest.approx(8.0)
+        assert result["stamp_ns"][0] == 102 * S
 
 
 @pytest.mark.parametrize("delay_s", [0.1, 5.0])

@@ -52,7 +52,7 @@ def refuse_replaced(folder: Path, fleet: Fleet) -> None:
     """Raise InputError if a vehicle file is that of a diagnosis in this folder: the run would replace it."""
     ours = (folder / DIAGNOSES).resolve()
     for vehicle in fleet.vehicles.values():
-        if vehicle.file.resolve().is_relative_to(ours):
+        if vehicle.file.is_relative_to(ours):
             allowed = f"a file outside of {folder / DIAGNOSES}, whose reports a run replaces"
             raise InputError(f"file of {vehicle.name}", str(vehicle.file), allowed, "copy its folder to another place")
 

@@ -167,8 +167,8 @@ class Application:
 
     def _take(self, estimate: Estimate, steady: int, now: int, arrival: int) -> None:
         values = estimate.row.tolist()
-        if not all(math.isfinite(values[column]) for column in MUST_BE_FINITE):
-            raise ArithmeticError(f"the estimate is not finite: {values}")
+        if odd := [self.estimator.columns[column] for column in MUST_BE_FINITE if not math.isfinite(values[column])]:
+            raise ArithmeticError(f"not finite: {', '.join(odd)}")  # without values: a new text each time floods the log
         stamp, waited = int(self.session.memory.times[at.SPEED, at.Times.last_stamp]), self._waited_ns(at.SPEED, arrival)
         set_ns = 0 if self.messages.reader.stamped else self.clock.set_by_ns(now, arrival)
         published = stamp + set_ns

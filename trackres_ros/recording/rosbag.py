@@ -285,7 +285,7 @@ class BagSource:
                     if rows_of.any():
                         tally.add(kind, role, int(rows_of.sum()), int(arrived[rows_of][0]))
         tally.speeds += int(np.count_nonzero(keep & (block.role == len(self._readings) - 1)))
-        if not tally.driven and (first := first_valid(block, keep & self._of_speed[block.role], self.zero_is_unset)):
+        if not tally.driven and (first := first_valid(block, self._of_speed[block.role], self.zero_is_unset)):
             tally.begin_ns, tally.driven = first[1], True
         if keep.all():
             return block
