@@ -38,7 +38,7 @@ def overview(assemblies=ASSEMBLIES, remarks=()):
         for topic, age, value in zip(TOPICS, (0.0, 3.21, 86400.0), (8.0, -0.25, 272000.0), strict=True)
     ]
     inputs.append(InputState("torque", "torque", math.nan, math.nan, math.nan, ()))
-    compared = Mismatch(True, 1, 12.0, 500.0, 0.5, True, "measured torque is 500 Nm above the expected one")
+    compared = Mismatch(True, 12.0, 500.0, 0.5, True, "measured torque is 500 Nm above the expected one")
     told = tuple(Notice(name, kind.meaning) for name, kind in KINDS.items() if name in remarks)
     state = "/home/somebody/.local/state/trackres/x.json"
     return Overview(

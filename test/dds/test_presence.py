@@ -224,6 +224,7 @@ def test_messages_come_in_order_with_the_time_they_were_sent(wire):
 def test_a_bag_is_played_with_one_clock_its_own_if_it_has_one(wire, tmp_path, simulated_s):
     log_s = (1000, 1001, 1002)
     rows = [("/c", FLOAT, log * 10**9, bytes(STORE.serialize_cdr(build(FLOAT), FLOAT))) for log in log_s]
+    rows.append(("/clock", CLOCK_TYPE, 0, None))
     for log, now in zip(log_s, simulated_s, strict=False):
         clock = build(CLOCK_TYPE, clock={"sec": now})
         rows.append(("/clock", CLOCK_TYPE, log * 10**9, bytes(STORE.serialize_cdr(clock, CLOCK_TYPE))))

@@ -259,8 +259,9 @@ def test_a_sweep_drives_as_recorded_unless_told_otherwise(tmp_path, vary, own_ai
         state = steady(vehicle, 2.5, vehicle.chassis.ambient if own_air else AIR)
         cycle, weight = read_cycle(str(profile), 5.0), vehicle.weight if "load" in vary or "weight" in vary else None
         total, _ = driven(Estimator(vehicle), cycle, weight, air)
-        found, remarks = point(asked, (number, values))
+        found, remarks, notes = point(asked, (number, values))
         assert found == (*state.outcomes, total["kwh_per_km"])
+        assert notes == list(cycle.notes)
         assert any("a belt is at -60 degC" in text for text in remarks) == (values.get("chassis.ambient") == -60.0)
 
 

@@ -44,7 +44,6 @@ from trackres_ros.diagnosis.report.series import (
 )
 from trackres_ros.diagnosis.report.tiles import MOST_WORDS, by_file, headline, lights, stage_of, tiles
 from trackres_ros.diagnosis.selection.held_out import Improvement
-from trackres_ros.vehicle.writing.sensor_lines import REPLACED
 
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftoppm"), reason="no chromium or pdftoppm on this machine")
 HALF = 0.5
@@ -89,10 +88,11 @@ def test_a_gain_by_an_assumed_sensor_alone_is_no_better_file():
 
 def test_the_tile_on_a_sensor_replaces_lines_like_the_terminal():
     lines = {"torque": "torque: {column: t, delay_s: 0.4}", "speed": "speed: {column: v, scale: 0.98}"}
-    last = tiles(report_of("named", "confirmed", [["delay"]], topics_lines=lines))[-1]
-    assert last.answer == "Correct the sensor"
-    assert last.detail == f"{REPLACED} {lines['torque']} and {lines['speed']}"
-    assert "add" not in last.detail
+    each = {f"torque of {name}": f"torque: {{column: {name}}}  # {name}" for name in "ab"}
+    for of, file in ((lines, "the topics file"), (each, "the topics file of each recording")):
+        last = tiles(report_of("named", "confirmed", [["delay"]], topics_lines=of))[-1]
+        assert last.answer == "Correct the sensor"
+        assert last.detail == f"in {file}, replace the line of the role with {'; '.join(of.values())}"
 
 
 words = st.text("abcdefgh _", min_size=1, max_size=30).filter(str.strip)
@@ -339,6 +339,9 @@ def test_gaps_and_ranges_are_those_of_the_recordings(diagnosed):
     assert all(sum(x["histogram_s"]) == pytest.approx(total) for x in found["ranges"])
     assert sum(map(sum, found["coverage"]["seconds"])) == pytest.approx(total)
     assert all(x["low"] <= x["median"] <= x["high"] for x in found["ranges"])
+    reverse = tuple(replace(s, speed=-s.speed, accel=-s.accel) for s in d.sessions)
+    back = inputs(replace(d, gated=replace(d.gated, sessions=reverse)))
+    assert back["coverage"]["acceleration"] == found["coverage"]["acceleration"]
 
 
 def test_the_page_says_where_it_comes_from(scrubbed, recorded, tmp_path):

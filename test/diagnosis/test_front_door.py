@@ -157,6 +157,11 @@ def test_without_the_libraries_of_the_page_the_rest_is_written(found, tmp_path, 
     assert (folder / "vehicle.yaml").is_file()
     assert json.loads((folder / "report.json").read_text()) == found.as_dict()
     assert [file.exists() for file in before] == [False, False, True]  # an earlier page would contradict report.json
+    for file in before:
+        file.write_text("<title>Of somebody else</title>")
+    with pytest.warns(UserWarning, match="no page"):
+        found.report(folder)
+    assert all(file.exists() for file in before)
 
 
 def test_a_vehicle_that_was_changed_in_memory_is_refused(recorded, xgd24d):

@@ -372,7 +372,7 @@ def test_copies_are_only_listed(dataset):
     assert "x.csv" not in (dataset.folder / "vehicles" / "worn.html").read_text()
 
 
-def test_a_row_says_whether_a_load_was_recorded(tmp_path):
+def test_a_row_is_of_the_recorded_load_and_the_file(tmp_path):
     """A hidden one is as one that was not."""
     vehicle = one_vehicle("xgd24d", None).vehicles["xgd24d"]
     (truck,) = draw_fleet(1, 1, 1.0, 3.0, (), seed=1)
@@ -388,6 +388,8 @@ def test_a_row_says_whether_a_load_was_recorded(tmp_path):
         done = analyse(Task(str(tmp_path / f"{name}.csv"), "1", vehicle))
         assert done["load_recorded"] == (name == "with"), done["reason"]
         assert done["vehicle_values"] == digest_of_values(vehicle.file)
+        of_file = {q.name: q.of_file for q in load_base(vehicle.file).base.parameters}
+        assert list(done["of_file"]) == [of_file.get(name) for name in done["names"]]
     hidden = analyse(Task(str(tmp_path / "with.csv"), "1", vehicle, hide=("load",)))
     alike = {"load_recorded", *NUMBERS, *LISTS_OF_NUMBERS} - {"took_s"}
     assert {name: hidden[name] for name in alike & set(done)} == {name: done[name] for name in alike & set(done)}

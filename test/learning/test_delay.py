@@ -227,10 +227,10 @@ def test_a_torque_two_steps_later_is_two_steps_later(road, late):
     assert late.delay.kept.value[0] - learner_of(road, 0).delay.kept.value[0] == pytest.approx(0.2, abs=0.01)
 
 
-def test_the_torque_scale_of_a_file_changes_no_delay(road):
+def test_torque_scale_and_offset_of_a_file_change_no_delay(road):
     car, found = load_any("bmw_i3"), []
-    for scale in (1.0, 0.4):
-        scaled = replace(car, values={**car.values, "torque_scale": scale})
+    for scale, offset in ((1.0, 0.0), (0.4, 500.0)):
+        scaled = replace(car, values={**car.values, "torque_scale": scale, "torque_offset": offset})
         found.append(learner_of(road, 2, 3.0, scale, estimator=Estimator(scaled)).delay.kept)
     assert found[1].count == found[0].count > 5
     np.testing.assert_allclose(found[1].delays, found[0].delays, atol=1e-6)

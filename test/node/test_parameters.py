@@ -111,6 +111,7 @@ def test_what_is_fixed_may_be_set_to_what_it_is():
         ("/a:\n  trackres:\n    ros__parameters:\n      gap_s: 2.0\n", "trackres", "/a", {"gap_s": 2.0}),
         ("/**/trackres: {ros__parameters: {gap_s: 2}}\n", "trackres", "/", {"gap_s": 2}),
         ("/**: {ros__parameters: {gap_s: 2}}\n/*/a: {ros__parameters: {gap_s: 3}}\n", "a", "/b/c", {"gap_s": 2}),
+        ("/a.: {ros__parameters: {gap_s: 2}}\n/a(: {ros__parameters: {}}\n/**: {ros__parameters: {}}\n", "ab", "/", {}),
         ("other:\n  ros__parameters: {x: 1}\n/**:\n  ros__parameters:\n", "trackres", "/b", {}),
         ("/**:\n  ros__parameters: {gap_s: 2.0}\ntrackres:\n  ros__parameters: {gap_s: 3.0}\n", "trackres", "/", {"gap_s": 3.0}),
     ],

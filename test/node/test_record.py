@@ -245,7 +245,7 @@ def test_each_round_of_simulated_time_is_a_file_of_its_own(desk, tmp_path):
 
 
 def test_a_restored_start_replays_as_live(desk, tmp_path, monkeypatch):
-    state, bag, now = tmp_path / "state.json", tmp_path / "live.mcap", [1e9]
+    state, bag, now = tmp_path / "state.json", tmp_path / "live drive.mcap", [1e9]
     monkeypatch.setattr("time.time", lambda: now[0])
     monkeypatch.setattr(record_room, "estimate_figure", lambda *_, **__: None)
     warm = desk(TOPICS, state_file=str(state))
@@ -275,15 +275,15 @@ def test_a_restored_start_replays_as_live(desk, tmp_path, monkeypatch):
         return replayed
 
     *live, lines = recorded()
-    assert f"--resume {record_room.start_of(bag)}" in lines
+    assert f"--resume '{record_room.start_of(bag)}'" in lines
     replayed = replayed_as(*live, bag)
     cold = tr.replay(bag, "xgd24d", topics=topics)
     assert cold["belt_degc/front_left"][0] < replayed["belt_degc/front_left"][0] - 1.0
-    before, part = [path.read_bytes() for path in (bag, record_room.start_of(bag))], tmp_path / "live.mcap.part"
+    before, part = [path.read_bytes() for path in (bag, record_room.start_of(bag))], tmp_path / "live drive.mcap.part"
     with monkeypatch.context() as killed:
         killed.setattr(record_room.OutputBag, "__exit__", lambda one, *_: one.writer._file.close() or 1 / 0)
         *live, lines = recorded()
-    assert f"--resume {record_room.start_of(part)}" in lines
+    assert f"--resume '{record_room.start_of(part)}'" in lines
     replayed_as(*live, part)
     assert [path.read_bytes() for path in (bag, record_room.start_of(bag))] == before
     Wire(desk(TOPICS), bag).recorder.end()

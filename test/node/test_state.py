@@ -244,6 +244,18 @@ def test_no_intact_state_is_lost_whatever_is_refused(desk, warm, topics, what):
     assert str(kept) in notice.text
 
 
+def test_an_unwritable_state_folder_is_reported_and_not_fatal(desk, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    d = desk(state_file=str(tmp_path / "file" / "state.json"), save_period_s=1.0)
+    d.drive(2.5)
+    with pytest.raises(InputError, match=r"state\.json"):
+        d.save()
+    assert "STATE_NOT_SAVED" in d.names()
+    count = len(d.published)
+    d.drive(0.5)
+    assert len(d.published) > count
+
+
 def test_a_disk_that_takes_no_more_leaves_the_old_file_whole(desk, warm):
     path, _ = warm
     before = path.read_text()

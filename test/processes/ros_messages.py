@@ -51,13 +51,14 @@ def twist(speed):
 
 
 def fill(writer, rows, store=STORE):
-    """Write topic, type, log time and bytes of each message with a writer of rosbags."""
+    """Write topic, type, log time and bytes of each message with a writer of rosbags; without bytes the topic alone."""
     with writer:
         topics = {}
         for topic, kind, log_ns, raw in rows:
             if topic not in topics:
                 topics[topic] = writer.add_connection(topic, kind, typestore=store)
-            writer.write(topics[topic], log_ns, raw)
+            if raw:
+                writer.write(topics[topic], log_ns, raw)
 
 
 def write_speeds(path, kind, rows, text="", compression="NONE", **options):

@@ -179,7 +179,7 @@ def test_an_offset_is_divided_among_the_parts_of_a_role():
     assert [one.offset for one in corrected("torque", Conversion(offset=-8.0), given).values()] == [-4.0, -1.0]
     other = {"torque": TopicBinding(column="c")}
     said = [line_to_write("torque", Conversion(-1.0), *each) for each in ((other,), (given,), (other, given, other))]
-    assert said[2].split(" should be ")[1] == " and ".join(of.split(" should be ")[1] for of in said[:2])
+    assert said[2].split(" should be ")[1] == ", for other recordings ".join(of.split(" should be ")[1] for of in said[:2])
 
 
 PART = {"column": "a"}

@@ -57,7 +57,7 @@ def fleet_group() -> None:
 @options.topics("with --vehicle, which topic or column feeds which role.", with_dbc=False)
 @click.option("--engine", default="local", metavar="local|tcp://HOST:PORT", help="Address of the Dask scheduler to run on.")
 @click.option("--workers", type=options.WORKERS, metavar="N", help="Processes of a local engine; default one per processor.")
-@click.option("--hide", multiple=True, metavar="CHANNEL", help="Ignore a channel; may be repeated.")
+@click.option("--hide", multiple=True, metavar="CHANNEL", help="Ignore a channel, but not speed or torque; may be repeated.")
 @click.option("--period", type=click.Choice(["month", "none"]), default="month", help="Diagnose each vehicle by this period.")
 @alert_options
 @options.folder("Folder of all results.")

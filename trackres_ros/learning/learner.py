@@ -124,14 +124,14 @@ class Learner:
             self.restart()
             correction.use_file(session.learned)
         self.gate.samples.air, self.gate.samples.of_air = air, session.share_of_air
-        memory, of = session.memory, session.estimator.constants.number
+        memory = session.memory
         self.delay.take(
             stamp_ns,
             row[at.Results.speed_mps],
             row[at.Results.drive_torque_nm] - row[at.Results.inertia_nm],
             row[at.Results.weight_n] * self._inertia,
             int(memory.times[at.TORQUE, at.Times.last_stamp]),
-            float(memory.values[at.TORQUE]) / of.torque_scale - of.torque_offset,
+            float(memory.values[at.TORQUE]) / session.estimator.constants.number.torque_scale,  # an offset delays nothing
             not reasons & SPEED_UNSURE,
         )
         self.learned.ground.drive(

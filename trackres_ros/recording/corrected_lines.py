@@ -44,8 +44,9 @@ def line_of(role: str, binding: TopicBinding) -> str:
 
 def line_to_write(role: str, by: Conversion, *each: Mapping[str, TopicBinding]) -> str:
     """What to write in the topics file for the bindings of each recording, for the end of a sentence."""
-    lines = list(dict.fromkeys(line_of(*one) for bindings in each for one in corrected(role, by, bindings).items()))
-    return f"{'its line' if len(lines) == 1 else 'its lines'} in the topics file should be {' and '.join(lines)}"
+    files = dict.fromkeys(tuple(line_of(*one) for one in corrected(role, by, bindings).items()) for bindings in each)
+    lines = ", for other recordings ".join(" and ".join(lines) for lines in files)
+    return f"{'its line' if all(len(of) == 1 for of in files) else 'its lines'} in the topics file should be {lines}"
 
 
 def _said(binding: TopicBinding) -> dict[str, Any]:

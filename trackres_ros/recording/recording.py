@@ -90,8 +90,9 @@ class Recording:
     def without(self, hidden: Collection[str]) -> Recording:
         """The recording without some roles; a role hides those of its axles and assemblies too."""
         shown = {role: s for role, s in self.series.items() if role not in hidden and base_role(role) not in hidden}
-        order = self._order()
-        numbers = np.array([list(shown).index(role) if role in shown else -1 for role in self.series], np.int16)[order]
+        if self.order is None:
+            return replace(self, series=shown)
+        numbers = np.array([list(shown).index(role) if role in shown else -1 for role in self.series], np.int16)[self.order]
         return replace(self, series=shown, order=numbers[numbers >= 0])
 
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:

@@ -134,7 +134,7 @@ class _Resampled(_Admitted):
 
 
 def _admitted(recording: Recording, hide: Sequence[str], settings: GateSettings) -> _Admitted:
-    logged, recording = recording, replace(recording.without(hide), order=None)
+    logged, recording = recording, replace(recording, order=None).without(hide)
     shortest_s = SHORTEST_S * pace(step_for([recording], slowest_speed=settings.slowest))
     check_compared(recording, shortest_s)
     recording, notes = on_one_clock(recording)

@@ -37,23 +37,25 @@ CLEARLY_BETTER = 0.05  # in correlation
 def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession, str]:
     """The session with its torque shifted to the best correlation with the speed, and a note.
 
-    Shifts only by whole steps from `LEAST_SHIFT_S` on: a shorter delay is physical, or a sensor's. The changes from step to
-    step must agree: on hills without a recorded slope, a smooth drive correlates best at another time by chance.
+    Shifts only by whole steps from `LEAST_SHIFT_S` on: a shorter delay is physical, or a sensor's. Both halves must agree: on
+    hills without a recorded slope, a smooth drive correlates best at another time by chance.
     """
     if session.used.sum() < FEWEST_COMPARED:
         return session, ""
     shifts = range(-LARGEST_SHIFT_S, LARGEST_SHIFT_S + 1)
+    torques = {s: _moved(session.torque, -s) for s in shifts}
     used = {s: _moved(session.used, -s, unknown=False) & session.used for s in shifts}
-    there = [_correlation(_moved(session.torque, -s), expected, used[s]) for s in shifts]
-    best = int(np.argmax(there))
-    shift, gain = shifts[best], there[best] - there[LARGEST_SHIFT_S]
-    changes, shifted = (
-        _correlation(np.diff(_moved(session.torque, -s)), np.diff(expected), used[s][1:] & used[s][:-1]) for s in (0, shift)
+    first = np.cumsum(session.used) <= 0.5 * session.used.sum()
+    whole, *halves = (
+        np.array([_correlation(torques[s], expected, used[s] & part) for s in shifts]) for part in (True, first, ~first)
     )
-    if abs(shift) < LEAST_SHIFT_S or gain < CLEARLY_BETTER or there[best] < SURE or shifted < changes:
+    best = int(np.argmax(whole))
+    shift, gain = shifts[best], whole[best] - whole[LARGEST_SHIFT_S]
+    by_chance = any(abs(int(np.argmax(half)) - best) > LEAST_SHIFT_S for half in halves)
+    if abs(shift) < LEAST_SHIFT_S or gain < CLEARLY_BETTER or whole[best] < SURE or by_chance:
         return session, ""
     course = session.torque_course and Cumulative(session.torque_course.at - shift * session.step, session.torque_course.integral)
-    moved = replace(session, torque=_moved(session.torque, -shift), used=used[shift], torque_course=course)
+    moved = replace(session, torque=torques[shift], used=used[shift], torque_course=course)
     return moved, f"{session.name}: the torque's clock differs from the speed's by {shift * session.step:+g} s; corrected"
 
 

@@ -28,7 +28,7 @@ from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.vehicle.writing.changes import Interval
-from trackres_ros.vehicle.writing.sensor_lines import REPLACED, sensor_lines
+from trackres_ros.vehicle.writing.sensor_lines import replaced, sensor_lines
 from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
 
 SCHEMA = 1
@@ -176,7 +176,7 @@ def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
             "where it applies."
         )
     if lines:
-        steps.append(f"A sensor causes {sensors}. No file corrects that: {REPLACED}:")
+        steps.append(f"A sensor causes {sensors}. No file corrects that: {replaced(lines)}:")
     return steps
 
 
@@ -355,7 +355,7 @@ def _coverage(d: Diagnosis) -> dict[str, Any]:
     """Compared seconds by speed and acceleration: one row for each range of the acceleration, the least first."""
     used = np.concatenate([s.used for s in d.sessions])
     speed = np.concatenate([s.speed for s in d.sessions])[used]
-    accel = np.concatenate([s.accel_around for s in d.sessions])[used]
+    accel = np.concatenate([s.accel_around * s.ahead for s in d.sessions])[used]
     counts, speeds, accels = np.histogram2d(speed, accel, CELLS)
     seconds = (counts.T * d.sessions[0].step).tolist()
     ends = {"speed": [_short(speeds[0]), _short(speeds[-1])], "acceleration": [_short(accels[0]), _short(accels[-1])]}

@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
 from trackres_ros.diagnosis.findings.wording import either, form_words, upper
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_SHARE, SUSPECTED
 from trackres_ros.text.numbers import decimals, figures, from_to
-from trackres_ros.vehicle.writing.sensor_lines import REPLACED
+from trackres_ros.vehicle.writing.sensor_lines import replaced
 
 MOST_WORDS = 40  # upper limit for the sentence
 STANDS_OUT_P, MOST_LIGHTS = 0.05, 6  # of bins
@@ -189,7 +189,7 @@ def _next(r: dict[str, Any]) -> Tile:
         if lead is None or lead["name"] in a["separates"]:
             return Tile(name, "Drive once more", f"{upper(a['manoeuvre'])} ({figures(a['minutes'], 2)} min)")
     if r["topics_lines"]:
-        return Tile(name, "Correct the sensor", f"{REPLACED} {' and '.join(r['topics_lines'].values())}")
+        return Tile(name, "Correct the sensor", f"{replaced(r['topics_lines'])} {'; '.join(r['topics_lines'].values())}")
     if r["effects"] and written["effects"]:
         here, elsewhere = (" and ".join(map(_plain, names)) for names in by_file(r))
         if not elsewhere:

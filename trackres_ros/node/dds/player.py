@@ -40,13 +40,14 @@ class Player:
         with closing(cast("Any", open_bag(path))) as reader:  # of rosbags, which this module requires
             known = {c.topic: c.msgtype for c in reader.connections if c.msgtype in typestore().types}
             self.left_out = sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections if c.topic not in known})
+            has_clock = any(c.topic == "/clock" and c.msgcount for c in reader.connections)
             self.duration_s = reader.duration * 1e-9
         if not known:
             raise InputError(str(path), f"topics {', '.join(self.left_out)}", "a topic of a common message type")
         self._participant = Participant("trackres_player", "/")
         self._writers = {topic: self._participant.writer(topic, kind, QUALITY) for topic, kind in known.items()}
         self._clock = None  # a second clock beside that of the bag would set the time back and forth
-        if "/clock" not in known:
+        if not has_clock:
             self._clock = self._participant.writer("/clock", "rosgraph_msgs/msg/Clock", CLOCK_QUALITY)
         self._participant.announce()
 

@@ -14,7 +14,6 @@ from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.corrected_lines import corrected, line_of
 from trackres_ros.recording.role_units import Conversion
 
-REPLACED = "in the topics file, replace the line of the role with"
 NOTHING_KNOWN = conditions(VehicleConstants(1.0, 1.0, 0.0, 0.0, 1.0, 1, 0.0, 0.0))  # a sensor's error is independent of the drive
 
 
@@ -33,6 +32,12 @@ def sensor_lines(
             names.setdefault(role, {}).setdefault(line, []).append(one_line(name))
     each = [(role, line, "" if len(of) == len(recorded) else ", ".join(of)) for role in names for line, of in names[role].items()]
     return {f"{role} of {of}" if of else role: f"{line}  # {of}" if of else line for role, line, of in each}
+
+
+def replaced(lines: Mapping[str, str]) -> str:
+    """Where such lines belong; those of several recordings cannot be in one file."""
+    alike = not any("  # " in line for line in lines.values())
+    return f"in the topics file{'' if alike else ' of each recording'}, replace the line of the role with"
 
 
 def _lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding], torque_scale: float) -> dict[str, str]:
