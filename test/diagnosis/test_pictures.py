@@ -20,6 +20,7 @@ from trackres_ros.diagnosis.report.pictures import draw_all, draw_regimes, draw_
 from trackres_ros.diagnosis.report.series import MOST_RECORDINGS, shown_lap
 from trackres_ros.diagnosis.report.term_pictures import draw_term
 from trackres_ros.diagnosis.report.timeline import begins, draw_timeline, held_out_times, marked_times, minutes, panels
+from trackres_ros.results.diagnosis import PICTURES
 from trackres_ros.text.numbers import figures
 
 pytest.importorskip("matplotlib")
@@ -51,6 +52,7 @@ def test_every_picture_can_be_read(drawn, diagnosed, tmp_path):
     pictures = draw_all(diagnosed, tmp_path)
     names = [p.path.name for p in pictures]
     assert len(drawn.figures) == len(pictures) >= 5
+    assert {file for name in PICTURES for file in tmp_path.glob(name)} == {p.path for p in pictures}  # as a later one removes
     assert names[0] == "believed.svg"
     assert names.index("where_time.svg") < names.index("where_regime.svg")
     for picture, figure in zip(pictures, drawn.figures, strict=True):

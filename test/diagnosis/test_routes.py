@@ -27,6 +27,7 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.files.resources import config_dir
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.results.diagnosis import PICTURES
 from trackres_ros.route.learned import SLOPE, TORQUE, of_kind
 from trackres_ros.vehicle import load_any, with_surroundings
 from trackres_ros.vehicle.surroundings import load_route
@@ -216,6 +217,7 @@ def test_the_diagnosis_names_it_and_draws_it(diagnosed):
     assert report["route"]["kind"] == "slope"
     assert report["route"]["passes"] > 2
     assert (diagnosed / "route.svg").is_file()
+    assert {file for name in PICTURES for file in diagnosed.glob(name)} == set(diagnosed.glob("*.svg"))
     assert "By place" in (diagnosed / "report.html").read_text()
 
 

@@ -412,14 +412,16 @@ def test_what_waits_for_a_speed_is_counted_when_the_node_ends(desk):
 
 @pytest.mark.parametrize("odd", [None, "resistance_torque_nm", "resistance_std_nm", "feedforward_torque_nm"])
 def test_a_fault_inside_is_said_and_does_not_silence_the_outputs(desk, monkeypatch, odd):
-    """An exception, or a number of the estimate that is none; the log has it once."""
+    """An exception, or an estimate that is not finite; the log has it once."""
     d = desk()
     d.drive(1.0)
     feed = d.app.session.feed
 
     def faulty(*message):
         estimate = feed(*message)
-        estimate.row[1 // 0 if odd is None else d.app.estimator.column_index[odd]] = math.nan
+        if odd is None:
+            raise ZeroDivisionError
+        estimate.row[d.app.estimator.column_index[odd]] = math.nan
         return estimate
 
     monkeypatch.setattr(d.app.session, "feed", faulty)

@@ -30,11 +30,7 @@ from trackres_ros.cli.partial_output import watch
 @click.option("--quick", is_flag=True, help="Fewer draws for thresholds.")
 @click.option("--keep-suspected", is_flag=True, help="Also write effects that fit but that laps left out do not confirm.")
 @click.option("--effects", type=options.PATH, metavar="DIR", help="Folder with your own effects, one Python file each.")
-@click.option(
-    "--no-page",
-    is_flag=True,
-    help="Write no report.html and no pictures, which take long; remove earlier ones.",
-)
+@click.option("--no-page", is_flag=True, help="Write no report.html and no pictures, which take long; remove earlier ones.")
 @options.folder("Folder for the report; created if needed.")
 @options.json
 def diagnose_command(

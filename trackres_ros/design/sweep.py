@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,8 +40,15 @@ HEADS = {
     "kwh_per_km": "warm\nkWh/km",
     DRIVE: "drive\nkWh/km",
 }
-Outcomes = tuple[tuple[float, ...], list[str], list[str]]  # of a point, with its remarks and notes
 PLACES = {"cold_nm": 0, "warm_nm": 0, "belt_degc": 1, "kwh_per_km": 3, DRIVE: 3}
+
+
+class Outcomes(NamedTuple):
+    """Outcomes of a point by the names of the sweep, and what is said of the vehicle and of its drive."""
+
+    values: tuple[float, ...]
+    remarks: list[str]
+    notes: list[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,16 +174,16 @@ def sweep(
     if len(refused) == len(found):
         raise InputError("--vary", f"{len(found)} points", "at least one possible vehicle", next(iter(refused.values())))
     names.append(BEYOND)
-    rows = np.array([[np.nan] * len(names) if isinstance(one, str) else (*one[0], float(bool(one[1]))) for one in found])
+    rows = np.array([[np.nan] * len(names) if isinstance(one, str) else (*one.values, float(bool(one.remarks))) for one in found])
     columns = {path: np.array([values[path] for values in points]) for path in asked.paths}
     usable = {number: one for number, one in enumerate(found) if not isinstance(one, str)}
-    remarks = {number: texts for number, (_, texts, _) in usable.items() if texts}
-    notes = tuple(dict.fromkeys(note for *_, of_drive in usable.values() for note in of_drive))
+    remarks = {number: one.remarks for number, one in usable.items() if one.remarks}
+    notes = tuple(dict.fromkeys(note for one in usable.values() for note in one.notes))
     return Swept(asked, {**columns, **dict(zip(names, rows.T, strict=True))}, refused, tuple(inactive), remarks, notes)
 
 
 def point(asked: SweepRequest, numbered: tuple[int, dict[str, float]]) -> Outcomes | str:
-    """Outcomes, remarks and notes of one point, a number and values, or why a vehicle cannot be so."""
+    """Outcomes of one point, a number and values, or why a vehicle cannot be so."""
     _, values = numbered
     try:
         vehicle = load(asked.file, values)
@@ -184,12 +191,12 @@ def point(asked: SweepRequest, numbered: tuple[int, dict[str, float]]) -> Outcom
         found = steady(vehicle, asked.speed, air)
         remarks = remarks_on(vehicle, asked.speed, air, [found])
         if asked.cycle is None:
-            return found.outcomes, remarks, []
+            return Outcomes(found.outcomes, remarks, [])
         cycle, estimator = read_cycle(asked.cycle, vehicle.chassis.max_speed), Estimator(vehicle)
         weight = vehicle.weight if any(path.endswith(OF_WEIGHT) for path in values) else None
         total, columns = driven(estimator, cycle, weight, None if asked.own_air and AIR not in values else air)
         notes = [*cycle.notes, *left_out(columns)]
-        return (*found.outcomes, total["kwh_per_km"]), [*remarks, *beyond(vehicle, columns)], notes
+        return Outcomes((*found.outcomes, total["kwh_per_km"]), [*remarks, *beyond(vehicle, columns)], notes)
     except InputError as error:
         return one_line(str(error))
 

@@ -211,10 +211,8 @@ class Parameters:
 
     def diagnose_command(self) -> str:
         """Command that explains where and why measured and expected torque differ."""
-        given = [
-            part for name in ("vehicle", "surroundings", "topics") if (file := self.text(name)) for part in (f"--{name}", file)
-        ]
-        return shlex.join(["trackres", "diagnose", "RECORDING", *given, "-o", "report"])
+        given = [f"--{name} {shlex.quote(self.text(name))}" for name in ("vehicle", "surroundings", "topics") if self.text(name)]
+        return f"trackres diagnose RECORDING {' '.join(given)} -o report"
 
     def settings(self) -> Settings:
         """The estimator's share."""

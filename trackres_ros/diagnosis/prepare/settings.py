@@ -9,11 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.recording.roles import PASSENGER_KG
 
-Array = NDArray[np.float64]
 STEP_S = 1.0  # mean torque over a step against its change of speed: exact for any course within
 LEAST_SAMPLES = 5  # in a step: with fewer, sampling affects the change of speed and the mean torque as much as the drive does
 SLOWEST_MPS, SLOWEST_SHARE = 0.3, 0.1  # of the greatest speed; below both friction may be static

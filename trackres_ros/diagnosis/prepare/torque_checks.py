@@ -43,19 +43,21 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
     if session.used.sum() < FEWEST_COMPARED:
         return session, ""
     shifts = range(-LARGEST_SHIFT_S, LARGEST_SHIFT_S + 1)
-    torques = {s: _moved(session.torque, -s) for s in shifts}
     used = {s: _moved(session.used, -s, unknown=False) & session.used for s in shifts}
     first = np.cumsum(session.used) <= 0.5 * session.used.sum()
-    whole, *halves = (
-        np.array([_correlation(torques[s], expected, used[s] & part) for s in shifts]) for part in (True, first, ~first)
-    )
+
+    def there(part: Mask) -> list[float]:
+        return [_correlation(_moved(session.torque, -s), expected, used[s] & part) for s in shifts]
+
+    whole = there(session.used)
     best = int(np.argmax(whole))
     shift, gain = shifts[best], whole[best] - whole[LARGEST_SHIFT_S]
-    by_chance = any(abs(int(np.argmax(half)) - best) > LEAST_SHIFT_S for half in halves)
-    if abs(shift) < LEAST_SHIFT_S or gain < CLEARLY_BETTER or whole[best] < SURE or by_chance:
+    if abs(shift) < LEAST_SHIFT_S or gain < CLEARLY_BETTER or whole[best] < SURE:
+        return session, ""
+    if any(abs(int(np.argmax(there(half))) - best) > LEAST_SHIFT_S for half in (first, ~first)):
         return session, ""
     course = session.torque_course and Cumulative(session.torque_course.at - shift * session.step, session.torque_course.integral)
-    moved = replace(session, torque=torques[shift], used=used[shift], torque_course=course)
+    moved = replace(session, torque=_moved(session.torque, -shift), used=used[shift], torque_course=course)
     return moved, f"{session.name}: the torque's clock differs from the speed's by {shift * session.step:+g} s; corrected"
 
 

@@ -126,15 +126,14 @@ def _weight(recording: Recording, known: GateSettings) -> list[str]:
     others = float(known.total_load({role: np.array(0.0) for role in loads}))  # nominal, of the parts without a load
     weight = known.weight - others
     share = (float(known.total_load(loads)) - others) / weight
-    where, low, high, whole = f"{recording.name}: {', '.join(roles)}", *WEIGHTS, roles == ["load"]
-    carried = f"the {'whole vehicle' if whole else 'same parts'} in the vehicle file"
-    given = f"{share * weight:.4g} {ROLES['load'].unit}, {share:.2g} of the {weight:.4g} N of {carried}"
+    where, low, high = f"{recording.name}: {', '.join(roles)}", *WEIGHTS
+    carrier = "the whole vehicle" if roles == ["load"] else "these parts"
+    given = f"{share * weight:.4g} {ROLES['load'].unit}, {share:.2g} of the {weight:.4g} N of {carrier} in the vehicle file"
     if not low <= share <= high:
         for unit, other in _others("load").items():
             if 1.0 / AROUND < share * other.scale < AROUND:
                 _refuse(where, given, f"{low:g} to {high:g} of it", unit, "load", recording.bindings)
-        what = "of the whole vehicle" if whole else "on these parts"
-        remedy = f"give the weight {what}; for a payload, add the empty weight as offset in the topics file"
+        remedy = f"give the weight of {carrier}; for a payload, add the empty weight as offset in the topics file"
         raise InputError(where, given, f"{low:g} to {high:g} of it", remedy)
     if not USUAL_WEIGHTS[0] <= share <= USUAL_WEIGHTS[1]:
         return [WarningNote(f"{where}: {given}: is each part of the load recorded exactly once?")]

@@ -355,7 +355,7 @@ def _coverage(d: Diagnosis) -> dict[str, Any]:
     """Compared seconds by speed and acceleration: one row for each range of the acceleration, the least first."""
     used = np.concatenate([s.used for s in d.sessions])
     speed = np.concatenate([s.speed for s in d.sessions])[used]
-    accel = np.concatenate([s.accel_around * s.ahead for s in d.sessions])[used]
+    accel = np.concatenate([BY_NAME["acceleration"].of(*x) for x in zip(d.sessions, d.refitted.predicted, strict=True)])[used]
     counts, speeds, accels = np.histogram2d(speed, accel, CELLS)
     seconds = (counts.T * d.sessions[0].step).tolist()
     ends = {"speed": [_short(speeds[0]), _short(speeds[-1])], "acceleration": [_short(accels[0]), _short(accels[-1])]}

@@ -36,8 +36,8 @@ def sensor_lines(
 
 def replaced(lines: Mapping[str, str]) -> str:
     """Where such lines belong; those of several recordings cannot be in one file."""
-    alike = not any("  # " in line for line in lines.values())
-    return f"in the topics file{'' if alike else ' of each recording'}, replace the line of the role with"
+    several = any(" of " in role for role in lines)
+    return f"in the topics file{' of each recording' if several else ''}, replace the line of the role with"
 
 
 def _lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding], torque_scale: float) -> dict[str, str]:
