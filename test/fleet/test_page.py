@@ -80,6 +80,10 @@ def test_on_screen_each_vehicle_is_a_row_without_script_errors(pages, tmp_path):
     assert cells >= 3 * VEHICLES  # a month each, that leads to the vehicle's page
 
 
+def test_what_changed_is_said_on_the_first_page(pages):
+    assert f"{WORN[0]}: bearing_friction rose at once" in (pages / "index.html").read_text()
+
+
 @pytest.mark.parametrize("page", ["index.html", "vehicles/truck-07.html"])
 def test_on_a_phone_the_page_itself_does_not_scroll_sideways(pages, tmp_path, page):
     (wide,) = asked(pages / page, tmp_path, 400, "seen.documentElement.scrollWidth")

@@ -169,6 +169,13 @@ def test_peers_are_remarked(desk):
     assert d.names() <= {"COMPILING"}
 
 
+def test_a_fault_just_after_the_start_is_a_warning_at_once(desk):
+    d = desk()
+    d.found_peers = {"speed": (Peer("std_msgs/msg/Float32", True),)}
+    d.drive(1.2)
+    assert [text for level, text in d.logged if level is Level.WARN and "std_msgs/msg/Float32" in text]
+
+
 def test_a_healthy_start_logs_no_warning(desk):
     d = desk()
     d.forward(0.4)  # publishers are found, then their messages come, the ambient last
