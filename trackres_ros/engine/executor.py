@@ -9,7 +9,7 @@ import atexit
 import logging
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http import HTTPStatus
 from http.client import HTTPException
 from importlib.util import find_spec
@@ -20,7 +20,7 @@ from urllib.request import urlopen
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, LocalCluster
 
 Work = TypeVar("Work")
 
@@ -73,8 +73,13 @@ def engine(address: str, workers: int | None = None) -> Iterator[Client]:
             except KeyboardInterrupt:  # Dask cannot close a cluster that is starting; its workers end with this process
                 atexit.unregister(close_clusters)
                 raise
-            with cluster, Client(cluster, set_as_default=False) as client:
-                yield client
+            try:
+                with Client(cluster, set_as_default=False) as client:
+                    yield client
+                    with suppress(TimeoutError):  # one that starts again cannot be closed cleanly
+                        client.wait_for_workers(count, CONNECT_S)
+            finally:
+                _close(cluster)
             return
         if not address.partition("://")[2]:
             raise InputError("--engine", address, SAID)
@@ -85,6 +90,16 @@ def engine(address: str, workers: int | None = None) -> Iterator[Client]:
             raise InputError("--engine", given, SAID, "start one with: dask scheduler") from None
         with client:
             yield client
+
+
+def _close(cluster: LocalCluster) -> None:
+    """Close a cluster whose work is done. Dask may fail at a worker that dies or starts at this moment."""
+    from distributed.deploy.spec import close_clusters
+
+    try:
+        cluster.close()
+    except Exception:  # such a worker ends with this process, like all of them
+        atexit.unregister(close_clusters)
 
 
 def dashboard(client: Client) -> str:
