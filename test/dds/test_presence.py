@@ -174,6 +174,18 @@ def test_it_comes_with_all_its_endpoints_and_goes_at_once(graph, wire, command, 
     assert f"Cyclone DDS {where}: topics and presence" in node.stderr.read()
 
 
+def test_no_thread_outlives_the_last_participant(environment, monkeypatch):
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        monkeypatch.setenv(name, environment[name])
+    threads = Path("/proc/self/task")
+    before = len(list(threads.iterdir()))
+    mine = Participant("watcher", "/")
+    assert len(list(threads.iterdir())) > before
+    mine.close()
+    assert wait_for(lambda: len(list(threads.iterdir())) <= before)
+
+
 def test_publishers_are_seen_with_type_and_qos_until_they_leave(wire):
     mine = Participant("watcher", "/")
     reliable = wire.publisher("/a", FLOAT, reliable=True)

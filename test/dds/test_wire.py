@@ -19,7 +19,7 @@ from trackres_ros.node.dds.wire import (
     domain_id,
     idl_struct,
     most_index,
-    open_domain,
+    opening,
     qos,
     ros_type_name,
     type_hash,
@@ -148,4 +148,7 @@ def test_how_far_it_reaches(monkeypatch, variables, said):
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    assert open_domain(74) == said
+    with opening(74) as reach:
+        assert reach == said
+        assert bool(os.environ.get("CYCLONEDDS_URI")) == (said != "on all networks")
+    assert os.environ.get("CYCLONEDDS_URI") == variables.get("CYCLONEDDS_URI")

@@ -25,7 +25,7 @@ from trackres_ros.node.dds.wire import (
     TOPIC_PREFIX,
     domain_id,
     idl_struct,
-    open_domain,
+    opening,
     qos,
     ros_type_name,
     type_hash,
@@ -97,8 +97,9 @@ class Participant:
         number = domain_id()
         self.node, self.namespace = node, namespace
         try:
-            self.reach = f"in domain {number}, {open_domain(number)}"
-            self.entity = DomainParticipant(number, qos=Qos(Policy.Userdata(b"enclave=/;")))
+            with opening(number) as reach:
+                self.reach = f"in domain {number}, {reach}"
+                self.entity = DomainParticipant(number, qos=Qos(Policy.Userdata(b"enclave=/;")))
         except DDSException as error:
             given = os.environ.get("CYCLONEDDS_URI", "")
             allowed = "a configuration and a network with which Cyclone DDS starts"

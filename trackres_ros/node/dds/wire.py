@@ -10,11 +10,12 @@ bytes pass through here: messages are serialised and deserialised elsewhere.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from cyclonedds.core import Policy, Qos
-from cyclonedds.domain import Domain
 from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl import types as idl
 from cyclonedds.util import duration
@@ -154,20 +155,21 @@ def most_index(domain: int) -> int:
     return min(MOST_INDEX, (MOST_PORT - 7411 - 250 * domain) // 2)
 
 
-_domains: dict[int, Domain] = {}
+@contextmanager
+def opening(number: int) -> Iterator[str]:
+    """For as long as a participant is made: the way in which its domain reaches others, as text.
 
-
-def open_domain(number: int) -> str:
-    """Open a domain once for this process; return how it reaches others, as text.
-
-    CYCLONEDDS_URI has priority, then ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE as in ROS 2.
+    CYCLONEDDS_URI has priority, then ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE as in ROS 2. A domain that its first
+    participant opens is configured by the environment, and closes with the last one. One that is opened before, by `Domain`,
+    sometimes never closes: then the process does not end.
     """
     if os.environ.get("CYCLONEDDS_URI"):
-        reach, configuration = "as set by CYCLONEDDS_URI", None
+        yield "as set by CYCLONEDDS_URI"
     elif os.environ.get("ROS_LOCALHOST_ONLY") == "1" or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST":
-        reach, configuration = "on this machine only", LOOPBACK.format(most=most_index(number))
+        os.environ["CYCLONEDDS_URI"] = LOOPBACK.format(most=most_index(number))
+        try:
+            yield "on this machine only"
+        finally:
+            del os.environ["CYCLONEDDS_URI"]
     else:
-        reach, configuration = "on all networks", None
-    if number not in _domains and configuration:
-        _domains[number] = Domain(number, configuration)
-    return reach
+        yield "on all networks"
