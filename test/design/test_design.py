@@ -548,6 +548,7 @@ def test_design_commands_name_effects_that_they_leave_out(monkeypatch, tmp_path,
         assert all(note.endswith(end) for note, end in zip(swept.as_dict()["notes"], on, strict=True))
         assert all(f"drive: {note}\n" in swept.text() for note in swept.notes)
         assert Reason.EFFECT_LEFT_OUT.text not in str(swept.remarks)
+        assert "; effects that warm up are warm in both\n" in swept.text()
     assert f"turning_scrub of {wheels[0]}: inactive" in wheels_text(wheels_compared(wheels), wheels)
     vary("rubber.loss_modulus_scale")
     held = sensing.sensitivity(tracks, 2.5, AIR, 8).held
