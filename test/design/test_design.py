@@ -42,17 +42,17 @@ SPEED, AIR = 25.0 / 3.6, 10.0
 
 
 @pytest.mark.parametrize("with_effect", [False, True])
-@pytest.mark.parametrize(("name", "speed"), [("xgd24d", SPEED), ("agri3t", 2.5)])
-def test_what_heats_a_steady_belt_cools_it(name, speed, with_effect):
+@pytest.mark.parametrize(("name", "speed", "air"), [("xgd24d", SPEED, AIR), ("agri3t", 2.5, AIR), ("xgd24d", 0.15, -30.0)])
+def test_what_heats_a_steady_belt_cools_it(name, speed, air, with_effect):
     vehicle = load(name)
     if with_effect:
         effect = catalogue()["drivetrain_drag"]
         vehicle = replace(vehicle, effects=(Active(effect, effect.values()),))
-    found = steady(vehicle, speed, AIR)
-    at = explain(vehicle, speed, found.belt_degc, AIR)
+    found = steady(vehicle, speed, air)
+    at = explain(vehicle, speed, found.belt_degc, air)
     assert at["heat_w"] == pytest.approx(at["cooling_w"], rel=2e-3)
     assert found.warm_nm == pytest.approx(at["torque_nm"]["resistance"], rel=1e-3)
-    assert found.cold_nm == pytest.approx(explain(vehicle, speed, AIR, AIR)["torque_nm"]["resistance"], rel=1e-9)
+    assert found.cold_nm == pytest.approx(explain(vehicle, speed, air, air)["torque_nm"]["resistance"], rel=1e-9)
     assert found.cold_nm > found.warm_nm
     radius = vehicle.track_of(vehicle.assemblies[0]).sprocket_radius
     assert found.kwh_per_km == pytest.approx(found.warm_nm / radius / 3600.0, rel=1e-9)

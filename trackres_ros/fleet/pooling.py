@@ -59,8 +59,7 @@ class Vehicles:
     def of(cls, rows: Iterable[Mapping[str, Any]]) -> list[Vehicles]:
         """Those of each type among good rows; vehicles with equal file values are of one type, also behind factors.
 
-        A vehicle's rows are of one file, see `trends.of_present_files`; in those of earlier versions its values behind factors are
-        not known.
+        A vehicle's rows are of one file, see `trends.of_present_files`; rows of earlier versions lack the values behind factors.
         """
         good = [row for row in rows if row["status"] == "good"]
         behind = {row["vehicle"]: tuple(row[OF_FILE]) for row in good if row.get(OF_FILE)}
