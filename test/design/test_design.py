@@ -223,14 +223,6 @@ def test_an_effect_may_cool_a_belt_below_the_air():
     assert point["heat_w"] == pytest.approx(point["cooling_w"], abs=1e-3 * 1e4)
 
 
-def test_an_effect_of_no_size_leaves_a_steady_state_as_it_is():
-    """Also under unequal loads of the axles, whose belts differ in temperature."""
-    vehicle = load("xgd24d", {"chassis.axles.front.load": 80e3, "chassis.axles.rear.load": 150e3})
-    drag = catalogue()["coulomb_friction"]
-    with_drag = replace(vehicle, effects=(Active(drag, {**drag.values(), "friction": 1e-3}),))
-    assert steady(with_drag, SPEED, AIR).outcomes == pytest.approx(steady(vehicle, SPEED, AIR).outcomes, rel=1e-4)
-
-
 def test_a_belt_that_finds_no_balance_has_no_steady_state():
     vehicle = load("xgd24d", {"tracks.triangular.belt.film_offset": 1.0, "tracks.triangular.belt.film_slope": 0.0})
     found = steady(vehicle, SPEED, AIR)

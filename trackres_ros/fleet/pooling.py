@@ -57,11 +57,9 @@ class Vehicles:
 
     @classmethod
     def of(cls, rows: Iterable[Mapping[str, Any]]) -> list[Vehicles]:
-        """Those of each type among good rows; vehicles with equal file values are of one type, also behind factors.
-
-        A vehicle's rows are of one file, see `trends.of_present_files`; rows of earlier versions lack the values behind factors.
-        """
+        """Those of each type among good rows, of one file for each vehicle: equal files, also behind factors, are of one type."""
         good = [row for row in rows if row["status"] == "good"]
+        # Rows of earlier versions lack what factors multiply.
         behind = {row["vehicle"]: tuple(row[OF_FILE]) for row in good if row.get(OF_FILE)}
         types: dict[Hashable, list[Mapping[str, Any]]] = {}
         for row in good:

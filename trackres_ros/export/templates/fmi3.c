@@ -260,31 +260,23 @@ EXPORTED fmi3Status fmi3SetFloat64(
     return fmi3OK;
 }
 
-EXPORTED fmi3Status fmi3GetUInt32(
-    fmi3Instance instance, const fmi3ValueReference references[], size_t count, uint32_t values[], size_t value_count)
-{
-    struct instance *one = with_outputs(instance);
-    for (size_t i = 0; i < count; i++) {
-        if (references[i] != OF_REASONS || i >= value_count) {
-            return failed(one, "no whole number of this reference");
-        }
-        values[i] = one->outputs.reasons;
+/* A variable that is the only one of its type. */
+#define ONLY_VARIABLE(type, kind, reference, output)                                                                             \
+    EXPORTED fmi3Status fmi3Get##type(                                                                                           \
+        fmi3Instance instance, const fmi3ValueReference references[], size_t count, kind values[], size_t value_count)           \
+    {                                                                                                                            \
+        struct instance *one = with_outputs(instance);                                                                           \
+        for (size_t i = 0; i < count; i++) {                                                                                     \
+            if (references[i] != (reference) || i >= value_count) {                                                              \
+                return failed(one, "no whole number of this reference");                                                         \
+            }                                                                                                                    \
+            values[i] = one->outputs.output;                                                                                     \
+        }                                                                                                                        \
+        return fmi3OK;                                                                                                           \
     }
-    return fmi3OK;
-}
 
-EXPORTED fmi3Status fmi3GetInt32(
-    fmi3Instance instance, const fmi3ValueReference references[], size_t count, int32_t values[], size_t value_count)
-{
-    struct instance *one = with_outputs(instance);
-    for (size_t i = 0; i < count; i++) {
-        if (references[i] != OF_LEVEL || i >= value_count) {
-            return failed(one, "no whole number of this reference");
-        }
-        values[i] = one->outputs.level;
-    }
-    return fmi3OK;
-}
+ONLY_VARIABLE(UInt32, uint32_t, OF_REASONS, reasons)
+ONLY_VARIABLE(Int32, int32_t, OF_LEVEL, level)
 
 /* A state of an instance is a copy of it; kept of it is what stands before its environment. */
 enum { KEPT = offsetof(struct instance, environment) };

@@ -31,10 +31,7 @@ SHOWN = (
 
 
 def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -> Path:
-    """Write index.html and vehicles/NAME.html, and remove pages of vehicles without a row; return the path of the first.
-
-    Raises MissingExtraError without jinja2.
-    """
+    """Write index.html and vehicles/NAME.html alone; return the first path. Raises MissingExtraError without jinja2."""
     environment = templates(
         "trackres_ros.fleet.page", "the pages of a fleet", "fleet", figures=figures, decimals=decimals, percent=percent
     )
