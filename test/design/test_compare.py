@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 import trackres_ros as tr
-from trackres_ros.design.compare import asked_of, compare_designs
+from trackres_ros.design.compare import asked_of, compare_designs, shown_names
 from trackres_ros.design.compare_text import designs_text, draw_designs
 from trackres_ros.design.drives import driven, read_cycle, with_factors
 from trackres_ros.design.steady import FileErrors, held, solver, steady
@@ -25,6 +25,7 @@ from trackres_ros.files.yamls import read_yaml
 from trackres_ros.fleet.compare import draw_overlay
 from trackres_ros.model.operating_point import explain, explain_road
 from trackres_ros.model.track import belt_network, with_methods
+from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import load, load_any, variants
 
 GRID = ("--speed-kmh", "5,12", "--belt-degc", "0,60")
@@ -79,6 +80,8 @@ def test_the_tables_and_the_picture(good, softer, tmp_path):
     other = softer.with_name("wider.yaml")  # another version of the same name: it goes by its file
     other.write_text(softer.read_text().replace("value: 0.5", "value: 0.55"))
     text = good("compare", softer, other, "--speed-kmh", "10", "--belt-degc", "20", "-o", tmp_path / "out")
+    places = [softer.parent / folder / "same.yaml" for folder in "ab"]
+    assert shown_names([replace(load(softer), source=place) for place in places]) == list(map(str, places))
     values, _, rest = text.partition("Steady")
     assert "rubber.loss_modulus_scale" in values
     assert "+10.0 %" in values
@@ -102,6 +105,8 @@ def test_each_load_air_speed_and_drive_has_its_rows(good, softer, tmp_path):
     text = designs_text(found)
     assert f"On the drive {found['drives'][0]['cycle']}, air -10 degC, 240 kN " in text
     assert text.count(", air -10 degC, 240 kN: ") == 2
+    assert all(f"Resistance [Nm] of {name}, air -10 degC, 240 kN\n" in text for name in ("xgd24d", "softer"))
+    assert "to softer, air -10 degC, 240 kN [%]" in text
     cold = {(r["speed_kmh"], r["ambient_degc"], r["weight_kn"][0]): r for r in found["steady"] if r["outcome"] == "cold_nm"}
     assert cold[8.0, -10.0, 240.0]["one"] > cold[8.0, 20.0, 240.0]["one"]
     assert cold[8.0, 20.0, 300.0]["one"] > cold[8.0, 20.0, 240.0]["one"]
@@ -114,6 +119,8 @@ def test_each_load_air_speed_and_drive_has_its_rows(good, softer, tmp_path):
     plain.write_text("time_s,speed_kmh,weight_n,ambient_degc\n0,0,250000,5\n30,9,250000,5\n300,9,250000,5\n")
     simulated = tr.simulate("xgd24d", profile=plain, dt=0.5)
     assert own["drives"][0]["one"] == pytest.approx(simulated.drive["kwh_per_km"])
+    each_tonne = 1e3 * simulated.drive["kwh_per_km"] / (250.0 / GRAVITY)  # of the recorded load
+    assert own["designs"][0]["drive"]["wh_per_km_and_t"] == pytest.approx(each_tonne)
     assert "load and air as recorded" in designs_text(own)
 
 
@@ -286,7 +293,7 @@ def test_in_the_picture_two_equal_values_have_equal_bars(drawn, tmp_path):
 
 
 def test_designs_of_any_name_are_drawn(drawn, tmp_path):
-    designs = [{"vehicle": name, "coefficient": [[0.03, 0.02]]} for name in ("a $x$ $", r"$\b$")]
+    designs = [{"vehicle": name, "weight_n": 2e5, "coefficient": [[0.03, 0.02]]} for name in ("a $x$ $", r"$\b$")]
     draw_designs({"designs": designs, "speeds_kmh": [9.0, 5.0], "belts_degc": [20.0]}, tmp_path / "designs.png")
-    assert [axes.get_title(loc="left") for axes in drawn.figures[0].axes] == ["a $x$ $", r"$\b$"]
+    assert [axes.get_title(loc="left") for axes in drawn.figures[0].axes] == ["a $x$ $, 200 kN", r"$\b$, 200 kN"]
     np.testing.assert_allclose([axes.lines[0].get_xydata() for axes in drawn.figures[0].axes], [[[5.0, 2.0], [9.0, 3.0]]] * 2)

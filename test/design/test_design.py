@@ -42,17 +42,17 @@ SPEED, AIR = 25.0 / 3.6, 10.0
 
 
 @pytest.mark.parametrize("with_effect", [False, True])
-@pytest.mark.parametrize(("name", "speed"), [("xgd24d", SPEED), ("agri3t", 2.5)])
-def test_what_heats_a_steady_belt_cools_it(name, speed, with_effect):
+@pytest.mark.parametrize(("name", "speed", "air"), [("xgd24d", SPEED, AIR), ("agri3t", 2.5, AIR), ("xgd24d", 0.15, -30.0)])
+def test_what_heats_a_steady_belt_cools_it(name, speed, air, with_effect):
     vehicle = load(name)
     if with_effect:
         effect = catalogue()["drivetrain_drag"]
         vehicle = replace(vehicle, effects=(Active(effect, effect.values()),))
-    found = steady(vehicle, speed, AIR)
-    at = explain(vehicle, speed, found.belt_degc, AIR)
+    found = steady(vehicle, speed, air)
+    at = explain(vehicle, speed, found.belt_degc, air)
     assert at["heat_w"] == pytest.approx(at["cooling_w"], rel=2e-3)
     assert found.warm_nm == pytest.approx(at["torque_nm"]["resistance"], rel=1e-3)
-    assert found.cold_nm == pytest.approx(explain(vehicle, speed, AIR, AIR)["torque_nm"]["resistance"], rel=1e-9)
+    assert found.cold_nm == pytest.approx(explain(vehicle, speed, air, air)["torque_nm"]["resistance"], rel=1e-9)
     assert found.cold_nm > found.warm_nm
     radius = vehicle.track_of(vehicle.assemblies[0]).sprocket_radius
     assert found.kwh_per_km == pytest.approx(found.warm_nm / radius / 3600.0, rel=1e-9)
@@ -221,14 +221,6 @@ def test_an_effect_may_cool_a_belt_below_the_air():
     point = explain(vehicle, 2.5, found.belt_degc, AIR)
     assert found.belt_degc < AIR
     assert point["heat_w"] == pytest.approx(point["cooling_w"], abs=1e-3 * 1e4)
-
-
-def test_an_effect_of_no_size_leaves_a_steady_state_as_it_is():
-    """Also under unequal loads of the axles, whose belts differ in temperature."""
-    vehicle = load("xgd24d", {"chassis.axles.front.load": 80e3, "chassis.axles.rear.load": 150e3})
-    drag = catalogue()["coulomb_friction"]
-    with_drag = replace(vehicle, effects=(Active(drag, {**drag.values(), "friction": 1e-3}),))
-    assert steady(with_drag, SPEED, AIR).outcomes == pytest.approx(steady(vehicle, SPEED, AIR).outcomes, rel=1e-4)
 
 
 def test_a_belt_that_finds_no_balance_has_no_steady_state():
@@ -548,6 +540,7 @@ def test_design_commands_name_effects_that_they_leave_out(monkeypatch, tmp_path,
         assert all(note.endswith(end) for note, end in zip(swept.as_dict()["notes"], on, strict=True))
         assert all(f"drive: {note}\n" in swept.text() for note in swept.notes)
         assert Reason.EFFECT_LEFT_OUT.text not in str(swept.remarks)
+        assert "; effects that warm up are warm in both\n" in swept.text()
     assert f"turning_scrub of {wheels[0]}: inactive" in wheels_text(wheels_compared(wheels), wheels)
     vary("rubber.loss_modulus_scale")
     held = sensing.sensitivity(tracks, 2.5, AIR, 8).held

@@ -189,6 +189,18 @@ def test_a_tuned_parameter_moves_the_torque_by_what_it_says(instance):
     instance.freeFMUState(state)
 
 
+def test_outputs_are_known_before_the_initialization_ends(instance):
+    instance.reset()
+    instance.enterInitializationMode()
+    for speed in (0.0, 2.0):
+        instance.put("inputs.speed_mps", speed)
+        early = [instance.get(name) for name in ("belt_degc.left", "resistance_torque_nm")]
+    instance.exitInitializationMode()
+    assert early == [instance.get("belt_degc.left"), instance.get("resistance_torque_nm")]
+    assert early[0] == instance.get("nominal_ambient")
+    assert early[1] > 0.0
+
+
 def test_an_output_cannot_be_set_and_an_input_may_be_unknown(instance):
     with pytest.raises(Exception, match="fmi3SetFloat64"):
         instance.put("resistance_torque_nm", 1.0)

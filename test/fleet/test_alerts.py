@@ -274,6 +274,8 @@ def test_factors_on_values_of_two_files_are_compared_over_one(tmp_path):
     assert (designs["film_scale"], designs["capacity_scale"]) == pytest.approx((1.2, 1.1), rel=1e-5)
     for folder, of_file in (("may", 40.0), ("june", 48.0)):
         FleetDataset(tmp_path / folder).put({**row("worn", 0), "of_file": [None, of_file]}, None)
+        FleetDataset(tmp_path / "both").put({**row(folder, 0), "of_file": [None, of_file]}, None)
+    assert [one["vehicles"] for one in trends(FleetDataset(tmp_path / "both"), {})["types"]] == [["june"], ["may"]]
     bearings, loss = compare(str(tmp_path / "may"), str(tmp_path / "june"))["parameters"]
     assert (bearings["one"], 1.2 * loss["one"]) == pytest.approx((bearings["other"], loss["other"]))
 
@@ -347,10 +349,13 @@ def test_a_beginning_of_a_day_is_a_year_a_month_or_a_day(dataset, day, whole):
 
 
 def test_a_vehicle_with_only_unusable_recordings_has_its_line(dataset):
-    dataset.put(broken(FoundRecording("/data/silent/1.csv", "1"), "silent", "x", "no speed"), None)
+    silent = dataset.put(broken(FoundRecording("/data/silent/1.csv", "1"), "silent", "x", "no speed"), None)
     page = write_pages(dataset.folder, trends(dataset, {}), dataset)
     assert 'href="vehicles/silent.html"' in page.read_text()
     assert "None of its recordings could be compared" in (page.parent / "vehicles" / "silent.html").read_text()
+    dataset.put({**row("worn", 0), "url": "/data/silent/1.csv"}, silent)  # with another name its page goes
+    write_pages(dataset.folder, trends(dataset, {}), dataset)
+    assert sorted(one.name for one in (page.parent / "vehicles").iterdir()) == ["steady.html", "worn.html"]
 
 
 def test_copies_are_only_listed(dataset):

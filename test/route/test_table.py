@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from streets import LATITUDE, LONGITUDE, learned_by
+from streets import LATITUDE, LONGITUDE
 
 import trackres_ros as tr
 from trackres_ros.errors import InputError
@@ -112,19 +112,3 @@ def test_a_torque_impossible_for_this_vehicle_is_refused(tmp_path):
     (tmp_path / "surroundings.yaml").write_text("schema: 1\nvehicle: xgd24d\nroute: route.csv\neffects: {}\n")
     with pytest.raises(InputError, match="of this vehicle"):
         tr.load_vehicle("xgd24d", surroundings=tmp_path / "surroundings.yaml")
-
-
-def test_the_rise_is_along_the_travel_and_a_torque_against_it():
-    slope = learned_by(straight())
-    up, std = slope(0.0, 0.0, 1.0, 0.0)
-    down, _ = slope(0.0, 0.0, -1.0, 0.0)
-    assert up == pytest.approx(0.045, abs=0.006)
-    assert down == pytest.approx(-up)
-    assert std == pytest.approx(0.002)
-    ground = learned_by(straight(kind=TORQUE))
-    assert ground(0.0, 0.0, -1.0, 0.0)[0] == pytest.approx(ground(0.0, 0.0, 1.0, 0.0)[0] + 100.0)
-
-
-@pytest.mark.parametrize("where", [(0.0, 60.0, 1.0, 0.0), (400.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)])
-def test_beside_beyond_or_across_the_route_nothing_is_known(where):
-    assert np.isnan(learned_by(straight())(*where)[0])

@@ -81,14 +81,6 @@ def test_a_vehicle_cannot_be_changed():
         vehicle.tracks["other"] = vehicle.tracks["triangular"]
 
 
-def test_a_name_and_its_path_are_the_same():
-    assert (
-        load("xgd24d").parameters
-        == load(config_dir() / "xgd24d.yaml").parameters
-        == load(str(config_dir() / "xgd24d.yaml")).parameters
-    )
-
-
 # Overrides
 
 

@@ -47,6 +47,7 @@ DRIVEN = {
 }
 OPTIONS = "--speed-kmh", "--belt-degc", "--ambient-degc", "--weight-kn", "--cycle"
 TWO_SIDED_95 = 1.96
+CRAWL_MPS = 1e-6  # with less everywhere, a mean over the way is one over time
 SLOPE_POINTS = 3  # belt temperatures at which it is looked at how sure the loss is
 
 
@@ -180,7 +181,7 @@ def compare_designs(asked: ComparisonRequest, advance: Callable[[float], None] =
             advance(2)
     designs = [_grid(asked, vehicle, name, advance) for vehicle, name in zip(asked.vehicles, names, strict=True)]
     for design, first in zip(designs, totals[0], strict=True):
-        tonnes, each_km = design["weight_n"] / GRAVITY / 1000.0, first["kwh_per_km"]
+        tonnes, each_km = first["carried_n"] / GRAVITY / 1000.0, first["kwh_per_km"]
         design["drive"] = {
             "km": first["distance_m"] / 1000.0, "kwh_per_km": each_km, "wh_per_km_and_t": 1000.0 * each_km / tonnes,
         }  # fmt: skip
@@ -211,9 +212,9 @@ def _remarks(
 
 
 def shown_names(vehicles: Sequence[Vehicle]) -> list[str]:
-    """Names of the vehicles; two versions of one vehicle have one name, and go by their files."""
-    named = [v.name for v in vehicles]
-    return named if len(set(named)) == len(named) else [one_line(v.source.stem) for v in vehicles]
+    """Names of the vehicles; two versions of one vehicle have one name, and go by their files, or by the paths of these."""
+    named, stems, paths = zip(*((v.name, one_line(v.source.stem), one_line(str(v.source))) for v in vehicles), strict=True)
+    return list(next((names for names in (named, stems, paths) if len(set(names)) == len(names)), stems))
 
 
 class _Slopes:
@@ -262,7 +263,8 @@ def _driven(
             return np.array([found[name] for name in DRIVEN])
 
         found, columns = driven(estimator, cycle, weight, ambient)
-        totals.append(found)
+        carried = np.average(columns["weight_n"], weights=np.maximum(np.abs(columns["speed_mps"]), CRAWL_MPS))
+        totals.append({**found, "carried_n": float(carried)})
         remarks.append([*beyond(estimator.vehicle, columns), *left_out(columns)])
         values.append(np.array([found[name] for name in DRIVEN]))
         speed = found["distance_m"] / max(found["under_way_s"], 1.0)

@@ -30,7 +30,8 @@ def designs_text(found: Mapping[str, Any]) -> str:
     parts += _conditions("Drives from cold", found["drives"], "cycle", "drive", DRIVEN, names)
     parts.append(
         "+- 95 %: from the ranges of the values that both files have alike, which move both together; the second column holds "
-        "the ranges of the values that differ too. Parameters of effects are taken as known."
+        "the ranges of the values that differ too. Parameters of effects are taken as known. In steady states, effects that "
+        "warm up are warm, also with cold belts."
     )
     head = ("belt [degC]", *(f"{figures(kmh)} km/h" for kmh in found["speeds_kmh"]))
     weights = [design["weight_n"] for design in found["designs"]]
@@ -38,11 +39,11 @@ def designs_text(found: Mapping[str, Any]) -> str:
     for what, key, scale, places in TABLES[:1] if same_load else TABLES:
         for design in found["designs"]:
             rows = [[decimals(scale * x, places) for x in row] for row in design[key]]
-            parts.append(f"{what} of {design['vehicle']}\n{_over_belts(found, rows, head)}")
+            parts.append(f"{what} of {design['vehicle']}{at}\n{_over_belts(found, rows, head)}")
     key = TABLES[0 if same_load else 1][1]
     one, other = (np.array(design[key]) for design in found["designs"])
     changes = [[f"{100.0 * x:+.1f}" for x in row] for row in other / one - 1.0]
-    parts.append(f"{TABLES[0 if same_load else 1][0].partition(' [')[0]}, change from {names[0]} to {names[1]} [%]")
+    parts.append(f"{TABLES[0 if same_load else 1][0].partition(' [')[0]}, change from {names[0]} to {names[1]}{at} [%]")
     parts[-1] += f"\n{_over_belts(found, changes, head)}"
     for design in found["designs"]:
         of = design["drive"]
@@ -120,7 +121,7 @@ def draw_designs(found: Mapping[str, Any], path: Path) -> Path:
                 share = i / max(len(found["belts_degc"]) - 1, 1)
                 percent, colour = 100.0 * np.array(design["coefficient"][i]), (share, 0.25, 1.0 - share)
                 one.plot(speeds[order], percent[order], color=colour, marker=marker, label=f"{degc:g} degC")
-            one.set_title(design["vehicle"])
+            one.set_title(f"{design['vehicle']}, {figures(design['weight_n'] / 1e3, 4)} kN")
             one.set_xlabel("speed [km/h]")
             one.grid(alpha=0.3)
         axes[0].set_ylabel("resistance over weight [%]")

@@ -123,7 +123,8 @@ class Swept:
             number, texts = next(iter(self.remarks.items()))
             lines.append(f"  ! points with remarks: {len(self.remarks)} of {count}; the first, {self._at(number)}:")
             lines += [f"  ! {text}" for text in texts]
-        lines.append(f"S{self.asked.state[1:]}; cold: belts at air temperature, warm: belts at their steady temperature")
+        caption = "cold: belts at air temperature, warm: belts at their steady temperature; effects that warm up are warm in both"
+        lines.append(f"S{self.asked.state[1:]}; {caption}")
         if self.asked.cycle is not None:
             lines.append("drive: air and load as recorded, where they are and are neither varied nor given")
         lines += [f"drive: {note}" for note in self.notes]

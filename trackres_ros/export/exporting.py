@@ -77,9 +77,8 @@ def translated(request: Request, tuned: tuple[str, ...] = ()) -> CSource:
     estimator = Estimator(vehicle, settings)
     learned = None if request.state is None else _learned(estimator, request.state)
     begins = "" if request.state is None else f", starts from what {request.state.name} has learned"
-    digest = hashlib.sha256(find_vehicle(request.vehicle).read_bytes()).hexdigest()
     made = (
-        f"vehicle file: {vehicle.source.name}, sha256 {digest}",
+        f"vehicle file: {vehicle.source.name}, sha256 {_digest(find_vehicle(request.vehicle))}",
         f"values: {snapshot.key(estimator)}, of the vehicle with rubber, effects and surroundings",
         f"written by: trackres_ros {tr.__version__}, sources {sources()}",
         f"numbers: {'float' if request.single else 'double'}{begins}",

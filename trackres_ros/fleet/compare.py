@@ -175,7 +175,7 @@ def _parts(given: str) -> tuple[Path, str, str]:
 
 
 def _of_fleet(folder: Path, vehicle: str, day: str, given: str) -> Side:
-    rows, _ = without_overlaps(without_copies(FleetDataset.existing(folder).rows([*TEXTS, *NUMBERS, OF_FILE]))[0])
+    rows, _ = without_overlaps(without_copies(FleetDataset.existing(folder).rows([*TEXTS, *NUMBERS]))[0])
     good = [row for row in rows if row["status"] == "good"]
     names = sorted({row["vehicle"] for row in good})
     if vehicle and vehicle not in names:
@@ -208,8 +208,7 @@ def _of_fleet(folder: Path, vehicle: str, day: str, given: str) -> Side:
     scale = np.outer(of.std, of.std)
     title = f"{given} ({len(of)} recordings{f', without {len(outdated)} of an older vehicle file' if outdated else ''})"
     value, covariance = of.nominal + of.std * mean, scale * covariance
-    listed = {(name, x) for row in chosen for name, x in zip(of.names, row[OF_FILE] or (), strict=False) if x}
-    of_file = {name: x for name, x in listed if sum(name == other for other, _ in listed) == 1}  # of one file, or of equal ones
+    of_file = {name: x for row in chosen for name, x in zip(of.names, row[OF_FILE] or (), strict=False) if x}
     return Side(title, of.names, of.units, value, covariance, of_file=of_file, outdated=tuple(outdated))
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
+from trackres_ros.fleet.dataset import OF_FILE
 
 Array = NDArray[np.float64]
 
@@ -56,11 +57,13 @@ class Vehicles:
 
     @classmethod
     def of(cls, rows: Iterable[Mapping[str, Any]]) -> list[Vehicles]:
-        """Those of each type among good rows; vehicles with equal file values are of one type."""
+        """Those of each type among good rows, of one file for each vehicle: equal files, also behind factors, are of one type."""
+        good = [row for row in rows if row["status"] == "good"]
+        # Rows of earlier versions lack what factors multiply.
+        behind = {row["vehicle"]: tuple(row[OF_FILE]) for row in good if row.get(OF_FILE)}
         types: dict[Hashable, list[Mapping[str, Any]]] = {}
-        for row in rows:
-            if row["status"] == "good":
-                types.setdefault(type_of(row), []).append(row)
+        for row in good:
+            types.setdefault((type_of(row), behind.get(row["vehicle"])), []).append(row)
         return [cls._of_type(of) for of in types.values()]
 
     @classmethod

@@ -23,7 +23,7 @@ from trackres_ros.fleet.changes import (
     levels,
     vehicle_changes,
 )
-from trackres_ros.fleet.dataset import LOAD_RECORDED, FleetDataset
+from trackres_ros.fleet.dataset import LOAD_RECORDED, OF_FILE, FleetDataset
 from trackres_ros.fleet.pooling import Pooled, Vehicles, pool, type_of
 from trackres_ros.fleet.run import present_values
 from trackres_ros.fleet.task import FIRST_DAY_S, NO_DAY
@@ -43,7 +43,7 @@ FARTHEST_YEARS = 20.0  # limit of a forecast
 TEXTS = ("url", "vehicle", "day", "status", "reason", "copy_of", "vehicle_values", "names", "units", "findings")
 NUMBERS = (
     "start_s", "duration_s", "distance_m", "mismatch", "mean_torque", "mean_ambient", "residual_std", "held_out_file",
-    "held_out_refit", "resistance_mj", "nominal", "std", "precision", "linear", LOAD_RECORDED,
+    "held_out_refit", "resistance_mj", "nominal", "std", "precision", "linear", LOAD_RECORDED, OF_FILE,
 )  # fmt: skip
 
 

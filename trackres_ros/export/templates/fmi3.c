@@ -31,6 +31,7 @@ struct instance {
     trackres_outputs outputs;
     double time;  /* [s] */
     double speed; /* input of the last step [m/s] */
+    bool begun;   /* whether there was a first step */
     fmi3InstanceEnvironment environment;
     fmi3LogMessageCallback log;
 };
@@ -78,6 +79,7 @@ static void begin(struct instance *one)
     one->inputs.speed_mps = 0.0;
     memset(&one->outputs, 0, sizeof one->outputs);
     one->time = 0.0;
+    one->begun = false;
 }
 
 EXPORTED const char *fmi3GetVersion(void)
@@ -147,6 +149,7 @@ EXPORTED fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
 {
     struct instance *one = instance;
     one->speed = one->inputs.speed_mps;
+    one->begun = true;
     return trackres_step(&one->state, &one->inputs, 0.0, &one->outputs) < 0 ? failed(one, "no first step") : fmi3OK;
 }
 
@@ -209,10 +212,21 @@ EXPORTED fmi3Status fmi3DoStep(
     return fmi3OK;
 }
 
+/* Before the first step the outputs are those that it would give. */
+static struct instance *with_outputs(fmi3Instance instance)
+{
+    struct instance *one = instance;
+    if (!one->begun) {
+        trackres_state state = one->state;
+        (void)trackres_step(&state, &one->inputs, 0.0, &one->outputs);
+    }
+    return one;
+}
+
 EXPORTED fmi3Status fmi3GetFloat64(
     fmi3Instance instance, const fmi3ValueReference references[], size_t count, double values[], size_t value_count)
 {
-    struct instance *one = instance;
+    struct instance *one = with_outputs(instance);
     for (size_t i = 0; i < count; i++) {
         if (references[i] >= VARIABLES || i >= value_count) {
             return failed(one, "no variable of this reference");
@@ -246,33 +260,27 @@ EXPORTED fmi3Status fmi3SetFloat64(
     return fmi3OK;
 }
 
-EXPORTED fmi3Status fmi3GetUInt32(
-    fmi3Instance instance, const fmi3ValueReference references[], size_t count, uint32_t values[], size_t value_count)
-{
-    struct instance *one = instance;
-    for (size_t i = 0; i < count; i++) {
-        if (references[i] != OF_REASONS || i >= value_count) {
-            return failed(one, "no whole number of this reference");
-        }
-        values[i] = one->outputs.reasons;
+/* A variable that is the only one of its type. */
+#define ONLY_VARIABLE(type, kind, reference, output)                                                                             \
+    EXPORTED fmi3Status fmi3Get##type(                                                                                           \
+        fmi3Instance instance, const fmi3ValueReference references[], size_t count, kind values[], size_t value_count)           \
+    {                                                                                                                            \
+        struct instance *one = with_outputs(instance);                                                                           \
+        for (size_t i = 0; i < count; i++) {                                                                                     \
+            if (references[i] != (reference) || i >= value_count) {                                                              \
+                return failed(one, "no whole number of this reference");                                                         \
+            }                                                                                                                    \
+            values[i] = one->outputs.output;                                                                                     \
+        }                                                                                                                        \
+        return fmi3OK;                                                                                                           \
     }
-    return fmi3OK;
-}
 
-EXPORTED fmi3Status fmi3GetInt32(
-    fmi3Instance instance, const fmi3ValueReference references[], size_t count, int32_t values[], size_t value_count)
-{
-    struct instance *one = instance;
-    for (size_t i = 0; i < count; i++) {
-        if (references[i] != OF_LEVEL || i >= value_count) {
-            return failed(one, "no whole number of this reference");
-        }
-        values[i] = one->outputs.level;
-    }
-    return fmi3OK;
-}
+ONLY_VARIABLE(UInt32, uint32_t, OF_REASONS, reasons)
+ONLY_VARIABLE(Int32, int32_t, OF_LEVEL, level)
 
-/* A state of an instance is a copy of it. */
+/* A state of an instance is a copy of it; kept of it is what stands before its environment. */
+enum { KEPT = offsetof(struct instance, environment) };
+
 EXPORTED fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *state)
 {
     if (*state == NULL) {
@@ -287,13 +295,7 @@ EXPORTED fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *state)
 
 EXPORTED fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState state)
 {
-    struct instance *one = instance;
-    const struct instance *from = state;
-    one->state = from->state;
-    one->inputs = from->inputs;
-    one->outputs = from->outputs;
-    one->time = from->time;
-    one->speed = from->speed;
+    memcpy(instance, state, KEPT);
     return fmi3OK;
 }
 
@@ -305,8 +307,8 @@ EXPORTED fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *state)
     return fmi3OK;
 }
 
-/* Stored are the bytes of an instance up to its environment, and their checksum (FNV-1a). */
-enum { KEPT = offsetof(struct instance, environment), STORED = KEPT + sizeof(uint32_t) };
+/* Stored are the bytes that are kept, and their checksum (FNV-1a). */
+enum { STORED = KEPT + sizeof(uint32_t) };
 
 static uint32_t checksum(const uint8_t *bytes)
 {

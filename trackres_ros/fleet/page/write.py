@@ -31,7 +31,7 @@ SHOWN = (
 
 
 def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -> Path:
-    """Write index.html and vehicles/NAME.html; return the path of the first. Raises MissingExtraError without jinja2."""
+    """Write index.html and vehicles/NAME.html alone; return the first path. Raises MissingExtraError without jinja2."""
     environment = templates(
         "trackres_ros.fleet.page", "the pages of a fleet", "fleet", figures=figures, decimals=decimals, percent=percent
     )
@@ -51,6 +51,8 @@ def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -
         shade=lambda mismatch: shade(mismatch, worst), worst=worst, colours=COLOURS,
     )  # fmt: skip
     (folder / VEHICLES).mkdir(exist_ok=True)
+    for earlier in {*(folder / VEHICLES).glob("*.html")} - {folder / page for page in pages.values()}:
+        earlier.unlink()
     for name in names:
         vehicle = found["vehicles"].get(name)
         type_ = next((t for t in found["types"] if name in t["vehicles"]), None)
