@@ -298,6 +298,21 @@ def test_a_torque_that_does_not_drive_is_not_used(tmp_path, scale):
         assert not rolled("right.csv", used).notes
 
 
+def test_other_clocks_are_moved_and_set_ones_refused(tmp_path):
+    """By the log, as in a diagnosis."""
+    recording = tr.read(written(tmp_path / "roll.csv", car_drive(hills=HILLY), "time_s,speed_mps,grade"))
+    known, speed = load_base(cart(tmp_path / "car.yaml", CAR_KG)).known, recording.series["speed"]
+
+    def rolled(stamp_ns):
+        made = replace(recording, series={**recording.series, "speed": replace(speed, stamp_ns=stamp_ns)})
+        return rollouts([made], known, 0.4, 1.0)
+
+    for off_ns in (-3_600_000_000_000, 3_600_000_000_000):
+        np.testing.assert_array_equal(*(rolled(speed.stamp_ns + off).sessions[0].grade for off in (0, off_ns)))
+    with pytest.raises(tr.InputError, match="times that go back by 30 s"):
+        rolled(np.where(speed.stamp_ns > speed.stamp_ns[900], speed.stamp_ns - 30_000_000_000, speed.stamp_ns))
+
+
 def slope_error(rolled, table):
     """Root mean square error of the slopes in coast-downs."""
     of = [(s.grade - np.interp(s.time + 0.5 * s.step, table[:, 0], table[:, 3]))[s.used] for s in rolled.sessions]

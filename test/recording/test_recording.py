@@ -154,7 +154,13 @@ def test_zero_is_a_time_in_a_table_and_unset_in_a_bag() -> None:
     table, bag = (recorded(unset, speed=(time, np.sin(time))) for unset in (False, True))
     assert "zero_stamp" not in found(table)
     assert found(bag)["zero_stamp"].count == 1
-    assert (table.time_s("speed")[1], bag.time_s("speed")[1]) == (0.1, 0.0)
+    assert table.time_s("speed")[1] == bag.time_s("speed")[1] == 0.1
+    for off in (0.0, -5e8):  # of a stamp from the log
+        stamps = np.where(time % 0.5 < 0.01, 0.0, 1e9 + off + time)
+        unset = recorded(speed=(stamps, np.rint(np.sin(time)), 1e9 + time), load=(0.0 * time, 2e5, 1e9 + time))
+        np.testing.assert_allclose(unset.time_s("speed"), time, atol=1e-6)
+        np.testing.assert_allclose(unset.time_s("load"), time - off, atol=1e-6)
+        assert found(unset).keys() <= {"zero_stamp", "quantised", "stamp_offset"}
     for before in (1e3, 1.7e9):  # a first time of 0, and then others
         late = {"speed": (np.append(0.0, before + time), np.append(0.0, np.sin(time)))}
         assert found(Recording.from_source(Given(late, zero_is_unset=False)))["gap"].count == 1

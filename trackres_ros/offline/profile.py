@@ -64,7 +64,9 @@ def conditions(recording: Recording, time_s: Array, given: Collection[str], weig
         bad = samples.value[~((samples.value >= low) & (samples.value <= high))]
         if bad.size:
             raise InputError(f"{recording.name}: {role}", float(bad[0]), f"{low:g} to {high:g} {ROLES[role].unit}")
-        value = np.unwrap(samples.value) if role == "longitude" else samples.value  # it goes on over the date line
+        order = np.argsort(recording.time_s(role), kind="stable")
+        at, value = recording.time_s(role)[order], samples.value[order]
+        value = np.unwrap(value) if role == "longitude" else value  # it goes on over the date line
         outside = np.nan if role in POSITION else None
-        found[role] = np.interp(time_s, recording.time_s(role), value, left=outside, right=outside)
+        found[role] = np.interp(time_s, at, value, left=outside, right=outside)
     return found

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.recording.quality import findings_of
 from trackres_ros.recording.roles import ROLES, base_role
-from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock, Series, Source, first_valid
+from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock, Series, Source, first_valid, set_stamps
 from trackres_ros.recording.wheels import wheel_notes
 from trackres_ros.text.html import listed, panel, table
 from trackres_ros.text.numbers import figures
@@ -123,12 +123,18 @@ class Recording:
 
     @property
     def start_ns(self) -> int:
-        """Stamp of time 0 [ns]: the earliest valid one of speed, or of the first role with samples."""
-        for role in sorted(self.series, key=lambda role: role != "speed"):
-            stamp_ns = self.series[role].stamp_ns
-            if stamp_ns.size:
-                return int(stamp_ns.min(where=stamp_ns != 0, initial=stamp_ns.max()) if self.zero_is_unset else stamp_ns.min())
-        return 0
+        """Stamp of time 0 [ns]: the earliest one of speed, or of the first role with samples."""
+        first = next((r for r in sorted(self.series, key=lambda role: role != "speed") if len(self.series[r])), "")
+        return int(self._stamps(first).min()) if first else 0
+
+    def _stamps(self, role: str) -> IntArray:
+        """Stamps of a role [ns], all of them set."""
+        delay_ns = self.bindings[role].delay_ns if role in self.bindings else 0
+        return set_stamps(self.series[role], delay_ns) if self.zero_is_unset else self.series[role].stamp_ns
+
+    def stamped(self) -> Recording:
+        """The recording with stamps that are all set, see `set_stamps`."""
+        return replace(self, series={role: replace(s, stamp_ns=self._stamps(role)) for role, s in self.series.items()})
 
     def time_s(self, role: str) -> FloatArray:
         """Return the stamps of a role from the start of the recording [s], shape (n,).
@@ -143,7 +149,7 @@ class Recording:
         ndarray of float64, shape (n,)
             Times [s]; 0 is `start_ns`.
         """
-        return (self.series[role].stamp_ns - self.start_ns) / 1e9
+        return (self._stamps(role) - self.start_ns) / 1e9
 
     def aligned(self) -> dict[str, FloatArray]:
         """Resample every role to the samples of speed, by sample and hold.

@@ -122,8 +122,9 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
     if not free:
         given = "a vehicle file with a zero-width range on every value that a coast-down could determine"
         raise InputError("vehicle", given, "ranges for its values", "widen the ranges of uncertain values")
+    recordings = [one.stamped() for one in recordings]
     step = step_for(recordings, SAMPLES_A_STEP)
-    rolled = rollouts(list(recordings), loaded.known, loaded.base.facts.radius, step, loaded.route)
+    rolled = rollouts(recordings, loaded.known, loaded.base.facts.radius, step, loaded.route)
     for session in rolled.sessions:
         check_speed(session, loaded.known.max_speed)
     if not rolled.stretches:

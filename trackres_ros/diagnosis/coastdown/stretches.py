@@ -15,9 +15,10 @@ from itertools import pairwise
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.altitude import coasting_errors, confirmed, slope_of_altitude, with_slope
+from trackres_ros.diagnosis.prepare.clocks import on_one_clock
 from trackres_ros.diagnosis.prepare.gate import Gated
 from trackres_ros.diagnosis.prepare.on_route import on_route
-from trackres_ros.diagnosis.prepare.refuse import refuse_repeated
+from trackres_ros.diagnosis.prepare.refuse import check_compared, refuse_repeated
 from trackres_ros.diagnosis.prepare.resample import resample
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import GateSettings
@@ -176,6 +177,9 @@ def _torques(recording: Recording) -> list[str]:
 def _resampled(recording: Recording, step: float, settings: GateSettings, limit: float, notes: list[str]) -> _Drive:
     """The recording on an even grid; with a measured torque only if that exceeds a `limit` [Nm]."""
     why = "no torque was recorded"
+    check_compared(_without_torque(recording), SHORTEST_RECORDING_S)
+    recording, shifted = on_one_clock(recording)
+    notes += shifted
     if _torques(recording):
         said: list[str] = []
         session, unknown = resample(recording, step, settings, said, SHORTEST_RECORDING_S)

@@ -74,7 +74,7 @@ def gate(
     InputError
         If no recording can be used, or too little of all of them, with reasons and remedies.
     """
-    refused, given, overlaps = list(refused), in_order(recordings), list[str]()
+    refused, given, overlaps = list(refused), in_order([one.stamped() for one in recordings]), list[str]()
     known = {one.name for one in refused}
     admitted = each_usable(
         (r for r in given if r.name not in known), lambda recording: _admitted(recording, hide, settings), refused
