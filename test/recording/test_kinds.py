@@ -10,8 +10,10 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from copy import deepcopy
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta, timezone
 from decimal import Decimal
 from pathlib import Path
 from types import MappingProxyType
@@ -261,6 +263,23 @@ def test_marked_and_unfinished_records_of_mdf(tmp_path):
     path.write_bytes(data)
     assert len(tr.read(path).series["speed"]) == np.count_nonzero(~invalid)
     assert path.read_bytes() == data
+
+
+@pytest.mark.parametrize("zone", [None, UTC, timezone(timedelta(hours=2))])
+def test_the_zone_of_this_machine_moves_no_start(tmp_path, monkeypatch, zone):
+    path, t, start = tmp_path / "run.mf4", np.arange(10.0), datetime(2026, 7, 1, 12, tzinfo=zone)
+    with MDF() as mdf:
+        mdf.header.start_time = start
+        mdf.append([Signal(t, t, name="speed_mps", unit="m/s")])
+        mdf.save(path)
+    for name in ("America/New_York", "UTC"):
+        with monkeypatch.context() as machine:
+            machine.setenv("TZ", name)
+            time.tzset()
+            read = tr.read(path)
+        time.tzset()
+        assert read.start_ns == int((start if zone else start.replace(tzinfo=UTC)).timestamp()) * 1_000_000_000
+        assert any("treated as UTC" in note for note in read.notes) == (zone is None)
 
 
 TEXT = {"val_0": 3, "text_0": "zu hoch", "val_1": 2, "text_1": "Signal_SNA"}
