@@ -491,7 +491,13 @@ def test_a_replay_as_mdf_holds_what_parquet_does(files, tmp_path):
             np.testing.assert_array_equal(signal.samples.astype(float), wanted[name].to_numpy().astype(float), err_msg=name)
             np.testing.assert_array_equal(signal.timestamps, wanted["time_s"].to_numpy())
     assert (units["resistance_torque_nm"], units["speed_mps"], units["belt_degc/rear_left"]) == ("N m", "m/s", "degC")
-    assert not [one for one in tmp_path.iterdir() if one.name.startswith(".")]
+    (tmp_path / "drive.csv").write_text("time_s,speed_mps\n-1,0\n0,1\n1,1\n")
+    for suffix in ("mf4", "mcap"):  # before 1970
+        with pytest.raises(InputError, match=r"-1000000000; .* offset: 100"):
+            tr.replay(tmp_path / "drive.csv", "xgd24d", output=tmp_path / f"early.{suffix}")
+        topics = {"time": {"column": "time_s", "offset": 100.0}}
+        assert tr.replay(tmp_path / "drive.csv", "xgd24d", topics=topics, output=tmp_path / f"late.{suffix}").steps == 3
+    assert not [one for one in tmp_path.iterdir() if one.name.startswith((".", "early"))]
 
 
 def _saved(path, version, content):

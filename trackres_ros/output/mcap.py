@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.files.output_files import BEFORE_1970
 from trackres_ros.recording.cdr import Template
 from trackres_ros.recording.mcap_format import (
     CHANNEL,
@@ -182,7 +183,7 @@ class BagWriter:
                 f"(n,), (n,) and (n, {template.reader.count})",
             )
         if int(log_ns.min()) < 0:
-            raise InputError(f"{self.path}: {topic.name}: log time", int(log_ns.min()), "0 ns or later")
+            raise InputError(f"{self.path}: {topic.name}: log time", int(log_ns.min()), "0 ns or later", BEFORE_1970)
         size = RECORD.size + len(template.raw)
         rows = np.empty((len(log_ns), size), np.uint8)
         rows[:, : RECORD.size] = np.frombuffer(RECORD.pack(MESSAGE, size - 9, topic.number, 0, 0, 0), np.uint8)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.files.arrow_columns import as_arrow
-from trackres_ros.files.output_files import TABLE_SUFFIXES, WRITTEN_WITH
+from trackres_ros.files.output_files import BEFORE_1970, TABLE_SUFFIXES, WRITTEN_WITH
 from trackres_ros.recording.samples import FloatArray
 
 EXACT = ("time_s",)
@@ -191,7 +191,10 @@ class MdfTable(AbstractContextManager["MdfTable"]):
             self._mdf.extend(0, [(array, None) for array in arrays])
             return
         if "stamp_ns" in self._names and len(arrays[0]):
-            self._mdf.header.start_time = EPOCH + timedelta(microseconds=int(columns[self._names.index("stamp_ns")][0]) // 1000)
+            begin_ns = int(columns[self._names.index("stamp_ns")][0])
+            if begin_ns < 0:
+                raise InputError("output: stamp_ns", begin_ns, "0 ns or later in MDF", BEFORE_1970)
+            self._mdf.header.start_time = EPOCH + timedelta(microseconds=begin_ns // 1000)
         signals = [Signal(a, arrays[0], name=n, unit=unit_of(n)) for n, a in zip(self._names[1:], arrays[1:], strict=True)]
         self._mdf.append(signals, acq_name="trackres", comment="written by trackres", common_timebase=True)
         self._begun = True
