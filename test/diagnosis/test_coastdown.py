@@ -345,6 +345,8 @@ def test_coast_downs_have_the_slopes_of_a_route_and_end_with_it(tmp_path, share)
     without, found = (rollouts([tr.read(file)], known, 0.4, 1.0, maps) for maps in ((), (route,)))
     assert slope_error(found, table) < 0.001 < slope_error(without, table)
     assert (found.sessions[0].used.sum() < 0.9 * without.sessions[0].used.sum()) == (share < 1.0)
+    nowhere = rollouts([tr.read(written(file, table, "time_s,speed_mps"))], known, 0.4, 1.0, (route,))
+    assert any("slope of the route" in note and "as position is not known" in note for note in nowhere.notes)
 
 
 def resistance(vehicle, speed_kmh, found=None):

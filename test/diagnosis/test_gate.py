@@ -17,6 +17,7 @@ from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.same_drive import Course, same_drive
 from trackres_ros.diagnosis.prepare.torque_checks import nothing_to_conclude
 from trackres_ros.diagnosis.stages.prepare import prepared
+from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, OUTSIDE, Case
 from trackres_ros.evaluation.sealed.generate import make_case
@@ -474,6 +475,14 @@ def test_header_stamps_an_hour_late_or_never_set_are_as_the_log(recorded, loaded
     ] * (change == "late")
     for of in ("weight", "speed", "torque", "ambient"):
         np.testing.assert_array_equal(getattr(found.sessions[0], of), getattr(healthy.sessions[0], of))
+
+
+def test_an_effect_without_its_input_is_named(recorded, xgd24d, effects):
+    winds = replace(xgd24d, surroundings=(Active(effects["headwind"], {"from_ahead": 5.0, "from_left": 0.0}),))
+    for hidden in ((), ("yaw_rate", "heading")):
+        found, *_ = prepared(read_recordings(recorded(count=1), None), load_base(winds), hidden)
+        named = [note.rpartition(": ")[2] for note in found.warnings if "headwind" in note]
+        assert named == ["headwind of the vehicle file or its surroundings is left out, as heading is not known"] * bool(hidden)
 
 
 def test_an_unlike_torque_an_hour_late_is_left_out(with_first):

@@ -22,6 +22,7 @@ from trackres_ros.diagnosis.prepare.refuse import check_compared, refuse_repeate
 from trackres_ros.diagnosis.prepare.resample import resample
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import GateSettings
+from trackres_ros.effects.effect import Active
 from trackres_ros.recording.corrected_lines import line_to_write
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.role_units import Conversion
@@ -101,12 +102,18 @@ class _Drive:
 
 
 def rollouts(
-    recordings: list[Recording], settings: GateSettings, radius: float, step: float, route: Sequence[RouteMap] = ()
+    recordings: Sequence[Recording],
+    settings: GateSettings,
+    radius: float,
+    step: float,
+    route: Sequence[RouteMap] = (),
+    acting: Sequence[Active] = (),
 ) -> Rollouts:
     """Find the coast-downs of recordings, on a grid of `step` [s].
 
     With a recorded torque, only stretches of zero torque are used. One that stays near zero while the vehicle accelerates is
-    treated as not recorded. `radius` is that of the sprocket, or of the wheel [m]. Stretches off a given `route` are not used.
+    treated as not recorded. `radius` is that of the sprocket, or of the wheel [m]. Stretches off a given `route` are not used;
+    for `acting` see `on_route`.
 
     Raises
     ------
@@ -121,7 +128,7 @@ def rollouts(
     remedies: list[str] = []
     limit = NO_TORQUE_SHARE * settings.weight * radius
     drives = _with_slopes([_resampled(one, step, settings, limit, notes) for one in recordings], settings, notes)
-    known = on_route(Gated(tuple(drive.session for drive in drives), {}, tuple(notes)), route)
+    known = on_route(Gated(tuple(drive.session for drive in drives), {}, tuple(notes)), route, acting)
     for drive in (one.over(ground) for one, ground in zip(drives, known.sessions, strict=True)):
         session, falls = drive.coasting(settings, rejected, count)
         count = max(count, int(session.block.max()) + 1)
