@@ -73,11 +73,6 @@ def test_simulate_writes_the_columns_of_the_issue(folder, good):
     assert done["drive"]["kwh_per_km"] == pytest.approx(joules / 3.6e6 / (metres / 1000.0), rel=1e-4)
 
 
-def test_simulate_prints_the_energy_for_each_kilometre(folder, good):
-    shown = good("simulate", "--vehicle", "agri3t", "--speed-kmh", 10, "--duration-s", 60, "--dt", 0.5, "-o", folder / "e.csv")
-    assert re.search(r"The drive: 0\.097 km, .* \(0\.\d\d kWh/km\)", shown)
-
-
 @pytest.mark.parametrize("suffix", ["csv", "csv.gz", "parquet", "mcap"])
 def test_simulate_takes_a_profile_and_writes_every_format(folder, suffix, good):
     profile = folder / "profile.csv"

@@ -18,8 +18,7 @@ from hypothesis import strategies as st
 
 import trackres_ros as tr
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.roles import ROLES, base_role
-from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock
+from trackres_ros.recording.samples import Finding, FloatArray, SampleBlock
 
 S = 10**9
 
@@ -198,14 +197,6 @@ def test_aligned_never_sees_the_future(log: list[tuple[int, bool, float]]) -> No
                 np.testing.assert_equal(next(held), last)
 
 
-def test_blocks_of_any_size_give_the_same_recording() -> None:
-    source = Given({"speed": smooth(100), "load": (100.0 + np.arange(9), np.arange(9.0))})
-    recording = Recording.from_source(source)
-    stamps: list[IntArray] = [np.array([row[2] for row in source.rows if row[1] == role]) for role in (0, 1)]
-    np.testing.assert_array_equal(recording.series["speed"].stamp_ns, stamps[0])
-    np.testing.assert_array_equal(recording.series["load"].stamp_ns, stamps[1])
-
-
 def test_the_report_says_it_all() -> None:
     time, speed = smooth(200)
     speed[7] = np.inf
@@ -216,12 +207,6 @@ def test_the_report_says_it_all() -> None:
     assert "  a note" in report
     assert "  speed: 1 value is not finite (first at 0.70 s)" in report
     assert "  torque: no sample at all" in report
-
-
-def test_every_role_has_a_unit() -> None:
-    assert all(about.unit and about.text for about in ROLES.values())
-    assert base_role("load/front") == "load"
-    assert base_role("speed") == "speed"
 
 
 def test_no_speed_starts_with_the_first_role() -> None:

@@ -161,17 +161,6 @@ def test_guess_prefers_types_and_names_the_rest() -> None:
 
 
 NUMBER = "std_msgs/msg/Float64"
-KMH = 1 / 3.6
-NAMED = {"/vehicle/speed": 1.0, "/vehicleSpeed": 1.0, "/speed_kmh": KMH, "/velocity_km_h": KMH, "/wheelVelocityKph": KMH}
-
-
-@pytest.mark.parametrize(("topic", "scale"), [*NAMED.items()])
-def test_guess_takes_the_unit_of_a_bare_number_from_its_name(topic: str, scale: float) -> None:
-    topics, said = guess({topic: "std_msgs/msg/Float64"})
-    assert topics["speed"].scale == scale
-    assert ("km/h" in said[0]) == (scale != 1.0)
-
-
 NAMES = {"speed": "speed", "load": "weight", "torque": "torque", "brake": "brake_pressure"}
 IN_NAMES = [*(one for units in UNITS.values() for one in units if len(one) > 1 and one != "ms"), "percent"]
 

@@ -124,7 +124,7 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
         raise InputError("vehicle", given, "ranges for its values", "widen the ranges of uncertain values")
     recordings = [one.stamped() for one in recordings]
     step = step_for(recordings, SAMPLES_A_STEP)
-    rolled = rollouts(recordings, loaded.known, loaded.base.facts.radius, step, loaded.route, loaded.base.acting)
+    rolled = rollouts(recordings, loaded, step)
     for session in rolled.sessions:
         check_speed(session, loaded.known.max_speed)
     if not rolled.stretches:
