@@ -461,7 +461,7 @@ def test_lines_that_are_no_frames_are_counted_alone(files, tmp_path, kind):
 
 def test_guessed_lines_are_a_topics_file(files, good, tmp_path):
     kept, dbc = tmp_path / "topics.yaml", shutil.copy(files["BLF"][0].with_name("bus.dbc"), tmp_path / "bus #2, new.dbc")
-    for kind in ("MF4", "MF4 of a bus", "BLF", "known names"):
+    for kind in ("bag", "MF4", "MF4 of a bus", "BLF", "known names"):
         path, of_a_bus = files[kind][0], kind in ("MF4 of a bus", "BLF")
         kept.write_text(good("topics", "guess", path, *(("--dbc", dbc) if of_a_bus else ())))
         guessed, read = (tr.replay(path, "xgd24d", topics=one) for one in ({"dbc": dbc} if of_a_bus else None, kept))
