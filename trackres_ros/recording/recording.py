@@ -123,18 +123,9 @@ class Recording:
 
     @property
     def start_ns(self) -> int:
-        """Stamp of time 0 [ns]: the earliest one of speed, or of the first role with samples."""
+        """Stamp of time 0 [ns]: the earliest valid one of speed, or of the first role with samples."""
         first = next((r for r in sorted(self.series, key=lambda role: role != "speed") if len(self.series[r])), "")
-        return int(self._stamps(first).min()) if first else 0
-
-    def _stamps(self, role: str) -> IntArray:
-        """Stamps of a role [ns], all of them set."""
-        delay_ns = self.bindings[role].delay_ns if role in self.bindings else 0
-        return set_stamps(self.series[role], delay_ns) if self.zero_is_unset else self.series[role].stamp_ns
-
-    def stamped(self) -> Recording:
-        """The recording with stamps that are all set, see `set_stamps`."""
-        return replace(self, series={role: replace(s, stamp_ns=self._stamps(role)) for role, s in self.series.items()})
+        return int(_stamps(self, first).min()) if first else 0
 
     def time_s(self, role: str) -> FloatArray:
         """Return the stamps of a role from the start of the recording [s], shape (n,).
@@ -149,7 +140,7 @@ class Recording:
         ndarray of float64, shape (n,)
             Times [s]; 0 is `start_ns`.
         """
-        return (self._stamps(role) - self.start_ns) / 1e9
+        return (_stamps(self, role) - self.start_ns) / 1e9
 
     def aligned(self) -> dict[str, FloatArray]:
         """Resample every role to the samples of speed, by sample and hold.
@@ -237,6 +228,17 @@ def _stretches(logged: Sequence[IntArray]) -> list[IntArray]:
         for one, (high, low) in zip(logged, spans, strict=True)
     )
     return [np.cumsum(back & anew) for back in steps]
+
+
+def stamped(recording: Recording) -> Recording:
+    """The recording with stamps that are all set, see `set_stamps`."""
+    return replace(recording, series={r: replace(s, stamp_ns=_stamps(recording, r)) for r, s in recording.series.items()})
+
+
+def _stamps(recording: Recording, role: str) -> IntArray:
+    """Stamps of a role [ns], all of them set."""
+    samples, delay_ns = recording.series[role], recording.bindings[role].delay_ns if role in recording.bindings else 0
+    return set_stamps(samples, delay_ns) if recording.zero_is_unset else samples.stamp_ns
 
 
 def topics_in_use(recordings: Sequence[Recording]) -> Topics | None:
