@@ -285,7 +285,7 @@ def test_a_torque_that_does_not_drive_is_not_used(tmp_path, scale):
     loaded = load_base(cart(tmp_path / "car.yaml", CAR_KG))
 
     def rolled(name, table, columns="time_s,speed_mps,torque_nm"):
-        return rollouts([tr.read(written(tmp_path / name, table, columns))], loaded.known, 0.4, 1.0)
+        return rollouts([tr.read(written(tmp_path / name, table, columns))], loaded, 1.0)
 
     right = car_drive()
     wrong = right * [1.0, 1.0, scale, 1.0, 1.0, 1.0, 1.0]
@@ -296,6 +296,21 @@ def test_a_torque_that_does_not_drive_is_not_used(tmp_path, scale):
     release = int(np.argmax(right[:, 2] == 0.0))
     for used in (right, right[release : release + int(np.argmax(right[release:, 2] > 0.0))]):  # driven, or rolling only
         assert not rolled("right.csv", used).notes
+
+
+def test_other_clocks_are_moved_and_set_ones_refused(tmp_path):
+    """By the log, as in a diagnosis."""
+    recording = tr.read(written(tmp_path / "roll.csv", car_drive(hills=HILLY), "time_s,speed_mps,grade"))
+    loaded, speed = load_base(cart(tmp_path / "car.yaml", CAR_KG)), recording.series["speed"]
+
+    def rolled(stamp_ns):
+        made = replace(recording, series={**recording.series, "speed": replace(speed, stamp_ns=stamp_ns)})
+        return rollouts([made], loaded, 1.0)
+
+    for off_ns in (-3_600_000_000_000, 3_600_000_000_000):
+        np.testing.assert_array_equal(*(rolled(speed.stamp_ns + off).sessions[0].grade for off in (0, off_ns)))
+    with pytest.raises(tr.InputError, match="times that go back by 30 s"):
+        rolled(np.where(speed.stamp_ns > speed.stamp_ns[900], speed.stamp_ns - 30_000_000_000, speed.stamp_ns))
 
 
 def slope_error(rolled, table):
@@ -311,7 +326,7 @@ def test_decelerations_decide_on_the_slopes_of_an_altitude(tmp_path, factor):
     ends = np.flatnonzero((table[1:, 2] > 0.0) & (table[:-1, 2] == 0.0))[:3] + 1
     shown = table * [1.0, 1.0, 1.0, 1.0, factor, 1.0, 1.0] + [0.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0]
     files = [written(tmp_path / f"{i}.csv", part, "time_s,speed_mps,altitude_m") for i, part in enumerate(np.split(shown, ends))]
-    found = rollouts([tr.read(file) for file in files], load_base(cart(tmp_path / "car.yaml", CAR_KG)).known, 0.4, 1.0)
+    found = rollouts([tr.read(file) for file in files], load_base(cart(tmp_path / "car.yaml", CAR_KG)), 1.0)
     assert len(found.stretches) == 4
     assert [("grade" in s.given) for s in found.sessions] == [factor == 1.0] * 4
     if factor == -1.0:
@@ -326,10 +341,12 @@ def test_coast_downs_have_the_slopes_of_a_route_and_end_with_it(tmp_path, share)
     value, std = np.stack([slope, -slope], axis=1), np.full((len(way), 2), 0.001)
     route = RouteMap(SLOPE, np.radians(one), longitude_at(way), 0.0 * one, value, std, 4 * one.astype(int))
     file = written(tmp_path / "roll.csv", table, "time_s,speed_mps,latitude_deg,longitude_deg")
-    known = load_base(cart(tmp_path / "car.yaml", CAR_KG)).known
-    without, found = (rollouts([tr.read(file)], known, 0.4, 1.0, maps) for maps in ((), (route,)))
+    level = load_base(cart(tmp_path / "car.yaml", CAR_KG))
+    without, found = (rollouts([tr.read(file)], replace(level, route=maps), 1.0) for maps in ((), (route,)))
     assert slope_error(found, table) < 0.001 < slope_error(without, table)
     assert (found.sessions[0].used.sum() < 0.9 * without.sessions[0].used.sum()) == (share < 1.0)
+    nowhere = rollouts([tr.read(written(file, table, "time_s,speed_mps"))], replace(level, route=(route,)), 1.0)
+    assert any("slope of the route" in note and "as position is not known" in note for note in nowhere.notes)
 
 
 def resistance(vehicle, speed_kmh, found=None):

@@ -17,6 +17,7 @@ from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.same_drive import Course, same_drive
 from trackres_ros.diagnosis.prepare.torque_checks import nothing_to_conclude
 from trackres_ros.diagnosis.stages.prepare import prepared
+from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, OUTSIDE, Case
 from trackres_ros.evaluation.sealed.generate import make_case
@@ -458,14 +459,30 @@ def test_a_load_an_hour_late_is_not_used_and_noted(with_first):
     assert "load is recorded from 3600 s to 4200 s, the speed from 0 s to 600 s: its clock seems to be +3600 s off" in said
 
 
-def test_header_stamps_an_hour_late_are_moved_by_the_log(recorded, loaded):
+@pytest.mark.parametrize("change", ["late", "never", "some"])
+def test_header_stamps_an_hour_late_or_never_set_are_as_the_log(recorded, loaded, change):
     (recording, other) = read_recordings(recorded(), None)
-    load = recording.series["load"]
-    off = replace(load, stamp_ns=load.stamp_ns + 3_600_000_000_000)
-    found, *_ = prepared([replace(recording, series={**recording.series, "load": off}), other], loaded)
-    assert any("load: its clock differs from the speed's by +3600 s; corrected (by the log time)" in note for note in found.notes)
+    recording, series = replace(recording, zero_is_unset=True), dict(recording.series)
+    for role in ["load"] if change == "late" else series:
+        stamps, third = series[role].stamp_ns, np.arange(len(series[role])) % 3 == 1
+        off = {"late": stamps + 3_600_000_000_000, "never": 0 * stamps, "some": np.where(third, 0, stamps)}[change]
+        series[role] = replace(series[role], stamp_ns=off)
+    found, *_ = prepared([replace(recording, series=series), other], loaded)
     healthy, *_ = prepared([recording, other], loaded)
-    np.testing.assert_array_equal(found.sessions[0].weight, healthy.sessions[0].weight)
+    corrected = [note for note in found.notes if note not in healthy.notes]
+    assert [note.partition("load: ")[2] for note in corrected] == [
+        "its clock differs from the speed's by +3600 s; corrected (by the log time)"
+    ] * (change == "late")
+    for of in ("weight", "speed", "torque", "ambient"):
+        np.testing.assert_array_equal(getattr(found.sessions[0], of), getattr(healthy.sessions[0], of))
+
+
+def test_an_effect_without_its_input_is_named(recorded, xgd24d, effects):
+    winds = replace(xgd24d, surroundings=(Active(effects["headwind"], {"from_ahead": 5.0, "from_left": 0.0}),))
+    for hidden in ((), ("yaw_rate", "heading")):
+        found, *_ = prepared(read_recordings(recorded(count=1), None), load_base(winds), hidden)
+        named = [note.rpartition(": ")[2] for note in found.warnings if "headwind" in note]
+        assert named == ["headwind of the vehicle file or its surroundings is left out, as heading is not known"] * bool(hidden)
 
 
 def test_an_unlike_torque_an_hour_late_is_left_out(with_first):

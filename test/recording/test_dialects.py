@@ -221,14 +221,6 @@ def test_line_ends_and_marks_of_editors_change_nothing(tmp_path_factory, end, ma
     assert [one.kind for one in recording.findings] == ([] if last else ["cut"])
 
 
-def test_a_topics_file_with_only_a_time_is_used(tmp_path, good):
-    written(tmp_path, "time: {column: seconds}\n", "topics.yaml")
-    written(tmp_path, table("seconds,speed_mps", *(f"{i},{i / 10}" for i in range(20))))
-    assert "20 messages" in good(
-        "replay", "run.csv", "--vehicle", "xgd24d", "--topics", "topics.yaml", "-o", "o.csv", cwd=tmp_path
-    )
-
-
 def test_timestamps_of_parquet_are_times(tmp_path):
     pa = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")

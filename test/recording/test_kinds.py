@@ -10,8 +10,10 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from copy import deepcopy
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta, timezone
 from decimal import Decimal
 from pathlib import Path
 from types import MappingProxyType
@@ -263,6 +265,23 @@ def test_marked_and_unfinished_records_of_mdf(tmp_path):
     assert path.read_bytes() == data
 
 
+@pytest.mark.parametrize("zone", [None, UTC, timezone(timedelta(hours=2))])
+def test_the_zone_of_this_machine_moves_no_start(tmp_path, monkeypatch, zone):
+    path, t, start = tmp_path / "run.mf4", np.arange(10.0), datetime(2026, 7, 1, 12, tzinfo=zone)
+    with MDF() as mdf:
+        mdf.header.start_time = start
+        mdf.append([Signal(t, t, name="speed_mps", unit="m/s")])
+        mdf.save(path)
+    for name in ("America/New_York", "UTC"):
+        with monkeypatch.context() as machine:
+            machine.setenv("TZ", name)
+            time.tzset()
+            read = tr.read(path)
+        time.tzset()
+        assert read.start_ns == int((start if zone else start.replace(tzinfo=UTC)).timestamp()) * 1_000_000_000
+        assert any("treated as UTC" in note for note in read.notes) == (zone is None)
+
+
 TEXT = {"val_0": 3, "text_0": "zu hoch", "val_1": 2, "text_1": "Signal_SNA"}
 SCALED = {"a": 2.0, "b": 1.0}
 TABLES = {
@@ -442,7 +461,7 @@ def test_lines_that_are_no_frames_are_counted_alone(files, tmp_path, kind):
 
 def test_guessed_lines_are_a_topics_file(files, good, tmp_path):
     kept, dbc = tmp_path / "topics.yaml", shutil.copy(files["BLF"][0].with_name("bus.dbc"), tmp_path / "bus #2, new.dbc")
-    for kind in ("MF4", "MF4 of a bus", "BLF", "known names"):
+    for kind in ("bag", "MF4", "MF4 of a bus", "BLF", "known names"):
         path, of_a_bus = files[kind][0], kind in ("MF4 of a bus", "BLF")
         kept.write_text(good("topics", "guess", path, *(("--dbc", dbc) if of_a_bus else ())))
         guessed, read = (tr.replay(path, "xgd24d", topics=one) for one in ({"dbc": dbc} if of_a_bus else None, kept))
@@ -472,7 +491,13 @@ def test_a_replay_as_mdf_holds_what_parquet_does(files, tmp_path):
             np.testing.assert_array_equal(signal.samples.astype(float), wanted[name].to_numpy().astype(float), err_msg=name)
             np.testing.assert_array_equal(signal.timestamps, wanted["time_s"].to_numpy())
     assert (units["resistance_torque_nm"], units["speed_mps"], units["belt_degc/rear_left"]) == ("N m", "m/s", "degC")
-    assert not [one for one in tmp_path.iterdir() if one.name.startswith(".")]
+    (tmp_path / "drive.csv").write_text("time_s,speed_mps\n-1,0\n0,1\n1,1\n")
+    for suffix in ("mf4", "mcap"):  # before 1970
+        with pytest.raises(InputError, match=r"-1000000000; .* offset: 100"):
+            tr.replay(tmp_path / "drive.csv", "xgd24d", output=tmp_path / f"early.{suffix}")
+        topics = {"time": {"column": "time_s", "offset": 100.0}}
+        assert tr.replay(tmp_path / "drive.csv", "xgd24d", topics=topics, output=tmp_path / f"late.{suffix}").steps == 3
+    assert not [one for one in tmp_path.iterdir() if one.name.startswith((".", "early"))]
 
 
 def _saved(path, version, content):

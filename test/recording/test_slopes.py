@@ -46,6 +46,10 @@ def test_no_slope_is_steeper_than_roads_are():
 
 
 def test_in_reverse_the_slope_is_that_the_way_the_vehicle_points():
-    time, speed, _, altitude, _ = hills()
+    time, speed, _, altitude, slope = hills()
     forward, reverse = (slopes(time, way * speed, altitude).value for way in (1.0, -1.0))
     np.testing.assert_allclose(reverse[speed > 0.0], -forward[speed > 0.0])
+    twice = np.arange(0.0, 2.0 * len(time)) * 0.5
+    there = slopes(twice, np.append(speed, -speed[::-1]), np.append(altitude, altitude[::-1])).value  # and back in reverse
+    np.testing.assert_allclose(there, np.append(slope, slope[::-1]), atol=0.002)
+    assert np.isnan(slopes(time, 5.0 * np.sign(np.sin(time)), altitude).value).all()  # to and fro

@@ -206,8 +206,5 @@ def test_a_sum_that_is_none_is_refused(line, says):
         Topics.parse({"torque": line}, "topics.yaml")
     assert says in str(refused.value)
     assert "topics.yaml: torque" in str(refused.value)
-
-
-def test_no_sum_of_angles():
     with pytest.raises(InputError, match="not an angle"):
         Topics.parse({"heading": {"sum": [PART, {"column": "b"}]}})

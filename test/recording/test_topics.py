@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -161,17 +162,6 @@ def test_guess_prefers_types_and_names_the_rest() -> None:
 
 
 NUMBER = "std_msgs/msg/Float64"
-KMH = 1 / 3.6
-NAMED = {"/vehicle/speed": 1.0, "/vehicleSpeed": 1.0, "/speed_kmh": KMH, "/velocity_km_h": KMH, "/wheelVelocityKph": KMH}
-
-
-@pytest.mark.parametrize(("topic", "scale"), [*NAMED.items()])
-def test_guess_takes_the_unit_of_a_bare_number_from_its_name(topic: str, scale: float) -> None:
-    topics, said = guess({topic: "std_msgs/msg/Float64"})
-    assert topics["speed"].scale == scale
-    assert ("km/h" in said[0]) == (scale != 1.0)
-
-
 NAMES = {"speed": "speed", "load": "weight", "torque": "torque", "brake": "brake_pressure"}
 IN_NAMES = [*(one for units in UNITS.values() for one in units if len(one) > 1 and one != "ms"), "percent"]
 
@@ -331,19 +321,18 @@ def test_of_a_truck_bus_only_the_right_signals_are_guessed(missing: str | None, 
     )
 
 
-@pytest.mark.parametrize("measured", ["torque_measured", "ActualDriveTorque", "DrvTrqAct", "TrqIst"])
-@pytest.mark.parametrize("other", RIGHT)
-def test_a_torque_that_says_measured_is_preferred(measured: str, other: str) -> None:
-    by_unit, others, _ = guess_channels([Channel(name, "Nm") for name in (other, measured)], ())
-    by_type, _ = guess({"/speed": SPEED["type"], f"/{other}": NUMBER, f"/{measured}": NUMBER})
-    assert (by_unit["torque"].column, others["torque"], by_type["torque"].topic) == (measured, [other], f"/{measured}")
+BETTER = ["torque_measured", "ActualDriveTorque", "DrvTrqAct", "TrqIst"]
+TEMPERATURE = "sensor_msgs/msg/Temperature"
 
 
-def test_an_ambient_temperature_is_preferred_to_one_of_air() -> None:
-    names, kind = ("air", "ambient_temperature"), "sensor_msgs/msg/Temperature"
-    by_unit, others, _ = guess_channels([Channel(name, "degC") for name in names], ())
-    by_type, _ = guess({"/speed": SPEED["type"], **{f"/{name}": kind for name in names}})
-    assert (by_unit["ambient"].column, others["ambient"], by_type["ambient"].topic) == (names[1], [names[0]], f"/{names[1]}")
+@pytest.mark.parametrize(
+    ("role", "unit", "kind", "better", "other"),
+    [*(("torque", "Nm", NUMBER, *pair) for pair in product(BETTER, RIGHT)), ("ambient", "degC", TEMPERATURE, "ambient", "air")],
+)
+def test_a_measured_torque_and_an_ambient_air_are_preferred(role: str, unit: str, kind: str, better: str, other: str) -> None:
+    by_unit, others, _ = guess_channels([Channel(name, unit) for name in (other, better)], ())
+    by_type, _ = guess({"/speed": SPEED["type"], f"/{other}": kind, f"/{better}": kind})
+    assert (by_unit[role].column, others[role], by_type[role].topic) == (better, [other], f"/{better}")
 
 
 @pytest.mark.parametrize("name", [
@@ -353,7 +342,9 @@ def test_an_ambient_temperature_is_preferred_to_one_of_air() -> None:
 ])  # fmt: skip
 def test_the_speed_of_the_vehicle_is_guessed_from_any_unit(name: str) -> None:
     assert guess_channels([Channel(name, "km/h")], ())[0]["speed"].column == name
-    assert guess({f"/{name}": NUMBER})[0]["speed"].topic == f"/{name}"
+    topics, (said,) = guess({f"/{name}": NUMBER})
+    assert topics["speed"].topic == f"/{name}"
+    assert ("in km/h" in said) == name.endswith("kmh")
 
 
 def test_a_second_speed_alone_is_no_second_vehicle() -> None:

@@ -13,16 +13,16 @@ import numpy as np
 from trackres_ros.design.steady import Array, FileErrors, with_errors
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE, kernel_arguments, work_space
+from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, kernel_arguments, work_space
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.coverage import check_speed
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.offline.energy import taken
+from trackres_ros.offline.profile import along
 from trackres_ros.offline.sample import lap_drive
 from trackres_ros.offline.simulate import SimulatedDrive, by_column, run_drive, through_points
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.roles import ROLES
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Vehicle
@@ -57,23 +57,9 @@ class DriveCycle:
         return [r for r in OF_PROFILE if r in series and r not in given and np.isfinite(series[r].value).any()]
 
     def recorded(self, vehicle: Vehicle, given: Collection[str]) -> dict[str, Array]:
-        """Load [N] and air [degC] along the drive, if recorded and not given otherwise.
-
-        Raises InputError on a value that is implausible for the vehicle.
-        """
-        found: dict[str, Array] = {}
-        limits = {**PLAUSIBLE, "load": (LEAST_LOAD_SHARE * vehicle.weight, LARGEST_LOAD_SHARE * vehicle.weight)}
-        for role in self.conditions(given):
-            assert self.recording is not None
-            value, time, (low, high) = self.recording.series[role].value, self.recording.time_s(role), limits[role]
-            usable = np.flatnonzero(np.isfinite(value))
-            order = usable[np.argsort(time[usable], kind="stable")]
-            least, most = value[order].min(), value[order].max()
-            if least < low or most > high:
-                spread = f"{least:g} to {most:g} {ROLES[role].unit}"
-                raise InputError(f"--cycle {self.name}: {role}", spread, f"{low:g} to {high:g} for {vehicle.name}")
-            found[role] = np.interp(self.drive.time_s, time[order], value[order])
-        return found
+        """Load [N] and air [degC] along the drive, if recorded and not given otherwise. Raises InputError as `along`."""
+        roles, one = self.conditions(given), self.recording
+        return {} if one is None else {role: along(one, role, self.drive.time_s, vehicle.weight) for role in roles}
 
 
 def read_cycle(given: str, fastest_mps: float) -> DriveCycle:

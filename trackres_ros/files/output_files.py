@@ -24,6 +24,8 @@ WRITTEN_WITH = {
     ".mf4": ("writing MDF", "asammdf", "mdf"),
     BAG_SUFFIX: ("writing bags", "rosbags", "bags"),
 }
+BEFORE_1970 = "give the times an offset in the topics file, such as time: {column: time_s, offset: 100.0}; or write a CSV"
+"""Remedy for stamps below zero, which bags and MDF cannot hold."""
 
 
 def output_file(path: str | PathLike[str], suffixes: Sequence[str] = OUTPUT_SUFFIXES, where: str = "output") -> Path:

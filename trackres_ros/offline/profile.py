@@ -47,24 +47,35 @@ def read_profile(profile: str | PathLike[str] | Recording, on_route: bool = Fals
 
 
 def conditions(recording: Recording, time_s: Array, given: Collection[str], weight: float) -> dict[str, Array]:
-    """Conditions of a profile at some times [s], interpolated, by role.
+    """Conditions of a profile at some times [s], see `along`, by role.
 
-    Before its first and after its last value a position is nan, as in a replay; the others keep that value. Raises
-    InputError for a role that is also in `given`, and for implausible values for a vehicle of a weight [N].
+    Raises InputError for a role that is also in `given`, and for unknown or implausible values for a vehicle of a weight [N].
     """
-    limits = {**PLAUSIBLE, "load": (LEAST_LOAD_SHARE * weight, LARGEST_LOAD_SHARE * weight)}
     found = {}
     for role, argument in ARGUMENT_OF.items():
-        samples = recording.series.get(role)
-        if samples is None or not len(samples):
+        if role not in recording.series or not len(recording.series[role]):
             continue
         if role in given:
             raise InputError(argument, f"{role} in {recording.name} too", "one of the two")
-        low, high = limits[role]
-        bad = samples.value[~((samples.value >= low) & (samples.value <= high))]
-        if bad.size:
-            raise InputError(f"{recording.name}: {role}", float(bad[0]), f"{low:g} to {high:g} {ROLES[role].unit}")
-        value = np.unwrap(samples.value) if role == "longitude" else samples.value  # it goes on over the date line
-        outside = np.nan if role in POSITION else None
-        found[role] = np.interp(time_s, recording.time_s(role), value, left=outside, right=outside)
+        if not np.isfinite(recording.series[role].value).all():
+            raise InputError(f"{recording.name}: {role}", float("nan"), "numbers")
+        found[role] = along(recording, role, time_s, weight)
     return found
+
+
+def along(recording: Recording, role: str, time_s: Array, weight: float) -> Array:
+    """The known values of a role at some times [s], interpolated.
+
+    Before its first and after its last value a position is nan, as in a replay; others keep that value. Raises InputError for
+    values that are implausible for a vehicle of a weight [N].
+    """
+    low, high = {**PLAUSIBLE, "load": (LEAST_LOAD_SHARE * weight, LARGEST_LOAD_SHARE * weight)}[role]
+    at, value = recording.time_s(role), recording.series[role].value
+    order = np.argsort(at, kind="stable")
+    order = order[np.isfinite(value[order])]
+    bad = value[order][(value[order] < low) | (value[order] > high)]
+    if bad.size:
+        raise InputError(f"{recording.name}: {role}", float(bad[0]), f"{low:g} to {high:g} {ROLES[role].unit}")
+    value = np.unwrap(value[order]) if role == "longitude" else value[order]  # it goes on over the date line
+    outside = np.nan if role in POSITION else None
+    return np.interp(time_s, at[order], value, left=outside, right=outside)

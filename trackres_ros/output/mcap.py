@@ -16,7 +16,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.errors import InputError
+from trackres_ros.files.output_files import BEFORE_1970
 from trackres_ros.recording.cdr import Template
 from trackres_ros.recording.mcap_format import (
     CHANNEL,
@@ -61,25 +62,20 @@ class BagWriter:
 
     The file is put in place only when the `with` block ends without an exception. Messages are sorted by log time within a batch,
     which ends when a topic is written again. A chunk is written completely or not at all, so the file can be read up to its last
-    chunk at any time, whatever ends the program or fills the disk. Raises MissingExtraError if rosbags is not installed; it
-    provides the message types.
+    chunk at any time, whatever ends the program or fills the disk.
 
     Parameters
     ----------
     path : Path
-        The file, replaced if it exists.
+        The file, see `output_file`; replaced if it exists.
     part : Path, optional
         File for writing until it is finished, which must be new. It stays if it cannot be finished; by default a hidden file in
         the same folder, which never stays.
     """
 
     def __init__(self, path: Path, part: Path | None = None) -> None:
-        try:
-            from rosbags.typesys import Stores, get_typestore
-        except ImportError:
-            raise MissingExtraError("writing bags", "rosbags", "bags") from None
-        if not path.parent.is_dir():
-            raise InputError(str(path), f"no folder {path.parent}", "a file in a folder that is there")
+        from rosbags.typesys import Stores, get_typestore
+
         self.path = path
         self.typestore = get_typestore(Stores.LATEST)
         self.part = part or path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -182,7 +178,7 @@ class BagWriter:
                 f"(n,), (n,) and (n, {template.reader.count})",
             )
         if int(log_ns.min()) < 0:
-            raise InputError(f"{self.path}: {topic.name}: log time", int(log_ns.min()), "0 ns or later")
+            raise InputError(f"{self.path}: {topic.name}: log time", int(log_ns.min()), "0 ns or later", BEFORE_1970)
         size = RECORD.size + len(template.raw)
         rows = np.empty((len(log_ns), size), np.uint8)
         rows[:, : RECORD.size] = np.frombuffer(RECORD.pack(MESSAGE, size - 9, topic.number, 0, 0, 0), np.uint8)

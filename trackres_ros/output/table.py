@@ -10,7 +10,6 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from datetime import UTC, datetime, timedelta
-from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -18,9 +17,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.errors import InputError
 from trackres_ros.files.arrow_columns import as_arrow
-from trackres_ros.files.output_files import TABLE_SUFFIXES, WRITTEN_WITH
+from trackres_ros.files.output_files import BEFORE_1970
 from trackres_ros.recording.samples import FloatArray
 
 EXACT = ("time_s",)
@@ -38,13 +37,12 @@ class TableWriter:
     """Writes a table block by block; it is put in place only when the `with` block ends without an exception.
 
     In CSV a NaN becomes an empty cell, every other number the shortest text that reads back as the same number. Equal numbers
-    give equal bytes, except in MDF, which contains the time of writing. Raises InputError for another suffix, or no such folder;
-    MissingExtraError if the library for Parquet or MDF is not installed.
+    give equal bytes, except in MDF, which contains the time of writing.
 
     Parameters
     ----------
     path : Path
-        ``.csv``, ``.csv.gz``, ``.parquet`` or ``.mf4``; replaced if it exists.
+        ``.csv``, ``.csv.gz``, ``.parquet`` or ``.mf4``, see `output_file`; replaced if it exists.
     names : sequence of str
         Names of the k columns.
     estimates : bool
@@ -53,18 +51,12 @@ class TableWriter:
     """
 
     def __init__(self, path: Path, names: Sequence[str], estimates: bool = False) -> None:
-        if not path.name.lower().endswith(TABLE_SUFFIXES):
-            raise InputError(str(path), path.suffix or "no suffix", ", ".join(TABLE_SUFFIXES))
-        if not path.parent.is_dir():
-            raise InputError(str(path), f"no folder {path.parent}", "a file in a folder that is there")
         self.path, self.names = path, tuple(names)
         self._part = path.with_name(f".{path.name}.{os.getpid()}.part")
         if path.suffix.lower() == ".mf4":  # the library would write to another name
             self._part = self._part.with_suffix(".mf4")
         self._estimates = estimates
         self._suffix = path.suffix.lower()
-        if self._suffix in WRITTEN_WITH and find_spec(WRITTEN_WITH[self._suffix][1]) is None:
-            raise MissingExtraError(*WRITTEN_WITH[self._suffix])
         self._files = ExitStack()
         self._out: Any = None
 
@@ -145,7 +137,7 @@ def write_table(path: Path, columns: Mapping[str, NDArray[Any]], estimates: bool
     """Write a whole table; see `TableWriter`.
 
     `path`: ``.csv``, ``.csv.gz``, ``.parquet`` or ``.mf4``; `columns`: numbers or texts by name, shape (n,); `estimates`: as
-    there. Raises InputError for another suffix, no such folder, or columns of different lengths.
+    there. Raises InputError for columns of different lengths.
     """
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) != 1:
@@ -191,7 +183,10 @@ class MdfTable(AbstractContextManager["MdfTable"]):
             self._mdf.extend(0, [(array, None) for array in arrays])
             return
         if "stamp_ns" in self._names and len(arrays[0]):
-            self._mdf.header.start_time = EPOCH + timedelta(microseconds=int(columns[self._names.index("stamp_ns")][0]) // 1000)
+            begin_ns = int(columns[self._names.index("stamp_ns")][0])
+            if begin_ns < 0:
+                raise InputError("output: stamp_ns", begin_ns, "0 ns or later in MDF", BEFORE_1970)
+            self._mdf.header.start_time = EPOCH + timedelta(microseconds=begin_ns // 1000)
         signals = [Signal(a, arrays[0], name=n, unit=unit_of(n)) for n, a in zip(self._names[1:], arrays[1:], strict=True)]
         self._mdf.append(signals, acq_name="trackres", comment="written by trackres", common_timebase=True)
         self._begun = True

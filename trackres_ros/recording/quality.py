@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.recording.roles import ROLES, base_role
-from trackres_ros.recording.samples import Finding, FloatArray, Series
+from trackres_ros.recording.samples import Finding, FloatArray, IntArray, Series, set_stamps
 from trackres_ros.text.numbers import figures, number_of
 
 MOVING_MPS, DROP_SAMPLES = 0.5, 3
@@ -44,7 +44,7 @@ def findings_of(role: str, samples: Series, start: tuple[int, int], zero_is_unse
 
     def note(kind: str, at: NDArray[np.intp], text: str) -> None:
         if at.size:
-            of_log = kind == "zero_stamp"
+            of_log = zero_is_unset and not samples.stamp_ns[at[0]]
             clock = samples.arrival_ns if of_log else samples.stamp_ns
             found.append(Finding(role, kind, int(at.size), (int(clock[at[0]]) - start[of_log]) / 1e9, text))
 
@@ -61,7 +61,7 @@ def findings_of(role: str, samples: Series, start: tuple[int, int], zero_is_unse
         text = f"values are quantised in steps of {_step_text(step, unit)}; {repeats:.0%} repeat the previous one"
         note("quantised", np.flatnonzero(finite)[:1], text)
     if lively:
-        _look_for_stuck(samples, np.flatnonzero(finite), runs, note)
+        _look_for_stuck(samples, np.flatnonzero(finite), runs, set_stamps(samples) if zero_is_unset else samples.stamp_ns, note)
     if base_role(role) == "speed":
         _look_for_drops(samples, note)
     return found
@@ -105,10 +105,10 @@ def _look_at_stamps(samples: Series, rows: NDArray[np.intp], note: _Note) -> Non
             note("gap", rows[gaps], text)
 
 
-def _look_for_stuck(samples: Series, rows: NDArray[np.intp], runs: NDArray[np.intp], note: _Note) -> None:
+def _look_for_stuck(samples: Series, rows: NDArray[np.intp], runs: NDArray[np.intp], stamp_ns: IntArray, note: _Note) -> None:
     """Note runs of one non-zero value that last longer than `STUCK_NS`; `runs` are their starts among `rows`."""
     last = np.append(runs[1:], len(rows)) - 1
-    lasting = samples.stamp_ns[rows[last]] - samples.stamp_ns[rows[runs]]
+    lasting = stamp_ns[rows[last]] - stamp_ns[rows[runs]]
     stuck = (lasting > STUCK_NS) & (samples.value[rows[runs]] != 0.0)
     if stuck.any():
         at = np.flatnonzero(np.repeat(stuck, last - runs + 1))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.recording.quality import findings_of
 from trackres_ros.recording.roles import ROLES, base_role
-from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock, Series, Source, first_valid
+from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock, Series, Source, first_valid, set_stamps
 from trackres_ros.recording.wheels import wheel_notes
 from trackres_ros.text.html import listed, panel, table
 from trackres_ros.text.numbers import figures
@@ -124,11 +124,8 @@ class Recording:
     @property
     def start_ns(self) -> int:
         """Stamp of time 0 [ns]: the earliest valid one of speed, or of the first role with samples."""
-        for role in sorted(self.series, key=lambda role: role != "speed"):
-            stamp_ns = self.series[role].stamp_ns
-            if stamp_ns.size:
-                return int(stamp_ns.min(where=stamp_ns != 0, initial=stamp_ns.max()) if self.zero_is_unset else stamp_ns.min())
-        return 0
+        first = next((r for r in sorted(self.series, key=lambda role: role != "speed") if len(self.series[r])), "")
+        return int(_stamps(self, first).min()) if first else 0
 
     def time_s(self, role: str) -> FloatArray:
         """Return the stamps of a role from the start of the recording [s], shape (n,).
@@ -143,7 +140,7 @@ class Recording:
         ndarray of float64, shape (n,)
             Times [s]; 0 is `start_ns`.
         """
-        return (self.series[role].stamp_ns - self.start_ns) / 1e9
+        return (_stamps(self, role) - self.start_ns) / 1e9
 
     def aligned(self) -> dict[str, FloatArray]:
         """Resample every role to the samples of speed, by sample and hold.
@@ -231,6 +228,17 @@ def _stretches(logged: Sequence[IntArray]) -> list[IntArray]:
         for one, (high, low) in zip(logged, spans, strict=True)
     )
     return [np.cumsum(back & anew) for back in steps]
+
+
+def stamped(recording: Recording) -> Recording:
+    """The recording with stamps that are all set, see `set_stamps`."""
+    return replace(recording, series={r: replace(s, stamp_ns=_stamps(recording, r)) for r, s in recording.series.items()})
+
+
+def _stamps(recording: Recording, role: str) -> IntArray:
+    """Stamps of a role [ns], all of them set."""
+    samples, delay_ns = recording.series[role], recording.bindings[role].delay_ns if role in recording.bindings else 0
+    return set_stamps(samples, delay_ns) if recording.zero_is_unset else samples.stamp_ns
 
 
 def topics_in_use(recordings: Sequence[Recording]) -> Topics | None:

@@ -10,7 +10,7 @@ import math
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -317,12 +317,7 @@ def _close(readers: Mapping[Path, Reader]) -> None:
 def _joined(blocks: Sequence[SampleBlock]) -> SampleBlock:
     if len(blocks) == 1:
         return blocks[0]
-    return SampleBlock(
-        np.concatenate([block.role for block in blocks]),
-        np.concatenate([block.stamp_ns for block in blocks]),
-        np.concatenate([block.arrival_ns for block in blocks]),
-        np.concatenate([block.value for block in blocks]),
-    )
+    return SampleBlock(*(np.concatenate([getattr(block, one.name) for block in blocks]) for one in fields(SampleBlock)))
 
 
 def _check_binding(binding: TopicBinding, one: Connection, types: Definitions, where: str) -> None:

@@ -111,6 +111,20 @@ class Series:
         return len(self.value)
 
 
+def set_stamps(samples: Series, delay_ns: int = 0) -> IntArray:
+    """Stamps [ns], shape (n,); one that was never set is the log time, as far off as the last set one, as in the estimate.
+
+    `delay_ns`: of the role, as without any set stamp none has it.
+    """
+    rows, unset = np.arange(len(samples)), samples.stamp_ns == 0
+    if not unset.any():
+        return samples.stamp_ns
+    off = np.append(samples.stamp_ns - samples.arrival_ns, -delay_ns)
+    first = -1 if unset.all() else int(np.argmin(unset))
+    last = np.maximum.accumulate(np.where(unset, first, rows))
+    return np.where(unset, samples.arrival_ns + off[last], samples.stamp_ns)
+
+
 def first_valid(samples: Series | SampleBlock, rows: NDArray[np.bool_], zero_is_unset: bool) -> tuple[int, int] | None:
     """Stamp and arrival [ns] of the first finite value among some rows, shape (n,); a stamp that was never set is the arrival."""
     found = rows & np.isfinite(samples.value)

@@ -22,6 +22,7 @@ STEEPEST = 0.2  # rise over run; a few streets are steeper, no road that recordi
 GRID_M = 5.0
 SHORTEST_M, LONGEST_M = 200.0, 3000.0  # distance over which a slope is fitted
 SURE_SLOPE = 0.005  # sufficient standard deviation of a slope
+LEAST_AHEAD = 0.4  # of the way of a line, ahead; half where the vehicle turns back once
 OF_A_LINE = 12.0**0.5  # standard deviation of the slope of a line over that of its points, and its length
 
 
@@ -44,7 +45,8 @@ def slopes(time_s: Array, speed: Array, altitude: Array, error_m: float = 0.0) -
     -----
     Changes of the altitude at standstill are no slope, and are removed. If it drifts at standstill, such as that of a
     receiver or a pressure that still settles, it is ignored for minutes before and after, or up to a standstill without drift.
-    The rest is fitted by straight lines over a distance that depends on its noise and its steps.
+    The rest is fitted by straight lines over a distance that depends on its noise and its steps. A vehicle that turns back is
+    taken to retrace its way: such a line is over the way it points. Where it only moves to and fro, the slope is unknown.
     """
     known = np.isfinite(altitude)
     unknown = Slopes(np.full(len(time_s), np.nan), np.nan, np.nan)
@@ -52,22 +54,24 @@ def slopes(time_s: Array, speed: Array, altitude: Array, error_m: float = 0.0) -
         return unknown
     height = np.interp(time_s, time_s[known], altitude[known])
     moving = np.abs(speed) > SLOWEST_MPS
-    steps = np.abs(0.5 * (speed[1:] + speed[:-1])) * np.diff(time_s)
-    distance = np.concatenate(([0.0], np.cumsum(np.nan_to_num(steps))))
+    steps = np.nan_to_num(0.5 * (speed[1:] + speed[:-1])) * np.diff(time_s)
+    distance, place = (np.concatenate(([0.0], np.cumsum(of))) for of in (np.abs(steps), steps))
     rises = np.where(moving[1:] & moving[:-1], np.diff(height), 0.0)
     along = np.concatenate(([0.0], np.cumsum(rises)))
     if distance[-1] < SHORTEST_M:
         return unknown
     at = np.arange(0.0, distance[-1] + GRID_M, GRID_M)
     unique, first = np.unique(distance, return_index=True)
-    profile = np.interp(at, unique, along[first])
+    profile, ahead = (np.interp(at, unique, of[first]) for of in (along, place))
     step = _step(altitude[known])
-    rough = profile - _lines(profile, SHORTEST_M)[0]
+    rough = profile - _lines(ahead, profile, SHORTEST_M)[0]
+    rough = rough[np.isfinite(rough)]
+    if not len(rough):
+        return unknown
     noise = max(MAD_TO_STD * float(np.median(np.abs(rough - np.median(rough)))), step / OF_A_LINE, error_m)
     length = min(max(noise * OF_A_LINE / SURE_SLOPE, SHORTEST_M), LONGEST_M)
-    found = np.interp(distance, at, _lines(profile, length)[1])
+    found = np.interp(distance, at, _lines(ahead, profile, length)[1])
     found[~(np.abs(found) <= STEEPEST) | _untrusted(time_s, height, speed, moving)] = np.nan
-    found[speed < 0.0] *= -1.0  # a vehicle that reverses downhill points uphill
     return Slopes(found, noise * OF_A_LINE / length, length)
 
 
@@ -77,15 +81,19 @@ def _step(altitude: Array) -> float:
     return float(steps.min()) if len(steps) else 0.0
 
 
-def _lines(profile: Array, length: float) -> tuple[Array, Array]:
-    """Level and slope of the straight line through the points within half a length of each point of a profile."""
+def _lines(ahead: Array, profile: Array, length: float) -> tuple[Array, Array]:
+    """Level and slope of the straight line, by the place `ahead` [m], through the points of a profile within half a length of
+    each, which are `GRID_M` apart along the drive; nan where these hardly come ahead.
+    """
     half = max(1, min(round(0.5 * length / GRID_M), len(profile) // 2))
-    place = np.arange(len(profile), dtype=float)
-    sums = [np.concatenate(([0.0], np.cumsum(x))) for x in (np.ones(len(profile)), place, place**2, profile, place * profile)]
-    begin, end = np.maximum(place - half, 0).astype(int), np.minimum(place + half + 1, len(profile)).astype(int)
+    sums = [np.concatenate(([0.0], np.cumsum(x))) for x in (np.ones(len(profile)), ahead, ahead**2, profile, ahead * profile)]
+    rows = np.arange(len(profile))
+    begin, end = np.maximum(rows - half, 0), np.minimum(rows + half + 1, len(profile))
     n, x, xx, y, xy = (s[end] - s[begin] for s in sums)
-    slope = (n * xy - x * y) / np.maximum(n * xx - x**2, 1e-9)
-    return (y - slope * x) / n + slope * place, slope / GRID_M
+    spread = n * xx - x**2
+    straight = GRID_M**2 * n**2 * (n**2 - 1.0) / OF_A_LINE**2
+    slope = (n * xy - x * y) / np.where(spread > LEAST_AHEAD**2 * straight, spread, np.nan)
+    return (y - slope * x) / n + slope * ahead, slope
 
 
 def _untrusted(time_s: Array, height: Array, speed: Array, moving: Mask) -> Mask:

@@ -85,6 +85,11 @@ class Base(ABC):
         """Values of `parameters` in the vehicle file."""
         return {q.name: q.nominal for q in self.parameters}
 
+    @property
+    def acting(self) -> Sequence[Active]:
+        """Effects of the vehicle and its surroundings, with the values of their files."""
+        return self._own_effects(self._by_default)
+
     def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """Simulate sessions in sequence.
 

@@ -36,7 +36,7 @@ from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import relative_std, relative_weight_std
 from trackres_ros.progress import counted
-from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.recording import Recording, stamped
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle.writing.changes import FileChanges, Interval
@@ -122,8 +122,9 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
     if not free:
         given = "a vehicle file with a zero-width range on every value that a coast-down could determine"
         raise InputError("vehicle", given, "ranges for its values", "widen the ranges of uncertain values")
+    recordings = [stamped(one) for one in recordings]
     step = step_for(recordings, SAMPLES_A_STEP)
-    rolled = rollouts(list(recordings), loaded.known, loaded.base.facts.radius, step, loaded.route)
+    rolled = rollouts(recordings, loaded, step)
     for session in rolled.sessions:
         check_speed(session, loaded.known.max_speed)
     if not rolled.stretches:

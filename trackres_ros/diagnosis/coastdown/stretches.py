@@ -14,10 +14,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.prepare.altitude import coasting_errors, confirmed, slope_of_altitude, with_slope
+from trackres_ros.diagnosis.prepare.clocks import on_one_clock
 from trackres_ros.diagnosis.prepare.gate import Gated
 from trackres_ros.diagnosis.prepare.on_route import on_route
-from trackres_ros.diagnosis.prepare.refuse import refuse_repeated
+from trackres_ros.diagnosis.prepare.refuse import check_compared, refuse_repeated
 from trackres_ros.diagnosis.prepare.resample import resample
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import GateSettings
@@ -26,7 +28,6 @@ from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.role_units import Conversion
 from trackres_ros.recording.samples import Series
 from trackres_ros.recording.slopes import runs_of
-from trackres_ros.route.learned import RouteMap
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import GRAVITY
 
@@ -99,13 +100,11 @@ class _Drive:
         return bool(speed[-1] < speed.min() + LEAST_FALL_MPS)
 
 
-def rollouts(
-    recordings: list[Recording], settings: GateSettings, radius: float, step: float, route: Sequence[RouteMap] = ()
-) -> Rollouts:
+def rollouts(recordings: Sequence[Recording], loaded: LoadedBase, step: float) -> Rollouts:
     """Find the coast-downs of recordings, on a grid of `step` [s].
 
     With a recorded torque, only stretches of zero torque are used. One that stays near zero while the vehicle accelerates is
-    treated as not recorded. `radius` is that of the sprocket, or of the wheel [m]. Stretches off a given `route` are not used.
+    treated as not recorded. Stretches off a given route are not used.
 
     Raises
     ------
@@ -118,9 +117,9 @@ def rollouts(
     rejected: Counter[str] = Counter()
     notes: list[str] = []
     remedies: list[str] = []
-    limit = NO_TORQUE_SHARE * settings.weight * radius
+    settings, limit = loaded.known, NO_TORQUE_SHARE * loaded.known.weight * loaded.base.facts.radius
     drives = _with_slopes([_resampled(one, step, settings, limit, notes) for one in recordings], settings, notes)
-    known = on_route(Gated(tuple(drive.session for drive in drives), {}, tuple(notes)), route)
+    known = on_route(Gated(tuple(drive.session for drive in drives), {}, tuple(notes)), loaded.route, loaded.base.acting)
     for drive in (one.over(ground) for one, ground in zip(drives, known.sessions, strict=True)):
         session, falls = drive.coasting(settings, rejected, count)
         count = max(count, int(session.block.max()) + 1)
@@ -176,6 +175,9 @@ def _torques(recording: Recording) -> list[str]:
 def _resampled(recording: Recording, step: float, settings: GateSettings, limit: float, notes: list[str]) -> _Drive:
     """The recording on an even grid; with a measured torque only if that exceeds a `limit` [Nm]."""
     why = "no torque was recorded"
+    check_compared(_without_torque(recording), SHORTEST_RECORDING_S)
+    recording, shifted = on_one_clock(recording)
+    notes += shifted
     if _torques(recording):
         said: list[str] = []
         session, unknown = resample(recording, step, settings, said, SHORTEST_RECORDING_S)

@@ -46,7 +46,7 @@ def on_one_clock(recording: Recording) -> tuple[Recording, list[str]]:
     speed, and refused if ambiguous. Another role is shifted if the logging times, or such a torque, confirm the offset. Another
     role that is off by a time zone is not used. A clock of speed or torque that was set back is refused.
     """
-    series = {role: _set(samples) if recording.zero_is_unset else samples for role, samples in recording.series.items()}
+    series = dict(recording.series)
     torques = [role for role in series if base_role(role) == "torque"]
     several = len(recording.paths) > 1  # bags, which may be given in any order
     for role in ("speed", *torques):
@@ -158,9 +158,3 @@ def _explained(speed: tuple[Array, Array], torque: tuple[Array, Array]) -> float
     if np.ptp(fitted) == 0.0 or np.ptp(shown[use]) == 0.0:
         return 0.0
     return float(np.corrcoef(fitted, shown[use])[0, 1])
-
-
-def _set(series: Series) -> Series:
-    """Samples whose stamp was set."""
-    there = series.stamp_ns != 0
-    return series if there.all() else Series(series.stamp_ns[there], series.arrival_ns[there], series.value[there])

@@ -34,7 +34,7 @@ from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, DriveSessio
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S, GateSettings, pace
 from trackres_ros.diagnosis.prepare.split import lap_numbers
 from trackres_ros.errors import InputError
-from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.recording import Recording, stamped
 from trackres_ros.recording.samples import standing_time
 
 UNUSED = "in recordings that are left out"
@@ -74,7 +74,7 @@ def gate(
     InputError
         If no recording can be used, or too little of all of them, with reasons and remedies.
     """
-    refused, given, overlaps = list(refused), in_order(recordings), list[str]()
+    refused, given, overlaps = list(refused), in_order([stamped(one) for one in recordings]), list[str]()
     known = {one.name for one in refused}
     admitted = each_usable(
         (r for r in given if r.name not in known), lambda recording: _admitted(recording, hide, settings), refused

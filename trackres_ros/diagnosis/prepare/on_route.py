@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,15 +13,20 @@ import numpy as np
 from trackres_ros.diagnosis.prepare.gate import Gated
 from trackres_ros.diagnosis.prepare.notes import WarningNote
 from trackres_ros.diagnosis.prepare.resample import MOST_UNKNOWN
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Way
+from trackres_ros.diagnosis.prepare.session import ALWAYS_KNOWN, Array, DriveSession, Way
+from trackres_ros.effects.effect import Active
 from trackres_ros.route.learned import SLOPE, RouteMap
 from trackres_ros.route.matching import matched
 from trackres_ros.route.track import track_of
 
 
-def on_route(gated: Gated, route: Sequence[RouteMap]) -> Gated:
-    """Sessions with torque and, if not recorded, slope of the route by position; samples off the route are excluded."""
+def on_route(gated: Gated, route: Sequence[RouteMap], acting: Sequence[Active] = ()) -> Gated:
+    """Sessions with torque and, if not recorded, slope of the route by position; samples off the route are excluded.
+
+    The notes name what lacks an input: values of the route, and effects of the vehicle file and its surroundings, `acting`.
+    """
     sessions, notes = list(gated.sessions), list(gated.notes)
+    notes += [note for session in sessions for note in _left_out(session, route, acting)]
     for one in route:
         for i, session in enumerate(sessions):
             if "position" not in session.given or (one.kind == SLOPE and "grade" in session.given):
@@ -39,6 +44,15 @@ def on_route(gated: Gated, route: Sequence[RouteMap]) -> Gated:
             else:
                 sessions[i] = replace(session, torque_by_place=found)
     return replace(with_fewer_steps(gated, sessions, "off the route"), notes=tuple(notes))
+
+
+def _left_out(session: DriveSession, route: Sequence[RouteMap], acting: Sequence[Active]) -> Iterator[WarningNote]:
+    needed: dict[str, Sequence[str]] = {active.effect.name: active.effect.needs for active in acting}
+    of_route = [one.kind for one in route if one.kind != SLOPE or "grade" not in session.given]
+    for name, needs in (needed | {f"{kind} of the route": ("position",) for kind in of_route}).items():
+        if lacks := [need for need in needs if need not in ALWAYS_KNOWN and need not in session.given]:
+            of = "of the vehicle file or its surroundings is left out"
+            yield WarningNote(f"{session.name}: {name} {of}, as {', '.join(lacks)} is not known")
 
 
 def with_fewer_steps(gated: Gated, sessions: Sequence[DriveSession], reason: str) -> Gated:

@@ -25,6 +25,7 @@ AROUND = 5  # steps, odd
 MOST_KEPT = 8  # cached shifts
 MOST_LAGS = 4  # steps before a step that the whitening of its residual needs; a fit uses steps with all of these
 FEWEST_FITTED = MOST_LAGS + 1  # such steps: fewer ones fit the noise exactly
+ALWAYS_KNOWN = ("speed", "accel", "weight", "distance", "drive_torque", "ambient", "belt")  # inputs of effects
 NOT_RECORDED = dict.fromkeys(("latitude", "longitude", "altitude", "steering_angle", "passengers"), np.nan) | {
     "payload": 0.0, "torque_by_place": 0.0,
 }  # fmt: skip

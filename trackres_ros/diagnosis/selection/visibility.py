@@ -13,14 +13,13 @@ import numpy as np
 from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.inference.fitting import LARGE, Fit, jacobian, valid_rows
 from trackres_ros.diagnosis.inference.noise import shortened
-from trackres_ros.diagnosis.prepare.session import Array
+from trackres_ros.diagnosis.prepare.session import ALWAYS_KNOWN, Array
 from trackres_ros.effects.effect import Active, Effect
 from trackres_ros.effects.learned import EmpiricalEffect
 from trackres_ros.progress import counted
 
 LEAST_KEPT, LEAST_D_PRIME = 0.1, 3.0
 ALIKE_COSINE = 0.95
-ALWAYS_KNOWN = ("speed", "accel", "weight", "distance", "drive_torque", "ambient", "belt")
 SLOPES = ("grade", "grade_profile")  # effects that a measured slope replaces
 
 

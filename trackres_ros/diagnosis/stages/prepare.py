@@ -157,7 +157,7 @@ def prepared(
     refused = list(refused)
     while True:
         passed = gate(recordings, vehicle.known, hide, refused)
-        gated = on_route(passed, vehicle.route)
+        gated = on_route(passed, vehicle.route, vehicle.base.acting)
         expected = by_file(gated.sessions)
         moved = [aligned_clock(s, e) for s, e in zip(gated.sessions, expected, strict=True)]
         sessions = tuple(s for s, _ in moved)

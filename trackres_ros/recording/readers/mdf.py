@@ -25,6 +25,7 @@ from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.can_signals import CanSignals, is_unavailable
 from trackres_ros.recording.channel_file import MOST_TIME_S, Channel, ChannelFile, ChannelRows, rows_at
+from trackres_ros.recording.date_times import NO_ZONE
 from trackres_ros.recording.file_kind import FileKind
 from trackres_ros.recording.j1939_transport import Frame
 from trackres_ros.recording.role_units import is_quantity
@@ -48,6 +49,9 @@ SAME, LINEAR, TABLES_OF_TEXTS, REST = 0, 1, (7, 8), "default_addr"
 """Types of conversions: ASAM MDF 4; and in asammdf the part of a table for all other values."""
 REMOTE_MASTER, OTHER_MASTERS = 1 << 3, {2: "an angle", 3: "a distance", 4: "an index"}
 """Flag of a group whose master is in another one, and masters that are no time: ASAM MDF 4."""
+LOCAL_TIME = 1 << 0
+"""Flag of a start without a time zone: ASAM MDF 4."""
+START_NOTE = f"time: since the start of the measurement, {NO_ZONE}"
 EXTENDED, IDENTIFIER, STANDARD = 1 << 31, (1 << 29) - 1, 0x7FF
 
 
@@ -109,7 +113,8 @@ class _Groups:
         self.name = name
         self.mdf, opened = _opened(path, name)
         weakref.finalize(self, opened.close)
-        self.start_ns = round(self.mdf.header.start_time.timestamp() * 1e6) * 1000
+        self.start_ns = int(self.mdf.header.abs_time)  # without a time zone too: not that of this machine
+        self.notes = [START_NOTE] if self.mdf.header.time_flags & LOCAL_TIME else []
         kinds = [{channel.name for channel in group.channels}.intersection(OF_A_BUS) for group in self.mdf.groups]
         self.of_a_bus = [number for number, kind in enumerate(kinds) if kind]
         self.buses = [number for number, kind in enumerate(kinds) if FRAMES in kind]
@@ -148,7 +153,7 @@ class MdfChannels(ChannelFile):
     """The channels of an MDF file that hold numbers."""
 
     def __init__(self, groups: _Groups, name: str) -> None:
-        self.name, self._groups = name, groups
+        self.name, self._groups, self.notes = name, groups, groups.notes
         self._places: list[tuple[int, int]] = []
         self.channels: list[Channel] = []
         self.left_out: dict[Channel, str] = {}
@@ -323,6 +328,7 @@ def _read(path: Path, name: str, topics: Topics | None) -> list[ChannelFile]:
     except ImportError:
         raise MissingExtraError("reading CAN frames", "cantools", "can") from None
     signals = CanSignals(name, lambda met: _frames(groups, met), topics)
+    signals.notes = groups.notes
     return [channels, signals] if channels.channels else [signals]
 
 
