@@ -22,6 +22,7 @@ from trackres_ros.vehicle import load
 
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
 TWIST = "geometry_msgs/msg/TwistStamped"
+TORQUE = "torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}\n"
 
 
 def all_there(d):
@@ -252,17 +253,28 @@ def test_a_reset_in_a_pause_of_the_speed_starts_cold_after_it(desk):
     assert not {"GAP_UNKNOWN", "AMBIENT_NOMINAL"} & d.names()
 
 
-@pytest.mark.parametrize("stamp", ["header", "log"])
+@pytest.mark.parametrize("stamp", ["header", "log", "never set"])
 def test_a_clock_that_is_set_keeps_the_temperature_and_is_said(desk, stamp):
-    d = desk(f"speed: {{topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x, stamp: {stamp}}}\n")
-    d.drive(60.0, speed=15.0, dt=0.2)
+    speed = f"{{topic: speed, type: {TWIST}, field: twist.linear.x, stamp: {'log' if stamp == 'log' else 'header'}}}"
+    d = desk(f"speed: {speed}\nload: {{topic: load, type: std_msgs/msg/Float64, field: data}}\n{TORQUE}")
+
+    def drive(steps, dt):
+        for _ in range(steps):
+            d.forward(dt)
+            d.send("load", 250e3)
+            if stamp != "log":
+                d.send("torque", 3000.0)
+            d.send("speed", 15.0, stamp_s=-START_NS / SECOND_NS if stamp == "never set" else None)
+
+    drive(300, 0.2)
     belt = d.last("track_temperature/front_left")[1][0]
     d.clock_offset_s = 3600.0
-    d.drive(1.0, speed=15.0)
+    drive(50, 0.02)
     assert d.last("track_temperature/front_left")[1][0] == pytest.approx(belt, abs=0.2)
-    said = d.names() | {name for _, s in d.statuses for name in dict(s[0].values)["remarks"].split()}
-    assert ("CLOCK_JUMPED" in said) == (stamp == "header")
-    assert d.last("feedforward_torque")[0] == d.now_ns()
+    said = {name for topic, s in d.statuses if topic == "status" for name in dict(s[0].values)["remarks"].split()}
+    assert ("CLOCK_JUMPED" in said) == (stamp != "log")
+    assert d.last("feedforward_torque")[0] == pytest.approx(d.now_ns(), abs=1000)
+    assert [(name, count) for name, count, _ in d.app.session.counts() if name == "load"] == [("load", Count.ACCEPTED)]
 
 
 def test_belts_cool_while_the_machine_is_suspended(desk, monkeypatch):

@@ -35,7 +35,7 @@ class InputReader:
         self.absent = [0] * len(channels)
         self.lacks = [""] * len(channels)  # the last field that a message did not have, and why
         self.bad_stamp = [0] * len(channels)
-        self.stamped = False  # whether a channel in `TOGETHER` has had a stamp
+        self.stamped: set[int] = set()  # channels in `TOGETHER` that have had a stamp
         self.sums = {role: Sum(role, bindings[role]) for i in inputs for role in i.roles if bindings[role].parts}
         self._channels = channels
         self._readers = [
@@ -52,12 +52,15 @@ class InputReader:
         """Stamp and values of a message with fields as attributes, for `samples`."""
         return _stamp(message), [_value(read, message) for _, read, *_ in self._readers[index]]
 
-    def samples(self, index: int, stamp_ns: int | None, values: Sequence[float | str], arrival_ns: int) -> list[Sample]:
+    def samples(
+        self, index: int, stamp_ns: int | None, values: Sequence[float | str], arrival_ns: int, set_ns: int = 0
+    ) -> list[Sample]:
         """Samples from the values of a message of an input topic, that came at `arrival_ns`.
 
-        The stamp is None where the message's type has none: then the arrival is used. One that was never set is 0 and stays
-        so. A stamp out of a message's range gives no sample: it could not be published again. There is a scaled value for each
-        binding of the topic: nan where it is no number; the reason, and no sample, where the message has no such element.
+        The stamp is None where the message's type has none: then the arrival is used. One that was never set is 0 and stays so.
+        Where the machine's clock was set by `set_ns` since the start, both follow it as the stamps of others do that they are
+        compared with. A stamp out of a message's range gives no sample: it could not be published again. There is a scaled value
+        for each binding of the topic: nan where it is no number; the reason, and no sample, where the message has no such element.
         """
         self.received[index] += 1
         found = []
@@ -68,18 +71,20 @@ class InputReader:
                 absent.add(channel)
                 self.lacks[channel] = f"{binding.field}: {value}"
                 continue
-            if by_header and stamp_ns is not None:
+            if by_header and stamp_ns and channel in TOGETHER:
+                self.stamped.add(channel)
+            came_ns = arrival_ns + (set_ns if self.stamped and channel in TOGETHER else 0)
+            if by_header and stamp_ns is not None and (stamp_ns or came_ns == arrival_ns or channel in self.stamped):
                 stamp = stamp_ns
-                self.stamped |= stamp != 0 and channel in TOGETHER
             else:  # one stamp for all parts of a sum in this message
-                stamp = own_ns[channel] = own_ns.get(channel) or self._own_stamp(channel, arrival_ns)
+                stamp = own_ns[channel] = own_ns.get(channel) or self._own_stamp(channel, came_ns)
             stamp = binding.less_delay(stamp)
             if not is_usable(stamp):
                 bad_stamp.add(channel)
             elif total is None or part is None:
                 found.append((channel, stamp, float(binding.meant(np.asarray(value))) if binding.values else value))
             else:
-                found += [(channel, *sample) for sample in total.add(part, stamp, arrival_ns, value)]
+                found += [(channel, *sample) for sample in total.add(part, stamp, came_ns, value)]
         for channel in absent:
             self.absent[channel] += 1
         for channel in bad_stamp:
