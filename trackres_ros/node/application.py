@@ -469,10 +469,12 @@ class Application:
         self._publisher.estimator = estimator
 
     def _rest_unused_belts(self) -> None:
-        """Belts from a state file keep cooling until the first speed arrives: a clock that is set before that tells how long."""
+        """Belts from a state file cool and learned values wear until the first speed: a clock set before that tells how long."""
         off = time.time() - self._state_at
-        if self._publisher.stamp_ns is None and self.session.started and off > 0.0:
-            self.session.begin(self.estimator.rest(self.session.state, None, min(off, LONGEST_OFF)))
+        if self._publisher.stamp_ns is None and off > 0.0:
+            if self.session.started:
+                self.session.begin(self.estimator.rest(self.session.state, None, min(off, LONGEST_OFF)))
+            self.learning.wear(off)
             self._state_at += off
 
     def _save_period_ns(self) -> int:
