@@ -17,6 +17,7 @@ from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, B
 from cyclonedds.core import InstanceState, Policy, Qos
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl import types as idl
+from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
@@ -28,7 +29,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import save
 from trackres_ros.node.dds.node import CLOCK_TYPE
-from trackres_ros.node.dds.participant import Participant, Publication
+from trackres_ros.node.dds.participant import Participant
 from trackres_ros.node.dds.player import Player
 from trackres_ros.node.dds.wire import type_hash
 from trackres_ros.node.endpoints import Quality
@@ -174,28 +175,33 @@ def test_it_comes_with_all_its_endpoints_and_goes_at_once(graph, wire, command, 
     assert f"Cyclone DDS {where}: topics and presence" in node.stderr.read()
 
 
-def test_publishers_are_seen_with_type_and_qos_until_they_leave(wire):
+def test_publishers_are_seen_until_they_leave_and_whether_they_fit(wire):
     mine = Participant("watcher", "/")
-    reliable = wire.publisher("/a", FLOAT, reliable=True)
-    other = wire.publisher("/a", TWIST, reliable=False)
-    expected = {("/a", FLOAT, True), ("/a", TWIST, False)}
-    seen: list[Publication] = []
+    reader = mine.reader("/a", FLOAT, Quality(reliable=True, depth=1, deadline_s=1.0))
+    others = [
+        wire.publisher("/a", FLOAT, reliable=True, deadline_s=0.5),
+        wire.publisher("/a", FLOAT, reliable=True),
+        wire.publisher("/a", FLOAT, reliable=False, deadline_s=0.5),
+        wire.publisher("/a", FLOAT, reliable=True, deadline_s=0.5, struct=peer.stranger(FLOAT)),
+        wire.publisher("/a", TWIST),
+    ]
+    without_prefix = DataWriter(wire.participant, Topic(wire.participant, "a", peer.struct_of(FLOAT)))
 
-    def look():
-        seen[:] = [found for found in mine.publications() if found.topic == "/a"]
-        return {(found.topic, found.type, found.reliable) for found in seen}
+    def seen():
+        found = [one for one in mine.publications() if one.topic == "/a"]
+        return sorted((one.type, one.handle in reader.connected) for one in found)
 
     try:
-        assert wait_for(lambda: look() == expected)
-        assert all(found.deadline_s == float("inf") for found in seen)
-        other.close()
-        assert wait_for(lambda: look() == {("/a", FLOAT, True)})
-        own = mine.writer("/a", FLOAT, Quality(reliable=True, depth=1, deadline_s=0.5))
-        assert wait_for(lambda: len(look()) == 1 and len(seen) == 2)
-        assert sorted(found.deadline_s for found in seen) == [0.5, float("inf")]
+        assert wait_for(lambda: seen() == sorted([(FLOAT, True), (FLOAT, False), (FLOAT, False), (FLOAT, False), (TWIST, False)]))
+        for other in others[1:]:
+            other.close()
+        own = mine.writer("/a", TWIST, Quality(reliable=True, depth=1, deadline_s=0.5))
+        assert wait_for(lambda: seen() == sorted([(FLOAT, True), (TWIST, False)]))
         assert own.readers == 0
+        others[0].close()
+        assert wait_for(lambda: seen() == [(TWIST, False)])
     finally:
-        reliable.close()
+        without_prefix._delete(without_prefix._ref)
         mine.close()
 
 

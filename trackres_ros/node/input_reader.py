@@ -58,9 +58,9 @@ class InputReader:
         """Samples from the values of a message of an input topic, that came at `arrival_ns`.
 
         The stamp is None where the message's type has none: then the arrival is used. One that was never set is 0 and stays so.
-        Where the machine's clock was set by `set_ns` since the start, both follow it as the stamps of others do that they are
-        compared with. A stamp out of a message's range gives no sample: it could not be published again. There is a scaled value
-        for each binding of the topic: nan where it is no number; the reason, and no sample, where the message has no such element.
+        Where the machine's clock was set by `set_ns` since the start, both follow it if they are compared with stamps of others.
+        A stamp out of a message's range gives no sample: it could not be published again. There is a scaled value for each
+        binding of the topic: nan where it is no number; the reason, and no sample, where the message has no such element.
         """
         self.received[index] += 1
         found = []

@@ -185,6 +185,6 @@ def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
     elif len(right) > 1:
         found.append(Notice("SEVERAL_PUBLISHERS", f"{roles}: {len(right)} publishers on {given.name}"))
     if any(not peer.compatible for peer in right):
-        text = f"{roles}: a publisher on {given.name} does not offer the requested reliability or deadline"
+        text = f"{roles}: a publisher on {given.name} never connects: its quality of service or its type's definition differs"
         found.append(Notice("INCOMPATIBLE_QOS", text))
     return found
