@@ -62,6 +62,7 @@ def learned_file(standing_desk, topics, tmp_path_factory):
     path = tmp_path_factory.mktemp("learned") / "state.json"
     d = standing_desk(topics=topics, state_file=str(path))
     drive(d, 60.0)
+    d.app.session.learned[[at.Learned.on, at.Learned.torque]] = 1.0, 65.0  # as in mode on
     d.save()
     return path, d.app.learning.learner.learned.seconds
 
@@ -84,6 +85,7 @@ def test_without_a_torque_what_was_learned_is_kept_until_a_reset(desk, state):
     learned = json.loads(state.read_text())["learning"]
     without = desk(state_file=str(state))
     assert "kept" in without.app.began_with
+    assert not without.app.session.learned[: at.Learned.sensitivities.start].any()
     for _ in range(2):
         without.drive(2.0)
         without.save()

@@ -268,8 +268,6 @@ class Learner:
         free = np.ones(STATES, dtype=bool)
         if self.frozen:
             free[list(VEHICLES_OWN)] = False
-        if self.learned.step_s == math.inf:
-            free[STEP] = False
         if abs(accel) < ACCELERATES_MPS2:  # a small one is mostly noise, which biases a mass low
             free[at.OF_MASS] = False
         return free
