@@ -160,11 +160,12 @@ def test_peers_are_remarked(desk):
     assert "NO_PUBLISHER" in d.names()
     d.found_peers = {
         "speed": (Peer(TWIST, True), Peer(TWIST, True)),
-        "load": (Peer("std_msgs/msg/Float32", True),),
+        "load": (Peer("std_msgs/msg/Float32", False),),
         "ambient": (Peer("sensor_msgs/msg/Temperature", False),),
     }
     d.drive(1.5)
-    assert {"SEVERAL_PUBLISHERS", "WRONG_TYPE", "INCOMPATIBLE_QOS"} <= d.names()
+    assert {"SEVERAL_PUBLISHERS", "WRONG_TYPE"} <= d.names()
+    assert [notice.text.split(":")[0] for notice in d.app.notices() if notice.name == "INCOMPATIBLE_QOS"] == ["ambient"]
     all_there(d)
     d.drive(3.0, load=270e3, ambient=10.0)
     assert d.names() <= {"COMPILING"}
@@ -339,6 +340,9 @@ def test_feedforward_keeps_the_time_of_a_fast_simulated_clock(desk):
     d.simulated_in_a_second = 10.0
     d.drive(0.4)
     assert d.last("feedforward_torque_nm")[1][0] > 3000.0
+    d.simulated_in_a_second = 0.0
+    d.forward(2.0)
+    assert [given.too_old for given in d.app.overview().inputs if given.role == "speed"] == [True]
 
 
 @pytest.mark.parametrize(("changed_s", "anew"), [(10.0, False), (1.0, True)])

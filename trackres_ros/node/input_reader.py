@@ -45,8 +45,6 @@ class InputReader:
             ]
             for i in inputs
         ]
-        self._last_clock = [0] * len(channels)
-        self._same_clock = [0] * len(channels)
 
     def read(self, index: int, message: object) -> tuple[int | None, list[float | str]]:
         """Stamp and values of a message with fields as attributes, for `samples`."""
@@ -64,7 +62,6 @@ class InputReader:
         """
         self.received[index] += 1
         found = []
-        own_ns: dict[int, int] = {}
         absent, bad_stamp = set[int](), set[int]()  # channels: a sum has several parts in a message
         for (channel, _, by_header, binding, total, part), value in zip(self._readers[index], values, strict=True):
             if isinstance(value, str):
@@ -74,11 +71,8 @@ class InputReader:
             if by_header and stamp_ns and channel in TOGETHER:
                 self.stamped.add(channel)
             came_ns = arrival_ns + (set_ns if self.stamped and channel in TOGETHER else 0)
-            if by_header and stamp_ns is not None and (stamp_ns or came_ns == arrival_ns or channel in self.stamped):
-                stamp = stamp_ns
-            else:  # one stamp for all parts of a sum in this message
-                stamp = own_ns[channel] = own_ns.get(channel) or self._own_stamp(channel, came_ns)
-            stamp = binding.less_delay(stamp)
+            given = by_header and (stamp_ns or came_ns == arrival_ns or channel in self.stamped)
+            stamp = binding.less_delay(stamp_ns if given and stamp_ns is not None else came_ns)
             if not is_usable(stamp):
                 bad_stamp.add(channel)
             elif total is None or part is None:
@@ -94,14 +88,6 @@ class InputReader:
     def alone(self) -> list[int]:
         """Messages of each channel that gave no sum, as another part is missing."""
         return [self.sums[role].alone if role in self.sums else 0 for role in self._channels]
-
-    def _own_stamp(self, channel: int, now_ns: int) -> int:
-        """The arrival; a simulated clock stands still between its ticks, so each message adds a nanosecond."""
-        if now_ns == self._last_clock[channel]:
-            self._same_clock[channel] += 1
-        else:
-            self._last_clock[channel], self._same_clock[channel] = now_ns, 0
-        return now_ns + self._same_clock[channel]
 
 
 def _channel(role: str, channels: Sequence[str]) -> int:
