@@ -145,7 +145,7 @@ def notices(status):
 
 
 def test_it_comes_with_all_its_endpoints_and_goes_at_once(graph, wire, command, start, environment):
-    node = start(command("--namespace", "/left"))
+    node = start(command("--namespace", "/left", input_reliability="reliable"))
     below = "left/trackres/"
     assert wait_for(lambda: len(graph.endpoints(below)) == 9, working=node.pid)
     assert wait_for(lambda: len(graph.keys_of("/left", "trackres")[1]) == 10)  # its own and /diagnostics
@@ -162,11 +162,13 @@ def test_it_comes_with_all_its_endpoints_and_goes_at_once(graph, wire, command, 
     assert endpoints["rt/left/trackres/status", True].qos[Policy.Deadline] != Policy.Deadline(duration(seconds=0.2))
     speed = endpoints["rt/left/speed", False]
     assert speed.type_name == "geometry_msgs::msg::dds_::TwistStamped_"
-    assert speed.qos[Policy.Reliability] == Policy.Reliability.BestEffort
+    assert isinstance(speed.qos[Policy.Reliability], Policy.Reliability.Reliable)
     status = wire.subscribe("/left/trackres/status", "diagnostic_msgs/msg/DiagnosticArray")
-    publisher = wire.publisher("/left/speed", TWIST, reliable=False)
+    publisher = wire.publisher("/left/speed", TWIST)
     assert wait_for(lambda: publisher.matched and len(status.update()) > 2)  # one a second
     assert "INCOMPATIBLE_QOS" not in notices(status)
+    less = wire.publisher("/left/speed", TWIST, reliable=False)
+    assert wait_for(lambda: "INCOMPATIBLE_QOS" in notices(status) and not less.matched, working=node.pid)
     node.send_signal(signal.SIGTERM)
     ours = {("rt/left/trackres/status", False)}
     assert wait_for(lambda: graph.endpoints(below).keys() == ours, patience_s=5.0)  # a lease would take 10 s to run out
@@ -244,14 +246,6 @@ def test_a_bag_is_played_with_one_clock_its_own_if_it_has_one(wire, tmp_path, si
         assert times == set(simulated_s) if simulated_s else times <= set(log_s)
     finally:
         player.close()
-
-
-def test_a_publisher_that_offers_less_than_asked_is_remarked(wire, command, start):
-    status = wire.subscribe("/trackres/status", "diagnostic_msgs/msg/DiagnosticArray")
-    speed = wire.publisher("/speed", TWIST, reliable=False)
-    node = start(command(input_reliability="reliable"))
-    assert wait_for(lambda: "INCOMPATIBLE_QOS" in notices(status), working=node.pid), node.poll()
-    assert not speed.matched
 
 
 def test_it_runs_in_the_last_domain_without_a_reader_of_its_log(command, start, tmp_path):

@@ -48,14 +48,6 @@ def test_by_default_it_watches_and_says_what_it_learns(desk, topics):
     assert (delay["unit"], delay["state"], delay["acts"]) == ("s", "learning", "false")
 
 
-def test_without_a_measured_torque_there_is_no_learner_or_topic(desk):
-    d = desk()
-    d.drive(2.0)
-    assert d.app.learning.learner is None
-    assert "parameters" not in [topic.name for topic in d.app.outputs]
-    assert d.app.overview().learning == ""
-
-
 @pytest.fixture(scope="module")
 def learned_file(standing_desk, topics, tmp_path_factory):
     """A state file with values learned for a minute, and the seconds of it that were usable."""
@@ -81,11 +73,14 @@ def test_it_survives_a_restart_and_a_reset_forgets_it(desk, topics, state, learn
     assert again.app.learning.learner.learned.seconds == 0.0
 
 
-def test_without_a_torque_what_was_learned_is_kept_until_a_reset(desk, state):
+def test_without_a_torque_what_was_learned_is_kept_until_a_reset(desk, topics, state):
     learned = json.loads(state.read_text())["learning"]
     without = desk(state_file=str(state))
     assert "kept" in without.app.began_with
     assert not without.app.session.learned[: at.Learned.sensitivities.start].any()
+    assert without.app.learning.learner is None
+    assert "parameters" not in [topic.name for topic in without.app.outputs]
+    assert without.app.overview().learning == ""
     for _ in range(2):
         without.drive(2.0)
         without.save()
@@ -94,6 +89,7 @@ def test_without_a_torque_what_was_learned_is_kept_until_a_reset(desk, state):
     assert "nothing to reset" in without.app.reset_learning()
     without.save()
     assert "learning" not in json.loads(state.read_text())
+    assert desk(topics=topics, state_file=str(state)).app.learning.learner.learned.seconds == 0.0
 
 
 @pytest.mark.parametrize("between", ["no torque", "off", "off, then on", "no speed"])
@@ -121,14 +117,6 @@ def test_time_without_learning_wears_whatever_runs_are_between(desk, topics, sta
     worn = desk(**given).app.learning.learner.learned.covariance
     state.write_bytes(before)
     assert worn == pytest.approx(desk(**given).app.learning.learner.learned.covariance, rel=1e-9)
-
-
-def test_the_state_file_of_a_node_without_learning_starts_afresh(desk, topics, tmp_path):
-    state = str(tmp_path / "state.json")
-    d = desk(state_file=state)
-    d.drive(2.0)
-    d.save()
-    assert desk(topics=topics, state_file=state).app.learning.learner.learned.seconds == 0.0
 
 
 def test_it_can_be_turned_off_and_on_while_it_runs(desk, topics):

@@ -81,8 +81,7 @@ class TopicReader:
     @property
     def connected(self) -> list[int]:
         """The writers whose messages come: quality of service and definition of the type fit."""
-        found: list[int] = self.entity.get_matched_publications()
-        return found
+        return [handle % 2**64 for handle in self.entity.get_matched_publications()]  # the binding reads them with a sign
 
     def take(self) -> list[tuple[bytes, int]]:
         """Take all waiting messages in order of arrival, each with its sending time [ns]."""
