@@ -302,7 +302,7 @@ def test_time_off_makes_it_less_sure_and_forgets_what_wanders(learned):
 
 
 @pytest.mark.parametrize("days", [300, -300])
-def test_a_jump_of_the_clock_is_no_time_off_and_stops_no_learning(driven_before, days):
+def test_a_jump_of_the_clock_is_no_time_off_and_stops_nothing(driven_before, days):
     driven = driven_before("watch")
     before = driven.learner.learned.covariance[at.OF_LOSS, at.OF_LOSS]
     stuck = driven.drive(0.1, lambda _torque, _i: 2500.0, noise=0.0).learner.learned.seconds
