@@ -17,6 +17,7 @@ from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, B
 from cyclonedds.core import InstanceState, Policy, Qos
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl import types as idl
+from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
@@ -28,7 +29,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import save
 from trackres_ros.node.dds.node import CLOCK_TYPE
-from trackres_ros.node.dds.participant import Participant, Publication
+from trackres_ros.node.dds.participant import Participant
 from trackres_ros.node.dds.player import Player
 from trackres_ros.node.dds.wire import type_hash
 from trackres_ros.node.endpoints import Quality
@@ -144,7 +145,7 @@ def notices(status):
 
 
 def test_it_comes_with_all_its_endpoints_and_goes_at_once(graph, wire, command, start, environment):
-    node = start(command("--namespace", "/left"))
+    node = start(command("--namespace", "/left", input_reliability="reliable"))
     below = "left/trackres/"
     assert wait_for(lambda: len(graph.endpoints(below)) == 9, working=node.pid)
     assert wait_for(lambda: len(graph.keys_of("/left", "trackres")[1]) == 10)  # its own and /diagnostics
@@ -161,11 +162,13 @@ def test_it_comes_with_all_its_endpoints_and_goes_at_once(graph, wire, command, 
     assert endpoints["rt/left/trackres/status", True].qos[Policy.Deadline] != Policy.Deadline(duration(seconds=0.2))
     speed = endpoints["rt/left/speed", False]
     assert speed.type_name == "geometry_msgs::msg::dds_::TwistStamped_"
-    assert speed.qos[Policy.Reliability] == Policy.Reliability.BestEffort
+    assert isinstance(speed.qos[Policy.Reliability], Policy.Reliability.Reliable)
     status = wire.subscribe("/left/trackres/status", "diagnostic_msgs/msg/DiagnosticArray")
-    publisher = wire.publisher("/left/speed", TWIST, reliable=False)
+    publisher = wire.publisher("/left/speed", TWIST)
     assert wait_for(lambda: publisher.matched and len(status.update()) > 2)  # one a second
     assert "INCOMPATIBLE_QOS" not in notices(status)
+    less = wire.publisher("/left/speed", TWIST, reliable=False)
+    assert wait_for(lambda: "INCOMPATIBLE_QOS" in notices(status) and not less.matched, working=node.pid)
     node.send_signal(signal.SIGTERM)
     ours = {("rt/left/trackres/status", False)}
     assert wait_for(lambda: graph.endpoints(below).keys() == ours, patience_s=5.0)  # a lease would take 10 s to run out
@@ -186,28 +189,30 @@ def test_no_thread_outlives_the_last_participant(environment, monkeypatch):
     assert wait_for(lambda: len(list(threads.iterdir())) <= before)
 
 
-def test_publishers_are_seen_with_type_and_qos_until_they_leave(wire):
+def test_publishers_are_seen_with_their_fit_until_they_leave(wire):
     mine = Participant("watcher", "/")
-    reliable = wire.publisher("/a", FLOAT, reliable=True)
-    other = wire.publisher("/a", TWIST, reliable=False)
-    expected = {("/a", FLOAT, True), ("/a", TWIST, False)}
-    seen: list[Publication] = []
+    reader = mine.reader("/a", FLOAT, Quality(reliable=True, depth=1, deadline_s=1.0))
+    others = [
+        wire.publisher("/a", FLOAT, reliable=True, deadline_s=0.5),
+        wire.publisher("/a", FLOAT, reliable=True),
+        wire.publisher("/a", FLOAT, reliable=False, deadline_s=0.5),
+        wire.publisher("/a", FLOAT, reliable=True, deadline_s=0.5, struct=peer.stranger(FLOAT)),
+        wire.publisher("/a", TWIST),
+    ]
+    _without_prefix = DataWriter(wire.participant, Topic(wire.participant, "a", peer.struct_of(FLOAT)))
 
-    def look():
-        seen[:] = [found for found in mine.publications() if found.topic == "/a"]
-        return {(found.topic, found.type, found.reliable) for found in seen}
+    def seen():
+        found = [one for one in mine.publications() if one.topic == "/a"]
+        return sorted((one.type, one.handle in reader.connected) for one in found)
 
     try:
-        assert wait_for(lambda: look() == expected)
-        assert all(found.deadline_s == float("inf") for found in seen)
-        other.close()
-        assert wait_for(lambda: look() == {("/a", FLOAT, True)})
-        own = mine.writer("/a", FLOAT, Quality(reliable=True, depth=1, deadline_s=0.5))
-        assert wait_for(lambda: len(look()) == 1 and len(seen) == 2)
-        assert sorted(found.deadline_s for found in seen) == [0.5, float("inf")]
+        assert wait_for(lambda: seen() == sorted([(FLOAT, True), (FLOAT, False), (FLOAT, False), (FLOAT, False), (TWIST, False)]))
+        for other in others[1:]:
+            other.close()
+        own = mine.writer("/a", TWIST, Quality(reliable=True, depth=1, deadline_s=0.5))
+        assert wait_for(lambda: seen() == sorted([(FLOAT, True), (TWIST, False)]))
         assert own.readers == 0
     finally:
-        reliable.close()
         mine.close()
 
 
@@ -250,14 +255,6 @@ def test_a_bag_is_played_with_one_clock_its_own_if_it_has_one(wire, tmp_path, si
         assert times == set(simulated_s) if simulated_s else times <= set(log_s)
     finally:
         player.close()
-
-
-def test_a_publisher_that_offers_less_than_asked_is_remarked(wire, command, start):
-    status = wire.subscribe("/trackres/status", "diagnostic_msgs/msg/DiagnosticArray")
-    speed = wire.publisher("/speed", TWIST, reliable=False)
-    node = start(command(input_reliability="reliable"))
-    assert wait_for(lambda: "INCOMPATIBLE_QOS" in notices(status), working=node.pid), node.poll()
-    assert not speed.matched
 
 
 def test_it_runs_in_the_last_domain_without_a_reader_of_its_log(command, start, tmp_path):

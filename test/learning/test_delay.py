@@ -45,15 +45,15 @@ class Drive:
             self.torque = np.maximum(self.torque, brakes_nm)
         self.estimator, self.begun = DelayEstimator(ROLLING_NM), 0.0
 
-    def on(self, minutes, torque=lambda torque, _t: torque):
-        """Drive on; `torque` is the sensor's function of one, by its time [s]."""
+    def on(self, minutes, torque=lambda torque, _t: torque, ahead_s=0.0):
+        """Drive on; `torque` is the sensor's function of one, by its time [s], and its clock is ahead."""
         times = self.begun + np.arange(int(60.0 * minutes * self.rate_hz)) / self.rate_hz
         self.begun += 60.0 * minutes
         speeds = np.round(np.interp(times, self.time, self.speed) / self.step_mps) * self.step_mps
         torques = np.interp(times - self.delay, self.time, self.torque) + self.random.normal(0.0, self.noise_nm, len(times))
         for t, v, nm in zip(times.tolist(), speeds.tolist(), torques.tolist(), strict=True):
             stamp = START_NS + round(t * 1e9)
-            self.estimator.take(stamp, v, ROLLING_NM, INERTIA, stamp, torque(nm, t))
+            self.estimator.take(stamp, v, ROLLING_NM, INERTIA, stamp + round(ahead_s * 1e9), torque(nm, t))
         return self.estimator.kept
 
 
@@ -185,6 +185,9 @@ def test_gaps_and_time_that_goes_back_cost_a_window_each():
     assert drive.estimator.kept.value[0] == pytest.approx(0.2, abs=0.02)
     drive.begun -= 300.0
     assert drive.on(3.0).value[0] == pytest.approx(0.2, abs=0.02)
+    count = drive.estimator.kept.count
+    drive.on(1.0, ahead_s=3600.0)
+    assert drive.on(3.0).count > count + 4
 
 
 def test_at_any_rate_memory_stays_bounded():

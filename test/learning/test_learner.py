@@ -182,6 +182,7 @@ def test_of_a_disturbance_no_more_is_fed_than_its_bound(driven_before):
     driven, watching = (driven_before(mode).drive(5.0, lambda torque, _i: torque + 400.0) for mode in ("on", "watch"))
     assert watching.rows[-1][1] + 200.0 < watching.rows[-1][2] == pytest.approx(driven.rows[-1][1], rel=0.003)
     state = driven.learner.learned
+    assert state.mean[[SLOW, STEP]].sum() == pytest.approx(watching.learner.learned.mean[[SLOW, STEP]].sum(), rel=0.02)
     assert abs(state.lasting_nm) <= LASTING_SHARE * state.rolling * 1.01
     lasting = abs(state.lasting_nm)
     driven.drive(0.15, lambda _torque, _i: None)
@@ -300,12 +301,17 @@ def test_time_off_makes_it_less_sure_and_forgets_what_wanders(learned):
     assert after.covariance[at.OF_LOSS, at.OF_LOSS] == pytest.approx(most**2)
 
 
-def test_a_jump_of_the_clock_is_no_time_off(driven_before):
+@pytest.mark.parametrize("days", [300, -300])
+def test_a_jump_of_the_clock_is_no_time_off_and_stops_nothing(driven_before, days):
     driven = driven_before("watch")
     before = driven.learner.learned.covariance[at.OF_LOSS, at.OF_LOSS]
-    driven.ahead_ns = 300 * 86400 * 10**9
-    driven.drive(0.2)
-    assert driven.learner.learned.second > driven.ahead_ns // 10**9
+    stuck = driven.drive(0.1, lambda _torque, _i: 2500.0, noise=0.0).learner.learned.seconds
+    driven.ahead_ns = days * 86400 * 10**9
+    seconds = driven.drive(0.1, lambda _torque, _i: 2500.0, noise=0.0).learner.learned.seconds
+    assert seconds <= stuck + 3.0
+    assert driven.drive(0.2).learner.learned.seconds >= seconds + 11.0
+    now_ns = int(driven.session.memory.times[at.SPEED, at.Times.last_stamp])
+    assert 0 <= now_ns // 10**9 - driven.learner.learned.second <= 1
     assert driven.learner.learned.covariance[at.OF_LOSS, at.OF_LOSS] <= before * 1.001
 
 

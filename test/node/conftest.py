@@ -209,10 +209,10 @@ def _desks(kind, folder):
         made.app.close()
 
 
-@pytest.fixture
-def topics(tmp_path):
+@pytest.fixture(scope="module")
+def topics(tmp_path_factory):
     """Topics file with a speed and a torque."""
-    file = tmp_path / "topics.yaml"
+    file = tmp_path_factory.mktemp("topics") / "topics.yaml"
     file.write_text(TOPICS)
     return str(file)
 

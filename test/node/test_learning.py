@@ -6,6 +6,7 @@
 import json
 import math
 import re
+import shutil
 
 import pytest
 
@@ -47,36 +48,39 @@ def test_by_default_it_watches_and_says_what_it_learns(desk, topics):
     assert (delay["unit"], delay["state"], delay["acts"]) == ("s", "learning", "false")
 
 
-def test_without_a_measured_torque_there_is_no_learner_or_topic(desk):
-    d = desk()
-    d.drive(2.0)
-    assert d.app.learning.learner is None
-    assert "parameters" not in [topic.name for topic in d.app.outputs]
-    assert d.app.overview().learning == ""
-
-
-def test_it_survives_a_restart_and_a_reset_forgets_it(desk, topics, tmp_path):
-    given = {"topics": topics, "state_file": str(tmp_path / "state.json")}
-    d = desk(**given)
+@pytest.fixture(scope="module")
+def learned_file(standing_desk, topics, tmp_path_factory):
+    """A state file with values learned for a minute, and the seconds of it that were usable."""
+    path = tmp_path_factory.mktemp("learned") / "state.json"
+    d = standing_desk(topics=topics, state_file=str(path))
     drive(d, 60.0)
-    seconds = d.app.learning.learner.learned.seconds
-    assert seconds > 30.0
+    d.app.session.learned[[at.Learned.on, at.Learned.torque]] = 1.0, 65.0  # as in mode on
     d.save()
-    again = desk(**given)
-    assert again.app.learning.learner.learned.seconds == seconds
+    return path, d.app.learning.learner.learned.seconds
+
+
+@pytest.fixture
+def state(learned_file, tmp_path):
+    """The same file, for this test alone."""
+    return shutil.copy(learned_file[0], tmp_path / "state.json")
+
+
+def test_it_survives_a_restart_and_a_reset_forgets_it(desk, topics, state, learned_file):
+    again = desk(topics=topics, state_file=str(state))
+    assert again.app.learning.learner.learned.seconds == learned_file[1] > 30.0
     assert "used for learning" in again.app.began_with
     assert "are reset" in again.app.reset_learning()
     assert again.app.learning.learner.learned.seconds == 0.0
 
 
-def test_without_a_torque_what_was_learned_is_kept_until_a_reset(desk, topics, tmp_path):
-    state = tmp_path / "state.json"
-    d = desk(topics=topics, state_file=str(state))
-    drive(d, 60.0)
-    d.save()
+def test_without_a_torque_what_was_learned_is_kept_until_a_reset(desk, topics, state):
     learned = json.loads(state.read_text())["learning"]
     without = desk(state_file=str(state))
     assert "kept" in without.app.began_with
+    assert not without.app.session.learned[: at.Learned.sensitivities.start].any()
+    assert without.app.learning.learner is None
+    assert "parameters" not in [topic.name for topic in without.app.outputs]
+    assert without.app.overview().learning == ""
     for _ in range(2):
         without.drive(2.0)
         without.save()
@@ -85,39 +89,34 @@ def test_without_a_torque_what_was_learned_is_kept_until_a_reset(desk, topics, t
     assert "nothing to reset" in without.app.reset_learning()
     without.save()
     assert "learning" not in json.loads(state.read_text())
+    assert desk(topics=topics, state_file=str(state)).app.learning.learner.learned.seconds == 0.0
 
 
-@pytest.mark.parametrize("between", ["no torque", "off", "off, then on"])
-def test_time_without_learning_wears_whatever_runs_are_between(desk, topics, tmp_path, monkeypatch, between):
-    state, now = tmp_path / "state.json", [1e9]
+@pytest.mark.parametrize("between", ["no torque", "off", "off, then on", "no speed"])
+def test_time_without_learning_wears_whatever_runs_are_between(desk, topics, state, monkeypatch, between):
+    before, given = state.read_bytes(), {"topics": topics, "state_file": str(state)}
+    now = [json.loads(before)["saved_at"]]
     monkeypatch.setattr("time.time", lambda: now[0])
-    given = {"topics": topics, "state_file": str(state)}
-    d = desk(**given)
-    drive(d, 60.0)
-    d.save()
-    before = state.read_bytes()
     now[0] += 86400.0 * 100.0
-    d = desk(**(given if between != "no torque" else {"state_file": str(state)}), learning="off")
-    d.drive(2.0)
+    if between == "no speed":  # and a clock that is set after the start
+        now[0] -= 1e9
+        d = desk(**given)
+        now[0] += 1e9
+        d.forward(31.0)
+    else:
+        d = desk(**(given if between != "no torque" else {"state_file": str(state)}), learning="off")
+        d.drive(2.0)
     if between == "off, then on":
         now[0] += 86400.0 * 50.0
         d.app.change({"learning": "on"})
         d.drive(0.1)
     d.save()
     kept = json.loads(state.read_text())["learning"]
-    assert (kept == json.loads(before)["learning"]) is (between != "off, then on")
+    assert (kept == json.loads(before)["learning"]) is (between in ("no torque", "off"))
     now[0] += 86400.0 * 100.0
     worn = desk(**given).app.learning.learner.learned.covariance
     state.write_bytes(before)
     assert worn == pytest.approx(desk(**given).app.learning.learner.learned.covariance, rel=1e-9)
-
-
-def test_the_state_file_of_a_node_without_learning_starts_afresh(desk, topics, tmp_path):
-    state = str(tmp_path / "state.json")
-    d = desk(state_file=state)
-    d.drive(2.0)
-    d.save()
-    assert desk(topics=topics, state_file=state).app.learning.learner.learned.seconds == 0.0
 
 
 def test_it_can_be_turned_off_and_on_while_it_runs(desk, topics):

@@ -79,7 +79,6 @@ def test_belts_that_wait_for_a_speed_cool_meanwhile(desk, warm, monkeypatch):
     now[0] += 3600.0
     d.forward(31.0)
     d.save()
-    assert json.loads(path.read_text())["saved_at"] == now[0]
     now[0] += 3600.0
     waited = first_belt(d)
     assert waited < belt - 3.0
@@ -149,13 +148,6 @@ def test_what_a_power_cut_leaves_of_a_state_is_replaced(desk, warm, left):
     d.drive(1.0, dt=0.1)
     assert "saved" in d.app.close()
     assert first_belt(desk(state_file=str(path))) == pytest.approx(15.0, abs=0.5)
-
-
-def test_without_a_speed_there_is_no_state_file(desk, tmp_path):
-    d = desk(state_file=str(tmp_path / "state.json"))
-    d.forward(40.0)
-    assert "no speed yet" in d.app.close()
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_start_after_a_reset_at_rest_is_in_the_last_known_air(desk, tmp_path):

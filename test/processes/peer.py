@@ -120,11 +120,11 @@ class Subscription:
 class Publisher:
     """Publishes messages of a topic, or bytes that are none."""
 
-    def __init__(self, wire, topic, kind, reliable, depth, struct, latched):
+    def __init__(self, wire, topic, kind, reliable, depth, struct, latched, deadline_s):
         self.kind = kind
         self.sent = 0
         topic = Topic(wire.participant, f"rt{topic}", struct or struct_of(kind))
-        self._writer = DataWriter(wire.participant, topic, qos=_qos(reliable, depth, 0.0, latched))
+        self._writer = DataWriter(wire.participant, topic, qos=_qos(reliable, depth, deadline_s, latched))
 
     def publish(self, **fields):
         """Publish a message with these fields."""
@@ -163,9 +163,9 @@ class Wire:
         """A subscription by full topic name."""
         return Subscription(self, topic, kind, reliable, depth, deadline_s)
 
-    def publisher(self, topic, kind, reliable=True, depth=1000, struct=None, latched=False):
+    def publisher(self, topic, kind, reliable=True, depth=1000, struct=None, latched=False, deadline_s=0.0):
         """A publisher by full topic name; what is latched comes to those too who join later."""
-        return Publisher(self, topic, kind, reliable, depth, struct, latched)
+        return Publisher(self, topic, kind, reliable, depth, struct, latched, deadline_s)
 
     def close(self):
         """Leave."""

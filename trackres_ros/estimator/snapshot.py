@@ -209,7 +209,7 @@ def after_time_off(estimator: Estimator, path: Path, now: float, ambient: float 
     """
     before = estimator.session()
     saved_at = _take(before, path)
-    since = now - saved_at if before.started else 0.0
+    since = now - saved_at
     return rested(before, since, ambient), since
 
 

@@ -140,7 +140,8 @@ class DelayEstimator:
         """Add a speed and the last measured torque."""
         samples, origin = self._samples, self._origin_ns
         passed_ns = stamp_ns - self._seen_ns
-        if not usable or not samples.speed or not 0 <= passed_ns <= LONGEST_GAP_S * SECOND_NS:
+        behind = torque_ns < self._torque_ns  # the clock of the torque was set back
+        if not usable or behind or not samples.speed or not 0 <= passed_ns <= LONGEST_GAP_S * SECOND_NS:
             self._begin(stamp_ns)
             samples, origin = self._samples, stamp_ns
             if not usable:

@@ -106,10 +106,10 @@ class Learner:
 
     def age(self, seconds: float) -> None:
         """Account for time off [s]: learned values are less certain."""
-        self._wear(seconds)
+        self.wear(seconds)
         self.restart()
 
-    def _wear(self, seconds: float) -> None:
+    def wear(self, seconds: float) -> None:
         """Add the uncertainty of a time without evidence [s], up to the file's own; the correlations stay."""
         covariance = self.learned.covariance
         stds, most = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(self.prior.covariance))
@@ -214,7 +214,7 @@ class Learner:
         """Predict: the slow disturbance decays, wear adds uncertainty, a belt is as uncertain as the estimate says."""
         s = self.learned
         if seconds > PAUSE_S:
-            self._wear(seconds)
+            self.wear(seconds)
             s.doubt()
             s.block = ResidualBlock()
         keep, gained = np.ones(STATES), np.zeros(STATES)
@@ -268,8 +268,6 @@ class Learner:
         free = np.ones(STATES, dtype=bool)
         if self.frozen:
             free[list(VEHICLES_OWN)] = False
-        if self.learned.step_s == math.inf:
-            free[STEP] = False
         if abs(accel) < ACCELERATES_MPS2:  # a small one is mostly noise, which biases a mass low
             free[at.OF_MASS] = False
         return free

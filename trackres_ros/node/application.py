@@ -303,7 +303,6 @@ class Application:
     def _save_due(self, steady: int) -> None:
         if steady >= self._next_save_ns:
             self._next_save_ns = steady + self._save_period_ns()
-            self._rest_unused_belts()
             self.keeper.save_soon(self.session, self._state_at, self.learning)
 
     def _every_second(self, steady: int) -> None:
@@ -422,7 +421,6 @@ class Application:
 
         Raises InputError if no state is kept or it cannot be written.
         """
-        self._rest_unused_belts()
         return self.keeper.save(self.session, self._state_at, self.learning, patience_s)
 
     def time_went_back(self, back_ns: int) -> None:
@@ -469,11 +467,12 @@ class Application:
         self._publisher.estimator = estimator
 
     def _rest_unused_belts(self) -> None:
-        """Belts from a state file keep cooling until the first speed arrives: a clock that is set before that tells how long."""
-        off = time.time() - self._state_at
-        if self._publisher.stamp_ns is None and self.session.started and off > 0.0:
+        """Belts from a state file cool and learned values wear until the first speed: a clock set before that tells how long."""
+        off = max(0.0, time.time() - self._state_at)
+        if self.session.started:
             self.session.begin(self.estimator.rest(self.session.state, None, min(off, LONGEST_OFF)))
-            self._state_at += off
+        self.learning.wear(off)
+        self._state_at += off
 
     def _save_period_ns(self) -> int:
         return int(self.parameters.number("save_period_s") * SECOND_NS)

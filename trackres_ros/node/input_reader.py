@@ -35,7 +35,7 @@ class InputReader:
         self.absent = [0] * len(channels)
         self.lacks = [""] * len(channels)  # the last field that a message did not have, and why
         self.bad_stamp = [0] * len(channels)
-        self.stamped = False  # whether a channel in `TOGETHER` has had a stamp
+        self.stamped: set[int] = set()  # channels in `TOGETHER` that have had a stamp
         self.sums = {role: Sum(role, bindings[role]) for i in inputs for role in i.roles if bindings[role].parts}
         self._channels = channels
         self._readers = [
@@ -45,41 +45,40 @@ class InputReader:
             ]
             for i in inputs
         ]
-        self._last_clock = [0] * len(channels)
-        self._same_clock = [0] * len(channels)
 
     def read(self, index: int, message: object) -> tuple[int | None, list[float | str]]:
         """Stamp and values of a message with fields as attributes, for `samples`."""
         return _stamp(message), [_value(read, message) for _, read, *_ in self._readers[index]]
 
-    def samples(self, index: int, stamp_ns: int | None, values: Sequence[float | str], arrival_ns: int) -> list[Sample]:
+    def samples(
+        self, index: int, stamp_ns: int | None, values: Sequence[float | str], arrival_ns: int, set_ns: int = 0
+    ) -> list[Sample]:
         """Samples from the values of a message of an input topic, that came at `arrival_ns`.
 
-        The stamp is None where the message's type has none: then the arrival is used. One that was never set is 0 and stays
-        so. A stamp out of a message's range gives no sample: it could not be published again. There is a scaled value for each
+        The stamp is None where the message's type has none: then the arrival is used. One that was never set is 0 and stays so.
+        Where the machine's clock was set by `set_ns` since the start, both follow it if they are compared with stamps of others.
+        A stamp out of a message's range gives no sample: it could not be published again. There is a scaled value for each
         binding of the topic: nan where it is no number; the reason, and no sample, where the message has no such element.
         """
         self.received[index] += 1
         found = []
-        own_ns: dict[int, int] = {}
         absent, bad_stamp = set[int](), set[int]()  # channels: a sum has several parts in a message
         for (channel, _, by_header, binding, total, part), value in zip(self._readers[index], values, strict=True):
             if isinstance(value, str):
                 absent.add(channel)
                 self.lacks[channel] = f"{binding.field}: {value}"
                 continue
-            if by_header and stamp_ns is not None:
-                stamp = stamp_ns
-                self.stamped |= stamp != 0 and channel in TOGETHER
-            else:  # one stamp for all parts of a sum in this message
-                stamp = own_ns[channel] = own_ns.get(channel) or self._own_stamp(channel, arrival_ns)
-            stamp = binding.less_delay(stamp)
+            if by_header and stamp_ns and channel in TOGETHER:
+                self.stamped.add(channel)
+            came_ns = arrival_ns + (set_ns if self.stamped and channel in TOGETHER else 0)
+            given = by_header and (stamp_ns or came_ns == arrival_ns or channel in self.stamped)
+            stamp = binding.less_delay(stamp_ns if given and stamp_ns is not None else came_ns)
             if not is_usable(stamp):
                 bad_stamp.add(channel)
             elif total is None or part is None:
                 found.append((channel, stamp, float(binding.meant(np.asarray(value))) if binding.values else value))
             else:
-                found += [(channel, *sample) for sample in total.add(part, stamp, arrival_ns, value)]
+                found += [(channel, *sample) for sample in total.add(part, stamp, came_ns, value)]
         for channel in absent:
             self.absent[channel] += 1
         for channel in bad_stamp:
@@ -89,14 +88,6 @@ class InputReader:
     def alone(self) -> list[int]:
         """Messages of each channel that gave no sum, as another part is missing."""
         return [self.sums[role].alone if role in self.sums else 0 for role in self._channels]
-
-    def _own_stamp(self, channel: int, now_ns: int) -> int:
-        """The arrival; a simulated clock stands still between its ticks, so each message adds a nanosecond."""
-        if now_ns == self._last_clock[channel]:
-            self._same_clock[channel] += 1
-        else:
-            self._last_clock[channel], self._same_clock[channel] = now_ns, 0
-        return now_ns + self._same_clock[channel]
 
 
 def _channel(role: str, channels: Sequence[str]) -> int:

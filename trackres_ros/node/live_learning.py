@@ -49,6 +49,11 @@ class LiveLearning:
         self._kept = saved if self.mode == OFF else None
         return f"{self.learner.learned.seconds / 60.0:.0f} min of driving were used for learning"
 
+    def wear(self, seconds: float) -> None:
+        """Account for more time off [s] before the first speed; values that are only kept say when they were learned."""
+        if self.learner is not None and self._kept is None:
+            self.learner.wear(seconds)
+
     def stored(self) -> Any:
         """Plain values for the state file; None if nothing was learned."""
         return self._kept if self.learner is None or self._kept is not None else stored(self.learner)

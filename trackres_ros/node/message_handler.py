@@ -163,8 +163,8 @@ class MessageHandler:
             recorded, now = self._handled_ns + 1, self._handled_now_ns + 1
         self._handled_ns, self._handled_now_ns = recorded, now
         self._record(place, raw, recorded)
-        own = recorded + (self._clock.set_by_ns(now, recorded) if self.reader.stamped else 0)  # as the stamps of others
-        samples = self._guard.essential("taking a message", self.reader.samples, place, stamp_ns, values, own)
+        set_ns = self._clock.set_by_ns(now, recorded)
+        samples = self._guard.essential("taking a message", self.reader.samples, place, stamp_ns, values, recorded, set_ns)
         for channel, stamp, value in samples or ():
             self._guard.essential("the step", self._use, channel, stamp, value, steady, now, recorded)
 

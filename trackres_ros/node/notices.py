@@ -67,7 +67,9 @@ LIVE_KINDS = {
         Level.WARN, "a publisher uses another message type on the topic of an input; its messages never arrive"
     ),
     "INCOMPATIBLE_QOS": NoticeKind(
-        Level.WARN, "a publisher's quality of service is below what the input requests; it never connects"
+        Level.WARN,
+        "a publisher's quality of service is below what the input requests, or without ROS its definition of the type differs; "
+        "it never connects",
     ),
     "SEVERAL_PUBLISHERS": NoticeKind(Level.WARN, "more than one publisher on the topic of an input: their values are mixed"),
     "CLOCK_OFFSET": NoticeKind(Level.WARN, "the stamps of the speed differ from this machine's time by more than a second"),

@@ -116,14 +116,14 @@ class StateKeeper:
             except InputError:
                 return estimator.session(), self.unused
             self.unused, self._taken = "", file
-        now, off_s = self.holds_at, max(0.0, since_s)
+        off_s = max(0.0, since_s)
         self.holds_at += off_s - since_s
         what = "belts" if estimator.assemblies else "temperatures of the effects"
         text = f"{what} restored from {file} and cooled for {off_s / 60.0:.1f} min"
         if not session.started:
             text = f"no {what} in {file}: cold start{' in the last known air' if session.has_past else ''}"
         try:
-            learned = learning.go_on(session, read_learning(estimator, file), now)
+            learned = learning.go_on(session, read_learning(estimator, file), self.holds_at)
         except ValueError as error:
             self.unused = f"learning starts from the vehicle file: {error}"
             self._keep_unused("")

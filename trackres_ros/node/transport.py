@@ -46,7 +46,7 @@ class Peer:
     """A publisher on one of our input topics, by its announcement."""
 
     type: str  # ``package/msg/Name``
-    compatible: bool  # whether its quality of service meets the input's request; otherwise it never connects
+    compatible: bool  # whether it fits the input; otherwise it never connects
 
 
 Reasons = tuple[tuple[str, Level], ...]

@@ -150,7 +150,7 @@ class Watch:
         refused = {state.role: state.refused for state in self._inputs if state.refused}
         found += [Notice("REFUSED", f"{role}: rejected in the last second: {why}") for role, why in refused.items()]
         found += [notice for given, peers in zip(self._topics, self._peers, strict=True) for notice in _of_peers(given, peers)]
-        if abs(self._offset_ns) > CLOCK_OFFSET_NS and clock_runs and not math.isinf(age_s):
+        if abs(self._offset_ns) > CLOCK_OFFSET_NS and clock_runs:
             side = "behind" if self._offset_ns > 0 else "ahead of"
             text = f"the stamps of the speed are {abs(self._offset_ns) * 1e-9:.1f} s {side} this node's clock"
             found.append(Notice("CLOCK_OFFSET", text))
@@ -185,6 +185,6 @@ def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
     elif len(right) > 1:
         found.append(Notice("SEVERAL_PUBLISHERS", f"{roles}: {len(right)} publishers on {given.name}"))
     if any(not peer.compatible for peer in right):
-        text = f"{roles}: a publisher on {given.name} does not offer the requested reliability or deadline"
+        text = f"{roles}: a publisher on {given.name} never connects: its quality of service or its type's definition differs"
         found.append(Notice("INCOMPATIBLE_QOS", text))
     return found

@@ -98,15 +98,8 @@ class DdsNode:
         """The publishers on the topic of an input."""
         if index == 0:  # the first of a round
             self._publications = list(self._participant.publications())
-        wanted = self._quality
-        return [
-            Peer(
-                found.type,
-                (found.reliable or not wanted.reliable) and (not wanted.deadline_s or found.deadline_s <= wanted.deadline_s),
-            )
-            for found in self._publications
-            if found.topic == self._input_names[index]
-        ]
+        connected, name = self._readers[index].connected, self._input_names[index]
+        return [Peer(found.type, found.handle in connected) for found in self._publications if found.topic == name]
 
     def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
         """Record every message, including those of other topics."""

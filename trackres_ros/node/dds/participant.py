@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -39,17 +38,15 @@ EVERY_SAMPLE = SampleState.Any | ViewState.Any | InstanceState.Any
 WAITING = SampleState.NotRead | ViewState.Any | InstanceState.Any
 MOST_TAKEN = 1000
 ALIGNMENT = 4
-ENDLESS_NS = 2**63 - 1
 
 
 @dataclass(frozen=True, slots=True)
 class Publication:
-    """A writer on the wire, of this or another process: topic and type by their ROS names, and its offered quality of service."""
+    """A writer on the wire, of this or another process: topic and type by their ROS names."""
 
     topic: str
     type: str
-    reliable: bool
-    deadline_s: float  # infinite without one
+    handle: int  # as in `TopicReader.connected`
 
 
 class Writer:
@@ -81,6 +78,11 @@ class TopicReader:
         self.condition = ReadCondition(self.entity, WAITING)
         self._reference = self.entity._ref
 
+    @property
+    def connected(self) -> list[int]:
+        """The writers whose messages come: quality of service and definition of the type fit."""
+        return [handle % 2**64 for handle in self.entity.get_matched_publications()]  # the binding reads them with a sign
+
     def take(self) -> list[tuple[bytes, int]]:
         """Take all waiting messages in order of arrival, each with its sending time [ns]."""
         found = ddspy_take(self._reference, EVERY_SAMPLE, MOST_TAKEN)
@@ -108,7 +110,7 @@ class Participant:
         graph = Topic(self.entity, GRAPH_TOPIC, idl_struct(GRAPH_TYPE))
         self._graph = DataWriter(self.publisher, graph, qos=qos(GRAPH_QUALITY, type_hash(GRAPH_TYPE), transient=True))
         self._others = BuiltinDataReader(self.entity, BuiltinTopicDcpsPublication)
-        self._known: dict[str, Publication] = {}
+        self._known: dict[int, Publication] = {}
         self._writers: list[Writer] = []
         self._readers: list[TopicReader] = []
 
@@ -145,11 +147,12 @@ class Participant:
     def publications(self) -> Iterator[Publication]:
         """All present writers of ROS topics, including our own."""
         for found in self._others.take(N=MOST_TAKEN):
-            key = str(found.key)
-            if found.sample_info.instance_state == InstanceState.Alive:
-                self._known[key] = _publication(found)
-            else:
-                self._known.pop(key, None)
+            handle = found.sample_info.instance_handle
+            if found.sample_info.instance_state != InstanceState.Alive:
+                self._known.pop(handle, None)
+            elif found.topic_name.startswith(TOPIC_PREFIX):
+                name, kind = "/" + found.topic_name.removeprefix(TOPIC_PREFIX), ros_type_name(found.type_name)
+                self._known[handle] = Publication(name, kind, handle)
         yield from self._known.values()
 
     def close(self) -> None:
@@ -165,13 +168,3 @@ def serialized(message: Any, kind: str) -> bytes:
 
 def _gid(entity: Any) -> Any:
     return typestore().types["rmw_dds_common/msg/Gid"](data=np.frombuffer(entity.guid.bytes, dtype=np.uint8))
-
-
-def _publication(found: Any) -> Publication:
-    reliability, deadline = found.qos[Policy.Reliability], found.qos[Policy.Deadline]
-    return Publication(
-        "/" + found.topic_name.removeprefix(TOPIC_PREFIX),
-        ros_type_name(found.type_name),
-        isinstance(reliability, Policy.Reliability.Reliable),
-        math.inf if deadline is None or deadline.deadline >= ENDLESS_NS else deadline.deadline * 1e-9,
-    )
