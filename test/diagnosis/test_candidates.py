@@ -25,9 +25,7 @@ def test_a_candidate_counts_by_gain_net_of_other_forms_and_costs():
     assert not one.counts(7.0)
     assert not candidate(gain=10.0, criterion=3.0, taken=3.0).counts(1.0)
     assert candidate(gain=10.0, criterion=3.1, taken=3.0).counts(1.0)
-
-
-def test_what_hardly_adds_to_the_torque_is_not_worth_a_name():
+    # What hardly adds to the torque is not worth a name.
     assert candidate(share=0.005).counts(1.0)
     assert not candidate(share=0.00499).counts(1.0)
 

@@ -17,6 +17,7 @@ from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
+from trackres_ros.diagnosis.search import explanations
 from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, ScoredExplanation, _class_of, _competes
 from trackres_ros.diagnosis.search.cross_validation import FOLDS, CrossValidation
 from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Search
@@ -237,7 +238,9 @@ def test_an_explanation_counts_if_each_term_beats_the_noise(both, monkeypatch):
     lost = {name: pair.explanation.evidence - search.without(pair.explanation, name).evidence for name in pair.key}
     gains = [lost[name] + c.gain - c.criterion for name, c in pair.explanation.candidates.items()]
     for share, counts in ((0.9, True), (1.1, False)):
-        monkeypatch.setattr(search, "_pool", replace(search._pool, by_noise=share * min(gains)))
+        by_noise = share * min(gains)
+        monkeypatch.setattr(search, "_pool", replace(search._pool, by_noise=by_noise))
+        monkeypatch.setattr(search, "rounds", {key: replace(step, by_noise=by_noise) for key, step in search.rounds.items()})
         assert both.choice._counts(pair) == counts
 
 
@@ -394,6 +397,17 @@ def test_a_slow_effect_is_named_whatever_its_size(driven, known, cold_nm, time_c
     assert best.counts(step.threshold)
 
 
+def test_beside_a_large_effect_noise_is_that_of_the_rest(driven, known, monkeypatch):
+    monkeypatch.setattr(explanations, "find_terms", lambda *_, **__: ())
+    found = driven(GAIN)
+    search = Search(found, {}, None, (), 19, np.random.default_rng(1), lambda _: None)
+    search._pool = Pool({name: known[name] for name in ("torque_gain", "grade", "stribeck")}, EffectColumns(found))
+    alone = search.expand(search.nothing).by_noise
+    named = search.known[frozenset({"torque_gain"})]
+    assert search.expand(named).by_noise < 0.5 * alone  # what is drawn from the base alone has the effect in it
+    assert search.expand(replace(named, candidates={"form": SimpleNamespace(is_name=False)})).by_noise == alone == search.by_noise
+
+
 def test_the_search_gives_a_base_likelier_than_its_own(driven, known):
     found = driven()
     best = Explanation(fit(found.problem, [known["torque_gain"]], found.at, found.noises, rounds=1), 5.0, {"torque_gain": None})
@@ -433,10 +447,11 @@ def test_a_name_on_a_bound_is_at_best_suspected(driven, graded, known):
     assert (of["torque_gain"].on_bounds, of["torque_gain"].grade, confirmed) == (("error",), SUSPECTED, False)
 
 
-def test_what_predicts_worse_than_the_file_is_not_confirmed(driven, graded, known):
+def test_what_held_out_laps_or_the_file_refute_is_not_confirmed(driven, graded, known):
     found = driven(GAIN)
     assert graded(found, known["torque_gain"])[1]
     assert not graded(found, known["torque_gain"], by_file=1.0)[1]
+    assert not graded(driven(GAIN, held_out_gain=1.0), known["torque_gain"])[1]
 
 
 @pytest.mark.parametrize(("fallen", "beaten"), [(0.9, False), (1.1, True)])
@@ -471,9 +486,3 @@ def test_a_form_with_more_evidence_replaces_a_small_name(after, evidence, outdon
     name, form = judged(["scrub"], ["spells"], after, 10.0), judged([], ["spells", "step"], after, evidence)
     assert Choice._outdoes(choice, form, name) == outdone
     assert not Choice._outdoes(choice, name, form)
-
-
-def test_what_held_out_laps_refute_is_not_confirmed(driven, graded, known):
-    found = driven(GAIN, held_out_gain=1.0)
-    _, confirmed = graded(found, known["torque_gain"])
-    assert not confirmed

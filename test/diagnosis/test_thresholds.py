@@ -13,7 +13,6 @@ from trackres_ros.diagnosis.empirical.candidates import candidates, shows
 from trackres_ros.diagnosis.empirical.thresholds import found_by_scan, latched_states
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.stages.prepare import prepared
-from trackres_ros.effects.effect import conditions
 from trackres_ros.effects.learned import ABOVE, AMBIENT, BELT, SPEED, STEP, Corner, Latch, latched
 
 LEVEL_NM = 400.0
@@ -71,6 +70,13 @@ def test_where_nothing_is_hidden_a_scan_offers_few_forms(fitted):
     assert "curve_of_belt_temperature" in names
 
 
+def test_a_negative_torque_is_its_own_side_only_in_reverse(fitted):
+    back = tuple(replace(s, speed=-s.speed) for s in fitted.problem.sessions)
+    for sessions, extra in ((fitted.problem.sessions, set()), (back, {"gain_while_negative"})):  # forwards it brakes
+        names = {form.name for form in candidates(replace(fitted, problem=replace(fitted.problem, sessions=sessions))).values()}
+        assert {n for n in names if n.startswith("gain_while")} == {"gain_while_driving", "gain_while_braking"} | extra
+
+
 @pytest.mark.parametrize(("within_k", "shown"), [(0.5, False), (10.0, True)])
 def test_weather_that_differs_by_recording_alone_is_no_variable(fitted, within_k, shown):
     sessions = tuple(
@@ -88,8 +94,3 @@ def test_latched_states_are_those_of_the_effect():
         for value, state in zip(x, states[:, i], strict=True):
             was = latched(value, was, off[i], on[i])
             assert was == state
-
-
-def test_a_belt_temperature_is_known_where_there_is_a_belt(loaded):
-    assert np.isnan(conditions(loaded.base.facts, speed=3.0).belt)
-    assert conditions(loaded.base.facts, speed=3.0, belt=31.0).belt == 31.0

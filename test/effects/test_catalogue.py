@@ -64,6 +64,13 @@ def test_each_effect_says_what_it_belongs_to():
     assert {e.belongs_to for e in CATALOGUE.values() if vars(type(e)).get("belongs_to") is None} == set()
 
 
+def test_the_film_of_a_plate_is_well_within_the_plausible_ones():
+    """McAdams: 5.9 + 3.7 v W/(m^2 K), and 5 of radiation; turbulence may add a half."""
+    facts, (offset, slope) = vehicle_constants(load("xgd24d")), CATALOGUE["convection"].parameters
+    assert offset.low < (5.9 + 5.0) * facts.cooled_area / facts.cooling
+    assert slope.high > 1.5 * 3.7 * facts.cooled_area / facts.cooling_by_speed
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_an_effect_that_is_off_does_nothing(name):
     effect = CATALOGUE[name]

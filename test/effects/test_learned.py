@@ -23,7 +23,6 @@ from trackres_ros.effects.learned import (
     AMBIENT,
     BELOW,
     BELT,
-    BRAKES,
     BRAKING,
     BUILD_UPS,
     BY_BRAKING,
@@ -32,7 +31,6 @@ from trackres_ros.effects.learned import (
     CORNERS,
     CURVATURE,
     CURVES,
-    DRIVES,
     DRIVING_TORQUE,
     GATES,
     HEAVY,
@@ -42,6 +40,7 @@ from trackres_ros.effects.learned import (
     LOAD,
     MOST_KNOTS,
     NAMES,
+    NEGATIVE,
     OPEN,
     RIGHT,
     SIDES,
@@ -106,8 +105,7 @@ SOME = [  # of every kind, one
     Corner(LOAD, BELOW, 2e5, 2.7e5, 3e5),
     Latch(SPEED, 1.0, 3.0, 6.0, 10.0),
     Latch(BELT, 10.0, 20.0, 40.0, 60.0),
-    SidedGain(DRIVES, 9000.0),
-    SidedGain(BRAKES, 9000.0),
+    *(SidedGain(side, 9000.0) for side in SIDES),
     BuildUp(BY_DISTANCE, 300.0),
     BuildUp(BY_TIME, 120.0),
     BuildUp(BY_BRAKING, 60.0),
@@ -150,13 +148,6 @@ def test_a_curve_is_linear_between_knots_and_constant_beyond(drawn, at):
     opens = OF_GATE[curve.gate](at, curve.values()["threshold"])
     by_hand = np.interp(OF_VARIABLE[curve.variable](at), x, y) * math.tanh(at.speed / STANDSTILL_MPS) if opens else 0.0
     assert active(curve, y).terms(at).torque == pytest.approx(by_hand, rel=1e-9, abs=1e-7)
-
-
-@given(curves(), ANYWHERE)
-def test_at_rest_there_is_nothing_of_any_curve(drawn, at):
-    curve, _, y = drawn
-    still = conditions(FACTS, 0.0, at.accel, at.weight, at.ambient, at.yaw_rate, drive_torque=at.drive_torque, belt=at.belt)
-    assert active(curve, y).terms(still).torque == 0.0
 
 
 @pytest.mark.parametrize("effect", SOME, ids=lambda e: e.name)
@@ -238,13 +229,14 @@ def test_a_latch_holds_its_state_between_its_thresholds(stepped):
         assert torque == pytest.approx(400.0 * there * math.tanh(speed / STANDSTILL_MPS), abs=1e-6)
 
 
-@given(within((-2e4, 2e4)), within((-15.0, 15.0)), st.sampled_from([DRIVES, BRAKES]))
+@given(within((-2e4, 2e4)), within((-15.0, 15.0)), st.sampled_from([*SIDES]))
 def test_a_sided_gain_changes_one_sign_of_the_torque_only(drive, speed, side):
     one = Active(SidedGain(side, 1e4), {**SidedGain(side, 1e4).values(), "gain": -0.3})
     terms, along = one.terms(conditions(FACTS, speed, drive_torque=drive)), drive * math.tanh(speed / STANDSTILL_MPS)
     assert terms.torque == 0.0
     if abs(along) > 500.0:
-        there = abs(math.tanh(speed / STANDSTILL_MPS)) if along * side > 0.0 else 0.0
+        acts = drive < 0.0 if side == NEGATIVE else along * side > 0.0
+        there = abs(math.tanh(speed / STANDSTILL_MPS)) if acts else 0.0
         assert terms.drive_gain == pytest.approx(1.0 - 0.3 * there, rel=1e-3)
 
 

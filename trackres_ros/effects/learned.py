@@ -38,7 +38,7 @@ SMOOTH = 1e-3  # of weight times radius: over it driving turns into braking
 ALWAYS, SPEED, ACCELERATION, LOAD, AMBIENT, TURN, TURNING, CURVATURE, DRIVING_TORQUE, BELT = range(10)
 OPEN, LEFT, RIGHT, HEAVY, LIGHT, BRAKING, ACCELERATING = range(7)
 STEP, ABOVE, BELOW = range(3)
-DRIVES, BRAKES = 1, -1
+DRIVES, BRAKES, NEGATIVE = 1, -1, 0
 BY_DISTANCE, BY_TIME, BY_BRAKING = range(3)
 
 
@@ -66,6 +66,7 @@ VARIABLES = {
 }
 CORNERS = {STEP: "step_of", ABOVE: "hinge_above", BELOW: "hinge_below"}
 SIDES = {DRIVES: Followed("driving", "while it drives", "Nm"), BRAKES: Followed("braking", "while it brakes", "Nm")}
+SIDES |= {NEGATIVE: Followed("negative", "where it is negative", "Nm")}  # to a sensor: in reverse it then drives
 LATCHED = (SPEED, LOAD, BELT)
 GATES = {
     OPEN: Followed("", "", "1"),
@@ -293,13 +294,13 @@ class SidedGain(EmpiricalEffect):
         self.side, self.name, self.needs = side, f"gain_while_{of.name}", VARIABLES[DRIVING_TORQUE].needs
         self.text = f"another gain on the torque {of.text}"
         self.parameters = (
-            _fixed("side", side, "1 while driving, -1 while braking"),
+            _fixed("side", side, "1 while driving, -1 while braking, 0 where it is negative"),
             Parameter("gain", "1", -MOST_GAIN, MOST_GAIN, TYPICAL_GAIN, f"share added to the torque {of.text}", off=0.0),
             _place("x1", of, most, "largest torque of that sign that was driven"),
         )
 
     def terms(self, at: Conditions, p: Values) -> Terms:
-        drive = at.drive_torque * at.direction * p[0]
+        drive = at.drive_torque * (at.direction * p[0] if p[0] != NEGATIVE else -1.0)
         there = 0.5 + 0.5 * math.tanh(drive / (SMOOTH * at.facts.weight * at.facts.radius))
         return Terms(
             drive_gain=1.0 + p[1] * there * abs(at.direction), extrapolated=1.0 if drive > (1.0 + MARGIN) * p[2] else 0.0

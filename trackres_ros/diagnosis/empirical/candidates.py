@@ -151,8 +151,11 @@ def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
     found += [Curve(code, learned.OPEN, knots(code, x[code], KNOTS[code])) for code in shown]
     found += found_by_scan(fit, {code: series(code, fit) for code in shown})
     if learned.DRIVING_TORQUE in shown:
-        most = {side: most_on_side(x[learned.DRIVING_TORQUE], side) for side in learned.SIDES}
-        found += [SidedGain(side, most[side]) for side in learned.SIDES if min(most.values()) > 0.0]
+        most = {side: most_on_side(x[learned.DRIVING_TORQUE], side) for side in (learned.DRIVES, learned.BRAKES)}
+        reverse = np.concatenate([s.speed[m] < 0.0 for s, m in zip(fit.problem.sessions, fit.problem.masks, strict=True)])
+        if reverse.sum() >= FEWEST_OPEN:  # forwards, a negative torque brakes
+            most[learned.NEGATIVE] = most_on_side(np.where(reverse, 1.0, -1.0) * x[learned.DRIVING_TORQUE], 1)
+        found += [SidedGain(side, one) for side, one in most.items() if min(most.values()) > 0.0]
     for gate, codes in GATED.items():
         for threshold in thresholds(gate, fit):
             by_level = gate in (learned.HEAVY, learned.LIGHT) and not shows(learned.LOAD, fit)

@@ -49,6 +49,7 @@ OF_LATCHES: Mapping[int, tuple[str, ...]] = {
 OF_GAINS: Mapping[int, tuple[str, ...]] = {
     learned.DRIVES: ("a torque sensor with another gain for one sign", "gears with a larger loss when driving"),
     learned.BRAKES: ("a torque sensor with another gain for one sign", "a friction brake that acts while the motor brakes"),
+    learned.NEGATIVE: ("a torque sensor or inverter with another gain for negative torques",),
 }
 OF_GATES: Mapping[int, tuple[str, ...]] = {
     learned.LEFT: ("a part that touches in left turns only: a guide, a mudguard, a hose", "the guides of the right belt"),

@@ -184,10 +184,10 @@ class Choice:
                 continue
             without = self._search.without(explanation, name)
             step = self._search.rounds.get(without.key)
-            by_model = step.threshold if step is not None else spurious_gain(without.fit)
+            by_noise, by_model = (step.by_noise, step.threshold) if step else (self._search.by_noise, spurious_gain(without.fit))
             before, after = self.judged(without).score.error.sum(), judged.score.error.sum()
             small = before - after < SMALL_SHARE * before
-            least = max(self._search.by_noise, by_model if small else 0.0)
+            least = max(by_noise, by_model if small else 0.0)
             evidence = explanation.evidence - without.evidence
             gain = evidence + candidate.gain - candidate.criterion
             if not (candidate.matters and evidence > 0.0 and gain > least):

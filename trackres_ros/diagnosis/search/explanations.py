@@ -20,6 +20,7 @@ from trackres_ros.diagnosis.empirical.finders import Term, find_terms
 from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.selection.naming import Candidate, Pool, Step, one_round
+from trackres_ros.diagnosis.selection.screening import PLAINLY
 from trackres_ros.diagnosis.selection.visibility import EffectColumns
 from trackres_ros.effects.effect import Effect
 
@@ -77,7 +78,7 @@ class Search:
 
     @property
     def by_noise(self) -> float:
-        """Gain that the best candidate reaches by noise alone with 5 % probability."""
+        """Gain that the best candidate reaches over the base by noise alone with 5 % probability."""
         return math.inf if self._pool.by_noise is None else self._pool.by_noise
 
     def run(self) -> None:
@@ -101,6 +102,10 @@ class Search:
         pool = self._pool
         if any(map(explanation.goes_by_place, explanation.key)):
             pool = replace(pool, effects={key: e for key, e in pool.effects.items() if e.name not in SLOPES})
+        gained = current.log_likelihood - self.nothing.fit.log_likelihood
+        if not explanation.without_a_name and gained > PLAINLY * self.by_noise:
+            # What its names explain was in the noise drawn from the base alone. A form may leave some of its cause there.
+            pool = replace(pool, by_noise=None)
         step = one_round(current, pool, self._replicates, self._rng)
         if self._pool.by_noise is None:
             self._pool = replace(self._pool, by_noise=step.by_noise)
