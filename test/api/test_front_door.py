@@ -424,6 +424,9 @@ def test_a_profile_is_a_table_or_what_was_read_of_it(drive, xgd24d):
     orders = (replace(recording.series["ambient"], stamp_ns=stamp_ns[::by], value=value[::by]) for by in (1, -1))
     mixed = [replace(recording, order=None, series={**recording.series, "ambient": one}) for one in orders]
     assert np.array_equal(*(tr.simulate(xgd24d, profile=one)["ambient_degc"] for one in mixed))
+    hot = replace(recording.series["ambient"], value=np.inf * np.ones(len(recording.series["ambient"])))
+    with pytest.raises(tr.InputError, match="ambient: given inf; allowed: finite"):
+        tr.simulate(xgd24d, profile=replace(recording, order=None, series={**recording.series, "ambient": hot}))
 
 
 def test_explain_and_check_are_the_commands(printed):

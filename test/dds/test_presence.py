@@ -269,6 +269,10 @@ def test_it_runs_in_the_last_domain_without_a_reader_of_its_log(command, start, 
         said.append(node.stderr.readline())
     assert "failed" not in "".join(said)
     node.stderr.close()
+    other = peer.Wire(232)
+    speed = other.publisher("/speed", TWIST, reliable=False)
+    assert wait_for(lambda: speed.matched, working=node.pid)  # inputs are best effort by default
+    other.close()
     node.send_signal(signal.SIGUSR1)
     assert wait_for(lambda: state.read_bytes() != before, working=node.pid)  # and then says so
     node.send_signal(signal.SIGTERM)

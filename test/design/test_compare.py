@@ -241,12 +241,17 @@ def test_the_same_design_twice_is_the_same(good, softer):
         (("xgd24d", "agri3t", "--weight-kn", "272"), "kN for agri3t"),
         (("husky", "husky", "--weight-kn", "1"), "only with two vehicle files with tracks"),
         (("xgd24d", "agri3t", "--cycle", "stagess"), "did you mean stages"),
+        (
+            ("xgd24d", "agri3t", "--cycle", "heavy.csv"),
+            "--cycle heavy.csv: load: given 9000000.0; allowed: 27200 to 680000 N for a vehicle",
+        ),
         (("xgd24d", "agri3t", "--speed-kmh", "5:50"), "--speed-kmh"),
         (("xgd24d", "agri3t", "--belt-degc", "warm"), "A:B"),
     ],
 )
-def test_what_cannot_be_is_one_line(refused, given, part):
-    assert part in refused("compare", *given)
+def test_what_cannot_be_is_one_line(tmp_path, refused, given, part):
+    (tmp_path / "heavy.csv").write_text("time_s,speed_kmh,weight_n\n0,8,270000\n9,8,9000000\n")
+    assert part in refused("compare", *given, cwd=tmp_path)
 
 
 @pytest.mark.parametrize(("degc", "outside"), [(-60, True), (10, False)])

@@ -6,7 +6,6 @@
 import json
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +13,8 @@ import pytest
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.diagnosis.coastdown.stretches import NO_TORQUE_SHARE, in_driving_order, rollouts
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.samples import Series
 from trackres_ros.route.learned import SLOPE, RouteMap
 from trackres_ros.units import EARTH_M, GRAVITY
 
@@ -249,11 +250,10 @@ def test_the_speed_by_the_file_is_that_of_its_forces(tmp_path, of_car, rolling, 
 def test_coast_downs_keep_the_order_driven(given, expected):
     """Each lasts ten from its start @; those at the same time have clocks of their own."""
     starts = {name: int(name.partition("@")[2] or 0) for name in given.split()}
-    recordings = [
-        SimpleNamespace(name=name, start_ns=at, series={"speed": SimpleNamespace(stamp_ns=np.array([at, at + 10]))})
-        for name, at in starts.items()
-    ]
-    assert " ".join(one.name for one in in_driving_order(recordings)) == expected
+    for is_set in (1, 0):  # or never set
+        logged = {name: np.array([at, at + 10]) for name, at in starts.items()}
+        recordings = [Recording(name, {"speed": Series(is_set * at, at, 0.0 * at)}) for name, at in logged.items()]
+        assert " ".join(one.name for one in in_driving_order(recordings)) == expected
 
 
 @pytest.mark.parametrize("least", [0.00015, 0.0003, 0.001])
@@ -309,8 +309,14 @@ def test_other_clocks_are_moved_and_set_ones_refused(tmp_path):
 
     for off_ns in (-3_600_000_000_000, 3_600_000_000_000):
         np.testing.assert_array_equal(*(rolled(speed.stamp_ns + off).sessions[0].grade for off in (0, off_ns)))
+    set_back = np.where(speed.stamp_ns > speed.stamp_ns[900], speed.stamp_ns - 30_000_000_000, speed.stamp_ns)
     with pytest.raises(tr.InputError, match="times that go back by 30 s"):
-        rolled(np.where(speed.stamp_ns > speed.stamp_ns[900], speed.stamp_ns - 30_000_000_000, speed.stamp_ns))
+        rolled(set_back)
+    for clock in (set_back, speed.stamp_ns + 37_000_000_000):  # a dead sensor's matters to nobody
+        dead = replace(speed, stamp_ns=clock, value=0.0 * speed.value)
+        found = rollouts([replace(recording, series={**recording.series, "torque": dead})], loaded, 1.0)
+        assert len(found.stretches) == len(rolled(speed.stamp_ns).stretches)
+        assert "clock is not the speed's" in " ".join(found.notes)
 
 
 def slope_error(rolled, table):

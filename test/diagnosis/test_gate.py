@@ -480,9 +480,10 @@ def test_header_stamps_an_hour_late_or_never_set_are_as_the_log(recorded, loaded
 def test_an_effect_without_its_input_is_named(recorded, xgd24d, effects):
     winds = replace(xgd24d, surroundings=(Active(effects["headwind"], {"from_ahead": 5.0, "from_left": 0.0}),))
     for hidden in ((), ("yaw_rate", "heading")):
-        found, *_ = prepared(read_recordings(recorded(count=1), None), load_base(winds), hidden)
-        named = [note.rpartition(": ")[2] for note in found.warnings if "headwind" in note]
-        assert named == ["headwind of the vehicle file or its surroundings is left out, as heading is not known"] * bool(hidden)
+        found, *_ = prepared(read_recordings(recorded(count=2), None), load_base(winds), hidden)
+        named = [note for note in found.warnings if "headwind" in note]  # once for all recordings
+        said = "headwind of the vehicle or its surroundings is left out, as heading is not known"
+        assert named == [f"{', '.join(s.name for s in found.sessions)}: {said}"] * bool(hidden)
 
 
 def test_an_unlike_torque_an_hour_late_is_left_out(with_first):

@@ -143,6 +143,12 @@ def test_the_order_of_rows_makes_no_difference():
     assert np.allclose(forward.precision, data.precision)
     other = [{**row, "nominal": [2.0] * 3} if row["vehicle"] == "v1" else row for row in rows]
     assert sorted(len(of) for of in Vehicles.of(other)) == [8, 16]
+    # What a factor multiplies is of the type; rows of earlier versions lack it.
+    for of_files, sizes in (({"v1": 40.0}, [24]), ({"v1": 40.0, "v2": 48.0}, [8, 8, 8]), ({"v1": None}, [24])):
+        found = Vehicles.of(
+            [{**row, "of_file": [None, of_files[row["vehicle"]]]} if row["vehicle"] in of_files else row for row in rows]
+        )
+        assert sorted(len(of) for of in found) == sizes
 
 
 @pytest.mark.parametrize("size", [0.4, -0.4])

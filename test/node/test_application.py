@@ -276,6 +276,12 @@ def test_a_clock_that_is_set_keeps_the_temperature_and_is_said(desk, stamp):
     assert ("CLOCK_JUMPED" in said) == (stamp != "log")
     assert d.last("feedforward_torque")[0] == pytest.approx(d.now_ns(), abs=1000)
     assert [(name, count) for name, count, _ in d.app.session.counts() if name == "load"] == [("load", Count.ACCEPTED)]
+    if stamp == "header":  # from now on without
+        for _ in range(3):
+            d.forward(0.02)
+            d.send("torque", 3000.0)
+            d.send("speed", 15.0, stamp_s=-START_NS / SECOND_NS)
+        assert d.last("feedforward_torque")[0] == pytest.approx(d.now_ns(), abs=1000)
 
 
 def test_belts_cool_while_the_machine_is_suspended(desk, monkeypatch):

@@ -102,7 +102,8 @@ def test_time_without_learning_wears_whatever_runs_are_between(desk, topics, sta
         now[0] -= 1e9
         d = desk(**given)
         now[0] += 1e9
-        d.forward(31.0)
+        d.drive(0.1)
+        now[0] += 86400.0 * 50.0
     else:
         d = desk(**(given if between != "no torque" else {"state_file": str(state)}), learning="off")
         d.drive(2.0)

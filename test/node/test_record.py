@@ -4,6 +4,7 @@
 """What `trackres live --record` writes is a recording: every message as it came, to be replayed and diagnosed as any other."""
 
 import errno
+import json
 import math
 import os
 import random
@@ -276,6 +277,7 @@ def test_a_restored_start_replays_as_live(desk, tmp_path, monkeypatch):
 
     *live, lines = recorded()
     assert f"--resume '{record_room.start_of(bag)}'" in lines
+    assert json.loads(record_room.start_of(bag).read_bytes())["saved_at"] == 1e9 + 32.0  # when the first speed came
     replayed = replayed_as(*live, bag)
     cold = tr.replay(bag, "xgd24d", topics=topics)
     assert cold["belt_degc/front_left"][0] < replayed["belt_degc/front_left"][0] - 1.0

@@ -158,6 +158,7 @@ def test_zero_is_a_time_in_a_table_and_unset_in_a_bag() -> None:
         stamps = np.where(time % 0.5 < 0.01, 0.0, 1e9 + off + time)
         unset = recorded(speed=(stamps, np.rint(np.sin(time)), 1e9 + time), load=(0.0 * time, 2e5, 1e9 + time))
         np.testing.assert_allclose(unset.time_s("speed"), time, atol=1e-6)
+        assert "100 samples at 10 Hz" in "\n".join(unset.report())
         np.testing.assert_allclose(unset.time_s("load"), time - off, atol=1e-6)
         assert found(unset).keys() <= {"zero_stamp", "quantised", "stamp_offset"}
     for before in (1e3, 1.7e9):  # a first time of 0, and then others

@@ -338,13 +338,14 @@ def test_a_measured_torque_and_an_ambient_air_are_preferred(role: str, unit: str
 @pytest.mark.parametrize("name", [
     "VehicleSpeed", "VehSpd_Eng", "mot/vehicle_speed", "speed_actual", "emotion/speed", "VehSpd_CruiseCtrl",
     "CruiseControlVehicleSpeed", "cruise_control/vehicle_speed_kmh", "VehicleSpeedRelativeToGround",
-    "j1939/cruise_control_vehicle_speed/wheel_based_vehicle_speed_kmh",
+    "j1939/cruise_control_vehicle_speed/wheel_based_vehicle_speed_kmh", "VehicleSpeedKph", "velocity_km_h",
 ])  # fmt: skip
 def test_the_speed_of_the_vehicle_is_guessed_from_any_unit(name: str) -> None:
     assert guess_channels([Channel(name, "km/h")], ())[0]["speed"].column == name
     topics, (said,) = guess({f"/{name}": NUMBER})
     assert topics["speed"].topic == f"/{name}"
-    assert ("in km/h" in said) == name.endswith("kmh")
+    of_kmh = name.endswith(("kmh", "Kph", "km_h"))
+    assert ("in km/h" in said, topics["speed"].scale) == (of_kmh, 1 / 3.6 if of_kmh else 1.0)
 
 
 def test_a_second_speed_alone_is_no_second_vehicle() -> None:

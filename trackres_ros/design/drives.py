@@ -59,7 +59,7 @@ class DriveCycle:
     def recorded(self, vehicle: Vehicle, given: Collection[str]) -> dict[str, Array]:
         """Load [N] and air [degC] along the drive, if recorded and not given otherwise. Raises InputError as `along`."""
         roles, one = self.conditions(given), self.recording
-        return {} if one is None else {role: along(one, role, self.drive.time_s, vehicle.weight) for role in roles}
+        return {} if one is None else {role: along(one, role, self.drive.time_s, vehicle.weight, "--cycle") for role in roles}
 
 
 def read_cycle(given: str, fastest_mps: float) -> DriveCycle:

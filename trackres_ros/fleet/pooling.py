@@ -59,11 +59,16 @@ class Vehicles:
     def of(cls, rows: Iterable[Mapping[str, Any]]) -> list[Vehicles]:
         """Those of each type among good rows, of one file for each vehicle: equal files, also behind factors, are of one type."""
         good = [row for row in rows if row["status"] == "good"]
-        # Rows of earlier versions lack what factors multiply.
-        behind = {row["vehicle"]: tuple(row[OF_FILE]) for row in good if row.get(OF_FILE)}
+        behind: dict[Hashable, dict[str, tuple[float | None, ...]]] = {}
+        for row in good:
+            if any(row.get(OF_FILE) or ()):
+                behind.setdefault(type_of(row), {})[row["vehicle"]] = tuple(row[OF_FILE])
         types: dict[Hashable, list[Mapping[str, Any]]] = {}
         for row in good:
-            types.setdefault((type_of(row), behind.get(row["vehicle"])), []).append(row)
+            known = behind.get(type_of(row), {})
+            # Rows of earlier versions lack what factors multiply: it is that of the others, if they agree.
+            otherwise = next(iter(known.values())) if len(set(known.values())) == 1 else None
+            types.setdefault((type_of(row), known.get(row["vehicle"], otherwise)), []).append(row)
         return [cls._of_type(of) for of in types.values()]
 
     @classmethod

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.estimator import columns as at
+from trackres_ros.node.clock import SET_NS
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.transport import is_usable, stamp_ns
 from trackres_ros.recording.binding import TopicBinding
@@ -35,7 +36,7 @@ class InputReader:
         self.absent = [0] * len(channels)
         self.lacks = [""] * len(channels)  # the last field that a message did not have, and why
         self.bad_stamp = [0] * len(channels)
-        self.stamped: set[int] = set()  # channels in `TOGETHER` that have had a stamp
+        self.stamped: dict[int, int] = {}  # how far the clock was set [ns] at the last stamp of a channel in `TOGETHER`
         self.sums = {role: Sum(role, bindings[role]) for i in inputs for role in i.roles if bindings[role].parts}
         self._channels = channels
         self._readers = [
@@ -69,9 +70,10 @@ class InputReader:
                 self.lacks[channel] = f"{binding.field}: {value}"
                 continue
             if by_header and stamp_ns and channel in TOGETHER:
-                self.stamped.add(channel)
+                self.stamped[channel] = set_ns
             came_ns = arrival_ns + (set_ns if self.stamped and channel in TOGETHER else 0)
-            given = by_header and (stamp_ns or came_ns == arrival_ns or channel in self.stamped)
+            as_before = channel in self.stamped and abs(set_ns - self.stamped[channel]) <= SET_NS  # as its last stamp
+            given = by_header and (stamp_ns or came_ns == arrival_ns or as_before)
             stamp = binding.less_delay(stamp_ns if given and stamp_ns is not None else came_ns)
             if not is_usable(stamp):
                 bad_stamp.add(channel)

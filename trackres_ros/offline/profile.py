@@ -18,6 +18,7 @@ from trackres_ros.recording.channel_source import ChannelSource
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import POSITION, ROLES
+from trackres_ros.text.numbers import figures
 
 ARGUMENT_OF = {"load": "weight_kn", "ambient": "ambient_degc", "grade": "", **dict.fromkeys(POSITION, "")}
 """Possible columns in addition to the speed, and the argument of the same meaning."""
@@ -57,17 +58,18 @@ def conditions(recording: Recording, time_s: Array, given: Collection[str], weig
             continue
         if role in given:
             raise InputError(argument, f"{role} in {recording.name} too", "one of the two")
-        if not np.isfinite(recording.series[role].value).all():
-            raise InputError(f"{recording.name}: {role}", float("nan"), "numbers")
+        value = recording.series[role].value
+        if not np.isfinite(value).all():
+            raise InputError(f"{recording.name}: {role}", float(value[~np.isfinite(value)][0]), "finite numbers")
         found[role] = along(recording, role, time_s, weight)
     return found
 
 
-def along(recording: Recording, role: str, time_s: Array, weight: float) -> Array:
+def along(recording: Recording, role: str, time_s: Array, weight: float, option: str = "") -> Array:
     """The known values of a role at some times [s], interpolated.
 
     Before its first and after its last value a position is nan, as in a replay; others keep that value. Raises InputError for
-    values that are implausible for a vehicle of a weight [N].
+    values that are implausible for a vehicle of a weight [N]; `option`: the one that gave the recording.
     """
     low, high = {**PLAUSIBLE, "load": (LEAST_LOAD_SHARE * weight, LARGEST_LOAD_SHARE * weight)}[role]
     at, value = recording.time_s(role), recording.series[role].value
@@ -75,7 +77,8 @@ def along(recording: Recording, role: str, time_s: Array, weight: float) -> Arra
     order = order[np.isfinite(value[order])]
     bad = value[order][(value[order] < low) | (value[order] > high)]
     if bad.size:
-        raise InputError(f"{recording.name}: {role}", float(bad[0]), f"{low:g} to {high:g} {ROLES[role].unit}")
+        allowed = f"{low:g} to {high:g} {ROLES[role].unit}{f' for a vehicle of {figures(weight)} N' if role == 'load' else ''}"
+        raise InputError(f"{option} {recording.name}: {role}".lstrip(), float(bad[0]), allowed)
     value = np.unwrap(value[order]) if role == "longitude" else value[order]  # it goes on over the date line
     outside = np.nan if role in POSITION else None
     return np.interp(time_s, at[order], value, left=outside, right=outside)

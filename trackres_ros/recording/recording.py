@@ -170,7 +170,7 @@ class Recording:
         return "\n".join(self.report())
 
     def _repr_html_(self) -> str:
-        rows = [(role, *_measures(samples), ROLES[base_role(role)].unit) for role, samples in self.series.items()]
+        rows = [(role, *_measures(self, role), ROLES[base_role(role)].unit) for role in self.series]
         notes = [f"{role}: {text}" if role else text for role, text in self._findings()]
         return panel(
             f"Recording {self.name}",
@@ -204,8 +204,7 @@ class Recording:
             Lines of text.
         """
         lines = [f"Recording {self.name}"]
-        for role, samples in self.series.items():
-            lines.append(f"  {role} [{ROLES[base_role(role)].unit}]: {_summary(samples)}")
+        lines += [f"  {role} [{ROLES[base_role(role)].unit}]: {_summary(self, role)}" for role in self.series]
         notes = [*self.notes, *self.wheel_notes()]
         if notes:
             lines += ["Notes", *(f"  {note}" for note in notes)]
@@ -283,19 +282,20 @@ def _defects(series: Callable[[str], Series], source: Source) -> Iterator[Findin
         yield from findings_of(role, samples, start, source.zero_is_unset)
 
 
-def _measures(samples: Series) -> tuple[str, str, str, str]:
-    """Number of samples, rate [Hz], least and greatest value; empty texts without samples."""
+def _measures(recording: Recording, role: str) -> tuple[str, str, str, str]:
+    """Number of samples, rate [Hz], least and greatest value of a role; empty texts without samples."""
+    samples = recording.series[role]
     finite = samples.value[np.isfinite(samples.value)]
     if not finite.size:
         return str(len(samples)), "", "", ""
-    steps = np.diff(samples.stamp_ns)
+    steps = np.diff(_stamps(recording, role))
     median = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     rate = figures(1e9 / median, 4) if median else ""
     return str(len(samples)), rate, figures(finite.min(), 6), figures(finite.max(), 6)
 
 
-def _summary(samples: Series) -> str:
-    count, rate, low, high = _measures(samples)
+def _summary(recording: Recording, role: str) -> str:
+    count, rate, low, high = _measures(recording, role)
     if not low:
         return f"{count} samples, none with a value"
     return f"{count} samples{f' at {rate} Hz' if rate else ''}, {low} to {high}"

@@ -23,8 +23,9 @@ from trackres_ros.diagnosis.prepare.refuse import check_compared, refuse_repeate
 from trackres_ros.diagnosis.prepare.resample import resample
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import GateSettings
+from trackres_ros.errors import InputError
 from trackres_ros.recording.corrected_lines import line_to_write
-from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.recording import Recording, stamped
 from trackres_ros.recording.role_units import Conversion
 from trackres_ros.recording.samples import Series
 from trackres_ros.recording.slopes import runs_of
@@ -146,7 +147,8 @@ def in_driving_order(recordings: Sequence[Recording]) -> list[Recording]:
 
 def _end_ns(recording: Recording) -> int:
     """The last stamp of any role [ns]."""
-    return max((int(s.stamp_ns.max()) for s in recording.series.values() if len(s.stamp_ns)), default=recording.start_ns)
+    ends = (int(s.stamp_ns.max()) for s in stamped(recording).series.values() if len(s.stamp_ns))
+    return max(ends, default=recording.start_ns)
 
 
 def _with_slopes(drives: Sequence[_Drive], settings: GateSettings, notes: list[str]) -> list[_Drive]:
@@ -176,7 +178,15 @@ def _resampled(recording: Recording, step: float, settings: GateSettings, limit:
     """The recording on an even grid; with a measured torque only if that exceeds a `limit` [Nm]."""
     why = "no torque was recorded"
     check_compared(_without_torque(recording), SHORTEST_RECORDING_S)
-    recording, shifted = on_one_clock(recording)
+    try:
+        recording, shifted = on_one_clock(recording)
+    except InputError:
+        torques = _torques(recording)
+        if not torques or any((np.abs(recording.series[r].value) > limit).any() for r in torques):
+            raise
+        others = {r: s for r, s in recording.series.items() if r not in torques}  # a torque without a course, on any clock
+        why = f"the torque {_hardly(limit)}, and its clock is not the speed's; it is not used"
+        recording, shifted = on_one_clock(replace(recording, series=others, order=None))
     notes += shifted
     if _torques(recording):
         said: list[str] = []

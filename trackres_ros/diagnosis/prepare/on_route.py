@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from trackres_ros.effects.effect import Active
 from trackres_ros.route.learned import SLOPE, RouteMap
 from trackres_ros.route.matching import matched
 from trackres_ros.route.track import track_of
+from trackres_ros.text.numbers import some_of
 
 
 def on_route(gated: Gated, route: Sequence[RouteMap], acting: Sequence[Active] = ()) -> Gated:
@@ -26,7 +27,7 @@ def on_route(gated: Gated, route: Sequence[RouteMap], acting: Sequence[Active] =
     The notes name what lacks an input: values of the route, and effects of the vehicle file and its surroundings, `acting`.
     """
     sessions, notes = list(gated.sessions), list(gated.notes)
-    notes += [note for session in sessions for note in _left_out(session, route, acting)]
+    notes += _left_out(sessions, route, acting)
     for one in route:
         for i, session in enumerate(sessions):
             if "position" not in session.given or (one.kind == SLOPE and "grade" in session.given):
@@ -46,13 +47,20 @@ def on_route(gated: Gated, route: Sequence[RouteMap], acting: Sequence[Active] =
     return replace(with_fewer_steps(gated, sessions, "off the route"), notes=tuple(notes))
 
 
-def _left_out(session: DriveSession, route: Sequence[RouteMap], acting: Sequence[Active]) -> Iterator[WarningNote]:
-    needed: dict[str, Sequence[str]] = {active.effect.name: active.effect.needs for active in acting}
-    of_route = [one.kind for one in route if one.kind != SLOPE or "grade" not in session.given]
-    for name, needs in (needed | {f"{kind} of the route": ("position",) for kind in of_route}).items():
-        if lacks := [need for need in needs if need not in ALWAYS_KNOWN and need not in session.given]:
-            of = "of the vehicle file or its surroundings is left out"
-            yield WarningNote(f"{session.name}: {name} {of}, as {', '.join(lacks)} is not known")
+def _left_out(sessions: Sequence[DriveSession], route: Sequence[RouteMap], acting: Sequence[Active]) -> list[str]:
+    """A note for each effect, or kind of value of the route, that lacks an input in some sessions."""
+    of = "of the vehicle or its surroundings"
+    needed: dict[str, Sequence[str]] = {f"{one.effect.name} {of}": one.effect.needs for one in acting}
+    needed |= {f"{values.kind} of the route": ("position",) for values in route}
+    found: dict[tuple[str, str], list[str]] = {}
+    for session in sessions:
+        for name, needs in needed.items():
+            lacks = [need for need in needs if need not in ALWAYS_KNOWN and need not in session.given]
+            if lacks and not (name == f"{SLOPE} of the route" and "grade" in session.given):
+                found.setdefault((name, ", ".join(lacks)), []).append(session.name)
+    return [
+        WarningNote(f"{some_of(names)}: {name} is left out, as {lacks} is not known") for (name, lacks), names in found.items()
+    ]
 
 
 def with_fewer_steps(gated: Gated, sessions: Sequence[DriveSession], reason: str) -> Gated:
