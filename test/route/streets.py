@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
+from trackres_ros.route.lookup import learned_at, lookup_of
+
 LATITUDE, LONGITUDE = 0.827, 0.1486  # rad
 HALF_AXES_M = 420.0, 260.0
 _TURN = np.linspace(0.0, 2.0 * np.pi, 4001)
@@ -69,6 +71,12 @@ def drive(seed, rounds=(1, 1, 1, 1), scatter_m=5.0, aside_m=2.0, hidden=()):
     for begin, stop in hidden:
         x = np.where((way > begin) & (way < stop), np.nan, x)
     return Drive(speed, distance, way, direction, x, y)
+
+
+def learned_by(route):
+    """A function of a place [m] and a direction of travel: value and std there; a slope is the rise along the travel."""
+    lookup = lookup_of([route.table(route.frame)])
+    return lambda x, y, east, north: learned_at(*lookup, 0, x, y, east, north)
 
 
 def position_of(one):
