@@ -20,7 +20,7 @@ from urllib.request import urlopen
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 
 if TYPE_CHECKING:
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
 Work = TypeVar("Work")
 
@@ -79,7 +79,10 @@ def engine(address: str, workers: int | None = None) -> Iterator[Client]:
                     with suppress(TimeoutError):  # one that starts again cannot be closed cleanly
                         client.wait_for_workers(count, CONNECT_S)
             finally:
-                _close(cluster)
+                try:
+                    cluster.close()
+                except Exception:  # Dask may fail at a worker that dies or starts just then; it ends with this process
+                    atexit.unregister(close_clusters)
             return
         if not address.partition("://")[2]:
             raise InputError("--engine", address, SAID)
@@ -90,16 +93,6 @@ def engine(address: str, workers: int | None = None) -> Iterator[Client]:
             raise InputError("--engine", given, SAID, "start one with: dask scheduler") from None
         with client:
             yield client
-
-
-def _close(cluster: LocalCluster) -> None:
-    """Close a cluster whose work is done. Dask may fail at a worker that dies or starts at this moment."""
-    from distributed.deploy.spec import close_clusters
-
-    try:
-        cluster.close()
-    except Exception:  # such a worker ends with this process, like all of them
-        atexit.unregister(close_clusters)
 
 
 def dashboard(client: Client) -> str:
