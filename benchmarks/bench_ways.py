@@ -90,8 +90,8 @@ WAYS = (
     Way(
         "sums in any order and reciprocals, for the limit too (fastmath, but for what is not a number)", False, STEP,
         (("jit/compiled.py",
-          '"error_model": "numpy", "_nrt"',
-          '"error_model": "numpy", "fastmath": {"contract", "reassoc", "arcp", "nsz"}, "_nrt"'),),
+          '"error_model": "numpy"}',
+          '"error_model": "numpy", "fastmath": {"contract", "reassoc", "arcp", "nsz"}}'),),
     ),
     Way(
         "a batch of messages decoded column by column", True, READING,
@@ -114,6 +114,10 @@ WAYS = (
     Way(
         "no entry from Python for what compiled code alone calls", True, COMPILING,
         (("jit/compiled.py", ', "no_cpython_wrapper": True, "no_cfunc_wrapper": True}', "}"),),
+    ),
+    Way(
+        "no machine code of parts", True, COMPILING,
+        (("jit/compiled.py", "if _library.__version__.startswith(TRIED)", "if False"),),
     ),
     Way(
         "LLVM optimising less (level 1)", False, COMPILING,
@@ -282,7 +286,7 @@ def run(
     sizes: dict[str, dict[str, Any]] = {
         STEP: {"duration_s": duration_s, "repeats": repeats},
         READING: {"messages": messages, "repeats": max(1, repeats // 2)},
-        COMPILING: {"work": warm_up.BLOCKS},
+        COMPILING: {"work": warm_up.MESSAGES},
     }
     found: dict[str, float] = {}
     for of, size in sizes.items():

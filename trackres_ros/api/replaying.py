@@ -94,7 +94,7 @@ def replay(
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.estimator.snapshot import save, state_file
     from trackres_ros.estimator.topic_settings import settings_for
-    from trackres_ros.estimator.warm_up import BLOCKS, LIVE, first_run
+    from trackres_ros.estimator.warm_up import MESSAGES, first_run
     from trackres_ros.files.output_files import BAG_SUFFIX, no_two_alike, not_an_input, output_file
     from trackres_ros.learning.learner import MODES, OFF, Learner
     from trackres_ros.learning.store import go_on_from, stored
@@ -135,7 +135,7 @@ def replay(
         raise InputError("save_vehicle", str(save_vehicle), "only with learning watch or on")
     kept: list[Steps] = []
     with ExitStack() as stack:
-        warm_up = stack.enter_context(first_run(LIVE if learns else BLOCKS, described))
+        warm_up = stack.enter_context(first_run(MESSAGES, described))
         estimator = Estimator(described, settings, entries=warm_up.first)
         learner = Learner(estimator, learning) if learns else None
         session = learned_before = off_s = None

@@ -186,8 +186,7 @@ class Entries:
     """
 
     compiled: bool
-    feed_one: Callable[..., Any]
-    feed_many: Callable[..., Any]
+    feed: Callable[..., Any]
     run_series: Callable[..., Any]
     predict_series: Callable[..., Any]
     step_once: Callable[..., Any]
@@ -201,7 +200,7 @@ class Entries:
 
 
 _KERNELS: tuple[Callable[..., Any], ...] = (
-    feed, feed_all, advance_along, predict_along, advance_once, rest, start, follow_along,
+    feed_all, advance_along, predict_along, advance_once, rest, start, follow_along,
 )  # fmt: skip
 _ENTRIES = tuple(map(entry, _KERNELS))
 COMPILED = Entries(HAVE_NUMBA, *_ENTRIES)

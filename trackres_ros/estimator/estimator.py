@@ -350,6 +350,8 @@ class Session:
         self._loads, self._belt_measured = np.zeros(len(estimator.constants.assembly)), np.zeros(assemblies)
         self._channels = len(estimator.channels)
         self._channel = {name: i for i, name in enumerate(estimator.channels)}
+        self._message = Messages(np.zeros(1, np.int16), np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1))
+        self._step_times = np.zeros((2, 1), np.int64)
         self._arguments = self._gathered()
 
     def _gathered(self) -> tuple[Any, ...]:
@@ -440,9 +442,11 @@ class Session:
 
     def feed(self, channel: int, stamp_ns: int, arrival_ns: int, value: float) -> Estimate | None:
         """`handle` without its checks, for numbers that are of these types already: another channel writes outside the arrays."""
-        row = np.empty(len(self.estimator.columns))
-        stepped = self.estimator.entries.feed_one(*self._arguments, channel, stamp_ns, arrival_ns, value, row)
-        return Estimate(row, self.estimator.column_index) if stepped else None
+        for part, given in zip(self._message, (channel, stamp_ns, arrival_ns, value), strict=True):
+            part[0] = given
+        rows = np.empty((1, len(self.estimator.columns)))
+        stepped = self.estimator.entries.feed(*self._arguments, *self._message, rows, *self._step_times)
+        return Estimate(rows[0], self.estimator.column_index) if stepped else None
 
     def handle_block(self, channel: NDArray[np.int16], stamp_ns: IntArray, arrival_ns: IntArray, value: Array) -> Steps:
         """Process many messages, arrays of shape (messages,) in the order of arrival.
@@ -453,7 +457,7 @@ class Session:
         most = int(np.count_nonzero(channels == at.SPEED))
         rows = np.empty((most + 1, len(self.estimator.columns)))
         of_steps = np.empty((2, most + 1), dtype=np.int64)
-        steps = self.estimator.entries.feed_many(*self._arguments, channels, stamps, arrivals, values, rows, *of_steps)
+        steps = self.estimator.entries.feed(*self._arguments, channels, stamps, arrivals, values, rows, *of_steps)
         return Steps(of_steps[0, :steps], of_steps[1, :steps], rows[:steps])
 
     def _messages(self, channel: ArrayLike, stamp_ns: ArrayLike, arrival_ns: ArrayLike, value: ArrayLike) -> Messages:

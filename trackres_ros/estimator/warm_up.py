@@ -29,20 +29,14 @@ START_NS = 1_700_000_000_000_000_000
 MOST_IN_PYTHON = 50_000  # steps: about as many as plain Python makes during compilation
 ANY_VEHICLE = "xgd24d"  # compiled code is shared by all, except for effects
 
-LIVE, BLOCKS, SERIES = "live", "blocks", "series"
+MESSAGES, SERIES = "messages", "series"
 
 
 def exercise(estimator: Estimator) -> None:
-    """Run every function of the live node once, so that it is loaded, or compiled and cached."""
+    """Run every function for messages once, so that it is loaded, or compiled and cached."""
     session = estimator.session()
     session.handle(session.channel("speed"), START_NS, START_NS, 1.0)
     estimator.rest(session.state, 0.0, 1.0)
-
-
-def _replay_one(estimator: Estimator) -> None:
-    session = estimator.session()
-    stamps = np.array([START_NS])
-    session.handle_block(np.array([session.channel("speed")], dtype=np.int16), stamps, stamps, np.ones(1))
 
 
 def _run_one(estimator: Estimator) -> None:
@@ -50,11 +44,10 @@ def _run_one(estimator: Estimator) -> None:
 
 
 WORK: dict[str, tuple[Callable[[Estimator], None], tuple[Callable[..., object], ...]]] = {
-    LIVE: (exercise, (COMPILED.feed_one, COMPILED.rest_vehicle)),
-    BLOCKS: (_replay_one, (COMPILED.feed_many,)),
+    MESSAGES: (exercise, (COMPILED.feed, COMPILED.rest_vehicle)),
     SERIES: (_run_one, (COMPILED.run_series, COMPILED.start_belts)),
 }
-"""Functions that a node, a replay and a simulation need."""
+"""Functions that messages need, live and from a recording, and those of a simulation."""
 
 
 def is_warm(work: str) -> bool:

@@ -27,6 +27,8 @@ COMPILED_ROOMS = ("model", "estimator", "effects", "jit", "route", "diagnosis/pr
 """Sources of compiled code."""
 CONSTANTS = "units.py"
 """Other sources of constants, which become part of the code."""
+TRIED = ("0.58.", "0.68.")  # versions of numba whose insides were tried as `_PartLibrary` uses them
+ENVIRONMENT = "NumbaEnv"
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -34,7 +36,9 @@ try:
     if os.environ.get("TRACKRES_INTERPRETED"):
         raise ImportError("left out on request")
     import numba
-    from llvmlite.binding import get_host_cpu_name
+    from llvmlite.binding import get_host_cpu_name, parse_assembly
+    from numba.core.codegen import JITCodeLibrary
+    from numba.core.compiler import Compiler
     from numba.core.registry import CPUDispatcher
 except ImportError:
     HAVE_NUMBA = False
@@ -43,13 +47,38 @@ else:
     HAVE_NUMBA = True
     _library = numba
 
+    _OF_CODE: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
     _OF_PART = {"nopython": True, "boundscheck": None, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+    class _PartLibrary(JITCodeLibrary):
+        """The code of a part, for the functions that contain it. These optimise it as their own, and only they are run."""
+
+        def _optimize_final_module(self) -> None:
+            """Leave it to the functions that contain it."""
+
+        def _finalize_final_module(self) -> None:
+            """Keep the code, but make machine code only of numba's pointers to what Python knows of a function."""
+            self._finalized = True
+            pointers = [one.name for one in self._get_module_for_linking().global_variables if ENVIRONMENT in one.name]
+            rest = [f'@"{name}" = common global i64 0' for name in pointers]
+            self._final_module = parse_assembly("\n".join([str(self._codegen._create_empty_module(self.name)), *rest]))
+            super()._finalize_final_module()
+
+    class _PartCompiler(Compiler):
+        def __init__(self, typing_context: Any, target: Any, library: Any, *others: Any) -> None:
+            own = _PartLibrary(target.codegen(), "part")
+            own.enable_object_caching()
+            super().__init__(typing_context, target, library or own, *others)
 
     class _Part(CPUDispatcher):
         """A function that is called compiled only from compiled code: from Python it runs as Python.
 
-        So it needs no entry from Python or C, which took a third of the time to compile.
+        So it needs no entry from Python or C, which took a third of the time to compile, and no machine code, a quarter.
         """
+
+        def __init__(self, function: FunctionType, options: dict[str, Any]) -> None:
+            compiler = _PartCompiler if _library.__version__.startswith(TRIED) else Compiler
+            super().__init__(function, {}, {**_OF_CODE, **_OF_PART, **options}, pipeline_class=compiler)
 
         def __call__(self, *args: Any) -> Any:
             return self.py_func(*args)
@@ -111,19 +140,18 @@ def inlined(function: Function) -> Function:
 
 def part(function: FunctionType, boundscheck: bool = False) -> Any:
     """A function that becomes part of one cached function, or of none; needs numba."""
-    return _Part(function, {}, {"nogil": True, "error_model": "numpy", **_OF_PART, "boundscheck": boundscheck})
+    return _Part(function, {"boundscheck": boundscheck})
 
 
 def _compile(function: Function, into_callers: bool) -> Function:
     if not HAVE_NUMBA:
         return function
     # No kernel makes an array, so reference counting is disabled: it cost a third of a step.
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
     dispatcher: Any
     if into_callers:
-        dispatcher = _Part(function, {}, {**options, **_OF_PART, "forceinline": True})
+        dispatcher = _Part(cast(FunctionType, function), {"_nrt": False, "forceinline": True})
     else:
-        dispatcher = _library.njit(**options)(function)
+        dispatcher = _library.njit(**_OF_CODE, _nrt=False)(function)
     dispatcher._cache = CodeCache(cast(FunctionType, function), code_folder)
     return cast(Function, dispatcher)
 

@@ -22,7 +22,7 @@ from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import LONGEST_OFF, content
 from trackres_ros.estimator.topic_settings import settings_for
-from trackres_ros.estimator.warm_up import LIVE, CompilerWarmUp, exercise
+from trackres_ros.estimator.warm_up import MESSAGES, CompilerWarmUp, exercise
 from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.clock import NodeClock, steady_ns
 from trackres_ros.node.comparison import Comparison
@@ -67,7 +67,7 @@ class Application:
         self.node, self.namespace = node, namespace
         setup = read_setup(parameters)
         self.topics, self.vehicle = setup.topics, setup.vehicle
-        self._warm_up = CompilerWarmUp(LIVE, str(setup.vehicle_file), setup.surroundings_file)
+        self._warm_up = CompilerWarmUp(MESSAGES, str(setup.vehicle_file), setup.surroundings_file)
         self.estimator = Estimator(self.vehicle, setup.settings, entries=self._warm_up.first)
         exercise(self.estimator)  # loading compiled functions takes a third of a second; the first message does not wait for it
         self.inputs = input_topics(self.topics, bool(self.vehicle.route), self.estimator.channels)
