@@ -52,16 +52,11 @@ def same(a, b):
     return all(np.allclose(getattr(a, name), getattr(b, name), rtol=1e-12, atol=1e-9) for name in names)
 
 
-def test_the_catalogue_holds_what_was_agreed():
-    assert sorted(CATALOGUE) == sorted(NAMES)
-
-
 def test_each_effect_says_what_it_belongs_to():
     by_kind = {kind: {n for n, e in CATALOGUE.items() if e.belongs_to == kind} for kind in BELONGS_TO}
     assert by_kind["surroundings"] == OF_SURROUNDINGS
     assert by_kind["sensor"] == OF_SENSORS == {n for n, e in CATALOGUE.items() if e.acts_on == "sensor"}
     assert by_kind["vehicle"] == set(NAMES) - OF_SURROUNDINGS - OF_SENSORS
-    assert {e.belongs_to for e in CATALOGUE.values() if vars(type(e)).get("belongs_to") is None} == set()
 
 
 def test_the_film_of_a_plate_is_well_within_the_plausible_ones():
@@ -181,12 +176,17 @@ def test_an_uncompilable_effect_runs_as_long_as_its_table_lives(tmp_path, torque
     assert [torque_by(table) for table in tables] == [1.0, 11.0, 21.0]
 
 
-def test_an_effects_own_state_follows_its_target_exactly(stepped):
-    tyres = CATALOGUE["roadwheel_tyres"]
-    active, memory = Active(tyres, {**tyres.values(), "rise": 2.0, "time_constant": 300.0}), new_memory(1)
+@pytest.mark.parametrize(("air", "rise", "thinning"), [(-30.0, 12.0, 0.07), (-5.0, 9.0, 0.05), (40.0, 1.0, 0.03)])
+def test_a_bearing_warms_until_it_gives_off_its_heat(stepped, air, rise, thinning):
+    bearing, at = CATALOGUE["viscous_bearing"], conditions(speed=8.0, ambient=air)
+    active, memory = Active(bearing, {**bearing.values(), "rise": rise, "thinning": thinning}), new_memory(1)
+    target, constant, _ = active.lag(at)
+    heat = rise * 8.0 * np.exp(-0.5 * thinning * (target - 20.0))
+    assert target - air == pytest.approx(heat, rel=0.04)
+    assert constant == pytest.approx(1000.0 / (1.0 + 0.5 * thinning * heat), rel=0.04)
     for i in range(100):
-        stepped([active], conditions(speed=5.0, ambient=10.0), memory, dt=7.0 if i else 0.0)
-        assert memory[FIRST_OWN] == pytest.approx(10.0 + 10.0 * (1.0 - np.exp(-7.0 * i / 300.0)), rel=1e-12)
+        stepped([active], at, memory, dt=7.0 if i else 0.0)
+        assert memory[FIRST_OWN] == pytest.approx(air + (target - air) * (1.0 - np.exp(-7.0 * i / constant)), rel=1e-12, abs=1e-9)
 
 
 @pytest.mark.parametrize(

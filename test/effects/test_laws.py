@@ -120,6 +120,7 @@ def check(estimator, row, parts, accel, grade, stood):
 @settings(max_examples=60, deadline=None)
 @given(states())
 @example(([], [], {"inertia"}, {"load": 0.3 * VEHICLE.weight, "accel": 5.0}, [8.0]))
+@example(([Active(Nasty({"torque": 3000.0}, None, False, ("speed",)), {"size": 1.0})], ["vehicle"], set(PARTS), {}, [0.0]))
 def test_live_feedforward_is_zero_at_rest_and_outputs_are_finite(state):
     effects, where, parts, known, speeds = state
     estimator = made(effects, where, parts)
@@ -162,14 +163,6 @@ def test_what_says_nothing_usable_is_left_out_and_that_is_said(says):
         rows.append(np.array([e.row[: at.Results.reasons] for e in estimates]))
         assert all(bool(e.reasons & at.Reason.EFFECT_LEFT_OUT) == (estimator is without) for e in estimates)
     np.testing.assert_array_equal(rows[0], rows[1])
-
-
-@pytest.mark.parametrize("where", ["vehicle", "surroundings"])
-def test_feedforward_is_zero_at_standstill_for_any_effect(where):
-    pushing = Active(Nasty({"torque": 3000.0, "loss_factor": 50.0}, None, False, ("speed",)), {"size": 1.0})
-    (with_it, driven), (without, driven_without) = fed([pushing], [where], PARTS, 0.0)
-    assert with_it == without == 0.0
-    assert driven - driven_without == pytest.approx(3000.0)
 
 
 def fed(effects, where, parts, speed, **known):

@@ -3,7 +3,9 @@
 
 """Grease and oil in bearings are stiff when cold, and have a temperature of their own.
 
-A. Palmgren: Ball and Roller Bearing Engineering, 3rd ed., Burbank 1959; the temperature of the bearing is ours.
+A. Palmgren: Ball and Roller Bearing Engineering, 3rd ed., Burbank 1959. The temperature of the bearing is ours: it is warmed by
+all of its friction. Where that is half of the grease and half of the load, its heat falls half as steeply as the viscosity.
+The state settles as it does near its target. In very cold grease it lags the exact balance by up to a quarter of the rise.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import math
 from trackres_ros.effects.effect import Conditions, Effect, Lag, Parameter, Terms, Values
 
 REFERENCE_DEGC = 20.0
+HEAT_FALLS = 0.5
 MOVING_MPS = 0.3
 SLOWER_AT_REST = 4.0  # film of McAdams, 5.9 + 3.7 v W/(m^2 K), and 5 of radiation: 48 at 10 m/s, 11 at rest
 
@@ -29,13 +32,16 @@ class ViscousBearing(Effect):
     parameters = (
         Parameter("coefficient", "Nm/(m/s)^(2/3)", 0.0, 400.0, 54.0, "drag at 20 degC", off=0.0, of_size=True),
         Parameter("thinning", "1/K", 0.03, 0.07, 0.05, "fall of viscosity with temperature"),
-        Parameter("rise", "K/(m/s)", 0.0, 5.0, 1.5, "warming of the bearing with speed", more_starts=(0.2,)),
-        Parameter("time_constant", "s", 200.0, 4000.0, 1000.0, "of the bearing's temperature while driving"),
+        Parameter("rise", "K/(m/s)", 0.0, 12.0, 1.5, "warming with speed, by friction as at 20 degC", more_starts=(0.2, 8.0)),
+        Parameter("time_constant", "s", 200.0, 4000.0, 1000.0, "of its temperature while driving, if the friction stayed"),
     )
 
     def lag(self, at: Conditions, p: Values) -> Lag:
         slower = 1.0 if abs(at.speed) > MOVING_MPS else SLOWER_AT_REST
-        return Lag(at.ambient + p.rise * abs(at.speed), slower * p.time_constant, at.ambient)
+        falls = HEAT_FALLS * p.thinning
+        x = math.log1p(falls * p.rise * abs(at.speed) * math.exp(-falls * (at.ambient - REFERENCE_DEGC)))
+        w = x * (1.0 - math.log1p(x) / (2.0 + x))  # Lambert's function to 2 % (S. Winitzki 2003): heat and cooling are equal
+        return Lag(at.ambient + w / falls, slower * p.time_constant / (1.0 + w), at.ambient)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         thinned = math.exp(-p.thinning * (at.own - REFERENCE_DEGC))
