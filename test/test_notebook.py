@@ -45,6 +45,7 @@ def test_it_runs_and_finds_what_it_hides(notebook, tmp_path, monkeypatch, capsys
     for module in NEEDED:
         pytest.importorskip(module)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("trackres_ros.diagnosis.report.pictures.draw_all", lambda *_: [])  # see test/diagnosis/test_pictures.py
     names, shown = run(notebook)
     for kind in ("SimulationResult", "Recording", "ReplayResult", "DiagnosisResult", "DataFrame", "DataArray"):
         assert shown[kind]._repr_html_(), kind

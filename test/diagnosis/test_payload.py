@@ -22,7 +22,7 @@ from trackres_ros.files.resources import config_dir
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 
 STRETCH_S, STILL_S = 90, 15
-MINUTES, FITTED_S = 30.0, 1400.0
+MINUTES, FITTED_S = 20.0, 940.0
 NOISE_NM, NOISE_PHI = 40.0, 0.5
 SLOPE = 0.01
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The proof as separate processes, on one case, and how it is asked for."""
+"""The steps of the proof on one case, and how it is asked for."""
 
 import json
 import os
@@ -20,7 +20,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.evaluation.learned import cases as learned
 from trackres_ros.evaluation.learned import generate as learned_generate
 from trackres_ros.evaluation.learned import score as learned_score
-from trackres_ros.evaluation.processes import each, show_count, write_sealed
+from trackres_ros.evaluation.processes import call, each, show_count, write_sealed
 from trackres_ros.evaluation.sealed import earlier, score
 from trackres_ros.evaluation.sealed.cases import draw_cases
 from trackres_ros.evaluation.sealed.oracle import LEAST_GAIN
@@ -41,7 +41,7 @@ def process(module, *arguments):
 
 
 @pytest.mark.long
-def test_the_labels_are_opened_only_by_the_score(tmp_path):
+def test_the_labels_are_opened_only_by_the_score(tmp_path, capsys):
     said = process("generate", tmp_path, 7, 5, "outside=1")
     seal = (tmp_path / "seal.txt").read_text().strip()
     assert seal in said
@@ -49,7 +49,7 @@ def test_the_labels_are_opened_only_by_the_score(tmp_path):
     assert {p.suffix for p in case.iterdir()} == {".csv", ".yaml"}
     away = tmp_path.parent / "away"
     (tmp_path / "sealed").rename(away)  # the diagnosis does without
-    process("blind", tmp_path / "cases", tmp_path / "results")
+    call("sealed.blind.main", str(tmp_path / "cases"), str(tmp_path / "results"))
     (result,) = (tmp_path / "results").iterdir()
     assert result.stem == case.name
     (tmp_path / "report.json").write_text(json.dumps(json.loads(result.read_text())["report"]))
@@ -58,7 +58,8 @@ def test_the_labels_are_opened_only_by_the_score(tmp_path):
         (tmp_path / "checkout" / "trackres_ros" / name).write_text(text)
     earlier.main(*(tmp_path / name for name in ("cases", "results_earlier", "checkout")))
     away.rename(tmp_path / "sealed")
-    assert seal in process("score", tmp_path)
+    call("sealed.score.main", str(tmp_path))
+    assert seal in capsys.readouterr().out
     (scores,) = json.loads((tmp_path / "scores.json").read_text())["cases"]
     assert scores["case"]["level"] == "outside"
     assert scores["answers"]["earlier"] == scores["answers"]["diagnosis"]  # the same version twice

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, load_base, read_recordings
+from trackres_ros.evaluation.field import live
 from trackres_ros.evaluation.field.bus import LONG_STRETCH_S, TOPICS, VEHICLE, mass_of_joined, missions
 from trackres_ros.evaluation.field.data import car
 from trackres_ros.evaluation.field.live import all_drives, live_errors
@@ -48,7 +49,9 @@ def test_without_altitude_a_bus_diagnosis_names_only_the_slope():
 
 @pytest.mark.long
 @pytest.mark.skipif(not missions(DATA), reason="no recording of the bus on this machine")
-def test_learned_streets_halve_the_error_in_the_rest_of_a_drive(tmp_path):
+def test_learned_streets_halve_the_error_in_the_rest_of_a_drive(tmp_path, good, monkeypatch):
+    quick = {"diagnose": ("--quick", "--no-page"), "replay": ()}
+    monkeypatch.setattr(live, "run_command", lambda command, *words: good(command, *words, *quick[command]))
     of_bus = next(all_drives(DATA, tmp_path))
     errors = {e.what: e.error_nm for e in live_errors(of_bus, tmp_path)}
     assert errors["vehicle.yaml and surroundings.yaml"] < 0.5 * errors["the shipped vehicle file"]
