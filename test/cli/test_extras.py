@@ -90,10 +90,12 @@ def test_without_any_of_them_the_rest_works(tmp_path):
         ("explain", "--vehicle", "agri3t", "--speed-kmh", "5", "--belt-degc", "20"),
         ("effects",),
     ]
+    (tmp_path / "out.png").touch()  # of earlier results
     for code, out, err, _ in without(OPTIONAL.split(), [([], words) for words in works], tmp_path):
         assert code == 0, err
         assert out, err
         assert "Traceback" not in err
+    assert not (tmp_path / "out.png").exists()
 
 
 def into(stdout, stderr, *words):
