@@ -90,15 +90,6 @@ def test_topics_parameters_services_and_lifecycle_as_typed(cyclone, wire):
     assert shell.end(node) == 0
 
 
-def test_two_publishers_and_a_wrong_type_are_seen(shell):
-    node = shell.estimator()
-    shell.start(ROS2, "topic", "pub", *SPEED)
-    shell.start(ROS2, "topic", "pub", *SPEED)
-    shell.start(ROS2, "topic", "pub", "/load", "std_msgs/msg/Float32", "{data: 1.0}", "-r", "5")
-    wait(lambda: "2 publishers on /speed" in node.said(), node)
-    wait(lambda: "std_msgs/msg/Float32" in node.said(), node)
-
-
 def test_a_bad_start_ends_with_code_2_or_waits_to_be_configured(cyclone):
     bad = cyclone.begin_estimator(vehicle="nonsense")
     assert exit_code(bad) == 2

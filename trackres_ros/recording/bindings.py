@@ -18,7 +18,7 @@ from trackres_ros.files.resources import find_topics
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.recording.binding import IN_DEGREES, TopicBinding, field_steps, message_type
 from trackres_ros.recording.role_units import UNITS, Conversion, conversion
-from trackres_ros.recording.roles import POSITION, ROLES, base_role, is_part
+from trackres_ros.recording.roles import POSITION, ROLES, base_role, names_a_part
 
 KEYS = (
     "topic", "type", "field", "column", "channel", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s",
@@ -137,7 +137,7 @@ def _check_role(role: object, origin: str) -> None:
     if slash and not ROLES[base].parts:
         parts = ", ".join(name for name, about in ROLES.items() if about.parts)
         raise InputError(f"{origin}: role", role, f"a name of an axle, assembly or wheel only for {parts}", f"write {base}")
-    if slash and not is_part(part):
+    if slash and not names_a_part(part):
         raise InputError(f"{origin}: role", role, f"{base}/NAME with the name of an axle, assembly or wheel")
 
 

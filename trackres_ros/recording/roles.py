@@ -98,6 +98,6 @@ def base_role(role: str) -> str:
     return role.partition("/")[0]
 
 
-def is_part(name: str) -> bool:
+def names_a_part(name: str) -> bool:
     """Whether a role may end in this name of an axle, assembly or wheel, in a topics file as in a table."""
     return bool(name) and name.isprintable()

@@ -250,13 +250,18 @@ def _torque(grid: _Grid) -> tuple[list[tuple[Array, Array]], Array, Mask, float]
 
 
 def _load(grid: _Grid) -> tuple[Array, Array, Array]:
-    """Weight of the whole vehicle, measured or the file's plus that of passengers, theirs [N], and their number."""
+    """Weight of the whole vehicle, from its load or from loads of axles and assemblies; where unknown, the vehicle file's with
+    counted passengers. The weight of passengers where no load is recorded [N], and their number.
+    """
     passengers = grid.known("passengers", carried(*grid.samples("passengers"), grid.edges))
-    kg_each, none = grid.settings.passenger_kg, np.zeros(grid.count)
-    payload = np.nan_to_num(passengers) * kg_each * GRAVITY if "passengers" in grid.given else none
-    weight = _weight(grid, payload)
-    if "load" in grid.given:
-        payload = none
+    kg_each, nominal = grid.settings.passenger_kg, grid.settings.weight
+    payload = np.nan_to_num(passengers) * kg_each * GRAVITY
+    weight = nominal + payload
+    if known := {r: grid.held(r, np.nan) for r in grid.series if base_role(r) == "load" and grid.has(r)}:
+        grid.given.add("load")
+        total = grid.settings.total_load(known, payload)
+        weight = np.where(np.isfinite(total) & (total > 0.1 * nominal), total, weight)
+        payload = np.zeros(grid.count)
         if "passengers" in grid.given:
             grid.notes.append(f"{grid.name}: the weight comes from the load channel, which is assumed to include the passengers")
     elif "passengers" in grid.given:
@@ -360,16 +365,3 @@ def _way(grid: _Grid, speed: _Speed) -> Way:
     driven = Cumulative.of(speed.at, np.abs(speed.raw))
     latitude, longitude = _position(grid.series, grid.start, fine)
     return Way(latitude, longitude, np.interp(middles(fine), driven.at, driven.integral))
-
-
-def _weight(grid: _Grid, payload: Array) -> Array:
-    """Weight of the whole vehicle [N], from its load or from loads of axles and assemblies; where unknown, the vehicle file's and
-    a counted payload [N].
-    """
-    nominal = grid.settings.weight
-    known = {r: grid.held(r, np.nan) for r in grid.series if base_role(r) == "load" and grid.has(r)}
-    if not known:
-        return nominal + payload
-    grid.given.add("load")
-    total = grid.settings.total_load(known, payload)
-    return np.where(np.isfinite(total) & (total > 0.1 * nominal), total, nominal + payload)

@@ -57,7 +57,9 @@ class GateSettings:
         total = np.zeros_like(unknown)
         for axle, nominal in self.axles.items():
             own, *each = (known.get(f"load/{name}", unknown) for name in (axle, *nominal))
-            whole = np.sum([np.where(np.isfinite(x), x, load * loaded) for x, load in zip(each, nominal.values(), strict=True)], axis=0)
+            whole = np.sum(
+                [np.where(np.isfinite(x), x, load * loaded) for x, load in zip(each, nominal.values(), strict=True)], axis=0
+            )
             total += np.where(np.isfinite(own), own, whole)
         return total
 

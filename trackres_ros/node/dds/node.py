@@ -99,11 +99,10 @@ class DdsNode:
         if index == 0:  # the first of a round
             self._publications = list(self._participant.publications())
         connected, name, kind = self._readers[index].connected, self._input_names[index], self.application.inputs[index].type
-        return [
-            Peer(found.type, found.handle in connected, found.type != kind or found.type_hash in (b"", type_hash(kind)))
-            for found in self._publications
-            if found.topic == name
-        ]
+        there = [found for found in self._publications if found.topic == name]
+        others = {found.handle for found in there if found.type == kind and b"typehash=" in found.user_data}
+        others -= {found.handle for found in there if type_hash(kind) in found.user_data}
+        return [Peer(found.type, found.handle in connected, found.handle not in others) for found in there]
 
     def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
         """Record every message, including those of other topics."""

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -48,7 +47,7 @@ class Publication:
     topic: str
     type: str
     handle: int  # as in `TopicReader.connected`
-    type_hash: bytes  # as in `wire.type_hash`; empty if it announces none
+    user_data: bytes  # from ROS 2 as of `wire.type_hash`
 
 
 class Writer:
@@ -154,7 +153,7 @@ class Participant:
                 self._known.pop(handle, None)
             elif found.topic_name.startswith(TOPIC_PREFIX):
                 name, kind = "/" + found.topic_name.removeprefix(TOPIC_PREFIX), ros_type_name(found.type_name)
-                self._known[handle] = Publication(name, kind, handle, _hash_in(found.qos))
+                self._known[handle] = Publication(name, kind, handle, getattr(found.qos[Policy.Userdata], "data", b""))
         yield from self._known.values()
 
     def close(self) -> None:
@@ -166,12 +165,6 @@ def serialized(message: Any, kind: str) -> bytes:
     """A message as CDR, padded to whole words for the middleware."""
     raw = bytes(typestore().serialize_cdr(message, kind))
     return raw + b"\0" * (-len(raw) % ALIGNMENT)
-
-
-def _hash_in(announced: Qos) -> bytes:
-    data = announced[Policy.Userdata]
-    found = re.search(rb"typehash=[^;]*;", data.data) if data else None
-    return found[0] if found else b""
 
 
 def _gid(entity: Any) -> Any:
