@@ -618,7 +618,7 @@ def test_a_path_of_another_type_is_refused(replayed):
 @pytest.mark.parametrize(("function", "name"), NUMERIC)
 def test_a_numeric_argument_refuses_what_is_no_such_number(tmp_path, monkeypatch, function, name):
     monkeypatch.chdir(tmp_path)
-    no_numbers = () if name == "holdout" else ("30", "", [1.0])  # which takes names too
+    no_numbers = ("",) if name == "holdout" else ("30", "", [1.0])  # which takes names too
     if inspect.signature(getattr(tr, function)).parameters[name].default is not None:
         no_numbers += (None,)
     for bad in (math.nan, math.inf, -math.inf, True, 1e300, 10**400, np.float32("nan"), np.int64(-(2**60)), *no_numbers):

@@ -90,10 +90,14 @@ def test_without_any_of_them_the_rest_works(tmp_path):
         ("explain", "--vehicle", "agri3t", "--speed-kmh", "5", "--belt-degc", "20"),
         ("effects",),
     ]
-    for code, out, err, _ in without(OPTIONAL.split(), [([], words) for words in works], tmp_path):
+    for number in (1, 2):  # with a picture of earlier results
+        (tmp_path / str(number)).mkdir()
+        (tmp_path / str(number) / "out.png").touch()
+    for code, out, err, made in without(OPTIONAL.split(), [([], words) for words in works], tmp_path):
         assert code == 0, err
         assert out, err
         assert "Traceback" not in err
+        assert "out.png" not in made
 
 
 def into(stdout, stderr, *words):

@@ -28,8 +28,8 @@ def drive(folder, **columns):
     return written(folder / "drive.csv", table, "%.17g")
 
 
-def gated(folder, topics=None, friction_brakes=True, hide=(), **columns):
-    known = GateSettings(EMPTY_KG * GRAVITY, 20.0, 15.0, friction_brakes)
+def gated(folder, topics=None, friction_brakes=True, hide=(), axles=(), **columns):
+    known = GateSettings(EMPTY_KG * GRAVITY, 20.0, 15.0, friction_brakes, axles=dict(axles))
     return gate([tr.read(drive(folder, **columns), topics=topics)], known, hide)
 
 
@@ -73,6 +73,10 @@ def test_passengers_are_carried_on_and_weigh(tmp_path):
     loaded = gated(tmp_path, passengers=count, weight_n=np.full(SECONDS, 200e3)).sessions[0]
     np.testing.assert_allclose(loaded.weight, 200e3)
     assert not loaded.payload.any()
+    axles = {name: {name: share * EMPTY_KG * GRAVITY} for name, share in (("front", 0.3), ("rear", 0.7))}
+    rear = {"weight_n/rear": np.full(SECONDS, 150e3)}
+    partly = gated(tmp_path, passengers=count, axles=axles, **rear).sessions[0]
+    np.testing.assert_allclose(partly.weight, 150e3 + 0.3 * session.weight)
 
 
 @pytest.mark.parametrize("of", ["front", "front rear", "front_left", "front rear_left", "front front_left", "left right"])

@@ -163,6 +163,8 @@ def test_blocks_count_through_and_the_split_takes_all(gated):
     for wrong in ("nothing", 0, 10_000):
         with pytest.raises(InputError, match="holdout"):
             split(gated.sessions, [wrong] if isinstance(wrong, str) else wrong)
+    with pytest.raises(InputError, match=r"or laps by name, such as '.*: \d+'"):
+        split([*gated.sessions, *gated.sessions], 1 + 2 * len(gated.sessions))
 
 
 @pytest.mark.parametrize("parked", range(0, 15, 3))

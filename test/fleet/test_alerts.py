@@ -338,9 +338,12 @@ def test_a_row_without_the_digest_of_its_values_is_compared(dataset):
 
 
 @pytest.mark.parametrize(("day", "whole"), [("2025-06-1", False), ("2025-06", True), ("2025", True), ("2025-06-17", True)])
-def test_a_beginning_of_a_day_is_a_year_a_month_or_a_day(dataset, day, whole):
+@pytest.mark.parametrize("vehicle", ["worn", "depot:worn@2025"])
+def test_a_beginning_of_a_day_is_a_year_a_month_or_a_day(dataset, day, whole, vehicle):
+    for number in range(3):
+        dataset.put({**row("worn", number), "vehicle": vehicle}, None)
     assert row("worn", 1)["day"] == "2025-06-17"
-    side = f"{dataset.folder}:worn"
+    side = f"{dataset.folder}:{vehicle}"
     if whole:
         assert f"@{day} (" in compare(f"{side}@{day}", side)["one"]
     else:

@@ -166,6 +166,9 @@ def test_peers_are_remarked(desk):
     d.drive(1.5)
     assert {"SEVERAL_PUBLISHERS", "WRONG_TYPE"} <= d.names()
     assert [notice.text.split(":")[0] for notice in d.app.notices() if notice.name == "INCOMPATIBLE_QOS"] == ["ambient"]
+    d.found_peers = {"speed": (Peer(TWIST, True), Peer(TWIST, True, defines_alike=False))}
+    d.drive(2.5)
+    assert {"WRONG_TYPE", "SPEED_OLD"} <= d.names()
     all_there(d)
     d.drive(3.0, load=270e3, ambient=10.0)
     assert d.names() <= {"COMPILING"}

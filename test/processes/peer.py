@@ -124,7 +124,8 @@ class Publisher:
         self.kind = kind
         self.sent = 0
         topic = Topic(wire.participant, f"rt{topic}", struct or struct_of(kind))
-        self._writer = DataWriter(wire.participant, topic, qos=_qos(reliable, depth, deadline_s, latched))
+        another_hash = Qos(Policy.Userdata(b"typehash=RIHS01_" + b"63" * 32 + b";")) if struct else Qos()
+        self._writer = DataWriter(wire.participant, topic, qos=_qos(reliable, depth, deadline_s, latched) + another_hash)
 
     def publish(self, **fields):
         """Publish a message with these fields."""

@@ -90,15 +90,6 @@ def test_topics_parameters_services_and_lifecycle_as_typed(cyclone, wire):
     assert shell.end(node) == 0
 
 
-def test_two_publishers_and_a_wrong_type_are_seen(shell):
-    node = shell.estimator()
-    shell.start(ROS2, "topic", "pub", *SPEED)
-    shell.start(ROS2, "topic", "pub", *SPEED)
-    shell.start(ROS2, "topic", "pub", "/load", "std_msgs/msg/Float32", "{data: 1.0}", "-r", "5")
-    wait(lambda: "2 publishers on /speed" in node.said(), node)
-    wait(lambda: "std_msgs/msg/Float32" in node.said(), node)
-
-
 def test_a_bad_start_ends_with_code_2_or_waits_to_be_configured(cyclone):
     bad = cyclone.begin_estimator(vehicle="nonsense")
     assert exit_code(bad) == 2
@@ -206,17 +197,6 @@ def test_the_edge_without_ros_is_seen_by_ros(shell):
     shell.start(ROS2, "topic", "pub", *SPEED)
     wait(lambda: "/trackres" in shell.ros2("node", "list", "--no-daemon"))
     wait(lambda: "/trackres/resistance_torque [sensor_msgs/msg/JointState]" in shell.ros2("topic", "list", "-t", "--no-daemon"))
-    info = ""
-
-    def informed():
-        nonlocal info
-        info = shell.ros2("topic", "info", "-v", "/trackres/feedforward_torque", "--no-daemon", check=False)
-        return "Node name: trackres" in info
-
-    wait(informed)
-    assert "Topic type hash: RIHS01_" in info
-    assert "Deadline: 200000000 nanoseconds" in info
-    assert "Reliability: RELIABLE" in info
     assert float(shell.ros2("topic", "echo", "--once", "--field", "data", *NUMBER).split()[0]) > 1000.0
     hz = shell.start(ROS2, "topic", "hz", "/trackres/feedforward_torque")
     wait(lambda: "average rate" in hz.said(), hz)

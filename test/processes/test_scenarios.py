@@ -162,6 +162,8 @@ def test_another_definition_of_the_same_type(well):
     for _ in range(20):
         other.publish_raw(b"\0\1\0\0" + b"\xff" * 4)
         well.drive(0.05)
+    well.noticed("WRONG_TYPE", meanwhile=lambda: well.drive(0.3))
+    well.until(lambda: well.torques()[-1] == 0.0, "no feed-forward", meanwhile=lambda: well.drive(0.3))
     other.close()
 
 

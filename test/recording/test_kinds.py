@@ -47,9 +47,10 @@ def files(tmp_path_factory):
     """Path and topics of the drive by kind."""
     folder = tmp_path_factory.mktemp("drives")
     known = folder / "known.csv"
-    rows = [[*row, None if row[3] is None else 40.0] for row in Drive().rows()]
+    rows = [[*row, None if row[3] is None else 40.0, row[1]] for row in Drive().rows()]
     lines = [",".join("" if cell is None else repr(cell) for cell in row) for row in rows]
-    known.write_text("\n".join(["time_s,speed_kmh,weight_n,ambient_degc,torque_nm,belt_degc/rear_left", *lines, ""]))
+    names = "time_s,speed_kmh,weight_n,ambient_degc,torque_nm,belt_degc/rear_left,wheel_speed_mps/axle 2: left #1"
+    known.write_text("\n".join([names, *lines, ""]))
     return {kind: write(kind, folder) for kind in KINDS} | {"known names": (known, Topics({}))}
 
 

@@ -102,11 +102,12 @@ def to_nowhere() -> None:
 
 
 @contextmanager
-def picture_if_possible() -> Iterator[None]:
-    """Draw a picture beside results that are of use without it: a missing library is a note."""
+def picture_if_possible(picture: Path) -> Iterator[None]:
+    """Draw a picture beside results that are of use without it: a missing library is a note, and an earlier picture goes."""
     try:
         yield
     except MissingExtraError as error:
+        picture.unlink(missing_ok=True)
         click.echo(f"trackres: no picture: {error}", err=True)
 
 

@@ -94,7 +94,7 @@ def sweep_command(
     if file is not None and picture is not None:
         write_table(file, found.columns)
         written.append(str(file))
-        with picture_if_possible():
+        with picture_if_possible(picture):
             needs("a picture", "plots", "matplotlib")
             written.append(str(draw(found, picture)))
     emit({**found.as_dict(), "written": written}, as_json, lambda: with_written(found.text(), written))

@@ -73,7 +73,7 @@ def replay_command(
     with progress("replaying", None) as advance:
         result = tr.replay(recording, described, output=output, progress=advance, **asked)
     written = [str(path) for path in result.written]
-    with picture_if_possible():
+    with picture_if_possible(picture):
         result.plot(picture)
         written.append(str(picture))
     emit(

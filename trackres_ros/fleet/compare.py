@@ -3,6 +3,7 @@
 
 """Compares two days, vehicles, reports or designs: differences beyond their uncertainty."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -147,12 +148,12 @@ def compare_text(found: Mapping[str, Any]) -> str:
 
 def side(given: str) -> Side:
     """Result of a name: see `ALLOWED`. Raises InputError if it is none of those."""
-    folder, vehicle, day = _parts(given)
-    if (folder / ROWS).is_dir():
-        return _of_fleet(folder, vehicle, day, given)
-    if not Path(given).exists() and (vehicle or day):
-        raise InputError(given, f"no results of a fleet in {folder}", ALLOWED)
-    path = Path(given)
+    path, marks = Path(given), [mark.start() for mark in re.finditer("[:@]", given)]
+    for end in (len(given), *reversed(marks)):
+        if end and (Path(given[:end]) / ROWS).is_dir():
+            return _of_fleet(Path(given[:end]), given[end:], given)
+    if marks and not path.exists():
+        raise InputError(given, f"no results of a fleet in {given[: marks[0]]}", ALLOWED)
     if (path / REPORT).is_file() or path.name == REPORT:
         return _of_report(path / REPORT if path.is_dir() else path)
     if path.is_dir():
@@ -165,19 +166,14 @@ def side(given: str) -> Side:
         raise
 
 
-def _parts(given: str) -> tuple[Path, str, str]:
-    """Folder, vehicle and day, month or year of DIR:VEHICLE@DAY."""
-    if (Path(given) / ROWS).is_dir():
-        return Path(given), "", ""
-    rest, _, day = given.rpartition("@") if "@" in given else (given, "", "")
-    folder, _, vehicle = rest.rpartition(":") if ":" in rest else (rest, "", "")
-    return Path(folder or rest), vehicle, day
-
-
-def _of_fleet(folder: Path, vehicle: str, day: str, given: str) -> Side:
+def _of_fleet(folder: Path, which: str, given: str) -> Side:
+    """`which`: the end of DIR:VEHICLE@DAY, with a day, month or year."""
     rows, _ = without_overlaps(without_copies(FleetDataset.existing(folder).rows([*TEXTS, *NUMBERS]))[0])
     good = [row for row in rows if row["status"] == "good"]
     names = sorted({row["vehicle"] for row in good})
+    vehicle, day = which.removeprefix(":"), ""
+    if "@" in which and vehicle not in names:
+        vehicle, _, day = vehicle.rpartition("@")
     if vehicle and vehicle not in names:
         raise InputError(given, vehicle, f"one of {some_of(names)}", nearest(vehicle, names))
     of_vehicle = [row for row in good if vehicle in ("", row["vehicle"])]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from itertools import chain
 from operator import attrgetter
 from typing import NamedTuple
@@ -50,6 +50,7 @@ class MessageHandler:
     def __init__(self, inputs: Sequence[InputTopic], reader: InputReader, clock: NodeClock, guard: Guard, use: UseSample) -> None:
         self.reader = reader
         self.keep_raw: KeepMessage | None = None  # where all messages are recorded
+        self.misread: Collection[int] = ()  # inputs with a publisher that has another definition of the type
         self._clock, self._guard, self._use = clock, guard, use
         self._widths = [len(given.roles) for given in inputs]
         self._is_speed = ["speed" in given.roles for given in inputs]
@@ -84,6 +85,9 @@ class MessageHandler:
         raw: bytes | None = None,
     ) -> None:
         """Process values that a transport has read from a message of an input topic; see `InputReader.samples`."""
+        if index in self.misread:
+            self.keep(index, raw, arrived)
+            return
         message = Arrived(sent_ns, *(arrived or self._clock.arrival()), index, stamp_ns, values, raw)
         self._guard.essential("taking a message", self._receive, message)
 

@@ -47,6 +47,7 @@ class Peer:
 
     type: str  # ``package/msg/Name``
     compatible: bool  # whether it fits the input; otherwise it never connects
+    defines_alike: bool = True  # whether its definition of the type is ours, as far as it announces one
 
 
 Reasons = tuple[tuple[str, Level], ...]

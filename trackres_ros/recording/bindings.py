@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -19,7 +18,7 @@ from trackres_ros.files.resources import find_topics
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.recording.binding import IN_DEGREES, TopicBinding, field_steps, message_type
 from trackres_ros.recording.role_units import UNITS, Conversion, conversion
-from trackres_ros.recording.roles import POSITION, ROLES, base_role
+from trackres_ros.recording.roles import POSITION, ROLES, base_role, names_a_part
 
 KEYS = (
     "topic", "type", "field", "column", "channel", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s",
@@ -44,7 +43,6 @@ BOTH = "position"
 """The line for latitude and longitude of one message."""
 OF_BOTH = ("topic", "type", "field", "stamp", "max_age_s", "unit")
 """Its keys: the field is the parent of the two."""
-PART = re.compile(r"[A-Za-z0-9_\-]+")
 MOST_DELAY_S = 10.0
 MOST_KG_EACH = 500.0  # with luggage
 LARGEST = 1e300  # an integer may be larger than any float
@@ -139,7 +137,7 @@ def _check_role(role: object, origin: str) -> None:
     if slash and not ROLES[base].parts:
         parts = ", ".join(name for name, about in ROLES.items() if about.parts)
         raise InputError(f"{origin}: role", role, f"a name of an axle, assembly or wheel only for {parts}", f"write {base}")
-    if slash and not PART.fullmatch(part):
+    if slash and not names_a_part(part):
         raise InputError(f"{origin}: role", role, f"{base}/NAME with the name of an axle, assembly or wheel")
 
 

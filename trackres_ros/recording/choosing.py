@@ -14,7 +14,7 @@ from trackres_ros.recording.bindings import TIME, Topics, inside_unit
 from trackres_ros.recording.channel_file import Channel, ChannelFile, ChosenChannel
 from trackres_ros.recording.guess import guess_channels, note_of_parts, topics_line, words
 from trackres_ros.recording.role_units import UNITS, conversion, is_quantity
-from trackres_ros.recording.roles import POSITION, ROLES, base_role
+from trackres_ros.recording.roles import POSITION, ROLES, base_role, names_a_part
 from trackres_ros.text.numbers import some_of
 
 TIME_S = "time_s"
@@ -185,7 +185,7 @@ def _known(file: ChannelFile, by_file: frozenset[str], names: _Names, notes: lis
             continue
         role, unit = COLUMNS[base][0] + slash + part, COLUMNS[base][1]
         about = ROLES[base_role(role)]
-        if role in by_file or (slash and not (part and about.parts)):
+        if role in by_file or (slash and not (names_a_part(part) and about.parts)):
             continue
         if role in columns:
             given = f"columns {columns[role].name} and {name}"

@@ -220,7 +220,7 @@ def topics_line(role: str, binding: TopicBinding) -> str:
         line |= {"scale": binding.scale, "offset": binding.offset}
     if base_role(role) == "belt":  # as it is read now: that of a line without it is the surface
         line["sensor"] = binding.sensor or "mean"
-    return f"{role}: {in_a_line(line)}"
+    return in_a_line({role: line})[1:-1]
 
 
 def in_a_line(content: object) -> str:

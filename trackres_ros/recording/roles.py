@@ -96,3 +96,8 @@ BRAKE_ON_PA = 10e3
 def base_role(role: str) -> str:
     """Return the role without its axle or assembly: ``load`` of ``load/front``."""
     return role.partition("/")[0]
+
+
+def names_a_part(name: str) -> bool:
+    """Whether a role may end in this name of an axle, assembly or wheel, in a topics file as in a table."""
+    return bool(name) and name.isprintable()

@@ -250,17 +250,24 @@ def _torque(grid: _Grid) -> tuple[list[tuple[Array, Array]], Array, Mask, float]
 
 
 def _load(grid: _Grid) -> tuple[Array, Array, Array]:
-    """Weight of the whole vehicle, measured or the file's plus that of passengers, theirs [N], and their number."""
-    weight, payload = _weight(grid), np.zeros(grid.count)
+    """Weight of the whole vehicle, from its load or from loads of axles and assemblies; where unknown, the vehicle file's with
+    counted passengers. The weight of passengers where no load is recorded [N], and their number.
+    """
     passengers = grid.known("passengers", carried(*grid.samples("passengers"), grid.edges))
-    if "passengers" in grid.given and "load" in grid.given:
-        grid.notes.append(f"{grid.name}: the weight comes from the load channel, which is assumed to include the passengers")
+    kg_each, nominal = grid.settings.passenger_kg, grid.settings.weight
+    payload = np.nan_to_num(passengers) * kg_each * GRAVITY
+    weight = nominal + payload
+    if known := {r: grid.held(r, np.nan) for r in grid.series if base_role(r) == "load" and grid.has(r)}:
+        grid.given.add("load")
+        total = grid.settings.total_load(known, payload)
+        weight = np.where(np.isfinite(total) & (total > 0.1 * nominal), total, weight)
+        payload = np.zeros(grid.count)
+        if "passengers" in grid.given:
+            grid.notes.append(f"{grid.name}: the weight comes from the load channel, which is assumed to include the passengers")
     elif "passengers" in grid.given:
-        kg_each, first = grid.settings.passenger_kg, int(np.argmax(np.isfinite(passengers)))
+        first = int(np.argmax(np.isfinite(passengers)))
         empty = f"; treated as empty until the first count, {first * grid.step:.0f} s after the start" if first else ""
         grid.notes.append(f"{grid.name}: passengers of {kg_each:g} kg each are added to the empty vehicle{empty}")
-        payload = np.nan_to_num(passengers) * kg_each * GRAVITY
-        weight = weight + payload
     return weight, payload, passengers
 
 
@@ -358,14 +365,3 @@ def _way(grid: _Grid, speed: _Speed) -> Way:
     driven = Cumulative.of(speed.at, np.abs(speed.raw))
     latitude, longitude = _position(grid.series, grid.start, fine)
     return Way(latitude, longitude, np.interp(middles(fine), driven.at, driven.integral))
-
-
-def _weight(grid: _Grid) -> Array:
-    """Weight of the whole vehicle [N], from its load or from loads of axles and assemblies; where unknown, the vehicle file's."""
-    nominal = grid.settings.weight
-    known = {r: grid.held(r, np.nan) for r in grid.series if base_role(r) == "load" and grid.has(r)}
-    if not known:
-        return np.full(grid.count, nominal)
-    grid.given.add("load")
-    total = grid.settings.total_load(known)
-    return np.where(np.isfinite(total) & (total > 0.1 * nominal), total, nominal)

@@ -43,11 +43,12 @@ class GateSettings:
     has_belt: bool = False  # whether notes on belts apply
     axles: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # by axle, nominal loads of its assemblies [N]
 
-    def total_load(self, known: Mapping[str, Array]) -> Array:
+    def total_load(self, known: Mapping[str, Array], payload: Array | float = 0.0) -> Array:
         """Load of the whole vehicle [N], from loads of it, of axles or of assemblies by role, alike in shape, at least one.
 
-        Where that of an axle or assembly is unknown, it is the nominal one.
+        Where that of an axle or assembly is unknown, it is the nominal one with its share of a counted payload [N].
         """
+        loaded = 1.0 + payload / self.weight
         if "load" in known:
             return known["load"]
         if not known.keys() <= {f"load/{name}" for axle, of in self.axles.items() for name in (axle, *of)}:
@@ -56,7 +57,9 @@ class GateSettings:
         total = np.zeros_like(unknown)
         for axle, nominal in self.axles.items():
             own, *each = (known.get(f"load/{name}", unknown) for name in (axle, *nominal))
-            whole = np.sum([np.where(np.isfinite(x), x, load) for x, load in zip(each, nominal.values(), strict=True)], axis=0)
+            whole = np.sum(
+                [np.where(np.isfinite(x), x, load * loaded) for x, load in zip(each, nominal.values(), strict=True)], axis=0
+            )
             total += np.where(np.isfinite(own), own, whole)
         return total
 

@@ -65,7 +65,8 @@ def _chosen(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | No
         return _last_laps(sessions, [b for of in blocks for b in of], held_out)
     training = tuple(b for i, of in enumerate(blocks) if i not in chosen for b in of)
     if not training or not chosen:
-        raise InputError("--holdout", held_out, f"some, but not all, of the {len(sessions)} recordings")
+        allowed, lap = f"some, but not all, of the {len(sessions)} recordings", lap_name(sessions[-1], blocks[-1][-1])
+        raise InputError("--holdout", held_out, allowed, f"or laps by name, such as '{lap}'")
     text = f"held out: {', '.join(sessions[i].name for i in sorted(chosen))}"
     return Split(training, tuple(b for i in sorted(chosen) for b in blocks[i]), text)
 

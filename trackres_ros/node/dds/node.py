@@ -18,7 +18,7 @@ from trackres_ros.node.background import Background, ErrorLines
 from trackres_ros.node.clock import Arrival
 from trackres_ros.node.dds.messages import CdrInput, Fill, clock_ns, diagnostic_array, prepared
 from trackres_ros.node.dds.participant import Participant, TopicReader
-from trackres_ros.node.dds.wire import typestore
+from trackres_ros.node.dds.wire import type_hash, typestore
 from trackres_ros.node.endpoints import InputTopic, Quality, full_name, input_name, input_quality, output_quality
 from trackres_ros.node.inbox import Inbox
 from trackres_ros.node.parameter_file import LOOK_EVERY_S, ParameterFile
@@ -98,8 +98,11 @@ class DdsNode:
         """The publishers on the topic of an input."""
         if index == 0:  # the first of a round
             self._publications = list(self._participant.publications())
-        connected, name = self._readers[index].connected, self._input_names[index]
-        return [Peer(found.type, found.handle in connected) for found in self._publications if found.topic == name]
+        connected, name, kind = self._readers[index].connected, self._input_names[index], self.application.inputs[index].type
+        there = [found for found in self._publications if found.topic == name]
+        others = {found.handle for found in there if found.type == kind and b"typehash=" in found.user_data}
+        others -= {found.handle for found in there if type_hash(kind) in found.user_data}
+        return [Peer(found.type, found.handle in connected, found.handle not in others) for found in there]
 
     def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
         """Record every message, including those of other topics."""

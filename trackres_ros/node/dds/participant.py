@@ -47,6 +47,7 @@ class Publication:
     topic: str
     type: str
     handle: int  # as in `TopicReader.connected`
+    user_data: bytes  # from ROS 2 as of `wire.type_hash`
 
 
 class Writer:
@@ -152,7 +153,7 @@ class Participant:
                 self._known.pop(handle, None)
             elif found.topic_name.startswith(TOPIC_PREFIX):
                 name, kind = "/" + found.topic_name.removeprefix(TOPIC_PREFIX), ros_type_name(found.type_name)
-                self._known[handle] = Publication(name, kind, handle)
+                self._known[handle] = Publication(name, kind, handle, getattr(found.qos[Policy.Userdata], "data", b""))
         yield from self._known.values()
 
     def close(self) -> None:

@@ -92,6 +92,7 @@ def ros_type_name(name: str) -> str:
     return f"{package}/msg/{rest.removesuffix('_')}" if rest else name
 
 
+@cache
 def type_hash(name: str) -> bytes:
     """USER_DATA of an endpoint: the hash of its type."""
     return f"typehash={typestore().hash_rihs01(name)};".encode()

@@ -259,8 +259,17 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     def peers(self, index: int) -> Sequence[Peer]:
         """The publishers on the topic of an input."""
         given = self._inputs[index]
+        ours = {
+            found.topic_type: found.topic_type_hash
+            for found in self.get_subscriptions_info_by_topic(given.topic_name)
+            if (found.node_name, found.node_namespace) == (self.get_name(), self.get_namespace())
+        }
         return [
-            Peer(found.topic_type, qos_check_compatible(found.qos_profile, given.qos_profile)[0] != QoSCompatibility.ERROR)
+            Peer(
+                found.topic_type,
+                qos_check_compatible(found.qos_profile, given.qos_profile)[0] != QoSCompatibility.ERROR,
+                found.topic_type_hash.version <= 0 or found.topic_type_hash == ours.get(found.topic_type, found.topic_type_hash),
+            )
             for found in self.get_publishers_info_by_topic(given.topic_name)
         ]
 
