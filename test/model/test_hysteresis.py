@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.model import contact, hysteresis
@@ -29,7 +29,6 @@ K_RAINFLOW = math.pi / 16.0 * 1.5 ** (4.0 / 3.0)
 K_EXACT = K_RAINFLOW * 16.0 / math.pi**2
 
 temperatures = st.floats(-50.0, 120.0)
-few = settings(max_examples=40)
 both_methods = pytest.mark.parametrize("method", list(METHODS))
 
 
@@ -63,7 +62,6 @@ def test_the_factors_quoted_for_one_wheel():
     assert round(K_EXACT, 3) == 0.547
 
 
-@few
 @given(load=st.floats(2000.0, 20000.0), speed=st.floats(0.1, 20.0), belt_degc=temperatures)
 def test_rainflow_is_16_over_pi_squared_low_on_an_isolated_pulse(triangular, flat_rubber, load, speed, belt_degc):
     track = single_wheel(triangular)
@@ -73,7 +71,6 @@ def test_rainflow_is_16_over_pi_squared_low_on_an_isolated_pulse(triangular, fla
     assert float(exact / counted) == pytest.approx(16.0 / math.pi**2, rel=0.004)
 
 
-@few
 @given(load=st.floats(2000.0, 8000.0))
 def test_indentation_in_closed_form(triangular, flat_rubber, load):
     track = single_wheel(triangular)
@@ -219,7 +216,6 @@ def shipped(name, method, seen=None):
 
 
 @both_methods
-@few
 @given(data=st.data(), belt_degc=temperatures, speed=st.floats(0.0, 1.0))
 def test_the_loss_rises_with_load(vehicle, method, data, belt_degc, speed):
     loads = load_range(vehicle, next(iter(vehicle.tracks)))
@@ -231,7 +227,6 @@ def test_the_loss_rises_with_load(vehicle, method, data, belt_degc, speed):
 
 
 @both_methods
-@few
 @given(scale=st.floats(0.5, 1.9), belt_degc=temperatures, speed=st.floats(0.0, 16.0))
 def test_the_loss_rises_with_the_loss_modulus(xgd24d, method, scale, belt_degc, speed):
     """As long as the loss factor is under the square root of 3: beyond it the contact shrinks faster than the loss grows."""
@@ -244,7 +239,6 @@ def test_the_loss_rises_with_the_loss_modulus(xgd24d, method, scale, belt_degc, 
 
 
 @both_methods
-@few
 @given(speed=st.floats(0.01, 16.0), belt_degc=temperatures, share=st.floats(-0.2, 0.2))
 def test_reverse_is_the_mirror_image_of_forward(vehicle, mirrored, method, speed, belt_degc, share):
     """Which way the vehicle travels does not matter; a torque does by its sense, as tight and slack run change over."""
