@@ -49,18 +49,16 @@ def with_three_effects(vehicle: AnyVehicle) -> AnyVehicle:
     return dataclasses.replace(vehicle, effects=tuple(found))
 
 
-def measured(vehicle: AnyVehicle, single: bool, steps: int, rounds: int) -> dict[str, float]:
-    """Time and size of one export."""
+def measured(vehicle: AnyVehicle, folder: Path, single: bool, steps: int, rounds: int) -> dict[str, float]:
+    """Time and size of one export, which stays in a folder."""
     estimator = Estimator(vehicle)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        source, translated = written(estimator, folder, single)
-        loads = zip(estimator.assemblies, uneven_loads(estimator).tolist(), strict=False)
-        set_loads = " ".join(f"inputs.{in_c(source.inputs[f'load/{a}'])} = (trackres_real){load!r};" for a, load in loads)
-        build(folder, str(HERE / "export_step.c"), f"-DLOADS={set_loads}")
-        command = ["./program", str(steps), str(rounds)]
-        out = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
-        sizes = subprocess.run(["size", "step.o"], cwd=folder, check=True, capture_output=True, text=True).stdout
+    source, translated = written(estimator, folder, single)
+    loads = zip(estimator.assemblies, uneven_loads(estimator).tolist(), strict=False)
+    set_loads = " ".join(f"inputs.{in_c(source.inputs[f'load/{a}'])} = (trackres_real){load!r};" for a, load in loads)
+    build(folder, str(HERE / "export_step.c"), f"-DLOADS={set_loads}")
+    command = ["./program", str(steps), str(rounds)]
+    out = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
+    sizes = subprocess.run(["size", "step.o"], cwd=folder, check=True, capture_output=True, text=True).stdout
     each = [float(line.split()[0]) for line in out.splitlines()]
     most = [float(line.split()[1]) for line in out.splitlines()]
     width = 4 if single else 8
@@ -137,17 +135,14 @@ def run(steps: int = STEPS, rounds: int = ROUNDS, hours: float = 2.0) -> dict[st
     if not (shutil.which("cc") and shutil.which("size")):
         return {}
     result: dict[str, float] = {}
-    for name, vehicle, single in (
-        ("xgd24d", load_any("xgd24d"), False),
-        ("xgd24d with three effects", with_three_effects(load_any("xgd24d")), False),
-        ("xgd24d as float", load_any("xgd24d"), True),
-        ("ztbus_hess19", load_any("ztbus_hess19"), False),
-    ):
-        result |= {f"{name}: {what}": value for what, value in measured(vehicle, single, steps, rounds).items()}
-    with tempfile.TemporaryDirectory() as name:
-        exports = [Path(name, number) for number in ("double", "float")]
-        estimator = Estimator(load_any("xgd24d"))
-        names, _ = (written(estimator, folder, folder.name == "float")[0].columns for folder in exports)
+    vehicle, single = load_any("xgd24d"), "xgd24d as float"
+    vehicles = {"xgd24d": vehicle, "xgd24d with three effects": with_three_effects(vehicle), single: vehicle}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, one in {**vehicles, "ztbus_hess19": load_any("ztbus_hess19")}.items():
+            found = measured(one, Path(folder, name), name == single, steps, rounds)
+            result |= {f"{name}: {what}": value for what, value in found.items()}
+        exports = [Path(folder, name) for name in ("xgd24d", single)]
+        names = [name for name in Estimator(vehicle).columns if name != "reasons"]
         off = {"": of_float(exports, names, hours)}
         off |= {f"steady at {rate} Hz, ": of_steady(exports, names, rate, 2.0 * hours) for rate in (50, 1000)}
     return result | {f"xgd24d as float: {drive}{what}": value for drive, of in off.items() for what, value in of.items()}

@@ -190,6 +190,12 @@ def own(tmp_path):
 
 
 @pytest.fixture
+def undrawn(monkeypatch):
+    """Pictures are made, but not drawn: their files are empty."""
+    monkeypatch.setattr("trackres_ros.output.style.png_of", lambda _figure: b"")
+
+
+@pytest.fixture
 def drawn(monkeypatch):
     """`figures` as they are saved, and `faults(figure)`: what of one is cut off, collides or covers something."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg

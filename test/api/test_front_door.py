@@ -289,6 +289,7 @@ def test_arrays_of_results_are_the_callers_own(drive, replayed, xgd24d):
                 array[:] = 99
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("suffix", ["csv", "csv.gz", "mcap"])
 def test_what_is_saved_is_what_the_command_writes(drive, replayed, folder, suffix, printed):
     saved = replayed.save(folder / f"saved.{suffix}")

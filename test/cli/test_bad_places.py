@@ -138,6 +138,7 @@ def test_recordings_of_different_names_have_different_results(good, inputs, tmp_
     assert tables == [f"{name}_replay.parquet" for name in ("2025.06.19", "2025.06.22", "caf\\xe9", "caf\\xea")]
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".parquet", ".mf4", ".mcap"])
 def test_an_output_may_have_a_name_that_is_not_utf_8(good, inputs, tmp_path, suffix):
     out = tmp_path / (os.fsdecode(b"caf\xe9") + suffix)
@@ -156,6 +157,7 @@ def test_no_saved_result_replaces_an_input(inputs, monkeypatch):
     assert (inputs / "d.csv").read_bytes() == before
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_saved_state_replaces_only_a_state(good, inputs, tmp_path):
     state, out = tmp_path / "state", tmp_path / "x.csv"
     state.touch()  # an empty file is no loss

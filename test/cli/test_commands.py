@@ -48,6 +48,7 @@ def test_help_teaches_every_command(good):
     assert "trackres vehicle check" in good("vehicle", "check", "--help")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_unnamed_replay_writes_a_table_smaller_than_the_bag(folder, good, sample, monkeypatch):
     monkeypatch.chdir(folder)
     shown = good("replay", sample, "--vehicle", "xgd24d")
@@ -151,6 +152,7 @@ def test_vehicle_check_prints_what_follows_with_units(good):
     assert checked["tracks"]["low"]["table"]["largest_error"] < 0.003
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_replay_of_refused_speeds_does_not_say_it_stood(folder, good):
     """A share of one in ten is a remark, here of a speed in km/h that is read as m/s."""
     for driving, said in ((300, True), (10, False)):
@@ -163,6 +165,7 @@ def test_a_replay_of_refused_speeds_does_not_say_it_stood(folder, good):
         assert "The vehicle stood the whole time in the accepted samples" in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_drive_without_steps_has_no_totals(folder, good):
     for rows in ("0,1\n", "0,1\n60,1\n120,1\n"):
         (folder / "one.csv").write_text(f"time_s,speed_mps\n{rows}")
@@ -218,6 +221,7 @@ def test_replay_gives_the_same_bytes_in_another_process(folder, good):
         assert (folder / f"one.{suffix}").read_bytes() == (folder / f"two.{suffix}").read_bytes()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_replay_stopped_and_resumed_gives_the_same_rows(folder, good):
     time = np.arange(0, 60, 0.1)
     lines = [f"{t:.1f},{8 + np.sin(t):.4f},{15 + t / 60:.3f}" for t in time]
@@ -304,6 +308,7 @@ def test_a_shell_completes_vehicles_and_files():
     assert [(item.type, item.value) for item in found] == [("plain", "xgd24d"), ("file", "xg")]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_no_zero_that_is_shown_has_a_sign(folder, good):
     assert no_signed_zero("wind 0, inertia -1, -0.4")
     assert not no_signed_zero("wind -0, inertia 1")

@@ -61,6 +61,7 @@ def printed(text, total, parts):
     assert abs(sum(numbers[part] for part in parts) - numbers[total]) <= 0.5 * (len(parts) + 1)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_replay(vehicle, drive, tmp_path, good):
     said = good("replay", drive, "--vehicle", vehicle, "-o", tmp_path / "out.csv")
     table = columns(tmp_path / "out.csv")

@@ -27,7 +27,6 @@ ALL = (
     f"{BELT}.film_slope",
     "rubber.loss_modulus_scale",
     "rubber.heat_capacity",
-    "rubber.density",
     "tracks.triangular.sprocket_radius",
     "chassis.bearing_friction",
     "chassis.drag_coefficient",

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Pages of a large fleet in a real browser: fifty vehicles of a few hundred recordings, on a screen and on a phone."""
+"""Pages of a fleet in a real browser: fifteen vehicles with months of recordings, on a screen and on a phone."""
 
 import hashlib
 import re
@@ -24,7 +24,7 @@ from trackres_ros.fleet.task import Task, analyse
 from trackres_ros.fleet.trends import day_of, trends
 from trackres_ros.fleet.vehicles import one_vehicle
 
-VEHICLES, RECORDINGS, EVERY_DAYS = 50, 6, 14.0
+VEHICLES, RECORDINGS, EVERY_DAYS = 15, 6, 14.0
 ODD = "Löwe 1 #7 & 50 %"
 WORN = "truck-07", 3, 1.2  # which, from which recording on, by how much of the file's standard deviation
 pytestmark = [pytest.mark.long, IN_A_BROWSER]

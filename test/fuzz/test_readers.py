@@ -28,7 +28,7 @@ pytest.importorskip("h5py")
 import run
 from formats import FORMATS, Damaged, damaged, outcome_of
 
-MUTATIONS, HANG_S = 150, 60.0
+MUTATIONS, HANG_S = 100, 60.0
 
 
 @pytest.mark.parametrize("name", FORMATS)

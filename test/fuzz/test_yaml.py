@@ -22,7 +22,7 @@ from trackres_ros.files.resources import config_dir
 from trackres_ros.files.yamls import MOST_BYTES, MOST_DEPTH, MOST_NODES, parse_yaml, read_yaml
 from trackres_ros.node.parameters import make_parameters, read_parameters
 
-SPOILT_OF_EACH, MORE = 30, 150
+SPOILT_OF_EACH, MORE = 30, 100
 LONGEST_LINE = 3000  # characters
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 

@@ -207,6 +207,7 @@ def test_remarks_and_status_name_the_same_belts(short_estimator, speed, belt, sh
     assert bool(remarks) == bool(estimate.reasons & Reason.OUTSIDE_TABLE)
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.long
 def test_commands_say_that_they_extrapolate(short, good, tmp_path):
     (tmp_path / "drive.csv").write_text("time_s,speed_kmh,belt_degc\n0,0,40\n10,36,40\n60,36,40\n")

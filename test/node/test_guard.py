@@ -152,6 +152,7 @@ def test_outputs_stay_finite_when_the_learner_gives_nan(node, monkeypatch):
     assert "INTERNAL_ERROR" not in d.names()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_blocked_disk_stops_no_estimate_and_losses_are_bounded(node, monkeypatch, tmp_path):
     d, answers = node(), threading.Event()
     monkeypatch.setattr(record, "WRITE_EVERY_S", 0.05)
@@ -184,6 +185,7 @@ def test_a_picture_that_fails_is_a_line_of_text(node, monkeypatch, tmp_path):
     assert recorder.end()[-1].startswith(f"no picture {tmp_path / 'live.png'}: division by zero")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_split_files_keep_the_limit_by_deleting_only_the_oldest(node, monkeypatch, tmp_path):
     monkeypatch.setattr(record, "WRITE_EVERY_S", 0.02)
     others = [tmp_path / "live_0000.csv", tmp_path / "other_0000.mcap", tmp_path / "live_0003.mcap"]

@@ -181,7 +181,7 @@ def test_it_is_compiled_while_it_learns_and_goes_on(desk, topics):
 @pytest.mark.parametrize(("more", "kind"), [(300.0, ", of the kind seen before (spells)"), (700.0, "")])
 def test_a_disturbance_is_reported_with_its_kind_if_known(desk, topics, disturbed, more, kind):
     d = desk(topics=topics, vehicle=disturbed(300.0))
-    drive(d, 400.0, 1.0)
+    drive(d, 300.0, 1.0)
     assert dict(learned_topic(d)["learning"].values)["disturbance"] == ""
     drive(d, 90.0, 1.0, more)
     head = learned_topic(d)["learning"]

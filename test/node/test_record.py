@@ -25,6 +25,7 @@ from trackres_ros.node import record as record_room  # noqa: E402
 from trackres_ros.node.inbox import Inbox  # noqa: E402
 from trackres_ros.node.record import Recorder  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("undrawn")
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
 TWIST, WRENCH, TEMPERATURE, NUMBER = (
     "geometry_msgs/msg/TwistStamped",

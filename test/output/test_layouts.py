@@ -48,6 +48,7 @@ def test_the_shipped_layouts_are_those_of_the_reference_vehicle(good, repository
         assert (tmp_path / name).read_text() == (repository / "config" / name).read_text()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_replays_bag_has_every_topic_that_is_shown(good, tmp_path):
     rosbags = pytest.importorskip("rosbags.highlevel")
     good("record-sample", "--laps", 1, "--speed-kmh", 30, "-o", tmp_path / "lap.mcap")

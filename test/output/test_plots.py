@@ -105,16 +105,17 @@ def test_a_logarithmic_axis_is_labelled_without_maths(drawn, tmp_path):
     assert not drawn.faults(drawn.figures[0])
 
 
-def test_lines_of_many_assemblies_differ(drawn, tmp_path):
+@pytest.mark.usefixtures("undrawn")
+def test_lines_of_many_assemblies_differ(tmp_path):
     columns = {"speed_mps": np.ones(5), "resistance_torque_nm": np.ones(5)}
     columns |= {f"belt_degc/{i}": np.full(5, 10.0 * i) for i in range(16)}
-    estimate_figure(np.arange(5.0), columns, "t", path=tmp_path / "a.png")
-    lines = drawn.figures[0].axes[2].lines
+    lines = estimate_figure(np.arange(5.0), columns, "t", path=tmp_path / "a.png").axes[2].lines
     assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 16
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("vehicle", ["xgd24d", "ztbus_hess19"])
-def test_all_learned_values_and_the_driving_are_drawn(drawn, tmp_path, vehicle):
+def test_all_learned_values_and_the_driving_are_drawn(tmp_path, vehicle):
     """The driving by belt temperature, or by load where there are no belts."""
     described = load_any(vehicle)
     own = [one for one in learnables(described) if one.state in VEHICLES_OWN]
@@ -122,8 +123,8 @@ def test_all_learned_values_and_the_driving_are_drawn(drawn, tmp_path, vehicle):
     columns = dict.fromkeys((*shown, *(name for one in own for name in columns_of(one))), np.ones(5))
     seconds = np.zeros(SHAPE)
     seconds[1, :, 2] = 7.0
-    estimate_figure(np.arange(5.0), columns, "t", seconds, tmp_path / "a.png")
-    axes = {one.get_ylabel(): one for one in drawn.figures[0].axes}
+    figure = estimate_figure(np.arange(5.0), columns, "t", seconds, tmp_path / "a.png")
+    axes = {one.get_ylabel(): one for one in figure.axes}
     assert len(axes["learned, over the first"].lines) == len(own)
     driving = axes["speed [% of greatest]"]
     of_x = ("learned from: belt [°C]", "< 15") if shown[3:] else ("learned from: load [% of nominal]", "< 90")
@@ -131,9 +132,10 @@ def test_all_learned_values_and_the_driving_are_drawn(drawn, tmp_path, vehicle):
     assert [text.get_text() for text in driving.texts if text.get_text() != "0 s"] == (["7 s"] * 4 if shown[3:] else ["28 s"])
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("rows", [100, 9000])
 @pytest.mark.parametrize("then_s", [700.0, -1900.0])
-def test_no_line_or_band_crosses_a_gap(drawn, tmp_path, rows, then_s):
+def test_no_line_or_band_crosses_a_gap(tmp_path, rows, then_s):
     """Nor a step back."""
     time = np.arange(rows) * 0.1
     time[rows // 3 :] += 500.0
@@ -143,8 +145,8 @@ def test_no_line_or_band_crosses_a_gap(drawn, tmp_path, rows, then_s):
     assert len(ends) == 2
     names = ("speed_mps", "resistance_torque_nm", "resistance_std_nm", "bearing_nm", "belt_degc", "ambient_degc")
     names += ("learned_drag_coefficient", "learned_drag_coefficient_std")
-    estimate_figure(time, {name: np.sin(time) + 2.0 for name in names}, "gaps", path=tmp_path / "g.png")
-    for axes in drawn.figures[0].axes:
+    figure = estimate_figure(time, {name: np.sin(time) + 2.0 for name in names}, "gaps", path=tmp_path / "g.png")
+    for axes in figure.axes:
         assert axes.lines
         for x in (line.get_xdata() for line in axes.lines):
             for begin, end in ends:

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import cached_property
 from pathlib import Path
 
 import pytest
@@ -143,7 +144,7 @@ class Node:
                 command, env=environment(transport, folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, preexec_fn=preexec
             )
 
-    @property
+    @cached_property
     def has_belts(self):
         """Whether its vehicle has belts, whose temperatures are published last."""
         return bool(load_any(self.parameters["vehicle"]).assemblies)

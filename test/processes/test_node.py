@@ -91,7 +91,7 @@ def simulated(node):
 MEASURED = DEFAULT_TOPICS + "torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}\n"
 TOPICS_ON_ROUTE = MEASURED + "position: {topic: fix, type: sensor_msgs/msg/NavSatFix, max_age_s: 7.3}\n"
 STREET_M, LATITUDE, LONGITUDE = 1200.0, 0.827, 0.1486
-LOST, ASIDE = range(10, 25), range(70, 82)  # seconds without a fix, and off the street
+LOST, ASIDE = range(10, 20), range(48, 56)  # seconds without a fix, and off the street
 
 
 def a_street(folder, vehicle):
@@ -149,7 +149,7 @@ def outputs_of(vehicle):
 
 @pytest.mark.parametrize("vehicle", ["xgd24d", "ztbus_hess19"])
 def test_a_drive_with_positions_gives_the_same_live_and_replayed(node, tmp_path, repository, vehicle):
-    surroundings, messages = a_street(tmp_path, vehicle), list(along_the_street(90))
+    surroundings, messages = a_street(tmp_path, vehicle), list(along_the_street(60))
     tracked = vehicle == "xgd24d"
     if tracked:  # with what a diagnosis has found
         text = (repository / "config" / "xgd24d.yaml").read_text().replace("rubber/", f"{repository}/config/rubber/")
@@ -209,7 +209,7 @@ def test_a_bag_that_loops_starts_anew_each_time(simulated):
     node = sim.node
     for _ in range(2):
         sim.now_ns = START_NS
-        sim.drive(80, dt_ns=2 * SECOND_NS // 5)
+        sim.drive(50, dt_ns=2 * SECOND_NS // 5)
     node.until(lambda: "TIME_RESET" in node.notices(), "the notice")
     stamps = [stamp_ns(h.message) for h in node.out["belt"].update()]
     assert sum(b < a for a, b in itertools.pairwise(stamps)) == 1
@@ -221,9 +221,9 @@ def test_a_bag_that_loops_starts_anew_each_time(simulated):
 def test_belts_outlive_a_restart(simulated, tmp_path):
     state = tmp_path / "state.json"
     sim = simulated(state_file=str(state))
-    sim.drive(250, speed=15.0, dt_ns=2 * SECOND_NS // 5)
+    sim.drive(150, speed=15.0, dt_ns=2 * SECOND_NS // 5)
     belt = sim.node.out["belt"].update()[-1].message.temperature
-    assert belt > 16.5
+    assert belt > 16.0  # the air has 15 degC at the start
     assert sim.node.stop(signal.SIGTERM) == 0
     sim.node.close()
     kept = tmp_path / "kept.json"

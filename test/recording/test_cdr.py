@@ -88,7 +88,7 @@ def stamp_of(message: Any) -> int:
 
 
 @pytest.mark.parametrize("msgtype", CASES)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(data=st.data())
 def test_equals_decoding_each_message(msgtype: str, data: st.DataObject) -> None:
     sent = data.draw(st.lists(messages(STORE, msgtype), min_size=1, max_size=12))

@@ -277,6 +277,7 @@ def workbook(path: Path, *sheets: tuple[str, list[list[object]]]) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_workbook_reads_like_the_table_it_shows(tmp_path, good):
     begin = WHEN.replace(tzinfo=None)
     rows = [[begin + timedelta(milliseconds=500 * i), 18.0 + i, "1.234,5" if i else None, "x"] for i in range(9)]

@@ -460,6 +460,7 @@ def test_lines_that_are_no_frames_are_counted_alone(files, tmp_path, kind):
     assert after - before == 3 * len(wrong)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_guessed_lines_are_a_topics_file(files, good, tmp_path):
     kept, dbc = tmp_path / "topics.yaml", shutil.copy(files["BLF"][0].with_name("bus.dbc"), tmp_path / "bus #2, new.dbc")
     for kind in ("bag", "MF4", "MF4 of a bus", "BLF", "known names"):

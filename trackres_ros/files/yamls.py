@@ -3,8 +3,10 @@
 
 """Reads all YAML: it is plain data of bounded size, or one line gives the reason."""
 
+import pickle
 import re
 from collections.abc import Hashable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +109,12 @@ _Loader.add_implicit_resolver(  # YAML 1.1 reads 1.2e11, without the sign in the
 )
 
 
+@lru_cache(maxsize=32)
+def _parsed(text: str) -> bytes:
+    """Pickled, as each caller gets data of its own: a command reads a vehicle file several times, in 1 % of the time."""
+    return pickle.dumps(_Loader(text).get_single_data())
+
+
 def parse_yaml(text: str, where: str) -> object:
     """The one document of a YAML text as plain data.
 
@@ -116,8 +124,7 @@ def parse_yaml(text: str, where: str) -> object:
     if len(text) > MOST_BYTES:
         raise InputError(where, f"{len(text)} characters", f"YAML of at most {MOST_BYTES}")
     try:
-        loader = _Loader(text)
-        return loader.get_single_data()
+        return pickle.loads(_parsed(text))
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f", line {min(mark.line, text.count(NEW_LINE)) + 1}" if mark else ""  # not the one after the last
