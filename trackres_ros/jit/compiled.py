@@ -32,6 +32,7 @@ ENVIRONMENT = "NumbaEnv"
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+sys.modules.setdefault("coverage", cast(Any, None))  # numba loads it where colcon has installed it: a sixth of its own start
 try:
     if os.environ.get("TRACKRES_INTERPRETED"):
         raise ImportError("left out on request")
@@ -82,6 +83,10 @@ else:
 
         def __call__(self, *args: Any) -> Any:
             return self.py_func(*args)
+
+finally:
+    if sys.modules["coverage"] is None:
+        del sys.modules["coverage"]
 
 
 def sources_digest() -> str:
