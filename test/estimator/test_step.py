@@ -319,6 +319,7 @@ def test_no_array_makes_a_kernel_compile_again(reference):
     plain = work(lambda array: array, lambda value: value)
     entries = [entry for entry in vars(COMPILED).values() if hasattr(entry, "signatures")]
     before = [len(entry.signatures) for entry in entries]
+    assert len(COMPILED.feed.signatures) == 1  # for one message and for many
     for i in range(7):
         for number in (np.float32, np.int64, np.array):
             again = work(lambda array, i=i: strange_arrays(array)[i], number)

@@ -169,6 +169,10 @@ def test_peers_are_remarked(desk):
     d.found_peers = {"speed": (Peer(TWIST, True), Peer(TWIST, True, defines_alike=False))}
     d.drive(2.5)
     assert {"WRONG_TYPE", "SPEED_OLD"} <= d.names()
+    d.found_peers = {"speed": (Peer(TWIST, True), Peer(TWIST, False, defines_alike=False))}  # none of its messages arrives
+    d.drive(2.5)
+    assert "INCOMPATIBLE_QOS" in d.names()
+    assert not {"WRONG_TYPE", "SPEED_OLD"} & d.names()
     all_there(d)
     d.drive(3.0, load=270e3, ambient=10.0)
     assert d.names() <= {"COMPILING"}

@@ -114,7 +114,7 @@ def _holds_paths(given: Any) -> bool:
 def as_names(names: object, where: str) -> tuple[str, ...]:
     """One name or several."""
     listed = _listed(names)
-    if not all(name and isinstance(name, str) for name in listed):
+    if not all(isinstance(name, str) and name for name in listed):
         raise InputError(where, names, "a name, or several")
     return tuple(listed)
 

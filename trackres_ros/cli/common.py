@@ -107,8 +107,10 @@ def picture_if_possible(picture: Path) -> Iterator[None]:
     try:
         yield
     except MissingExtraError as error:
-        picture.unlink(missing_ok=True)
-        click.echo(f"trackres: no picture: {error}", err=True)
+        removed = picture.is_file()
+        with suppress(OSError):
+            picture.unlink(missing_ok=True)
+        click.echo(f"trackres: no picture{f', the earlier {picture} is removed' if removed else ''}: {error}", err=True)
 
 
 @contextmanager

@@ -350,7 +350,7 @@ class Session:
         self._loads, self._belt_measured = np.zeros(len(estimator.constants.assembly)), np.zeros(assemblies)
         self._channels = len(estimator.channels)
         self._channel = {name: i for i, name in enumerate(estimator.channels)}
-        self._message = Messages(np.zeros(1, np.int16), np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1))
+        self._message = Messages(np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1))
         self._step_times = np.zeros((2, 1), np.int64)
         self._arguments = self._gathered()
 
@@ -448,7 +448,7 @@ class Session:
         stepped = self.estimator.entries.feed(*self._arguments, *self._message, rows, *self._step_times)
         return Estimate(rows[0], self.estimator.column_index) if stepped else None
 
-    def handle_block(self, channel: NDArray[np.int16], stamp_ns: IntArray, arrival_ns: IntArray, value: Array) -> Steps:
+    def handle_block(self, channel: NDArray[np.integer[Any]], stamp_ns: IntArray, arrival_ns: IntArray, value: Array) -> Steps:
         """Process many messages, arrays of shape (messages,) in the order of arrival.
 
         Raises InputError for different lengths, and as `handle`.

@@ -153,7 +153,8 @@ def side(given: str) -> Side:
         if end and (Path(given[:end]) / ROWS).is_dir():
             return _of_fleet(Path(given[:end]), given[end:], given)
     if marks and not path.exists():
-        raise InputError(given, f"no results of a fleet in {given[: marks[0]]}", ALLOWED)
+        folder, slash, name = given.rpartition("/")
+        raise InputError(given, f"no results of a fleet in {folder + slash + re.split('[:@]', name)[0] or '.'}", ALLOWED)
     if (path / REPORT).is_file() or path.name == REPORT:
         return _of_report(path / REPORT if path.is_dir() else path)
     if path.is_dir():

@@ -77,9 +77,9 @@ else:
         So it needs no entry from Python or C, which took a third of the time to compile, and no machine code, a quarter.
         """
 
-        def __init__(self, function: FunctionType, options: dict[str, Any]) -> None:
+        def __init__(self, function: FunctionType, local_types: dict[str, Any], options: dict[str, Any]) -> None:
             compiler = _PartCompiler if _library.__version__.startswith(TRIED) else Compiler
-            super().__init__(function, {}, {**_OF_CODE, **_OF_PART, **options}, pipeline_class=compiler)
+            super().__init__(function, local_types, {**_OF_CODE, **_OF_PART, **options}, pipeline_class=compiler)
 
         def __call__(self, *args: Any) -> Any:
             return self.py_func(*args)
@@ -145,7 +145,7 @@ def inlined(function: Function) -> Function:
 
 def part(function: FunctionType, boundscheck: bool = False) -> Any:
     """A function that becomes part of one cached function, or of none; needs numba."""
-    return _Part(function, {"boundscheck": boundscheck})
+    return _Part(function, {}, {"boundscheck": boundscheck})
 
 
 def _compile(function: Function, into_callers: bool) -> Function:
@@ -154,7 +154,7 @@ def _compile(function: Function, into_callers: bool) -> Function:
     # No kernel makes an array, so reference counting is disabled: it cost a third of a step.
     dispatcher: Any
     if into_callers:
-        dispatcher = _Part(cast(FunctionType, function), {"_nrt": False, "forceinline": True})
+        dispatcher = _Part(cast(FunctionType, function), {}, {"_nrt": False, "forceinline": True})
     else:
         dispatcher = _library.njit(**_OF_CODE, _nrt=False)(function)
     dispatcher._cache = CodeCache(cast(FunctionType, function), code_folder)

@@ -319,9 +319,10 @@ class Application:
 
     def _look(self, steady: int) -> None:
         peers: list[Sequence[Peer]] = [()] * len(self.inputs)
+        self.messages.misread = ()
         try:
             peers = [self._transport.peers(i) for i in range(len(self.inputs))]
-            self.messages.misread = [i for i, found in enumerate(peers) if not all(peer.defines_alike for peer in found)]
+            self.messages.misread = [i for i, found in enumerate(peers) if any(peer.misread for peer in found)]
         finally:  # rates and refusals are of interest without peers too
             arrival = self.clock.recorded_ns(steady, self.clock.pace_ns(steady))
             self._watch.every_second(self.session, self.messages.reader, peers, steady, arrival)

@@ -49,6 +49,11 @@ class Peer:
     compatible: bool  # whether it fits the input; otherwise it never connects
     defines_alike: bool = True  # whether its definition of the type is ours, as far as it announces one
 
+    @property
+    def misread(self) -> bool:
+        """Whether its messages arrive and would be read by another definition."""
+        return self.compatible and not self.defines_alike
+
 
 Reasons = tuple[tuple[str, Level], ...]
 """Names of all present notices, each once, most severe first, with the level of each."""

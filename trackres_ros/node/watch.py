@@ -176,9 +176,9 @@ class Watch:
 
 def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
     roles = given.role_names
-    right = [peer for peer in peers if peer.type == given.type and peer.defines_alike]
+    right = [peer for peer in peers if peer.type == given.type and not peer.misread]
     found = []
-    if not all(peer.defines_alike for peer in peers):
+    if any(peer.misread for peer in peers):
         text = f"{roles}: a publisher on {given.name} has another definition of {given.type}: no message of the topic is used"
         found.append(Notice("WRONG_TYPE", text))
     for kind in sorted({peer.type for peer in peers} - {given.type}):

@@ -38,8 +38,8 @@ def corrected(role: str, by: Conversion, bindings: Mapping[str, TopicBinding]) -
 
 def line_of(role: str, binding: TopicBinding) -> str:
     """The line of a role; of one without a source only its numbers."""
-    text = in_a_line({role: _said(binding)})[1:-1]
-    return text if binding.parts or binding.topic or binding.column else text.replace(": {", ": {..., ", 1)
+    text, whole = in_a_line(_said(binding)), binding.parts or binding.topic or binding.column
+    return f"{in_a_line([role])[1:-1]}: {text if whole else f'{{..., {text[1:]}'}"
 
 
 def line_to_write(role: str, by: Conversion, *each: Mapping[str, TopicBinding]) -> str:

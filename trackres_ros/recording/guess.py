@@ -220,7 +220,7 @@ def topics_line(role: str, binding: TopicBinding) -> str:
         line |= {"scale": binding.scale, "offset": binding.offset}
     if base_role(role) == "belt":  # as it is read now: that of a line without it is the surface
         line["sensor"] = binding.sensor or "mean"
-    return in_a_line({role: line})[1:-1]
+    return f"{in_a_line([role])[1:-1]}: {in_a_line(line)}"
 
 
 def in_a_line(content: object) -> str:

@@ -5,7 +5,7 @@
 
 A. Palmgren: Ball and Roller Bearing Engineering, 3rd ed., Burbank 1959. The temperature of the bearing is ours: it is warmed by
 all of its friction. Where that is half of the grease and half of the load, its heat falls half as steeply as the viscosity.
-The state settles as it does near its target. In very cold grease it lags the exact balance by up to a quarter of the rise.
+The state settles as it does near its target. In cold grease it lags the exact balance by up to a third of the rise.
 """
 
 from __future__ import annotations
