@@ -5,12 +5,11 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
-import subprocess
 import sys
 import time
+import tracemalloc
 from copy import deepcopy
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
@@ -548,32 +547,29 @@ def test_a_time_that_is_none_is_refused_as_given(tmp_path):
             tr.read(path)
 
 
-PEAK = """
-import sys
-from pathlib import Path
-from drive_files import TOPICS, topics_of
-from trackres_ros.recording.bindings import TIME, Topics
-from trackres_ros.recording.channel_file import Channel, ChannelFile
-from trackres_ros.recording.opening import open_source
-path, kind = Path(sys.argv[1]), sys.argv[2]
-rows = sum(map(len, open_source([path], Topics.parse(topics_of(kind), "t.yaml", path.parent)).blocks()))
-print(rows, Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
-"""
-
-
-@pytest.mark.parametrize(("kind", "short_s", "longer"), [("MF4", 4000.0, 10), ("MATLAB 7.3", 1000.0, 20), ("BLF", 30.0, 20)])
-def test_memory_does_not_grow_with_the_file(tmp_path, kind, short_s, longer):
-    """The short file fills a block: below that the peak still grows."""
-    rows, peaks = [], []
-    for times in (1, longer):
-        path, _ = write(kind, tmp_path, Drive(times * short_s))
-        env = {**os.environ, "PYTHONPATH": str(Path(sys.modules["drive_files"].__file__).parent)}
-        done = subprocess.run([sys.executable, "-c", PEAK, path, kind], env=env, capture_output=True, check=True, text=True)
-        count, peak = map(int, done.stdout.split())
-        rows.append(count)
-        peaks.append(peak)
-    assert rows[1] == pytest.approx(longer * rows[0], rel=0.01)
-    assert peaks[1] < 1.25 * peaks[0], peaks
+@pytest.mark.parametrize(
+    ("kind", "block", "rows", "short_s"),
+    [
+        ("MF4", "readers.mdf.BLOCK_ROWS", 8192, 4000.0),
+        ("MATLAB 7.3", "readers.matlab.BLOCK_ROWS", 128, 400.0),
+        ("BLF", "can_signals.CHUNK_ROWS", 128, 60.0),
+    ],
+)
+def test_memory_does_not_grow_with_the_file(tmp_path, monkeypatch, kind, block, rows, short_s):
+    """With smaller blocks, of which the short file fills one: below that the peak still grows."""
+    monkeypatch.setattr(f"trackres_ros.recording.{block}", rows)
+    counts, peaks = [], []
+    for times in (1, 4):
+        path, topics = write(kind, tmp_path, Drive(times * short_s))
+        source = open_source([path], topics)
+        tracemalloc.start()
+        try:
+            counts.append(sum(map(len, source.blocks(rows))))
+            peaks.append(tracemalloc.get_traced_memory()[1])
+        finally:
+            tracemalloc.stop()
+    assert counts[1] == pytest.approx(4 * counts[0], rel=0.01)
+    assert peaks[1] < 1.3 * peaks[0], peaks
 
 
 @pytest.mark.parametrize(("kind", "where"), [
