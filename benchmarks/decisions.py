@@ -293,7 +293,8 @@ def export(steps: int = 200_000, rounds: int = 5) -> dict[str, float]:
     from trackres_ros.vehicle import load
 
     vehicle = load("xgd24d")
-    measured = bench_export.measured(vehicle, False, steps, rounds)
+    with tempfile.TemporaryDirectory() as folder:
+        measured = bench_export.measured(vehicle, Path(folder), False, steps, rounds)
     instances = list(Parts(Estimator(vehicle)).translator.instances.values())
     binding.initialize_all_targets()
     known = sum(_has_target(triple) for triple in CONTROLLERS.values())

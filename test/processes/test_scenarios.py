@@ -158,13 +158,15 @@ def test_two_publishers_and_one_restarted(well):
 
 def test_another_definition_of_the_same_type(well):
     kind = "geometry_msgs/msg/TwistStamped"
-    other = well.wire.publisher("/speed", kind, struct=peer.stranger(kind))
+    stranger = well.wire.publisher("/speed", kind, struct=peer.stranger(kind))  # a transport may not connect it
     for _ in range(20):
-        other.publish_raw(b"\0\1\0\0" + b"\xff" * 4)
+        stranger.publish_raw(b"\0\1\0\0" + b"\xff" * 4)
         well.drive(0.05)
+    announced = well.wire.publisher("/speed", kind, struct=peer.struct_of(kind))
     well.noticed("WRONG_TYPE", meanwhile=lambda: well.drive(0.3))
     well.until(lambda: well.torques()[-1] == 0.0, "no feed-forward", meanwhile=lambda: well.drive(0.3))
-    other.close()
+    stranger.close()
+    announced.close()
 
 
 def test_a_noisy_speed_at_rest_is_fed_exactly_nothing(well):

@@ -65,8 +65,7 @@ LIVE_KINDS = {
     "NO_PUBLISHER": NoticeKind(Level.WARN, "nobody publishes on the topic of an input", awaited=True),
     "WRONG_TYPE": NoticeKind(
         Level.WARN,
-        "a publisher uses another message type on the topic of an input, or another definition of it; then within a second no "
-        "message of the topic is used",
+        "a publisher uses another message type on the topic of an input, or another definition; no message of the topic is used",
     ),
     "INCOMPATIBLE_QOS": NoticeKind(
         Level.WARN,
