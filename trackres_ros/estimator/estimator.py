@@ -351,7 +351,7 @@ class Session:
         self._channels = len(estimator.channels)
         self._channel = {name: i for i, name in enumerate(estimator.channels)}
         self._message = Messages(np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1))
-        self._step_times = np.zeros((2, 1), np.int64)
+        self._of_step = np.zeros(1, np.int64), np.zeros(1, np.int64)
         self._arguments = self._gathered()
 
     def _gathered(self) -> tuple[Any, ...]:
@@ -442,10 +442,10 @@ class Session:
 
     def feed(self, channel: int, stamp_ns: int, arrival_ns: int, value: float) -> Estimate | None:
         """`handle` without its checks, for numbers that are of these types already: another channel writes outside the arrays."""
-        for part, given in zip(self._message, (channel, stamp_ns, arrival_ns, value), strict=True):
-            part[0] = given
+        channels, stamps, arrivals, values = message = self._message
+        channels[0], stamps[0], arrivals[0], values[0] = channel, stamp_ns, arrival_ns, value
         rows = np.empty((1, len(self.estimator.columns)))
-        stepped = self.estimator.entries.feed(*self._arguments, *self._message, rows, *self._step_times)
+        stepped = self.estimator.entries.feed(*self._arguments, *message, rows, *self._of_step)
         return Estimate(rows[0], self.estimator.column_index) if stepped else None
 
     def handle_block(self, channel: NDArray[np.integer[Any]], stamp_ns: IntArray, arrival_ns: IntArray, value: Array) -> Steps:
