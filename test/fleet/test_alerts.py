@@ -302,10 +302,14 @@ def test_only_searched_vehicles_may_be_false_alarms(dataset):
         assert ("not changed beyond chance" in text, "too few recordings" in text) == (searched, not searched)
 
 
-@pytest.mark.parametrize("vehicle", ["first", "worn"])  # before and after another vehicle of the present type
-@pytest.mark.parametrize("known", [False, True])  # the present file, whose recordings may then be the earlier ones
-def test_recordings_of_an_older_vehicle_file_are_only_listed(dataset, vehicle, known):
-    other = {"nominal": [0.009, 1.0]} if known == (vehicle == "worn") else {}  # of a fitted file, or of any
+FITTED, ANY = {"nominal": [0.009, 1.0]}, {}
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "known", "other"),  # before or after another vehicle; whether the present file is known; the older file
+    [("first", False, FITTED), ("first", True, ANY), ("worn", False, ANY), ("worn", True, FITTED)],
+)
+def test_recordings_of_an_older_vehicle_file_are_only_listed(dataset, vehicle, known, other):
     older, present = (range(RECORDINGS // 2), range(RECORDINGS // 2, RECORDINGS))[:: -1 if known else 1]
     if known:
         (dataset.folder / "fleet.json").write_text(json.dumps({"values": {vehicle: "v"}}))

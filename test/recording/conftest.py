@@ -4,8 +4,23 @@
 """Tables are read with pyarrow and without it."""
 
 import sys
+import tracemalloc
 
 import pytest
+
+
+@pytest.fixture(scope="session")
+def peak_of():
+    """`peak_of(call)`: what it returns, and the most memory that it allocated at a time [bytes]."""
+
+    def measured(call):
+        tracemalloc.start()
+        try:
+            return call(), tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    return measured
 
 
 @pytest.fixture(params=["pyarrow", "plain"])

@@ -10,7 +10,6 @@ import gzip
 import os
 import socket
 import sqlite3
-import tracemalloc
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
@@ -469,7 +468,7 @@ def test_what_is_too_long_to_be_looked_at_is_said_and_not_kept(tmp_path, monkeyp
         assert any(finding.kind == "stuck" for finding in source.all_findings()) is not dropped
 
 
-def test_the_search_for_defects_joins_one_role_at_a_time():
+def test_the_search_for_defects_joins_one_role_at_a_time(peak_of):
     roles, rows = ("load", "torque", "ambient", "speed"), 50_000
     of_role, stamp = np.tile(np.arange(4, dtype=np.int16), rows), np.repeat(np.arange(rows) * 10_000_000, 4)
     value = np.where((stamp // 10**9 % 100 < 80) | (of_role == 2), 5.0, np.arange(4 * rows))  # at times stuck
@@ -479,10 +478,7 @@ def test_the_search_for_defects_joins_one_role_at_a_time():
     )
     source = KeptSource(long, keep=True)
     assert sum(map(len, source.blocks())) == 4 * rows
-    tracemalloc.start()
-    found = source.all_findings()
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
+    found, peak = peak_of(source.all_findings)
     assert found == Recording.from_source(long).findings
     assert {one.role for one in found if one.kind == "stuck"} == {"torque", "speed"}
     assert peak < 1.5 * (of_role.nbytes + 2 * stamp.nbytes + value.nbytes), peak

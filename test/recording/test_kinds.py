@@ -9,7 +9,6 @@ import re
 import shutil
 import sys
 import time
-import tracemalloc
 from copy import deepcopy
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
@@ -555,19 +554,16 @@ def test_a_time_that_is_none_is_refused_as_given(tmp_path):
         ("BLF", "can_signals.CHUNK_ROWS", 128, 60.0),
     ],
 )
-def test_memory_does_not_grow_with_the_file(tmp_path, monkeypatch, kind, block, rows, short_s):
-    """With smaller blocks, of which the short file fills one: below that the peak still grows."""
+def test_memory_does_not_grow_with_the_file(tmp_path, monkeypatch, peak_of, kind, block, rows, short_s):
+    """Blocks are smaller here. The short file fills one; the peak of a shorter file would still grow."""
     monkeypatch.setattr(f"trackres_ros.recording.{block}", rows)
     counts, peaks = [], []
     for times in (1, 4):
         path, topics = write(kind, tmp_path, Drive(times * short_s))
         source = open_source([path], topics)
-        tracemalloc.start()
-        try:
-            counts.append(sum(map(len, source.blocks(rows))))
-            peaks.append(tracemalloc.get_traced_memory()[1])
-        finally:
-            tracemalloc.stop()
+        count, peak = peak_of(lambda source=source: sum(map(len, source.blocks(rows))))
+        counts.append(count)
+        peaks.append(peak)
     assert counts[1] == pytest.approx(4 * counts[0], rel=0.01)
     assert peaks[1] < 1.3 * peaks[0], peaks
 

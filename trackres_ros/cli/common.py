@@ -103,7 +103,7 @@ def to_nowhere() -> None:
 
 @contextmanager
 def picture_if_possible(picture: Path) -> Iterator[None]:
-    """Draw a picture beside results that are of use without it: a missing library is a note, and an earlier picture goes."""
+    """Draw a picture of results that are of use without it. If a library is missing, say so and remove an earlier picture."""
     try:
         yield
     except MissingExtraError as error:

@@ -47,7 +47,7 @@ class Peer:
 
     type: str  # ``package/msg/Name``
     compatible: bool  # whether it fits the input; otherwise it never connects
-    defines_alike: bool = True  # whether its definition of the type is ours, as far as it announces one
+    defines_alike: bool = True  # False if it announces another definition of the type than ours
 
     @property
     def misread(self) -> bool:

@@ -17,7 +17,7 @@ from trackres_ros.node.application import Application
 from trackres_ros.node.background import Background, ErrorLines
 from trackres_ros.node.clock import Arrival
 from trackres_ros.node.dds.messages import CdrInput, Fill, clock_ns, diagnostic_array, prepared
-from trackres_ros.node.dds.participant import Participant, TopicReader
+from trackres_ros.node.dds.participant import Participant, Publication, TopicReader
 from trackres_ros.node.dds.wire import type_hash, typestore
 from trackres_ros.node.endpoints import InputTopic, Quality, full_name, input_name, input_quality, output_quality
 from trackres_ros.node.inbox import Inbox
@@ -100,9 +100,7 @@ class DdsNode:
             self._publications = list(self._participant.publications())
         connected, name, kind = self._readers[index].connected, self._input_names[index], self.application.inputs[index].type
         there = [found for found in self._publications if found.topic == name]
-        others = {found.handle for found in there if found.type == kind and b"typehash=" in found.user_data}
-        others -= {found.handle for found in there if type_hash(kind) in found.user_data}
-        return [Peer(found.type, found.handle in connected, found.handle not in others) for found in there]
+        return [Peer(found.type, found.handle in connected, found.type != kind or _is_ours(kind, found)) for found in there]
 
     def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
         """Record every message, including those of other topics."""
@@ -238,3 +236,8 @@ def run(
         running.application.deactivate(fault)
         running.close()
     return FAULT if fault else 0
+
+
+def _is_ours(kind: str, found: Publication) -> bool:
+    """Whether its definition of a type is ours, as far as it announces one."""
+    return b"typehash=" not in found.user_data or type_hash(kind) in found.user_data
