@@ -41,7 +41,7 @@ from trackres_ros.diagnosis.findings.wording import (
     upper,
 )
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.selection.confirm import Graded, far_from_file, moved_parameters
+from trackres_ros.diagnosis.selection.grade import Graded, far_from_file, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut
 from trackres_ros.text.numbers import figures
 

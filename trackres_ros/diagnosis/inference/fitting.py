@@ -326,6 +326,7 @@ def fit(
     rounds: int | None = None,
     fixed: Mapping[tuple[str, str], float] | None = None,
     largest_root: float = LARGEST_ROOT,
+    steps: int = MOST_STEPS,
 ) -> Fit:
     """Fit the base's parameters and those of effects together.
 
@@ -341,6 +342,8 @@ def fit(
         Parameters that are fixed at a value.
     largest_root
         Bound on the roots of the noise's autoregression.
+    steps
+        Largest number of steps of each round.
     """
     named = [e.name for e in effects]
     sensed = tuple(e for e in instrument(problem.base) if e.name not in named)
@@ -358,7 +361,7 @@ def fit(
             jac=objective.derivatives,
             bounds=(p.low, p.high),
             x_scale=p.scale,
-            max_nfev=MOST_STEPS,
+            max_nfev=steps,
             ftol=CLOSE / (0.5 * rows),  # relative to the deviance, which is about one per row
             xtol=1e-7,
         ).x

@@ -12,6 +12,7 @@ Source: cross-validation by one Newton step as in Giordano et al., A Swiss army 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -28,6 +29,8 @@ from trackres_ros.diagnosis.selection.visibility import base_columns
 
 FOLDS = 4
 FEWEST_OCCASIONS = 5  # of an error: a slow rise over a drive makes four
+FEWEST_RECORDINGS = 3  # to leave whole ones out
+LEAST_LEVEL = 0.05  # of the mean error of the levels
 SURELY = 0.025  # of resampled laps, allowed to show the opposite
 
 
@@ -40,6 +43,8 @@ class Score:
     square: Array  # and of squared ones [Nm2]
     occasion: NDArray[np.int64]  # number of the occasion of each piece: pieces with nearly the same error share one
     expected: Array  # torque of each scored sample [Nm], shape (samples,)
+    level: Array  # mean error of each piece [Nm]
+    unseen: float  # mean absolute error of samples predicted without their recording [Nm]; nan with fewer than three
 
 
 class CrossValidation:
@@ -50,9 +55,9 @@ class CrossValidation:
         fitted_laps = list(zip(numbered(sessions, masks, FOLDS), masks, strict=True))
         laps = np.unique(np.concatenate([lap[m] for lap, m in fitted_laps]))
         self._fold = [np.where(m, np.searchsorted(laps, lap) % FOLDS, -1) for lap, m in fitted_laps]
-        self._scored = [m | h for m, h in zip(masks, held_out, strict=True)]
+        self.scored = [m | h for m, h in zip(masks, held_out, strict=True)]
         self.measured = self._of([s.torque for s in sessions])
-        pieces = self._of(numbered(sessions, self._scored, FEWEST_LAPS))
+        pieces = self._of(numbered(sessions, self.scored, FEWEST_LAPS))
         _, first, self._pieces = np.unique(pieces, return_index=True, return_inverse=True)
         self._count = np.bincount(self._pieces)
         self._begin = self._of([s.time for s in sessions])[first]
@@ -74,37 +79,51 @@ class CrossValidation:
         whole = (x * weights[:, np.newaxis]).T @ x + prior
         ridge = 1e-9 * max(float(np.trace(whole)), 1e-300) / len(whole) * np.eye(len(whole))
         low, high = (np.array([getattr(f, side) for f in found.free]) for side in ("low", "high"))
-        expected = [p.torque.copy() for p in found.predicted]
-        folds = np.concatenate([
+        torques = np.concatenate([np.full(len(g.measured), g.kind == "torque") for g in problem.segments])
+        session = np.concatenate([np.full(len(g.measured), g.session) for g in problem.segments])
+        by_session = problem.split(columns)  # torques come first
+
+        def left_out(folds: Sequence[NDArray[np.int64]], rows_of: Callable[[int], Mask], count: int) -> list[Array]:
+            """Expected torque of each session, each fold predicted by one Newton step to the fit without its rows."""
+            expected = [p.torque.copy() for p in found.predicted]
+            for fold in range(count):
+                rows = rows_of(fold)
+                own = (x[rows] * weights[rows, np.newaxis]).T @ x[rows]
+                moved = np.linalg.solve(whole - own + ridge, -x[rows].T @ slopes[rows])
+                moved = np.clip(found.point + scale * moved, low, high) - found.point
+                for i, at in enumerate(folds):
+                    expected[i][at == fold] += by_session[i][at == fold] @ moved
+            return expected
+
+        of_laps = np.concatenate([
             self._fold[g.session] if g.kind == "torque" else np.full(len(g.measured), -1) for g in problem.segments
         ])  # fmt: skip
-        by_session = problem.split(columns)  # torques come first
-        for fold in range(FOLDS):
-            rows = folds == fold
-            own = (x[rows] * weights[rows, np.newaxis]).T @ x[rows]
-            moved = np.linalg.solve(whole - own + ridge, -x[rows].T @ slopes[rows])
-            moved = np.clip(found.point + scale * moved, low, high) - found.point
-            for i, at in enumerate(self._fold):
-                expected[i][at == fold] += by_session[i][at == fold] @ moved
+        expected = left_out(self._fold, lambda fold: of_laps == fold, FOLDS)
+        count, unseen = len(problem.sessions), math.nan
+        if count >= FEWEST_RECORDINGS:
+            recordings = [np.full(len(s), i) for i, s in enumerate(problem.sessions)]
+            without = left_out(recordings, lambda fold: torques & (session == fold), count)
+            unseen = float(np.abs(self.measured - self._of(without)).mean())
         for active in found.effects:
             if isinstance(active.effect, ResidualPattern):
                 self._replace_by_forecast(active.effect, found, expected)
         error = [s.torque - e for s, e in zip(problem.sessions, expected, strict=True)]
         # Noise of the forecast: that of the fit is too small for unpredictable events, such as the start of a
         # spell.
-        noise = estimate_noise(error, self._scored, SHORT_ROOT)
+        noise = estimate_noise(error, self.scored, SHORT_ROOT)
         density = []
-        for left, mask in zip(error, self._scored, strict=True):
+        for left, mask in zip(error, self.scored, strict=True):
             e = whitened(left, mask, noise.phi) / noise.std
             density.append(np.where(np.isfinite(e), noise.log_density(np.nan_to_num(e)), 0.0))
         errors = self._of(error)
-        deviations = [np.where(m, e - errors.mean(), 0.0) for e, m in zip(error, self._scored, strict=True)]
+        deviations = [np.where(m, e - errors.mean(), 0.0) for e, m in zip(error, self.scored, strict=True)]
         alike_s = correlation_length(deviations) * self._step
         own = alike_s > PIECE_S * problem.sessions[0].pace
         occasion = np.stack([self._session, self._begin // alike_s if own else np.arange(len(self._begin))])
         return Score(
             self._sum(self._of(density)), self._sum(np.abs(errors)), self._sum(errors**2),
             np.unique(occasion, axis=1, return_inverse=True)[1].ravel(), self.measured - errors,
+            self._sum(errors) / self._count, unseen,
         )  # fmt: skip
 
     def _replace_by_forecast(self, effect: ResidualPattern, found: Fit, expected: list[Array]) -> None:
@@ -123,6 +142,15 @@ class CrossValidation:
     def least_gain(self, before: Score, after: Score) -> float:
         """Lower bound of the level score."""
         return self._least(before, after.density - before.density)
+
+    def by_recording(self, of_pieces: Array) -> Array:
+        """Sums of each recording, of values of the pieces."""
+        return np.bincount(self._session, weights=of_pieces, minlength=int(self._session.max()) + 1)
+
+    def level_falls(self, before: Score, after: Score) -> bool:
+        """Whether the mean error of the pieces' levels falls by at least `LEAST_LEVEL`."""
+        old, new = (float((np.abs(s.level) * self._count).sum()) for s in (before, after))
+        return new <= (1.0 - LEAST_LEVEL) * old
 
     def improvement(self, before: Score, after: Score, for_good: bool = False) -> Improvement:
         """Change of the mean error, with the lower bound of the level score; a lasting change (`for_good`) is one occasion."""
@@ -164,7 +192,7 @@ class CrossValidation:
     def beyond(self, base: Fit) -> Callable[[Sequence[Array]], Array]:
         """Function that returns the scored samples of each session's series, orthogonal to the parameters of a base."""
         columns = base_columns(base) * np.array([f.scale for f in base.free])
-        own = self._of(base.problem.split(columns)[: len(self._scored)])  # torques come first
+        own = self._of(base.problem.split(columns)[: len(self.scored)])  # torques come first
         basis, size, _ = np.linalg.svd(own, full_matrices=False)
         basis = basis[:, size > 1e-9 * size[0]]
 
@@ -175,7 +203,7 @@ class CrossValidation:
         return rest
 
     def _of(self, series: Sequence[Any]) -> Any:
-        return np.concatenate([x[m] for x, m in zip(series, self._scored, strict=True)])
+        return np.concatenate([x[m] for x, m in zip(series, self.scored, strict=True)])
 
     def _sum(self, of_samples: Array) -> Array:
         return np.asarray(np.bincount(self._pieces, weights=of_samples, minlength=len(self._count)), dtype=np.float64)

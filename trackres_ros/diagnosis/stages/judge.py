@@ -38,7 +38,7 @@ from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.diagnosis.prepare.torque_checks import inconsistent_scale_notes, nothing_to_conclude
 from trackres_ros.diagnosis.search.choice import Chosen
 from trackres_ros.diagnosis.selection.as_used import Bounds
-from trackres_ros.diagnosis.selection.confirm import Graded
+from trackres_ros.diagnosis.selection.grade import Graded
 from trackres_ros.diagnosis.selection.held_out import MUCH_LARGER, HeldOut, Improvement, held_out
 from trackres_ros.diagnosis.selection.intervals import intervals
 from trackres_ros.diagnosis.stages.options import DiagnosisOptions
