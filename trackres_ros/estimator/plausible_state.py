@@ -19,6 +19,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.guards import Memory
 from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
+from trackres_ros.estimator.records import FARTHEST_NS
 from trackres_ros.route.follower import NOTHING_YET
 
 BELT_DEGC = (-100.0, 400.0)  # wider than any rubber lives through
@@ -31,7 +32,6 @@ ROUNDING = 1e-9
 NO_QUANTUM = 1e9  # as `kernel.start` begins
 TORQUE_REACH = 1e4  # of weight times sprocket radius: inertia by the acceleration above
 STARTED = (at.START_ANEW, at.START_COLD, 0.0, at.RESTS, 1.0)
-FARTHEST_NS = 1 << 62
 MOST_SUSPECTS = 1000
 FARTHEST_FOLLOWED = 1e9  # metres, Nm, and seconds
 LONGEST_TURN = 1e10  # s: times are at most so far apart

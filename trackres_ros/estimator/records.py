@@ -22,6 +22,12 @@ IN_SECONDS = 'seconds of dates are (t - t[0]) / numpy.timedelta64(1, "s"), and o
 LEAST_WEIGHT = 1e-3  # N
 FEW = 16
 LARGEST = 1e9  # of an input, in its unit: more than any vehicle has, and its powers do not overflow
+LONGEST_STEP_S = 7 * 86400.0
+"""Of a step: by then any belt is at the temperature of the air, and as uncertain as it gets, and all that fades is gone. A longer
+time tells no more; where it is given, it is the difference of an unsigned clock that went back (2^32 ms are 50 days)."""
+FARTHEST_NS = 1 << 62
+"""146 years: two times that are nearer to 0 have a difference within 64 bits."""
+FIRST_NS, LAST_NS = 1 - FARTHEST_NS, FARTHEST_NS - 1
 
 
 class Inputs(NamedTuple):
@@ -183,11 +189,12 @@ def is_as_compiled(inputs: Inputs, assemblies: int, belts: int) -> bool:
     return shaped and load.dtype == degc.dtype == FLOAT and load.flags.carray and degc.flags.carray
 
 
-def duration(given: ArrayLike, where: str) -> float:
-    """A duration [s]; InputError for a negative or infinite one, or none."""
+def duration(given: ArrayLike, where: str, most: float = math.inf, remedy: str = "") -> float:
+    """A duration [s]; InputError for a negative or infinite one, one above `most`, or none."""
     found = float(given if isinstance(given, float) else floats(given, where, ()))
-    if not 0.0 <= found < math.inf:
-        raise InputError(where, found, "a finite number of seconds, at least 0")
+    if not 0.0 <= found <= most or found == math.inf:
+        allowed = "a finite number of seconds, at least 0" if most == math.inf else f"a number of seconds from 0 to {most:g}"
+        raise InputError(where, found, allowed, remedy if found > most else "")
     return found
 
 
