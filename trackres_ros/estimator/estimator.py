@@ -305,14 +305,11 @@ class Estimator:
         """Compute the state after standing or being switched off for some time [s] at an ambient temperature [degC].
 
         None is the last known one: a session that begins from the state moves its belts once it knows the air. More than a week
-        counts as a week. The given state does not change. Raises InputError for a negative time, a temperature that is no finite number, or a state of another
-        vehicle.
+        counts as a week. The given state does not change. Raises InputError for a negative time, a temperature that is no finite
+        number, or a state of another vehicle.
         """
-        after, std, off = (
-            self._copy(state),
-            self.constants.number.ambient_unknown_std,
-            min(duration(seconds, "seconds"), LONGEST_STEP_S),
-        )
+        after, std = self._copy(state), self.constants.number.ambient_unknown_std
+        off = min(duration(seconds, "seconds"), LONGEST_STEP_S)
         air = math.nan if ambient is None else number(ambient, "ambient")
         self.entries.rest_vehicle(*self.own_arguments(), *after, air, std, off)
         return after
