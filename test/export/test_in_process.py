@@ -123,7 +123,7 @@ def test_without_a_speed_nothing_is_added_for_long(vehicle):
 
 
 @pytest.mark.parametrize("elapsed", [float("nan"), float("inf"), -5.0, -0.01])
-def test_while_the_step_refuses_its_time_nothing_is_added_for_long(vehicle, elapsed):
+def test_while_the_step_refuses_its_time_the_torque_ends(vehicle, elapsed):
     lines = "".join([*["5.0 0.01 1\n"] * 300, *[f"5.0 {elapsed} 1\n"] * 200, *["5.0 0.01 1\n"] * 100])
     done = subprocess.run([vehicle.folder / "step"], input=lines, capture_output=True, text=True, check=True)
     torque = np.array([float(line.split()[0]) for line in done.stdout.splitlines()])

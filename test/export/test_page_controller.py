@@ -91,7 +91,7 @@ def test_a_step_that_gives_nothing_ends_by_the_ramp_of_the_page(folder):
     assert added[-1] > 2000.0
 
 
-def test_the_program_of_the_page_fades_while_its_sensor_is_silent(folder):
+def test_the_program_of_the_page_fades_while_its_sensor_rests(folder):
     done = subprocess.run([folder / "controller"], capture_output=True, text=True, check=True)
     added = [float(line.split()[2]) for line in done.stdout.splitlines()]
     assert len(added) == 4
