@@ -21,6 +21,7 @@ from typing import Any, TypeVar, cast, get_type_hints
 
 from trackres_ros.files.cache import usable
 from trackres_ros.files.resources import cache_dir
+from trackres_ros.files.settings_here import unread
 from trackres_ros.jit.code_cache import CodeCache
 
 COMPILED_ROOMS = ("model", "estimator", "effects", "jit", "route", "diagnosis/prepare", "diagnosis/base", "diagnosis/empirical")
@@ -36,7 +37,8 @@ sys.modules.setdefault("coverage", cast(Any, None))  # numba loads it where colc
 try:
     if os.environ.get("TRACKRES_INTERPRETED"):
         raise ImportError("left out on request")
-    import numba
+    with unread(".numba_config.yaml"):
+        import numba
     from llvmlite.binding import get_host_cpu_name, parse_assembly
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import Compiler
