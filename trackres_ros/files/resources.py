@@ -65,7 +65,7 @@ def cache_dir() -> Path | None:
 
 
 def _find(what: str, path_or_name: str | os.PathLike[str], shipped: dict[str, Path]) -> Path:
-    """The shipped file of a name, even where the current folder has such a file: it may have come with recordings. Else the path."""
+    """The shipped file of a name, else the path: a file of that name in the current folder may have come with recordings."""
     allowed = f"the path of a {what} file, or one of {', '.join(shipped)}"
     path, name = checks.path(path_or_name, what, allowed), str(path_or_name)
     if name in shipped:

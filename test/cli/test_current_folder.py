@@ -1,0 +1,136 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Commands run in a folder of unpacked recordings that also holds traps: nothing in it runs, and no settings of it are read."""
+
+import os
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from importlib.metadata import packages_distributions
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from waiting import wait_for
+
+from trackres_ros.estimator.warm_up import LOCK
+from trackres_ros.files.resources import find_topics, find_vehicle
+
+COLD = "NUMBA_CACHE_DIR", "PYTHONSAFEPATH", "TRACKRES_INTERPRETED"  # variables that would keep a trap from being reached
+DRIVE = "time_s,speed_mps\n" + "".join(f"{0.1 * i:.1f},{8.0 if i > 20 else 0.4 * i:.1f}\n" for i in range(100))
+COMMANDS = {
+    "a shipped vehicle": ("vehicle", "check", "xgd24d", "--points", "10"),
+    "workers of a fleet": ("fleet", "run", "drive.csv", "--vehicle", "xgd24d", "--workers", "1", "--period", "none", "-o", "out"),
+    "processes of a proof": ("prove", "delay", "--vehicles", "0", "--hostile", "1", "--minutes", "1", "-o", "out"),
+}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A drive among traps: modules of every name, settings of libraries, and files with the names of shipped ones."""
+    made = tmp_path / "recordings"
+    made.mkdir()
+    mark = tmp_path / "sprung"
+    names = {*sys.stdlib_module_names, *packages_distributions(), "trackres_ros", "sitecustomize", "usercustomize", "trap"}
+    assert {"json", "runpy", "numpy", "yaml"} <= names
+    for name in names:
+        (made / f"{name}.py").write_text(f"open({str(mark)!r}, 'a').write('{name} ')\n")
+    (made / "trackres_ros").mkdir()
+    for name in ("__init__", "__main__"):
+        (made / "trackres_ros" / f"{name}.py").write_text(f"open({str(mark)!r}, 'a').write('trackres_ros ')\n")
+    (made / "trap-1.0.dist-info").mkdir()
+    (made / "trap-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: trap\nVersion: 1.0\n")
+    (made / "trap-1.0.dist-info" / "entry_points.txt").write_text("[trackres_ros.readers]\ntrap = trap:KINDS\n")
+    (made / ".numba_config.yaml").write_text("cache_dir: code\n")
+    (made / "matplotlibrc").write_text("trap: 1\n")
+    (made / "xgd24d").write_text(find_vehicle("xgd24d").read_text() + "\neffect_files: [trap.py]\n")
+    (made / "sample").write_text(find_topics("sample").read_text() + "\ntrap: 1\n")
+    (made / "drive.csv").write_text(DRIVE)
+    return made
+
+
+@pytest.fixture
+def start(folder, tmp_path):
+    """Starts a command as installed: a script elsewhere. None of its processes outlives the test."""
+    script = tmp_path / "bin" / "trackres"
+    script.parent.mkdir()
+    script.write_text("from trackres_ros.cli.entry import main\nmain()\n")
+    plain = {name: value for name, value in os.environ.items() if name not in COLD}
+
+    def start(*words, **variables):
+        words = [sys.executable, str(script), *map(str, words)]
+        given = {"cwd": folder, "env": {**plain, **variables, "OF_THIS_TEST": str(tmp_path)}, "text": True}
+        return subprocess.Popen(words, **given, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+    yield start
+    for process in ours(tmp_path):
+        with suppress(ProcessLookupError):
+            os.kill(process, signal.SIGKILL)
+
+
+def ours(folder):
+    """Processes that still run with our variable, whoever has started them."""
+    for entry in Path("/proc").glob("[0-9]*/environ"):
+        with suppress(OSError):
+            if f"OF_THIS_TEST={folder}\0".encode() in entry.read_bytes():
+                yield int(entry.parent.name)
+
+
+def nothing_sprang(folder):
+    mark = folder.parent / "sprung"
+    return (mark.read_text() if mark.exists() else "", (folder / "code").exists()) == ("", False)
+
+
+def ended_well(process):
+    out, err = process.communicate()
+    assert process.returncode == 0, out + err
+    assert "matplotlibrc" not in err
+    return out
+
+
+def test_a_module_in_the_current_folder_springs_where_it_is_looked_for(folder):
+    """So the traps are good."""
+    subprocess.run([sys.executable, "-m", "trackres_ros"], cwd=folder, capture_output=True)
+    assert not nothing_sprang(folder)
+
+
+@pytest.mark.skipif(not find_spec("numba"), reason="without numba nothing is compiled")
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("simulate", "--vehicle", "xgd24d", "--speed-kmh", "30", "--duration-s", "20", "-o", "out.csv"),
+        ("replay", "drive.csv", "--vehicle", "xgd24d", "-o", "out.csv"),
+        ("live", "--vehicle", "xgd24d", "--transport", "dds", "--quiet", "-p", "state_file:=none"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_first_start_among_traps_springs_none(words, start, folder, tmp_path):
+    live = words[0] == "live"
+    if live:
+        pytest.importorskip("cyclonedds", reason="cyclonedds is not installed: pip install trackres_ros[dds]")
+    process = start(*words, XDG_CACHE_HOME=str(tmp_path / "cache"))
+    kept = tmp_path / "cache"
+    assert wait_for(lambda: not nothing_sprang(folder) or [*kept.rglob(LOCK)] or process.poll(), working=process.pid)
+    if live:
+        process.send_signal(signal.SIGINT)
+    ended_well(process)
+    assert nothing_sprang(folder)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("words", COMMANDS.values(), ids=COMMANDS)
+def test_no_command_among_traps_springs_one(words, start, folder):
+    if words[0] != "vehicle":
+        pytest.importorskip("distributed", reason="the extras fleet and proof are not installed")
+        pytest.importorskip("pysindy")
+    ended_well(start(*words))
+    assert nothing_sprang(folder)
+
+
+def test_a_shipped_name_is_no_file_of_the_current_folder(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    for name, find in (("xgd24d", find_vehicle), ("sample", find_topics)):
+        assert find(name).parent != folder
+        assert find(f"./{name}").samefile(folder / name)
