@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A plugin of pytest: `-p only_package_xml` hides each library that package.xml does not bring, as on a machine with rosdep alone.
+"""A plugin of pytest, `-p only_package_xml`: hides each library that package.xml does not bring, as after rosdep alone.
 
 `ONLY_PACKAGE_XML` has the names of the modules that are there.
 """

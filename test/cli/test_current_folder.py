@@ -112,7 +112,7 @@ def test_a_first_start_among_traps_springs_none(words, start, folder, tmp_path):
         pytest.importorskip("cyclonedds", reason="cyclonedds is not installed: pip install trackres_ros[dds]")
     process = start(*words, XDG_CACHE_HOME=str(tmp_path / "cache"))
     kept = tmp_path / "cache"
-    assert wait_for(lambda: not nothing_sprang(folder) or [*kept.rglob(LOCK)] or process.poll(), working=process.pid)
+    assert wait_for(lambda: not nothing_sprang(folder) or [*kept.rglob(LOCK)] or process.poll(), patience_s=600.0)
     if live:
         process.send_signal(signal.SIGINT)
     ended_well(process)
