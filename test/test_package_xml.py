@@ -96,7 +96,8 @@ def test_tests_load_where_only_the_keys_of_package_xml_are(repository, package, 
     assert {"numpy", "numba", "matplotlib", "pytest", "hypothesis", "jsonschema"} <= there
     assert not there & {"rosbags", "pyarrow", "cyclonedds", "pandas", "distributed", "threadpoolctl"}
     given = {**os.environ, "ONLY_PACKAGE_XML": " ".join(there), "PYTHONPATH": str(repository / "test")}
-    command = [sys.executable, "-m", "pytest", "-p", "only_package_xml", "-p", "no:cacheprovider", "--collect-only", "-q", "-q"]
+    given["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # of other plugins, whose libraries are hidden
+    command = [sys.executable, "-m", "pytest", "-p", "only_package_xml", "-p", "no:cacheprovider", "--collect-only", "-qq"]
     done = subprocess.run([*command, "test"], cwd=repository, env=given, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr
 

@@ -90,7 +90,7 @@ def ended_well(process):
     return out
 
 
-def test_a_module_in_the_current_folder_springs_where_it_is_looked_for(folder):
+def test_a_trap_springs_where_python_looks_for_modules_here(folder):
     """So the traps are good."""
     subprocess.run([sys.executable, "-m", "trackres_ros"], cwd=folder, capture_output=True)
     assert not nothing_sprang(folder)
@@ -107,11 +107,13 @@ def test_a_module_in_the_current_folder_springs_where_it_is_looked_for(folder):
     ids=lambda words: words[0],
 )
 def test_a_first_start_among_traps_springs_none(words, start, folder, tmp_path):
-    live = words[0] == "live"
+    kept, live, variables = tmp_path / "cache", words[0] == "live", {}
     if live:
         pytest.importorskip("cyclonedds", reason="cyclonedds is not installed: pip install trackres_ros[dds]")
-    process = start(*words, XDG_CACHE_HOME=str(tmp_path / "cache"))
-    kept = tmp_path / "cache"
+        import peer
+
+        variables = {"CYCLONEDDS_URI": peer.LOOPBACK, "ROS_DOMAIN_ID": str(peer.domain_of_worker(73))}
+    process = start(*words, XDG_CACHE_HOME=str(kept), **variables)
     assert wait_for(lambda: not nothing_sprang(folder) or [*kept.rglob(LOCK)] or process.poll(), patience_s=600.0)
     if live:
         process.send_signal(signal.SIGINT)

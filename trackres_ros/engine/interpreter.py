@@ -10,9 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import trackres_ros
-
-ROOT = str(Path(trackres_ros.__file__).resolve().parents[1])
+ROOT = str(Path(__file__).resolve().parents[2])
 
 SAFE = {"PYTHONSAFEPATH": "1"}
 """Variables of a process that may start Python itself, by any library: `-c` and `-m` then leave out the current folder."""

@@ -39,6 +39,7 @@ try:
         raise ImportError("left out on request")
     with unread(".numba_config.yaml"):
         import numba
+        import numba.core.config
     from llvmlite.binding import get_host_cpu_name, parse_assembly
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import Compiler
@@ -49,6 +50,7 @@ except ImportError:
 else:
     HAVE_NUMBA = True
     _library = numba
+    numba.core.config._config_fname = os.devnull  # it is looked for again at each compilation
 
     _OF_CODE: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
     _OF_PART = {"nopython": True, "boundscheck": None, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
