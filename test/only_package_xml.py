@@ -11,7 +11,7 @@ from importlib.machinery import PathFinder
 from importlib.metadata import packages_distributions
 
 THERE = set(os.environ["ONLY_PACKAGE_XML"].split())
-HIDDEN = packages_distributions().keys() - THERE
+HIDDEN = packages_distributions().keys() - THERE - {"trackres_ros"}
 _find = PathFinder.find_spec
 
 

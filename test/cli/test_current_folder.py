@@ -20,10 +20,13 @@ from trackres_ros.files.resources import find_topics, find_vehicle
 
 COLD = "NUMBA_CACHE_DIR", "PYTHONSAFEPATH", "TRACKRES_INTERPRETED"  # variables that would keep a trap from being reached
 DRIVE = "time_s,speed_mps\n" + "".join(f"{0.1 * i:.1f},{8.0 if i > 20 else 0.4 * i:.1f}\n" for i in range(100))
-COMMANDS = {
-    "a shipped vehicle": ("vehicle", "check", "xgd24d", "--points", "10"),
-    "workers of a fleet": ("fleet", "run", "drive.csv", "--vehicle", "xgd24d", "--workers", "1", "--period", "none", "-o", "out"),
-    "processes of a proof": ("prove", "delay", "--vehicles", "0", "--hostile", "1", "--minutes", "1", "-o", "out"),
+COMMAND = "from trackres_ros.cli.entry import main\n\nif __name__ == '__main__':\n    main()\n"
+OWN = "import trackres_ros as tr\n\ntr.replay('drive.csv', vehicle='xgd24d')\n"
+FIRST = {
+    "a program of one's own": (OWN, ()),
+    "simulate": (COMMAND, ("simulate", "--vehicle", "xgd24d", "--speed-kmh", "30", "--duration-s", "20", "-o", "out.csv")),
+    "replay": (COMMAND, ("replay", "drive.csv", "--vehicle", "xgd24d", "-o", "out.csv")),
+    "live": (COMMAND, ("live", "--vehicle", "xgd24d", "--transport", "dds", "--quiet", "-p", "state_file:=none")),
 }
 
 
@@ -53,14 +56,14 @@ def folder(tmp_path):
 
 @pytest.fixture
 def start(folder, tmp_path):
-    """Starts a command as installed: a script elsewhere. None of its processes outlives the test."""
+    """Starts a program that lies elsewhere, as an installed command does. None of its processes outlives the test."""
     script = tmp_path / "bin" / "trackres"
     script.parent.mkdir()
-    script.write_text("from trackres_ros.cli.entry import main\nmain()\n")
     plain = {name: value for name, value in os.environ.items() if name not in COLD}
 
-    def start(*words, **variables):
-        words = [sys.executable, str(script), *map(str, words)]
+    def start(program, words, **variables):
+        script.write_text(program)
+        words = [sys.executable, str(script), *words]
         given = {"cwd": folder, "env": {**plain, **variables, "OF_THIS_TEST": str(tmp_path)}, "text": True}
         return subprocess.Popen(words, **given, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
@@ -97,23 +100,15 @@ def test_a_trap_springs_where_python_looks_for_modules_here(folder):
 
 
 @pytest.mark.skipif(not find_spec("numba"), reason="without numba nothing is compiled")
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("simulate", "--vehicle", "xgd24d", "--speed-kmh", "30", "--duration-s", "20", "-o", "out.csv"),
-        ("replay", "drive.csv", "--vehicle", "xgd24d", "-o", "out.csv"),
-        ("live", "--vehicle", "xgd24d", "--transport", "dds", "--quiet", "-p", "state_file:=none"),
-    ],
-    ids=lambda words: words[0],
-)
-def test_a_first_start_among_traps_springs_none(words, start, folder, tmp_path):
-    kept, live, variables = tmp_path / "cache", words[0] == "live", {}
+@pytest.mark.parametrize("first", FIRST)
+def test_a_first_start_among_traps_springs_none(first, start, folder, tmp_path):
+    kept, live, variables = tmp_path / "cache", first == "live", {}
     if live:
         pytest.importorskip("cyclonedds", reason="cyclonedds is not installed: pip install trackres_ros[dds]")
         import peer
 
         variables = {"CYCLONEDDS_URI": peer.LOOPBACK, "ROS_DOMAIN_ID": str(peer.domain_of_worker(73))}
-    process = start(*words, XDG_CACHE_HOME=str(kept), **variables)
+    process = start(*FIRST[first], XDG_CACHE_HOME=str(kept), **variables)
     assert wait_for(lambda: not nothing_sprang(folder) or [*kept.rglob(LOCK)] or process.poll(), patience_s=600.0)
     if live:
         process.send_signal(signal.SIGINT)
@@ -121,13 +116,17 @@ def test_a_first_start_among_traps_springs_none(words, start, folder, tmp_path):
     assert nothing_sprang(folder)
 
 
+def test_a_shipped_vehicle_is_checked_among_traps(start, folder):
+    ended_well(start(COMMAND, ("vehicle", "check", "xgd24d", "--points", "10")))
+    assert nothing_sprang(folder)
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("words", COMMANDS.values(), ids=COMMANDS)
-def test_no_command_among_traps_springs_one(words, start, folder):
-    if words[0] != "vehicle":
-        pytest.importorskip("distributed", reason="the extras fleet and proof are not installed")
-        pytest.importorskip("pysindy")
-    ended_well(start(*words))
+def test_workers_of_a_fleet_among_traps_spring_none(start, folder):
+    pytest.importorskip("distributed", reason="the extra fleet is not installed")
+    words = ["fleet", "run", "drive.csv", "--vehicle", "xgd24d", "--workers", "1", "--period", "none", "-o", "out"]
+    said = start(COMMAND, words).communicate()
+    assert "drive.csv: given 'no torque" in said[1], said  # so a worker has read it
     assert nothing_sprang(folder)
 
 

@@ -13,17 +13,18 @@ from typing import Any
 ROOT = str(Path(__file__).resolve().parents[2])
 
 SAFE = {"PYTHONSAFEPATH": "1"}
-"""Variables of a process that may start Python itself, by any library: `-c` and `-m` then leave out the current folder."""
+"""Variables for what any library starts: it cannot be given `-P`, by which `-c` and `-m` leave out the current folder."""
 
 
 def python(module: str, *words: object, **variables: str) -> dict[str, Any]:
     """Arguments of `subprocess` that run a module with some words: `args`, and `env` with further variables.
 
     With `-m` alone, Python looks for every module in the current folder first, and that may be a folder of unpacked recordings.
+    What `multiprocessing` starts there has `-P` too.
     """
     found = [place for place in sys.path if place]  # "" is the current folder
     path = os.pathsep.join(found if ROOT in found else [*found, ROOT])
     return {
         "args": [sys.executable, "-P", "-m", module, *map(str, words)],
-        "env": {**os.environ, **SAFE, "PYTHONPATH": path, **variables},
+        "env": {**os.environ, "PYTHONPATH": path, **variables},
     }
