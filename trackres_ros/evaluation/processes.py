@@ -21,6 +21,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
+from trackres_ros.engine.interpreter import python
 from trackres_ros.errors import InputError
 
 Task = TypeVar("Task")
@@ -92,7 +93,7 @@ def show_count(what: str, done: int, total: int, rest: str = "") -> None:
 
 def run_command(*words: str | Path) -> None:
     """Run a command of `trackres`."""
-    subprocess.run([sys.executable, "-m", "trackres_ros", *map(str, words)], check=True, capture_output=True)
+    subprocess.run(**python("trackres_ros", *words), check=True, capture_output=True)
 
 
 def unfinished(cases: Path, results: Path, first: int | None = None, suffix: str = ".json") -> list[Path]:

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from trackres_ros.arrays import Array
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.files.own_files import write
+from trackres_ros.files.settings_here import unread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,7 +78,8 @@ def picture(path: Path, width: float, height: float) -> Iterator[Figure]:
 def empty_figure(width: float, height: float) -> Iterator[Figure]:
     """An empty figure [inches], and the look of the package while it is drawn."""
     try:
-        import matplotlib  # noqa: F401 - its parts may be there still where it is not
+        with unread("matplotlibrc"):
+            import matplotlib  # noqa: F401 - its parts may be there still where it is not
         from matplotlib.backends.backend_agg import FigureCanvasAgg
     except ImportError:
         raise MissingExtraError("pictures", "matplotlib", "plots") from None
