@@ -70,6 +70,7 @@ class Numbers(NamedTuple):
     rotating_mass_factor: float
     nominal_ambient: float
     axles: int
+    first_belt: int  # channel of the first assembly's belt temperature
     first_wheel: int  # channel of the wheel speeds; those of single axles and assemblies follow it
     initial_belt_std: float
     process_noise: float
@@ -103,6 +104,7 @@ class Numbers(NamedTuple):
     feedforward_rate: float
     feedforward_limit: float
     speed_max_age: float
+    slow_input_max_age_ns: int
     feedforward_fade: float
     belt_std_warn: float
     # By default those of wheels without belts.
@@ -205,6 +207,7 @@ def make_constants(
         rotating_mass_factor=chassis.rotating_mass_factor,
         nominal_ambient=chassis.ambient,
         axles=len(vehicle.axles),
+        first_belt=at.channels(vehicle).index(at.WHEELS) - len(vehicle.assemblies),
         first_wheel=at.channels(vehicle).index(at.WHEELS),
         initial_belt_std=settings.initial_belt_std_k,
         process_noise=settings.process_noise_k,
@@ -246,7 +249,7 @@ def _times_ns(settings: Settings) -> dict[str, Any]:
     """Times of the settings that are compared with message times [ns]."""
     names = (
         "clock_jump", "load_hold", "passengers_hold", "ambient_hold", "motion_hold", "torque_hold", "position_hold", "stuck",
-        "enable_hold",
+        "enable_hold", "slow_input_max_age",
     )  # fmt: skip
     seconds = {name: getattr(settings, f"{name}_s") for name in names} | {"disagreeing": settings.speed_max_age_s}
     return {f"{name}_ns": int(round(value * 1e9)) for name, value in seconds.items()}

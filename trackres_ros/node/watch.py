@@ -24,6 +24,7 @@ from trackres_ros.units import NANOSECOND
 REFUSED_SHARE = 0.1  # of the messages of a second: more is not the odd late one
 CLOCK_OFFSET_NS = 1_000_000_000
 STARTING_NS = 5_000_000_000  # assumed: publishers are found within 2 s, and the slowest usual input comes at 1 Hz
+ENOUGH_HZ = 10  # of a speed: a controller's feed-forward is then never older than its speed by more than 0.1 s
 REFUSALS = [int(count) for count in at.REFUSALS]
 MESSAGES = [int(at.Count.ACCEPTED), *REFUSALS]
 
@@ -134,8 +135,8 @@ class Watch:
         before, self._last[name] = self._last.get(name, np.zeros_like(now)), now
         return now - before
 
-    def notices(self, age_s: float, max_age_s: float, clock_runs: bool) -> list[Notice]:
-        """All present notices of inputs and estimate."""
+    def notices(self, age_s: float, max_age_s: float, period_s: float, clock_runs: bool) -> list[Notice]:
+        """All present notices of inputs and estimate; `period_s`: in which the speed comes."""
         found: list[Notice] = []
         if not clock_runs:
             found.append(Notice("NO_CLOCK", "use_sim_time is set and no /clock message has arrived"))
@@ -154,7 +155,11 @@ class Watch:
             side = "behind" if self._offset_ns > 0 else "ahead of"
             text = f"the stamps of the speed are {abs(self._offset_ns) * 1e-9:.1f} s {side} this node's clock"
             found.append(Notice("CLOCK_OFFSET", text))
-        return found + of_reasons(at.Reason(self._shown_reasons))
+        reasons = at.Reason(self._shown_reasons)
+        if reasons & at.Reason.SPEED_SLOW:
+            reasons &= ~at.Reason.SPEED_SLOW
+            found.append(_of_slow_speed(period_s, max_age_s))
+        return found + of_reasons(reasons)
 
     def to_log(self, notices: Sequence[Notice], steady: int) -> tuple[Level, str] | None:
         """Level and text for the log, if the notices above OK have changed since the last call.
@@ -172,6 +177,13 @@ class Watch:
         self._logged = names
         text = "; ".join(notice.text for notice in wrong or heavy) or "no warnings"
         return (level_of(wrong), text if wrong or not heavy else f"waiting for inputs: {text}")
+
+
+def _of_slow_speed(period_s: float, max_age_s: float) -> Notice:
+    """What a speed that comes rarely means; a period longer than the age is one of fading."""
+    meanwhile = f"it is trusted for {max_age_s:.2g} s" if period_s <= max_age_s else f"the feed-forward fades after {max_age_s:.2g} s"
+    rate = f"{1.0 / period_s:.2g}" if period_s > 0.0 else "?"
+    return Notice("SPEED_SLOW", f"your speed comes at {rate} Hz; {meanwhile}: send it at {ENOUGH_HZ} Hz or more")
 
 
 def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
