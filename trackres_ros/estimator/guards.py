@@ -230,7 +230,9 @@ def may_change_at_will(k: Constants, memory: Memory, channel: int, now: int, qua
 
 
 @inlined
-def is_plausible(k: Constants, times: Times, run: Run, channel: int, stamp: int, elapsed: int, value: float, quantum: float) -> bool:
+def is_plausible(
+    k: Constants, times: Times, run: Run, channel: int, stamp: int, elapsed: int, value: float, quantum: float
+) -> bool:
     """Whether the vehicle can have changed its speed, or its load, so fast."""
     if channel == at.SPEED:
         return speed_is_plausible(k, times, run, stamp, elapsed, value, quantum)

@@ -14,6 +14,8 @@ believed once it outlasts each manoeuvre that moves load between axles.
 
 from __future__ import annotations
 
+import math
+
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.columns import Run, Times
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, Constants
@@ -42,7 +44,7 @@ def follow(reference: float, value: float, elapsed: int, rate: float, slack: flo
 @inlined
 def trust(times: Times, run: Run, value: float) -> None:
     """Accept a value, independent of its history."""
-    run.reference, run.doubted = value, float("nan")
+    run.reference, run.doubted = value, math.nan
     times.doubts = 0
 
 

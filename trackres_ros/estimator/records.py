@@ -48,7 +48,17 @@ class Inputs(NamedTuple):
 
 MAYBE_UNKNOWN = Inputs._fields[5:-3]
 FLOAT = np.dtype(float)
-KINDS = (float, np.ndarray, float, float, np.ndarray, *(float for _ in MAYBE_UNKNOWN), int, float, float)  # of Inputs, as compiled
+KINDS = (
+    float,
+    np.ndarray,
+    float,
+    float,
+    np.ndarray,
+    *(float for _ in MAYBE_UNKNOWN),
+    int,
+    float,
+    float,
+)  # of Inputs, as compiled
 
 
 class State(NamedTuple):

@@ -181,7 +181,9 @@ class Watch:
 
 def _of_slow_speed(period_s: float, max_age_s: float) -> Notice:
     """What a speed that comes rarely means; a period longer than the age is one of fading."""
-    meanwhile = f"it is trusted for {max_age_s:.2g} s" if period_s <= max_age_s else f"the feed-forward fades after {max_age_s:.2g} s"
+    meanwhile = (
+        f"it is trusted for {max_age_s:.2g} s" if period_s <= max_age_s else f"the feed-forward fades after {max_age_s:.2g} s"
+    )
     rate = f"{1.0 / period_s:.2g}" if period_s > 0.0 else "?"
     return Notice("SPEED_SLOW", f"your speed comes at {rate} Hz; {meanwhile}: send it at {ENOUGH_HZ} Hz or more")
 
