@@ -77,7 +77,7 @@ def given_by(topics: Topics) -> dict[str, Any]:
     changes: dict[str, Any] = {}
     for role in topics:
         limit = topics[role].max_age_s
-        if limit is None:
+        if limit is None or role == "direction":  # that of its own
             continue
         name = AGE_LIMITS.get(base_role(role))
         if name is None:

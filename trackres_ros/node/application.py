@@ -39,7 +39,7 @@ from trackres_ros.node.service_manager import ServiceManager
 from trackres_ros.node.setup import changed_parameters, read_setup
 from trackres_ros.node.state_keeper import StateKeeper, state_path
 from trackres_ros.node.transport import KeepMessage, Level, Peer, Reasons, Transport
-from trackres_ros.node.watch import Watch
+from trackres_ros.node.watch import COMPANIONS, Watch
 from trackres_ros.units import NANOSECOND, SECOND_NS
 
 ACCEPTED, IMPLAUSIBLE = int(at.Count.ACCEPTED), int(at.Count.IMPLAUSIBLE)
@@ -459,6 +459,7 @@ class Application:
         reader, channels = self.messages.reader, self.estimator.channels
         counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]
         others = {"bad_stamp": reader.bad_stamp, "without_other_part": reader.alone(), "absent": reader.absent}
+        others |= dict(zip(COMPANIONS, map(list, zip(*reader.dropped_by_companions(), strict=True)), strict=True))
         for kind, counts in others.items():
             counted += [f"{name} {kind} {n}" for name, n in zip(channels, counts, strict=True) if n]
         counted += [f"{name} dropped {n}" for name, n in zip(self._topic_names, reader.dropped, strict=True) if n]

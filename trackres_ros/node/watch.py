@@ -25,6 +25,8 @@ REFUSED_SHARE = 0.1  # of the messages of a second: more is not the odd late one
 CLOCK_OFFSET_NS = 1_000_000_000
 STARTING_NS = 5_000_000_000  # assumed: publishers are found within 2 s, and the slowest usual input comes at 1 Hz
 ENOUGH_HZ = 10  # of a speed: a controller's feed-forward is then never older than its speed by more than 0.1 s
+COMPANIONS = ("invalid", "without_direction")
+"""Why a sample was dropped before the guards, see `recording.companions`."""
 REFUSALS = [int(count) for count in at.REFUSALS]
 MESSAGES = [int(at.Count.ACCEPTED), *REFUSALS]
 
@@ -50,7 +52,7 @@ class Watch:
         self.accepted_ns: list[int | None] = [None] * len(estimator.channels)  # by a steady clock
         self._inputs: tuple[InputState, ...] = ()
         self.steps_hz = 0.0
-        self._roles = [(role, i) for i, given in enumerate(inputs) for role in dict.fromkeys(given.roles)]
+        self._roles = [(role, i) for i, given in enumerate(inputs) for role in given.valued if role in estimator.channels]
         self._channel = {role: estimator.channels.index(role) for role, _ in self._roles}
         self._topics = inputs
         self._peers: Sequence[Sequence[Peer]] = [()] * len(inputs)
@@ -99,7 +101,7 @@ class Watch:
         new = self._since("counts", session.memory.counters)
         bad_stamp, alone = self._since("bad_stamp", reader.bad_stamp), self._since("alone", reader.alone())
         received, dropped = self._since("received", reader.received), self._since("dropped", reader.dropped)
-        absent = self._since("absent", reader.absent)
+        absent, dropped_by = self._since("absent", reader.absent), self._since("companions", reader.dropped_by_companions())
         self._overrun = [(given.name, int(n)) for given, n in zip(self._topics, dropped, strict=True) if n]
         states = []
         for role, i in self._roles:
@@ -107,6 +109,7 @@ class Watch:
             messages = int(received[i] if role in reader.sums else new[channel, MESSAGES].sum() + bad_stamp[channel])
             refused = [(at.Count(c).name.lower(), int(new[channel, c])) for c in REFUSALS]
             refused += [("bad_stamp", int(bad_stamp[channel])), ("without_other_part", int(alone[channel]))]
+            refused += [(name, int(n)) for name, n in zip(COMPANIONS, dropped_by[channel], strict=True)]
             if not new[channel, at.Count.ACCEPTED]:  # else another publisher on the topic has the element
                 refused.append((f"absent (the messages do not have {reader.lacks[channel]})", int(absent[channel])))
             many = sum(number for _, number in refused) > REFUSED_SHARE * messages
@@ -114,9 +117,10 @@ class Watch:
             seen = [(count.name.lower(), int(self._last["counts"][channel, count])) for count in at.Count]
             seen += [("bad_stamp", reader.bad_stamp[channel]), ("without_other_part", int(self._last["alone"][channel]))]
             seen += [("absent", reader.absent[channel]), ("dropped", reader.dropped[i])]
+            seen += [(name, int(n)) for name, n in zip(COMPANIONS, self._last["companions"][channel], strict=True)]
             value = float(session.memory.values[channel])
             shown = tuple((name, number) for name, number in seen if number)
-            messages += 0 if role in reader.sums else int(absent[channel])
+            messages += 0 if role in reader.sums else int(absent[channel] + dropped_by[channel].sum())
             since = steady - (self.accepted_ns[channel] or 0)  # simulated time does not age a speed
             if role != "speed":
                 since = arrival - int(session.memory.times[channel, at.Times.last_arrival])
@@ -129,7 +133,7 @@ class Watch:
         self._began_ns = steady if self._began_ns is None else self._began_ns
         self._shown_reasons, self._second_reasons = self._second_reasons | still, 0
 
-    def _since(self, name: str, counters: Sequence[int] | IntArray) -> IntArray:
+    def _since(self, name: str, counters: Sequence[int] | Sequence[Sequence[int]] | IntArray) -> IntArray:
         """What was added to counters since the last look at them."""
         now = np.array(counters, dtype=np.int64)
         before, self._last[name] = self._last.get(name, np.zeros_like(now)), now

@@ -82,7 +82,7 @@ class TopicBinding:
         return bool(self.sources[0].topic)
 
     def meant(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert scaled numbers: 1 for the modes in `values`, 0 for others, nan for nan; of a direction its way; else unchanged."""
+        """Convert scaled numbers: of modes to 1 for those in `values` and 0 for others, of a direction to its way; nan for nan."""
         if self.ways is not None:
             return self.ways.meant(numbers)
         if not self.values:

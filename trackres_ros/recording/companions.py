@@ -9,6 +9,7 @@ moves a vehicle.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import copysign, inf, isnan, nan
@@ -67,15 +68,15 @@ class Dropped:
 class Companions:
     """All companions of a source.
 
-    `readings`: from `readings_of`; `bindings`: by role; `required`: whether a speed waits for its first direction. A direction that
-    was only guessed may never have a value; until it has one the speed is as it came.
+    `readings`: from `readings_of`; `bindings`: by role; `required`: whether a speed waits for its first direction. A direction
+    that was only guessed may never have a value; until it has one the speed is as it came.
     """
 
     def __init__(self, readings: Sequence[Reading], bindings: Mapping[str, TopicBinding], required: bool = True) -> None:
         self._readings, self._required = readings, required
         self._valid = {
             (one.role, one.part): Companion(one.binding.max_age_s or HOLD_S, _together(one.binding, target.binding))
-            for one, target in zip(readings, readings[1:], strict=False)
+            for one, target in itertools.pairwise(readings)
             if one.is_valid
         }
         self._direction: Companion | None = None

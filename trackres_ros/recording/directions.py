@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the values of a direction of travel mean: the standards of buses, known by name, and the names that a file gives values."""
+"""What the values of a direction of travel mean: by the standards of buses, known by name, and by the names in a file."""
 
 import re
 from collections.abc import Iterable, Mapping

@@ -231,7 +231,7 @@ def topics_line(role: str, binding: TopicBinding) -> str:
     keys = ("topic", "type", "field") if binding.topic else ("column",)
     line: dict[str, object] = {"channel" if key == "column" else key: getattr(binding, key) for key in keys}
     unit = next((name for name, one in UNITS[inside].items() if one == (binding.scale, binding.offset)), "")
-    if unit and not (role in POSITION and not binding.unit):
+    if unit and binding.ways is None and not (role in POSITION and not binding.unit):
         line["unit"] = unit
     elif (binding.scale, binding.offset) != (1.0, 0.0):
         line |= {"scale": binding.scale, "offset": binding.offset}
