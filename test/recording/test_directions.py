@@ -159,7 +159,9 @@ def test_a_column_reverse_makes_a_replay_drive_backwards(tmp_path, good):
 def test_a_speed_never_negative_beside_reverse_is_a_finding(tmp_path, good):
     path = table(tmp_path, v=np.abs(TRUE), ReverseGearEngagedSignal=BACK)
     (tmp_path / "t.yaml").write_text("speed: {column: v}\n")
-    report = json.loads(good("replay", path, "--topics", tmp_path / "t.yaml", "--vehicle", "xgd24d", "-o", tmp_path / "o.csv", "--json"))
+    report = json.loads(
+        good("replay", path, "--topics", tmp_path / "t.yaml", "--vehicle", "xgd24d", "-o", tmp_path / "o.csv", "--json")
+    )
     found = [one for one in tr.read(path, topics=tmp_path / "t.yaml").findings if one.kind == "unsigned"]
     assert len(found) == 1
     assert "direction: {channel: ReverseGearEngagedSignal" in found[0].text
@@ -187,7 +189,7 @@ def test_a_direction_in_another_message_expires_and_is_said(tmp_path):
     line = {"column": "back", "values": {"forward": [0], "reverse": [1]}}
     recording = tr.read(path, topics={"speed": {"column": "speed_mps"}, "direction": line})
     last = 1.9 + HOLD_S
-    np.testing.assert_array_equal(recording.series["speed"].value, np.full(np.sum(TIMES <= last + 1e-9), -3.0))
+    np.testing.assert_array_equal(recording.series["speed"].value, np.full(np.sum(last + 1e-9 >= TIMES), -3.0))
     longer = tr.read(path, topics={"speed": {"column": "speed_mps"}, "direction": {**line, "max_age_s": 100.0}})
     assert len(longer.series["speed"]) == len(TIMES)
 

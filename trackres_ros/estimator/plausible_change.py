@@ -4,12 +4,11 @@
 """Checks that a channel can have changed as its messages say: a speed by the vehicle's acceleration, a load only slowly.
 
 A reference follows the accepted values, at most at the greatest rate of the channel. A value further from it than noise explains
-is refused and begins a doubt. Then nothing is accepted until a run of consistent values ends the doubt. It has as many values as
-a clock jump needs, and lasts as long as the doubt before it. So one wrong value costs a few samples, and two alternating values
-are never believed.
+is refused and begins a doubt. A run of consistent values ends the doubt, once it has as many values as a clock jump needs, and
+lasts as long as the doubt before it. So one wrong speed costs a few samples, and two alternating values are never believed.
 
 The load of a vehicle changes at standstill, or slowly, as a tank is filled or a field is harvested. A jump of it while driving is
-believed once it outlasts each manoeuvre that moves load between axles.
+believed once it outlasts each manoeuvre that moves load between axles. Until then a load near the old one is used.
 """
 
 from __future__ import annotations
@@ -25,9 +24,12 @@ from trackres_ros.units import NANOSECOND
 
 LONGEST_RUN_NS = 2_000_000_000  # by then the feed-forward is zero: a longer wait is no safer
 LOAD_LASTS_NS = 10_000_000_000  # ours: braking from 50 km/h at 2 m/s^2 takes 7 s, and moves load between axles
-# Ours, as shares of the nominal load. Bumps move the load of an axle by a tenth to three tenths (dynamic load coefficient; Cebon,
-# Handbook of Vehicle-Road Interaction, 1999), and a sensor smooths them. A tank for a third of the weight is filled in minutes.
-LOAD_SLACK, LOAD_PER_S = 0.25, 0.25 / 60.0
+# Shares of the nominal load, ours. Bumps move the load of an axle by a tenth to three tenths (dynamic load coefficient; Cebon,
+# Handbook of Vehicle-Road Interaction, 1999), and a sensor smooths them.
+LOAD_SLACK = 0.25
+FOLLOWED_PER_S = LOAD_SLACK / (LOAD_LASTS_NS * NANOSECOND)  # a slow change is believed as late as a jump that lasts
+LONGEST_STEP_NS = 1_000_000_000  # of a reference of loads: a pause in them allows no jump
+LOAD_PER_S = LOAD_SLACK / 60.0  # what nobody measures: a tank for a third of the weight is filled in minutes
 FRESH_LOAD_NS = 2_000_000_000  # an older load is reported as held, while it is valid
 
 
@@ -54,12 +56,13 @@ def is_in_reach(
 ) -> bool:
     """Whether to accept a value some time [ns] after the last accepted one; record a doubtful one.
 
-    A run that lasts for `lasting` [ns] is believed wherever it is. With 0 it must be within reach of the last accepted value too,
-    and last as long as the doubt before it, `LONGEST_RUN_NS` at most.
+    A run that lasts for `lasting` [ns] is believed wherever it is, and a value near the reference ends the doubt. With 0 nothing
+    but a run does. It must then be within reach of the last accepted value, and last as long as the doubt before it,
+    `LONGEST_RUN_NS` at most.
     """
     reached, near = follow(run.reference, value, elapsed, rate, slack)
-    if near and times.doubts == 0:
-        run.reference = reached
+    if near and (times.doubts == 0 or lasting > 0):
+        run.reference, times.doubts = reached, 0
         return True
     agrees, moved = False, value
     if times.doubts > 0:
@@ -97,7 +100,8 @@ def nominal_of(k: Constants, channel: int) -> float:
 def load_is_plausible(k: Constants, times: Times, run: Run, channel: int, stamp: int, elapsed: int, value: float) -> bool:
     """Whether to accept a load, or a number of passengers, of a vehicle that drives."""
     nominal = nominal_of(k, channel)
-    return is_in_reach(k, times, run, stamp, elapsed, value, LOAD_PER_S * nominal, LOAD_SLACK * nominal, LOAD_LASTS_NS)
+    since = min(elapsed, LONGEST_STEP_NS)
+    return is_in_reach(k, times, run, stamp, since, value, FOLLOWED_PER_S * nominal, LOAD_SLACK * nominal, LOAD_LASTS_NS)
 
 
 @inlined

@@ -82,7 +82,7 @@ class TopicBinding:
         return bool(self.sources[0].topic)
 
     def meant(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert scaled numbers: of modes to 1 for those in `values` and 0 for others, of a direction to its way; nan for nan."""
+        """Convert scaled numbers: of modes to 1 for those in `values`, else 0; of a direction to its way; nan stays."""
         if self.ways is not None:
             return self.ways.meant(numbers)
         if not self.values:
