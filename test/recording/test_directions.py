@@ -142,6 +142,28 @@ def mdf(folder, **channels):
     return path
 
 
+def test_an_enumeration_of_an_mdf_file_says_what_its_values_mean(tmp_path):
+    asammdf = pytest.importorskip("asammdf")
+    named = {"val_0": 4, "text_0": b"Driving forward", "val_1": 6, "text_1": b"Backwards", "default": b""}
+    with asammdf.MDF(version="4.10") as file:
+        speed = asammdf.Signal(samples=np.abs(TRUE), timestamps=TIMES, name="v", unit="m/s")
+        way = asammdf.Signal(samples=np.where(BACK, 6, 4).astype(np.uint8), timestamps=TIMES, name="Way", conversion=named)
+        file.append([speed, way])
+        file.save(tmp_path / "drive.mf4")
+    assert_true(read(tmp_path / "drive.mf4", speed={"channel": "v"}, direction={"channel": "Way"}))
+
+
+def test_a_column_reverse_of_words_is_left_alone(tmp_path):
+    path = table(tmp_path, speed_mps=np.abs(TRUE), reverse=BACK)
+    path.write_text(
+        "\n".join(line.replace(",1", ",yes") if line.endswith(",1") else line for line in path.read_text().split("\n"))
+    )
+    path.write_text(path.read_text().replace("0,0,0\n", "0,0,no\n", 1))
+    recording = tr.read(path)
+    assert "direction" not in recording.series
+    assert "unsigned" in {one.kind for one in recording.findings}
+
+
 # The public command, on the case of the specification
 
 

@@ -124,7 +124,11 @@ class Watch:
             since = steady - (self.accepted_ns[channel] or 0)  # simulated time does not age a speed
             if role != "speed":
                 since = arrival - int(session.memory.times[channel, at.Times.last_arrival])
-            old = since * NANOSECOND > longest_age_s(session.estimator.settings, role)
+            allowed_s, settings = longest_age_s(session.estimator.settings, role), session.estimator.settings
+            if role in ("speed", "accel", "grade", "yaw_rate", "heading"):
+                period_s = int(session.memory.times[channel, at.Times.period]) * NANOSECOND
+                allowed_s = max(allowed_s, min(1.5 * period_s, settings.slow_input_max_age_s))
+            old = since * NANOSECOND > allowed_s
             states.append(InputState(role, self._topics[i].name, messages / elapsed_s, math.nan, value, shown, why, old))
         self._inputs = tuple(states)
         still = self._last_reasons if not (self._steps or self._old) else 0  # of a slow speed, until its next step

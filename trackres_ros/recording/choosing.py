@@ -214,6 +214,8 @@ def _known(file: ChannelFile, by_file: frozenset[str], names: _Names, notes: lis
         about = ROLES[base_role(role)]
         if role in by_file or (slash and not (names_a_part(part) and about.parts)):
             continue
+        if role == "direction" and not file.is_number(place):  # yes and no, R and D
+            continue
         if role in columns:
             given = f"columns {columns[role].name} and {name}"
             raise InputError(file.name, given, f"one column for {role}", "give the right one in a topics file")
