@@ -154,11 +154,9 @@ def test_an_enumeration_of_an_mdf_file_says_what_its_values_mean(tmp_path):
 
 
 def test_a_column_reverse_of_words_is_left_alone(tmp_path):
-    path = table(tmp_path, speed_mps=np.abs(TRUE), reverse=BACK)
-    path.write_text(
-        "\n".join(line.replace(",1", ",yes") if line.endswith(",1") else line for line in path.read_text().split("\n"))
-    )
-    path.write_text(path.read_text().replace("0,0,0\n", "0,0,no\n", 1))
+    path = tmp_path / "drive.csv"
+    rows = [f"{at_s:g},{abs(v):g},{'yes' if back else 'no'}" for at_s, v, back in zip(TIMES, TRUE, BACK, strict=True)]
+    path.write_text("\n".join(["time_s,speed_mps,reverse", *rows]) + "\n")
     recording = tr.read(path)
     assert "direction" not in recording.series
     assert "unsigned" in {one.kind for one in recording.findings}
