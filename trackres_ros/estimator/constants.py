@@ -206,9 +206,6 @@ def make_constants(
         air_density=chassis.air_density,
         rotating_mass_factor=chassis.rotating_mass_factor,
         nominal_ambient=chassis.ambient,
-        axles=len(vehicle.axles),
-        first_belt=at.channels(vehicle).index(at.WHEELS) - len(vehicle.assemblies),
-        first_wheel=at.channels(vehicle).index(at.WHEELS),
         initial_belt_std=settings.initial_belt_std_k,
         process_noise=settings.process_noise_k,
         ambient_std=settings.ambient_std_k,
@@ -228,6 +225,7 @@ def make_constants(
         speed_max_age=settings.speed_max_age_s,
         feedforward_fade=settings.feedforward_fade_s,
         belt_std_warn=settings.belt_std_warn_k,
+        **_places(vehicle),
         **_times_ns(settings),
         **fed,
         **runs_on.numbers,
@@ -243,6 +241,12 @@ def make_constants(
         *followed_in(vehicle.route, frame),
         work_space(vehicle_constants(vehicle), len(vehicle.assemblies)),
     )
+
+
+def _places(vehicle: AnyVehicle) -> dict[str, Any]:
+    """Where the channels of loads, belts and wheels are."""
+    first_wheel = at.channels(vehicle).index(at.WHEELS)
+    return {"axles": len(vehicle.axles), "first_belt": first_wheel - len(vehicle.assemblies), "first_wheel": first_wheel}
 
 
 def _times_ns(settings: Settings) -> dict[str, Any]:
