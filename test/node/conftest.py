@@ -90,7 +90,7 @@ class Desk:
 
     def index(self, role):
         """Place of the input that feeds a role."""
-        return next(i for i, given in enumerate(self.app.inputs) if role in given.roles)
+        return next(i for i, given in enumerate(self.app.inputs) if role in given.valued)
 
     def send(self, role, value, stamp_s=None):
         """A message of a role, stamped now or at a time [s since the start]."""

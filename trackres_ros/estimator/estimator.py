@@ -410,7 +410,7 @@ class Session:
     def start_anew(self) -> None:
         """Reset belts and messages after time went back, as at a cold start; counters stay. The next estimate reports it."""
         self.memory.times[:], self.memory.values[:] = 0, math.nan
-        self.memory.followed[:], self.memory.tracked[:] = NOTHING_YET, NOTHING_TRACKED
+        self.memory.followed[:], self.memory.tracked[:], self.memory.runs[:] = NOTHING_YET, NOTHING_TRACKED, math.nan
         self.effects[:] = cooled_effects(self.effects)
         self.motion[at.Motion.started] = at.START_ANEW
 

@@ -49,11 +49,22 @@ class Inputs(NamedTuple):
     torque_by_place_std: float = math.nan  # Nm
     reasons: int = 0  # columns.Reason found before the step
     fed: float = 1.0  # 0 for no feed-forward: it is not enabled, or the speed is not trusted
+    load_std: float = 0.0  # N, of all loads together: they are old or doubted
 
 
-MAYBE_UNKNOWN = Inputs._fields[5:-2]
+MAYBE_UNKNOWN = Inputs._fields[5:-3]
 FLOAT = np.dtype(float)
-KINDS = (float, np.ndarray, float, float, np.ndarray, *(float for _ in MAYBE_UNKNOWN), int, float)  # of Inputs, as compiled
+KINDS = (
+    float,
+    np.ndarray,
+    float,
+    float,
+    np.ndarray,
+    *(float for _ in MAYBE_UNKNOWN),
+    int,
+    float,
+    float,
+)  # of Inputs, as compiled
 
 
 class State(NamedTuple):
@@ -175,8 +186,12 @@ def checked(given: Inputs, assemblies: int, belts: int) -> Inputs:
         raise InputError("load", given.load, "loads with a sum above 0")
     known = number(given.ambient, "ambient"), number(given.ambient_std, "ambient_std", least=0.0)
     degc = bounded(given.belt_measured, "belt_measured", (belts,), unknown=True)
-    others = [v if v is math.nan else number(v, name, unknown=True) for v, name in zip(given[5:-2], MAYBE_UNKNOWN, strict=True)]
-    last = int(number(given.reasons, "reasons", least=0.0)), number(given.fed, "fed", least=0.0)
+    others = [v if v is math.nan else number(v, name, unknown=True) for v, name in zip(given[5:-3], MAYBE_UNKNOWN, strict=True)]
+    last = (
+        int(number(given.reasons, "reasons", least=0.0)),
+        number(given.fed, "fed", least=0.0),
+        number(given.load_std, "load_std", least=0.0),
+    )
     return Inputs._make((number(given.speed, "speed"), load, *known, degc, *others, *last))
 
 

@@ -33,7 +33,7 @@ from trackres_ros.files import own_files
 from trackres_ros.files.jsons import parse_json
 
 FORMAT = "trackres-state"
-VERSION = 14
+VERSION = 15
 HEAD = json.dumps({"format": FORMAT}).encode()[:-1]  # first bytes of each state file
 REMEDY = "give a state of this vehicle, or none"
 LARGEST = 4 << 20  # bytes; a vehicle with four assemblies has 10 thousand
@@ -42,7 +42,7 @@ LONGEST_OFF = LONGEST_STEP_S  # a longer time tells no more
 SEAL = re.compile(rb', "sha256": "([0-9a-f]{64})"\}\Z')
 
 # Session arrays in a state file, in the order of `_arrays`.
-FLOATS = ("belts", "motion", "effects", "learned", "values", "followed", "tracked")
+FLOATS = ("belts", "motion", "effects", "learned", "values", "followed", "tracked", "runs")
 INTEGERS = ("times", "counters", "reasons")
 # Of a vehicle: no part of what a state means, or in the key in another form.
 NOT_IN_KEY = {
@@ -227,8 +227,9 @@ def rested(before: Session, seconds: float, ambient: float | None = None) -> Ses
 
 def _arrays(session: Session) -> dict[str, NDArray[Any]]:
     memory = session.memory
-    floats = session.belts, session.motion, session.effects, session.learned, memory.values, memory.followed, memory.tracked
-    return dict(zip((*FLOATS, *INTEGERS), (*floats, memory.times, memory.counters, memory.reasons), strict=True))
+    carried = session.belts, session.motion, session.effects, session.learned
+    floats = memory.values, memory.followed, memory.tracked, memory.runs
+    return dict(zip((*FLOATS, *INTEGERS), (*carried, *floats, memory.times, memory.counters, memory.reasons), strict=True))
 
 
 def _take(session: Session, path: Path) -> float:

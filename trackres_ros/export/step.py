@@ -17,7 +17,7 @@ from trackres_ros.estimator.columns import Motion, Times
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.entry_points import feed, rest
 from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, fade
-from trackres_ros.estimator.guards import Memory, forget_others, not_enabled
+from trackres_ros.estimator.guards import Memory, forget_others, longest_age, not_enabled
 from trackres_ros.estimator.records import FARTHEST_NS, FIRST_NS, LAST_NS, LONGEST_STEP_S, State
 from trackres_ros.units import NANOSECOND
 
@@ -106,7 +106,7 @@ def feedforward_now(k: Constants, memory: Memory, motion: Array, latest: int) ->
     if Times(memory.times[at.SPEED]).seen == 0 or Motion(motion).started <= 0.0:
         return 0.0
     fed, _, _ = fed_now(k, memory, motion, latest)
-    return fed * fade(age_of_speed(memory, latest), k.number.speed_max_age, k.number.feedforward_fade)
+    return fed * fade(age_of_speed(memory, latest), longest_age(k, memory), k.number.feedforward_fade)
 
 
 def reasons_now(k: Constants, memory: Memory, latest: int) -> int:
@@ -117,7 +117,7 @@ def reasons_now(k: Constants, memory: Memory, latest: int) -> int:
 
 def is_stale(k: Constants, memory: Memory, latest: int) -> bool:
     """Whether the last accepted speed is too old to be trusted, or there is none."""
-    return Times(memory.times[at.SPEED]).seen == 0 or age_of_speed(memory, latest) > k.number.speed_max_age
+    return Times(memory.times[at.SPEED]).seen == 0 or age_of_speed(memory, latest) > longest_age(k, memory)
 
 
 def rest_after(k: Constants, memory: Memory, carried: State, ambient: float, seconds: float) -> None:

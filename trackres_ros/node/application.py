@@ -39,11 +39,11 @@ from trackres_ros.node.service_manager import ServiceManager
 from trackres_ros.node.setup import changed_parameters, read_setup
 from trackres_ros.node.state_keeper import StateKeeper, state_path
 from trackres_ros.node.transport import KeepMessage, Level, Peer, Reasons, Transport
-from trackres_ros.node.watch import Watch
+from trackres_ros.node.watch import COMPANIONS, Watch
 from trackres_ros.units import NANOSECOND, SECOND_NS
 
 ACCEPTED, IMPLAUSIBLE = int(at.Count.ACCEPTED), int(at.Count.IMPLAUSIBLE)
-SPEED_IMPLAUSIBLE = int(at.Reason.SPEED_IMPLAUSIBLE)
+SPEED_IMPLAUSIBLE, LOAD_DOUBTED = int(at.Reason.SPEED_IMPLAUSIBLE), int(at.Reason.LOAD_DOUBTED)
 FED_NOW = interpreted(fed_now)  # as live also processes messages between two steps
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
 SAVING_ON_REQUEST_S, SAVING_AT_THE_END_S = 0.1, 10.0  # longest wait for a disk
@@ -143,7 +143,7 @@ class Application:
         if counters[channel, ACCEPTED] != before:
             self._watch.accepted_ns[channel] = steady - self._waited_ns(channel, arrival)
         elif counters[channel, IMPLAUSIBLE] != doubted:
-            self._show(SPEED_IMPLAUSIBLE)
+            self._show(SPEED_IMPLAUSIBLE if channel == at.SPEED else LOAD_DOUBTED)
         if estimate is not None:
             if restored and self.on_restored:
                 self.guard("recording", self.on_restored, restored, arrival)
@@ -172,6 +172,7 @@ class Application:
         stamp, waited = int(self.session.memory.times[at.SPEED, at.Times.last_stamp]), self._waited_ns(at.SPEED, arrival)
         set_ns = 0 if self.messages.reader.stamped else self.clock.set_by_ns(now, arrival)
         published = stamp + set_ns
+        self._publisher.slow_max_age_s = float(self.session.motion[at.Motion.longest_age])
         self._publisher.take(values, published, steady, waited)
         offset = now - waited - published
         new_reasons = self.guard("watching the reasons", self._watch.accepted, int(values[at.Results.reasons]), offset)
@@ -229,7 +230,7 @@ class Application:
 
     def _reasons(self, steady: int) -> Reasons:
         """All present notices, each name once."""
-        old = self._publisher.age_s(steady) > self.estimator.settings.speed_max_age_s
+        old = self._publisher.age_s(steady) > self._publisher.max_age_s
         seen = self._reasons_seen
         if seen is None or old is not seen[1] or not 0 <= steady - seen[0] < REASONS_KEPT_NS:
             hold = tuple({notice.name: notice.level for notice in self.notices(steady)}.items())
@@ -272,7 +273,7 @@ class Application:
         It never raises: a part that fails is named on the status, and the others run.
         """
         steady = self.clock.steady_ns()
-        age_s, max_age_s = self._publisher.age_s(steady), self.estimator.settings.speed_max_age_s
+        age_s, max_age_s = self._publisher.age_s(steady), self._publisher.max_age_s
         turned_old = self.guard("watching the age of the speed", self._watch.look_at_age, age_s, max_age_s)
         self.guard.essential("taking late messages", self.messages.handle_late, steady)
         self.guard.essential("publishing", self._publish_due, steady)
@@ -366,7 +367,8 @@ class Application:
     def _watched(self, steady: int) -> list[Notice]:
         return self._watch.notices(
             age_s=self._publisher.age_s(steady),
-            max_age_s=self.estimator.settings.speed_max_age_s,
+            max_age_s=self._publisher.max_age_s,
+            period_s=int(self.session.memory.times[at.SPEED, at.Times.period]) * NANOSECOND,
             clock_runs=not self.clock.simulated or self.clock.now_ns(steady) > 0,
         )
 
@@ -406,7 +408,7 @@ class Application:
     def reset(self) -> str:
         """Start cold, with belts at the ambient temperature; inputs stay. Return a text for the log."""
         age_s = self._publisher.age_s(self.clock.steady_ns())
-        self.session.start_cold(driving=age_s <= self.estimator.settings.speed_max_age_s)
+        self.session.start_cold(driving=age_s <= self._publisher.max_age_s)
         self._forget()
         text = f"the estimate restarts with cold {'belts' if self.estimator.assemblies else 'effects'} at the next speed"
         self._log(Level.WARN, f"reset: {text}")
@@ -457,6 +459,7 @@ class Application:
         reader, channels = self.messages.reader, self.estimator.channels
         counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]
         others = {"bad_stamp": reader.bad_stamp, "without_other_part": reader.alone(), "absent": reader.absent}
+        others |= dict(zip(COMPANIONS, map(list, zip(*reader.dropped_by_companions(), strict=True)), strict=True))
         for kind, counts in others.items():
             counted += [f"{name} {kind} {n}" for name, n in zip(channels, counts, strict=True) if n]
         counted += [f"{name} dropped {n}" for name, n in zip(self._topic_names, reader.dropped, strict=True) if n]

@@ -13,6 +13,7 @@ from trackres_ros.node.parameters import Parameters
 from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic, output_topics
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.companions import DIRECTION
 from trackres_ros.recording.roles import GROUND, POSITION, base_role
 from trackres_ros.recording.sums import Reading, readings_of
 from trackres_ros.vehicle import AnyVehicle
@@ -44,6 +45,12 @@ class InputTopic:
     roles: tuple[str, ...]
     bindings: tuple[TopicBinding, ...]  # the field for each role
     parts: tuple[int | None, ...]  # for a role that is a sum, the field's place among its parts; else None
+    validities: frozenset[int] = frozenset()  # places of fields that only say whether the role's other field counts
+
+    @property
+    def valued(self) -> tuple[str, ...]:
+        """The roles that a field has a value of, each once."""
+        return tuple(dict.fromkeys(role for place, role in enumerate(self.roles) if place not in self.validities))
 
     @property
     def role_names(self) -> str:
@@ -61,11 +68,11 @@ def input_topics(topics: Topics, on_route: bool = False, channels: Collection[st
     needed = [
         role
         for role in topics
-        if (role in channels if base_role(role) == WHEELS else base_role(role) in CHANNELS)
+        if (role in channels if base_role(role) == WHEELS else base_role(role) in (*CHANNELS, DIRECTION))
         and (on_route or role not in POSITION)
         and ("torque" in topics or role not in GROUND)
     ]
-    return tuple(sorted(_by_topic(topics, needed), key=lambda given: "speed" in given.roles))
+    return tuple(sorted(_by_topic(topics, needed), key=lambda given: "speed" in given.valued))
 
 
 def without_effect(topics: Topics, channels: Collection[str], belts: bool) -> list[str]:
@@ -89,7 +96,14 @@ def _by_topic(topics: Topics, roles: Sequence[str]) -> list[InputTopic]:
     for reading in readings_of(sorted(roles, key=lambda role: role == "speed"), topics.bindings):
         by_name.setdefault((reading.binding.topic, reading.binding.type), []).append(reading)
     return [
-        InputTopic(name, kind, tuple(one.role for one in fed), tuple(one.binding for one in fed), tuple(one.part for one in fed))
+        InputTopic(
+            name,
+            kind,
+            tuple(one.role for one in fed),
+            tuple(one.binding for one in fed),
+            tuple(one.part for one in fed),
+            frozenset(place for place, one in enumerate(fed) if one.is_valid),
+        )
         for (name, kind), fed in by_name.items()
     ]
 

@@ -53,7 +53,7 @@ class MessageHandler:
         self.misread: Collection[int] = ()  # inputs with a publisher that has another definition of the type
         self._clock, self._guard, self._use = clock, guard, use
         self._widths = [len(given.roles) for given in inputs]
-        self._is_speed = ["speed" in given.roles for given in inputs]
+        self._is_speed = ["speed" in given.valued for given in inputs]
         self._held: list[Arrived] = []
         self._handled_ns = self._handled_now_ns = 0  # arrival of the last handled message, as recorded and by the node's time
         self._before_clock: list[deque[Arrived]] = [deque() for _ in inputs]

@@ -38,6 +38,7 @@ class OutputPublisher:
 
     def __init__(self, outputs: Sequence[OutputTopic], estimator: Estimator, transport: Transport) -> None:
         self.estimator = estimator
+        self.slow_max_age_s = 0.0  # longest age of a speed that comes rarely; 0 for the one of the settings
         self.outputs = outputs
         self.row: Row = []
         self.stamp_ns: int | None = None
@@ -65,12 +66,17 @@ class OutputPublisher:
     def take(self, row: Row, stamp_ns: int, steady: int, waited_ns: int = 0) -> None:
         """Keep a row of results, and the time of its state, whose speed waited in a queue before it came."""
         self.row, self.stamp_ns, self._taken_ns = row, nearest_usable(stamp_ns), steady - waited_ns
-        if self.age_s(steady) <= self.estimator.settings.speed_max_age_s:
+        if self.age_s(steady) <= self.max_age_s:
             self._unfaded, self._left = self.feedforward, 1.0
 
     def age_s(self, steady: int) -> float:
         """Time since the last estimate was made [s]; infinite before the first."""
         return math.inf if self.stamp_ns is None else (steady - self._taken_ns) * NANOSECOND
+
+    @property
+    def max_age_s(self) -> float:
+        """Longest age of a trusted speed [s]."""
+        return max(self.estimator.settings.speed_max_age_s, self.slow_max_age_s)
 
     def left(self, steady: int) -> float:
         """Share of the feed-forward at the age of the speed. Only a new speed raises it, and it falls no faster than a fading,
@@ -79,7 +85,7 @@ class OutputPublisher:
         settings = self.estimator.settings
         age_s, fade_s = self.age_s(steady), settings.feedforward_fade_s
         since_s = 0.0 if self._withdrawn_ns is None else (steady - self._withdrawn_ns) * NANOSECOND
-        share = 0.0 if math.isinf(age_s) else FADE(age_s, settings.speed_max_age_s, fade_s) * FADE(since_s, 0.0, fade_s)
+        share = 0.0 if math.isinf(age_s) else FADE(age_s, self.max_age_s, fade_s) * FADE(since_s, 0.0, fade_s)
         if self._published_at is None:
             return share
         return min(self._left, max(share, self._left - (steady - self._published_at[1]) * NANOSECOND / fade_s))

@@ -24,6 +24,9 @@ from trackres_ros.units import NANOSECOND
 REFUSED_SHARE = 0.1  # of the messages of a second: more is not the odd late one
 CLOCK_OFFSET_NS = 1_000_000_000
 STARTING_NS = 5_000_000_000  # assumed: publishers are found within 2 s, and the slowest usual input comes at 1 Hz
+ENOUGH_HZ = 10  # of a speed: a controller's feed-forward is then never older than its speed by more than 0.1 s
+COMPANIONS = ("invalid", "without_direction")
+"""Why a sample was dropped before the guards, see `recording.companions`."""
 REFUSALS = [int(count) for count in at.REFUSALS]
 MESSAGES = [int(at.Count.ACCEPTED), *REFUSALS]
 
@@ -49,7 +52,7 @@ class Watch:
         self.accepted_ns: list[int | None] = [None] * len(estimator.channels)  # by a steady clock
         self._inputs: tuple[InputState, ...] = ()
         self.steps_hz = 0.0
-        self._roles = [(role, i) for i, given in enumerate(inputs) for role in dict.fromkeys(given.roles)]
+        self._roles = [(role, i) for i, given in enumerate(inputs) for role in given.valued if role in estimator.channels]
         self._channel = {role: estimator.channels.index(role) for role, _ in self._roles}
         self._topics = inputs
         self._peers: Sequence[Sequence[Peer]] = [()] * len(inputs)
@@ -98,7 +101,7 @@ class Watch:
         new = self._since("counts", session.memory.counters)
         bad_stamp, alone = self._since("bad_stamp", reader.bad_stamp), self._since("alone", reader.alone())
         received, dropped = self._since("received", reader.received), self._since("dropped", reader.dropped)
-        absent = self._since("absent", reader.absent)
+        absent, dropped_by = self._since("absent", reader.absent), self._since("companions", reader.dropped_by_companions())
         self._overrun = [(given.name, int(n)) for given, n in zip(self._topics, dropped, strict=True) if n]
         states = []
         for role, i in self._roles:
@@ -106,6 +109,7 @@ class Watch:
             messages = int(received[i] if role in reader.sums else new[channel, MESSAGES].sum() + bad_stamp[channel])
             refused = [(at.Count(c).name.lower(), int(new[channel, c])) for c in REFUSALS]
             refused += [("bad_stamp", int(bad_stamp[channel])), ("without_other_part", int(alone[channel]))]
+            refused += [(name, int(n)) for name, n in zip(COMPANIONS, dropped_by[channel], strict=True)]
             if not new[channel, at.Count.ACCEPTED]:  # else another publisher on the topic has the element
                 refused.append((f"absent (the messages do not have {reader.lacks[channel]})", int(absent[channel])))
             many = sum(number for _, number in refused) > REFUSED_SHARE * messages
@@ -113,13 +117,18 @@ class Watch:
             seen = [(count.name.lower(), int(self._last["counts"][channel, count])) for count in at.Count]
             seen += [("bad_stamp", reader.bad_stamp[channel]), ("without_other_part", int(self._last["alone"][channel]))]
             seen += [("absent", reader.absent[channel]), ("dropped", reader.dropped[i])]
+            seen += [(name, int(n)) for name, n in zip(COMPANIONS, self._last["companions"][channel], strict=True)]
             value = float(session.memory.values[channel])
             shown = tuple((name, number) for name, number in seen if number)
-            messages += 0 if role in reader.sums else int(absent[channel])
+            messages += 0 if role in reader.sums else int(absent[channel] + dropped_by[channel].sum())
             since = steady - (self.accepted_ns[channel] or 0)  # simulated time does not age a speed
             if role != "speed":
                 since = arrival - int(session.memory.times[channel, at.Times.last_arrival])
-            old = since * NANOSECOND > longest_age_s(session.estimator.settings, role)
+            allowed_s, settings = longest_age_s(session.estimator.settings, role), session.estimator.settings
+            if role in ("speed", "accel", "grade", "yaw_rate", "heading"):
+                period_s = int(session.memory.times[channel, at.Times.period]) * NANOSECOND
+                allowed_s = max(allowed_s, min(1.5 * period_s, settings.slow_input_max_age_s))
+            old = since * NANOSECOND > allowed_s
             states.append(InputState(role, self._topics[i].name, messages / elapsed_s, math.nan, value, shown, why, old))
         self._inputs = tuple(states)
         still = self._last_reasons if not (self._steps or self._old) else 0  # of a slow speed, until its next step
@@ -128,14 +137,14 @@ class Watch:
         self._began_ns = steady if self._began_ns is None else self._began_ns
         self._shown_reasons, self._second_reasons = self._second_reasons | still, 0
 
-    def _since(self, name: str, counters: Sequence[int] | IntArray) -> IntArray:
+    def _since(self, name: str, counters: Sequence[int] | Sequence[Sequence[int]] | IntArray) -> IntArray:
         """What was added to counters since the last look at them."""
         now = np.array(counters, dtype=np.int64)
         before, self._last[name] = self._last.get(name, np.zeros_like(now)), now
         return now - before
 
-    def notices(self, age_s: float, max_age_s: float, clock_runs: bool) -> list[Notice]:
-        """All present notices of inputs and estimate."""
+    def notices(self, age_s: float, max_age_s: float, period_s: float, clock_runs: bool) -> list[Notice]:
+        """All present notices of inputs and estimate; `period_s`: in which the speed comes."""
         found: list[Notice] = []
         if not clock_runs:
             found.append(Notice("NO_CLOCK", "use_sim_time is set and no /clock message has arrived"))
@@ -154,7 +163,11 @@ class Watch:
             side = "behind" if self._offset_ns > 0 else "ahead of"
             text = f"the stamps of the speed are {abs(self._offset_ns) * 1e-9:.1f} s {side} this node's clock"
             found.append(Notice("CLOCK_OFFSET", text))
-        return found + of_reasons(at.Reason(self._shown_reasons))
+        reasons = at.Reason(self._shown_reasons)
+        if reasons & at.Reason.SPEED_SLOW:
+            reasons &= ~at.Reason.SPEED_SLOW
+            found.append(_of_slow_speed(period_s, max_age_s))
+        return found + of_reasons(reasons)
 
     def to_log(self, notices: Sequence[Notice], steady: int) -> tuple[Level, str] | None:
         """Level and text for the log, if the notices above OK have changed since the last call.
@@ -172,6 +185,15 @@ class Watch:
         self._logged = names
         text = "; ".join(notice.text for notice in wrong or heavy) or "no warnings"
         return (level_of(wrong), text if wrong or not heavy else f"waiting for inputs: {text}")
+
+
+def _of_slow_speed(period_s: float, max_age_s: float) -> Notice:
+    """What a speed that comes rarely means; a period longer than the age is one of fading."""
+    meanwhile = (
+        f"it is trusted for {max_age_s:.2g} s" if period_s <= max_age_s else f"the feed-forward fades after {max_age_s:.2g} s"
+    )
+    rate = f"{1.0 / period_s:.2g}" if period_s > 0.0 else "?"
+    return Notice("SPEED_SLOW", f"your speed comes at {rate} Hz; {meanwhile}: send it at {ENOUGH_HZ} Hz or more")
 
 
 def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
