@@ -23,6 +23,7 @@ from trackres_ros.estimator.columns import LOAD  # noqa: E402
 from trackres_ros.node import message_handler  # noqa: E402
 from trackres_ros.node import record as record_room  # noqa: E402
 from trackres_ros.node.inbox import Inbox  # noqa: E402
+from trackres_ros.node.message_handler import Sent  # noqa: E402
 from trackres_ros.node.record import Recorder  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -133,7 +134,7 @@ def in_haste(wire, depth, chance, unknown=1 / 3):
 
     def hand(index, message, arrived):
         raw, kind, sent_ns = message
-        app.messages.receive(index, STORE.deserialize_cdr(raw, kind), sent_ns * (chance.random() >= unknown), arrived, raw)
+        app.messages.receive(index, STORE.deserialize_cdr(raw, kind), Sent(sent_ns * (chance.random() >= unknown)), arrived, raw)
 
     inbox = Inbox([partial(take, queue) for queue in queues], hand, app.clock.arrival, app.messages.dropped, depth)
 
@@ -351,7 +352,7 @@ def test_what_is_not_handled_is_recorded_too(desk, tmp_path):
     d.forward(2.0)
     wire.send("brake", NUMBER, 1.0)
     d.app.messages.receive_undecodable(wire.index["speed"], arrived=earlier, raw=b"no message!!")
-    d.app.messages.receive_values(wire.index["shaft"], d.now_ns(), [3000.0], sent_ns=1, raw=b"waits for a speed")
+    d.app.messages.receive_values(wire.index["shaft"], d.now_ns(), [3000.0], sent=Sent(1), raw=b"waits for a speed")
     d.app.close()
     wire.recorder.end()
     found = [raw for *_, raw in messages_of(tmp_path / "live.mcap")]

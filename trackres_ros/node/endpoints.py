@@ -24,16 +24,22 @@ DIAGNOSTICS = OutputTopic(
     "status",
     "once a second: the estimate, each input, the comparison with a measured torque, the disturbance, the state file",
 )
+STANDING = frozenset({"load", "ambient", "passengers"})
+"""Roles of states that change rarely. A speed or an enable is never latched: that it keeps coming is what makes it valid."""
+TORQUES = ("feedforward_torque", "feedforward_torque_nm", ESTIMATE_TOPIC.name)
+"""Outputs that a controller may add to its own torque: one publisher each."""
+DISCOVERY_NS = 1_000_000_000  # assumed: a participant has found the others by then; one found later withdraws both torques
 WIRE_DEPTH = 5000  # enough for a few seconds' delay of this process at 1 kHz: a middleware drops messages silently
 
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """Quality of service of an endpoint; history is keep-last, durability volatile. A deadline of 0 s is none."""
+    """Quality of service of an endpoint; history is keep-last. A deadline of 0 s is none."""
 
     reliable: bool
     depth: int
     deadline_s: float
+    latched: bool = False  # transient local, else volatile
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +62,11 @@ class InputTopic:
     def role_names(self) -> str:
         """For messages: each role once."""
         return ", ".join(dict.fromkeys(self.roles))
+
+    @property
+    def stands(self) -> bool:
+        """Whether its last message stands until the next one, so that it may be published once and latched."""
+        return all(base_role(role) in STANDING for role in self.roles)
 
 
 def input_topics(topics: Topics, on_route: bool = False, channels: Collection[str] = CHANNELS) -> tuple[InputTopic, ...]:
@@ -124,6 +135,11 @@ def input_quality(parameters: Parameters) -> Quality:
         max(parameters.count("input_depth"), WIRE_DEPTH),
         parameters.number("input_deadline_s"),
     )
+
+
+def latched_quality(parameters: Parameters) -> Quality:
+    """Quality of service of the second endpoint of an input, for what its publishers keep: these are reliable."""
+    return Quality(True, input_quality(parameters).depth, 0.0, latched=True)
 
 
 def output_quality(parameters: Parameters, topic: OutputTopic) -> Quality:

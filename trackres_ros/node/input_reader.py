@@ -40,6 +40,7 @@ class InputReader:
         self.absent = [0] * len(channels)
         self.lacks = [""] * len(channels)  # the last field that a message did not have, and why
         self.bad_stamp = [0] * len(channels)
+        self.unused = [0] * len(channels)  # samples of another publisher than the one in use
         self.stamped: dict[int, int] = {}  # how far the clock was set [ns] at the last stamp of a channel in `TOGETHER`
         self.sums = {role: Sum(role, bindings[role]) for i in inputs for role in i.roles if bindings[role].parts}
         self._channels = channels

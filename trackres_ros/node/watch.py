@@ -64,6 +64,7 @@ class Watch:
         self._old: bool | None = None
         self._offset_ns = 0
         self._began_ns: int | None = None
+        self._awaited: set[int] = set()  # inputs whose message stands, and which have had none
         self._logged: frozenset[str] | None = None
 
     def accepted(self, reasons: int, offset_ns: int) -> bool:
@@ -99,6 +100,7 @@ class Watch:
         """Work out rates and refusals since the last call, and begin a new second. `arrival` is that of a message now [ns]."""
         elapsed_s = math.nan if self._looked_ns is None else max((steady - self._looked_ns) * 1e-9, 1e-9)
         new = self._since("counts", session.memory.counters)
+        unused = self._since("unused", reader.unused)
         bad_stamp, alone = self._since("bad_stamp", reader.bad_stamp), self._since("alone", reader.alone())
         received, dropped = self._since("received", reader.received), self._since("dropped", reader.dropped)
         absent, dropped_by = self._since("absent", reader.absent), self._since("companions", reader.dropped_by_companions())
@@ -106,7 +108,8 @@ class Watch:
         states = []
         for role, i in self._roles:
             channel = self._channel[role]
-            messages = int(received[i] if role in reader.sums else new[channel, MESSAGES].sum() + bad_stamp[channel])
+            ours = new[channel, MESSAGES].sum() + bad_stamp[channel] + unused[channel]
+            messages = int(received[i] if role in reader.sums else ours)
             refused = [(at.Count(c).name.lower(), int(new[channel, c])) for c in REFUSALS]
             refused += [("bad_stamp", int(bad_stamp[channel])), ("without_other_part", int(alone[channel]))]
             refused += [(name, int(n)) for name, n in zip(COMPANIONS, dropped_by[channel], strict=True)]
@@ -116,7 +119,7 @@ class Watch:
             why = ", ".join(f"{number} {name}" for name, number in refused if number and many)
             seen = [(count.name.lower(), int(self._last["counts"][channel, count])) for count in at.Count]
             seen += [("bad_stamp", reader.bad_stamp[channel]), ("without_other_part", int(self._last["alone"][channel]))]
-            seen += [("absent", reader.absent[channel]), ("dropped", reader.dropped[i])]
+            seen += [("absent", reader.absent[channel]), ("unused", reader.unused[channel]), ("dropped", reader.dropped[i])]
             seen += [(name, int(n)) for name, n in zip(COMPANIONS, self._last["companions"][channel], strict=True)]
             value = float(session.memory.values[channel])
             shown = tuple((name, number) for name, number in seen if number)
@@ -135,6 +138,8 @@ class Watch:
         self.steps_hz, self._steps = self._steps / elapsed_s, 0
         self._peers, self._looked_ns = peers, steady
         self._began_ns = steady if self._began_ns is None else self._began_ns
+        late = steady - self._began_ns >= STARTING_NS
+        self._awaited = {i for i, given in enumerate(self._topics) if late and given.stands and not reader.received[i]}
         self._shown_reasons, self._second_reasons = self._second_reasons | still, 0
 
     def _since(self, name: str, counters: Sequence[int] | Sequence[Sequence[int]] | IntArray) -> IntArray:
@@ -143,11 +148,13 @@ class Watch:
         before, self._last[name] = self._last.get(name, np.zeros_like(now)), now
         return now - before
 
-    def notices(self, age_s: float, max_age_s: float, period_s: float, clock_runs: bool) -> list[Notice]:
-        """All present notices of inputs and estimate; `period_s`: in which the speed comes."""
+    def notices(self, age_s: float, max_age_s: float, period_s: float, no_clock: str) -> list[Notice]:
+        """All present notices of inputs and estimate; `period_s`: in which the speed comes; `no_clock`: why there is no time,
+        empty if there is one.
+        """
         found: list[Notice] = []
-        if not clock_runs:
-            found.append(Notice("NO_CLOCK", "use_sim_time is set and no /clock message has arrived"))
+        if no_clock:
+            found.append(Notice("NO_CLOCK", no_clock))
         if math.isinf(age_s):
             found.append(Notice("NO_SPEED", "no speed yet"))
         elif age_s > max_age_s:
@@ -159,7 +166,8 @@ class Watch:
         refused = {state.role: state.refused for state in self._inputs if state.refused}
         found += [Notice("REFUSED", f"{role}: rejected in the last second: {why}") for role, why in refused.items()]
         found += [notice for given, peers in zip(self._topics, self._peers, strict=True) for notice in _of_peers(given, peers)]
-        if abs(self._offset_ns) > CLOCK_OFFSET_NS and clock_runs:
+        found += [notice for i in sorted(self._awaited) for notice in _nothing_kept(self._topics[i], self._peers[i])]
+        if abs(self._offset_ns) > CLOCK_OFFSET_NS and not no_clock:
             side = "behind" if self._offset_ns > 0 else "ahead of"
             text = f"the stamps of the speed are {abs(self._offset_ns) * 1e-9:.1f} s {side} this node's clock"
             found.append(Notice("CLOCK_OFFSET", text))
@@ -208,8 +216,40 @@ def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
     if not right:
         found.append(Notice("NO_PUBLISHER", f"{roles}: nobody publishes {given.type} on {given.name}"))
     elif len(right) > 1:
-        found.append(Notice("SEVERAL_PUBLISHERS", f"{roles}: {len(right)} publishers on {given.name}"))
-    if any(not peer.compatible for peer in right):
-        text = f"{roles}: a publisher on {given.name} never connects: its quality of service or its type's definition differs"
-        found.append(Notice("INCOMPATIBLE_QOS", text))
+        found.append(Notice("SEVERAL_PUBLISHERS", f"{roles}: {len(right)} publishers on {given.name} ({_names(right)})"))
+    if apart := [peer for peer in right if not peer.compatible]:
+        why = "its quality of service is below what the input requests, or its type's definition differs"
+        found.append(Notice("INCOMPATIBLE_QOS", f"{roles}: {_names(apart)} on {given.name} never connects: {why}"))
     return found
+
+
+def _nothing_kept(given: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
+    """That publishers of an input have sent nothing so far, and keep nothing of what they sent before."""
+    there = [peer for peer in peers if peer.compatible and peer.type == given.type]
+    if not there or any(peer.latched for peer in there):
+        return []
+    text = (
+        f"{given.role_names}: nothing came from {_names(there)} on {given.name}, which keeps nothing for those who join later; "
+        "publish it again and again, or reliable and transient local"
+    )
+    return [Notice("NOT_LATCHED", text)]
+
+
+def contested(rivals: Sequence[str], opened: bool) -> Notice:
+    """That others publish the feed-forward too, by the names of their nodes, and whether our topics are open."""
+    what = "the feed-forward goes to zero" if opened else "nothing is published but /diagnostics"
+    until = "until it is gone, which takes up to 20 s after a crash"
+    return Notice("TORQUE_CONTESTED", f"another publisher of the feed-forward: {', '.join(rivals)}: {what} {until}")
+
+
+def two_speeds(topic: str, both: Sequence[tuple[int, float]], peers: Sequence[Peer]) -> Notice:
+    """That two publishers of the speed disagree, by their numbers and speeds [m/s]."""
+    named = {peer.source: peer.name for peer in peers if peer.source}
+    speeds = " and ".join(f"{speed:.2f} m/s{f' from {named[source]}' if source in named else ''}" for source, speed in both)
+    among = "" if any(source in named for source, _ in both) else f" from {_names(peers)}"
+    text = f"{speeds}{among} on {topic}: none of them is used, and the feed-forward goes to zero; a speed needs one publisher"
+    return Notice("TWO_SPEEDS", f"speed: publishers disagree: {text}")
+
+
+def _names(peers: Sequence[Peer]) -> str:
+    return " and ".join(sorted(peer.name for peer in peers))

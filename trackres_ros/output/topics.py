@@ -43,6 +43,11 @@ class OutputTopic:
     names: tuple[str, ...] = ()  # names of the joints, or of the interfaces of an estimate
 
     @property
+    def shared(self) -> bool:
+        """Whether other nodes publish on it too: its name is absolute."""
+        return self.name.startswith("/")
+
+    @property
     def signs(self) -> tuple[float, ...]:
         """Factor from each column to the message."""
         return tuple(sign_of(column) for column in self.columns)

@@ -123,19 +123,19 @@ def _idl_field(kind: Any) -> Any:
     return of.sequence[_idl_field(element), bound] if bound else of.sequence[_idl_field(element)]
 
 
-def qos(quality: Quality, user_data: bytes, transient: bool = False) -> Any:
+def qos(quality: Quality, user_data: bytes) -> Any:
     """Quality of service of an endpoint."""
     policies = [
         Policy.Reliability.Reliable(duration(seconds=0.1)) if quality.reliable else Policy.Reliability.BestEffort,
         Policy.History.KeepLast(quality.depth),
-        Policy.Durability.TransientLocal if transient else Policy.Durability.Volatile,
+        Policy.Durability.TransientLocal if quality.latched else Policy.Durability.Volatile,
         Policy.DataRepresentation(use_cdrv0_representation=True),
         Policy.WriterDataLifecycle(autodispose=False),
         Policy.Userdata(user_data),
     ]
     if quality.deadline_s > 0.0:
         policies.append(Policy.Deadline(duration(seconds=quality.deadline_s)))
-    if transient:
+    if quality.latched:  # of a writer: what it keeps
         policies.append(Policy.DurabilityService(duration(seconds=0), Policy.History.KeepLast(quality.depth), -1, -1, -1))
     return Qos(*policies)
 
