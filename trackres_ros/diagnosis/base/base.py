@@ -36,7 +36,7 @@ class BaseParameter:
     std: float  # its standard deviation: a Gaussian prior; infinite for an unknown value
     low: float  # bounds of a fit
     high: float
-    by_file: tuple[float, float] = (-np.inf, np.inf)  # range in the vehicle file; the bounds of a fit are wider
+    by_file: tuple[float, float] = (-np.inf, np.inf)  # range in the vehicle file, with a width; the bounds of a fit are wider
     of_file: float | None = None  # value of the vehicle file that it multiplies, in any unit; None if it is no factor
 
     def outside(self, value: float) -> bool:
@@ -46,9 +46,8 @@ class BaseParameter:
         return not low - rounding <= value <= high + rounding
 
     def inside(self) -> BaseParameter:
-        """The same parameter with the range of the vehicle file as bounds; a range without width is no bound."""
-        low, high = max(self.low, self.by_file[0]), min(self.high, self.by_file[1])
-        return replace(self, low=low, high=high) if low < high else self
+        """The same parameter with the range of the vehicle file as bounds."""
+        return replace(self, low=max(self.low, self.by_file[0]), high=min(self.high, self.by_file[1]))
 
 
 @dataclass(frozen=True, eq=False)

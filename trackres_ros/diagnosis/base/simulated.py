@@ -76,6 +76,8 @@ def simulated(
         ambient, far = float(session.ambient[0]), float(state.effects[DISTANCE])
         if i == 0 or not np.isfinite(session.gap):
             COMPILED.start_belts(*arguments, *state, ambient, 0.0)
+            if session.first_drive:
+                state.effects[DISTANCE] = far = 0.0
         else:
             COMPILED.rest_vehicle(*arguments, *state, ambient, 0.0, session.gap)
         rows, unknown = np.empty((len(session), PREDICTED)), np.full(len(session), np.nan)
