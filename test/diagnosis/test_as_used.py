@@ -14,7 +14,7 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.diagnosis import load_base, read_recordings
-from trackres_ros.diagnosis.base.base import BaseParameter
+from trackres_ros.diagnosis.base.base import BaseParameter, RangedValue
 from trackres_ros.diagnosis.base.instrument import instrument, usual_offset
 from trackres_ros.diagnosis.base.patterns import WATCHED
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
@@ -23,7 +23,7 @@ from trackres_ros.diagnosis.prepare.gate import Gated
 from trackres_ros.diagnosis.prepare.session import Cumulative
 from trackres_ros.diagnosis.prepare.split import lap_name
 from trackres_ros.diagnosis.selection import as_used
-from trackres_ros.diagnosis.selection.as_used import AsUsed, choose_written, inside_ranges
+from trackres_ros.diagnosis.selection.as_used import AsUsed, _kept, _Option, choose_written, inside_ranges
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
 from trackres_ros.diagnosis.stages.prepare import LEAST_S, prepared, seconds_without_torque, without_an_offset
 from trackres_ros.effects import Active, Effect, Terms, catalogue, native
@@ -101,6 +101,10 @@ class Errors:
 
     def written(self, effects):
         return tuple(effects)
+
+    def outside(self, values):
+        now = (FILE if values is None else values)["rolling"]
+        return {} if abs(now) <= 2.0 else {"track.rolling": RangedValue("1", now, -2.0, 2.0)}
 
     def surely_better(self, after, before):
         return self.confirms
@@ -202,7 +206,7 @@ def test_each_value_written_out_of_range_is_confirmed_and_said(fitted_again, mon
     errors = {(2.5, "v"): 20.0, (2.0, "v"): 30.0, (0.0, ""): 100.0}
     value, _, kept = written(["v"], Fitted(1.0, V, X), errors, confirms=confirms)
     assert value == rolling
-    assert ("rolling is 2.5, outside its range from -2 to 2: hold-out laps confirm it" in kept.text) == confirms
+    assert ("track.rolling is 2.5, outside its range from -2 to 2: hold-out laps confirm it" in kept.text) == confirms
 
 
 def test_what_is_not_believed_moves_nothing(fitted_again):
@@ -285,6 +289,77 @@ def test_alone_means_without_given_surroundings_and_route(driven, loaded, effect
         apart = use.expected(None, (), alone)[0] - plain[0].torque
         assert (np.median(apart[sessions[0].used]) > more) == (not alone)
         assert np.allclose(apart, 0.0) == alone
+
+
+def test_each_drive_of_a_written_file_is_its_first_one(driven, loaded, effects):
+    """Distance 0 and a cold belt, with what the recordings leave of a new belt's loss; a fit counts on from drive to drive."""
+    found, use = driven({})
+    new = Active(effects["mullins"], {"excess": 0.25, "distance": 8000.0})
+    sessions, nominal = found.problem.sessions, loaded.base.nominal
+    assert sum(float(s.distance[-1] - s.distance[0]) for s in sessions) == pytest.approx(use.distance, rel=0.01)
+    rest = replace(new, values={**new.values, "excess": 0.25 * np.exp(-use.distance / 8000.0)})
+    assert 0.01 < rest.values["excess"] < 0.2
+    for expected, session in zip(use.expected(None, [new], alone=True), sessions, strict=True):
+        assert expected == pytest.approx(loaded.base.predict([session], nominal, [rest])[0].torque)
+    for expected, one in zip(use.recorded(None, [new]), loaded.base.predict(sessions, nominal, [new]), strict=True):
+        assert expected == pytest.approx(one.torque)
+
+
+def test_a_run_in_effect_is_written_as_it_is_after_the_recordings(driven, effects):
+    found, use = driven({})
+    for scale, word in ((8000.0, "mullins is written as it is after"), (500.0, "without mullins, which has faded")):
+        final = replace(found, effects=(Active(effects["mullins"], {"excess": 0.2, "distance": scale}),))
+        bounds = {("mullins", "excess"): Interval(0.1, 0.24, False), ("mullins", "distance"): Interval(scale, 20_000.0, False)}
+        kept = _kept(_Option(None, final.effects), final, ["mullins"], use, bounds, "")
+        assert word in kept.text
+        left = np.exp(-use.distance / scale)
+        assert [a.values["excess"] for a in kept.effects] == pytest.approx([0.2 * left] if scale > 500.0 else [])
+        for active in kept.of("vehicle"):
+            assert active.ranges["excess"] == pytest.approx((0.1 * left, 0.24 * left))
+            assert active.ranges["distance"] == (scale, 20_000.0)
+
+
+def test_a_value_as_far_as_is_plausible_is_not_confirmed(driven, monkeypatch):
+    found, use = driven({"loss_modulus_scale": 1.6})
+    monkeypatch.setattr(AsUsed, "surely_better", lambda *_: True)
+    assert "loss_modulus_scale" in leaves(inside_ranges(found, use))
+    base = found.problem.base
+    ends = tuple(replace(q, high=found.base_values[q.name]) if q.name == "loss_modulus_scale" else q for q in base.parameters)
+    at_end = replace(found, problem=replace(found.problem, base=base._with_parameters(ends)))
+    assert "loss_modulus_scale" not in leaves(inside_ranges(at_end, use))
+
+
+@pytest.mark.parametrize("exact", ["film_slope", "heat_capacity", "bearing_friction"])
+def test_a_value_without_a_range_is_exact(tmp_path, exact):
+    """Whatever scales such a value is not fitted, so that a diagnosis cannot leave its range."""
+    text = (config_dir() / "xgd24d.yaml").read_text().replace("file: rubber", f"file: {config_dir() / 'rubber'}")
+    text, count = re.subn(rf"(\b{exact}: {{value: )([0-9.]+)(.*range: )\[[^]]*\]", r"\1\2\3[\2, \2]", text, count=1)
+    assert count == 1
+    (tmp_path / "vehicle.yaml").write_text(text)
+    base = load_base(tmp_path / "vehicle.yaml").base
+    of = {"film_slope": "film_scale", "heat_capacity": "capacity_scale"}.get(exact, exact)
+    assert {q.name for q in load_base("xgd24d").base.parameters} - base.nominal.keys() == {of}
+    assert all(q.by_file[0] < q.by_file[1] for q in base.inside_ranges(()).parameters)
+    base.write(tmp_path / "written" / "vehicle.yaml", FileChanges({n: 1.01 * x for n, x in base.nominal.items()}, (), {}), "")
+    after, before = (load_any(path).parameters for path in (tmp_path / "written" / "vehicle.yaml", tmp_path / "vehicle.yaml"))
+    changed = {name for name, q in after.items() if q.value != before[name].value}
+    assert changed
+    assert not any(name.endswith(exact) for name in changed)
+
+
+def test_a_value_out_of_range_is_said_as_it_stands_in_the_file(driven):
+    """A factor on what a belt holds leaves the range of the rubber's heat capacity before its own value looks odd."""
+    _, use = driven({})
+    assert not use.outside(None)
+    scales = {q.name: q for q in use._alone[0].parameters}
+    for factor, outside in ((1.0, False), (0.98, True)):
+        values = {name: q.nominal for name, q in scales.items()} | {
+            "capacity_scale": factor * scales["capacity_scale"].by_file[0]
+        }
+        assert set(use.outside(values)) == ({"rubber.heat_capacity"} if outside else set())
+    q = use.outside(values)["rubber.heat_capacity"]
+    assert q[2:] == (1400.0, 1900.0)
+    assert 1300.0 < q.value < 1400.0
 
 
 # At rest

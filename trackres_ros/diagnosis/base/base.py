@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -50,6 +50,15 @@ class BaseParameter:
         return replace(self, low=max(self.low, self.by_file[0]), high=min(self.high, self.by_file[1]))
 
 
+class RangedValue(NamedTuple):
+    """A value of a vehicle file with its range there."""
+
+    unit: str
+    value: float
+    low: float
+    high: float
+
+
 @dataclass(frozen=True, eq=False)
 class Predicted:
     """Series predicted for a session, shape (n,): sensed torque [Nm], true torque [Nm], mean belt temperature [degC],
@@ -83,6 +92,11 @@ class Base(ABC):
     def nominal(self) -> dict[str, float]:
         """Values of `parameters` in the vehicle file."""
         return {q.name: q.nominal for q in self.parameters}
+
+    @property
+    def quantities(self) -> Mapping[str, RangedValue]:
+        """Values as they stand in the vehicle file, by their place there; `parameters` may be factors on several of them."""
+        return {q.name: RangedValue(q.unit, q.nominal, *q.by_file) for q in self.parameters}
 
     @property
     def acting(self) -> Sequence[Active]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trackres_ros.diagnosis.base.base import Base, BaseParameter, Values
+from trackres_ros.diagnosis.base.base import Base, BaseParameter, RangedValue, Values
 from trackres_ros.diagnosis.base.patterns import WATCHED, ByPlace
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import with_levels
@@ -28,6 +28,9 @@ from trackres_ros.text.numbers import figures
 from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 
 Bounds = Mapping[tuple[str, str], Interval]
+
+ROUNDING = 1e-5  # of a value that is written with few figures
+SHOWN = 4  # figures
 
 VEHICLE, SURROUNDINGS, SENSOR = "vehicle", "surroundings", "sensor"
 
@@ -53,7 +56,7 @@ class AsUsed:
         self._read = dict[tuple[bool, tuple[float, ...]], Base]()
 
     def written(self, effects: Sequence[Active]) -> tuple[Active, ...]:
-        """Effects for a file that is first used after the recordings; without those that no longer do anything, as a belt has run in.
+        """Effects for a file that is first used after the recordings, without those that have faded, as a belt runs in.
 
         A fit counts the distance from the first recording, a replay and a live node from their own first start.
         """
@@ -69,6 +72,16 @@ class AsUsed:
         base = self._with(values, alone)
         _, sessions = self._alone if alone else self._around
         return [p.torque for p in base.predict(sessions, base.nominal, self.written(effects))]
+
+    def outside(self, values: Values | None) -> dict[str, RangedValue]:
+        """Values of the written file outside their range in the present one, with that range, by their place in the file."""
+        now, written = (self._with(of, alone=True).quantities for of in (None, values))
+        found = {name: one._replace(value=written[name].value) for name, one in now.items()}
+        return {
+            name: q
+            for name, q in found.items()
+            if not q.low - ROUNDING * abs(q.low) <= q.value <= q.high + ROUNDING * abs(q.high)
+        }
 
     def _with(self, values: Values | None, alone: bool) -> Base:
         base, _ = self._alone if alone else self._around
@@ -271,10 +284,10 @@ def _after(active: Active, bounds: Bounds, distance: float) -> dict[tuple[str, s
 def _changed(option: _Option, written: Sequence[Active], use: AsUsed) -> str:
     """Text on values outside their range, and on effects that the file has otherwise than the report."""
     found, left, km = "", {a.effect.name: a.values for a in written}, figures(use.distance / 1000.0)
-    for q in _outside(option.fitted) if option.fitted is not None else ():
-        value, low, high = (figures(x) for x in (option.values[q.name], *q.by_file))
+    for place, q in use.outside(option.values).items():
+        value, low, high = (figures(x, SHOWN) for x in q[1:])
         unit = "" if q.unit == "1" else f" {q.unit}"
-        found += f"; {q.name} is {value}{unit}, outside its range from {low} to {high}{unit}: hold-out laps confirm it"
+        found += f"; {place} is {value}{unit}, outside its range from {low} to {high}{unit}: hold-out laps confirm it"
     for active in option.effects:
         name = active.effect.name
         if name not in left:

@@ -24,7 +24,7 @@ class Mullins(Effect):
     needs = ("speed", "distance")
     belt_only = True
     parameters = (
-        Parameter("excess", "1", 0.0, 0.25, 0.12, "loss of the new belt over that of the run-in one", off=0.0),
+        Parameter("excess", "1", 0.0, 0.25, 0.12, "loss at the first start over that of the run-in belt", off=0.0),
         Parameter("distance", "m", 500.0, 20000.0, 3000.0, "over which it fades", more_starts=(1000.0, 10000.0)),
     )
 
