@@ -305,7 +305,7 @@ def test_each_drive_of_a_written_file_is_its_first_one(driven, loaded, effects):
         assert expected == pytest.approx(one.torque)
 
 
-def test_a_run_in_effect_is_written_as_it_is_after_the_recordings(driven, effects):
+def test_a_run_in_effect_is_written_as_after_the_recordings(driven, effects):
     found, use = driven({})
     for scale, word in ((8000.0, "mullins is written as it is after"), (500.0, "without mullins, which has faded")):
         final = replace(found, effects=(Active(effects["mullins"], {"excess": 0.2, "distance": scale}),))
