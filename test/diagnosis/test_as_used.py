@@ -474,10 +474,11 @@ def test_vehicle_yaml_alone_is_no_worse_whatever_is_hidden(tmp_path, loaded, nam
     held, errors = held_out_of(paths, file, report), []
     for vehicle in (file, diagnosed.vehicle.source):
         base = load_base(vehicle).base
-        expected = base.predict([s for s, _ in held], base.nominal, sensors)
+        expected = [base.predict([s], base.nominal, sensors)[0] for s, _ in held]
         errors.append(np.concatenate([np.abs(s.torque - p.torque)[m] for (s, m), p in zip(held, expected, strict=True)]).mean())
     assert {a.effect.name for a in diagnosed.vehicle.effects} == set(report["kept"]["vehicle"])
     for active in diagnosed.vehicle.effects:
         if active.effect.name in found:  # terms without a name have no single value
-            assert active.values == pytest.approx(found[active.effect.name], rel=1e-4)
+            driven = sum(float(np.abs(s.speed).sum()) * s.step for s, _ in held)
+            assert active.values == pytest.approx(active.effect.values_after(found[active.effect.name], driven), rel=1e-4)
     assert errors[1] <= errors[0] * (1.0 + 1e-6), (report["verdict"]["sentence"], report["written"])
