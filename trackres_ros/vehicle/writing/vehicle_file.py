@@ -80,14 +80,18 @@ def _set_values(document: Document, vehicle: Vehicle, values: Mapping[str, float
     ):
         if name in values:
             put((section, name), values[name], kept.range_of(name), limits)
-    capacity = [_heat_capacity(vehicle, scale) for scale in (values["capacity_scale"], *(kept.range_of("capacity_scale") or ()))]
+
+    def scaled(name: str, old: float) -> list[float]:  # its value, and the ends of its interval
+        return [old * scale for scale in (values.get(name, 1.0), *(kept.range_of(name) or ()))]
+
+    capacity = [_heat_capacity(vehicle, scale) for scale in scaled("capacity_scale", 1.0)]
     put(("rubber", "heat_capacity"), capacity[0], _range(capacity[1:]), RUBBER)
     first = vehicle.track_of(vehicle.assemblies[0]).belt
     for name, track in vehicle.tracks.items():
         belt, over_first = ("tracks", name, "belt"), track.belt.surface_share / first.surface_share
         for film, old in (("film_offset", track.belt.film_offset), ("film_slope", track.belt.film_slope)):
-            scaled = [old * scale for scale in (values["film_scale"], *(kept.range_of("film_scale") or ()))]
-            put((*belt, film), scaled[0], _range(scaled[1:] if old else ()), BELT)  # 0 stays as uncertain as it is
+            value, *ends = scaled("film_scale", old)
+            put((*belt, film), value, _range(ends if old else ()), BELT)  # 0 stays as uncertain as it is
         if "surface_share" in values:
             share, *ends = (over_first * x for x in (values["surface_share"], *(kept.range_of("surface_share") or ())))
             put((*belt, "surface_share"), share, _range(ends), BELT)
