@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import output_folder
 from trackres_ros.files.own_files import write
 from trackres_ros.output.topics import DEFAULT_NODE, TOTALS, OutputTopic, output_topics
@@ -43,10 +44,10 @@ def write_layouts(vehicle: AnyVehicle, folder: Path, base: str = DEFAULT_BASE) -
     Raises InputError if the folder cannot be made or written to.
     """
     folder = output_folder(folder, "--output")
-    folder.mkdir(parents=True, exist_ok=True)
     texts = {folder / "plotjuggler.xml": plotjuggler(vehicle, base), folder / "foxglove.json": foxglove(vehicle, base)}
-    for path, text in texts.items():
-        write(path, text.encode())
+    with file_set():
+        for path, text in texts.items():
+            write(path, text.encode())
     return list(texts)
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.files.output_files import BEFORE_1970
+from trackres_ros.files.own_files import put
 from trackres_ros.recording.cdr import Template
 from trackres_ros.recording.mcap_format import (
     CHANNEL,
@@ -110,11 +111,17 @@ class BagWriter:
                 if self._stays:
                     os.fsync(self._file.fileno())
                 self._file.close()
-                self.part.replace(self.path)
-        finally:
-            self._file.close()
-            if not self._stays:
-                self.part.unlink(missing_ok=True)
+                put(self.part, self.path)
+        except BaseException:
+            self._drop()
+            raise
+        if kind is not None:
+            self._drop()
+
+    def _drop(self) -> None:
+        self._file.close()
+        if not self._stays:
+            self.part.unlink(missing_ok=True)
 
     @property
     def size(self) -> int:
