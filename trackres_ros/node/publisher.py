@@ -45,6 +45,7 @@ class OutputPublisher:
         self.feedforward = 0.0  # as last published
         self.failed: dict[str, str] = {}
         self.sent = 0  # messages that the middleware took, statuses too
+        self.on_estimate: Callable[[int, list[float], Reasons], None] | None = None  # each that was published
         self._transport = transport
         self._taken_ns = 0
         self._unfaded, self._left = 0.0, 1.0  # as last published: the feed-forward before its fading, and the share left of it
@@ -109,6 +110,8 @@ class OutputPublisher:
                 hold = reasons(steady)
                 numbers.append(float(max((level for _, level in hold), default=Level.OK)))
             self._send(output, self._transport.publish, self.stamp_ns, numbers, hold)
+            if self.outputs[output] is ESTIMATE_TOPIC and self.on_estimate is not None:
+                self.on_estimate(self.stamp_ns, numbers, hold)
         self.published += 1
 
     def _moved(self, goal: float, target: float, elapsed_s: float) -> float:
