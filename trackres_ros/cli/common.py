@@ -58,11 +58,11 @@ def _print_repairs() -> Iterator[None]:
         show = warnings.showwarning
         warnings.simplefilter("always", RepairWarning)
 
-        def shown(message: Warning | str, category: type[Warning], *where: Any) -> None:
+        def shown(message: Warning | str, category: type[Warning], *where: Any, **into: Any) -> None:
             if issubclass(category, RepairWarning):
                 click.echo(f"trackres: {message}", err=True)
             else:
-                show(message, category, *where)
+                show(message, category, *where, **into)
 
         warnings.showwarning = shown
         yield

@@ -80,8 +80,8 @@ class FileSet:
         if not members:
             return None
         made = _make_folders({m.place.parent for m in members})
+        roots = _roots({m.place.parent for m in members})
         try:
-            roots = _roots({m.place.parent for m in members})
             while True:
                 for root in roots:
                     settle(root)
@@ -92,11 +92,13 @@ class FileSet:
                         for root in roots:
                             _remove_leftovers(root)
                     return _Replacement(members, roots).run()
-        except BaseException:
+        except BaseException as error:
             self.drop()
             for folder in made:
                 with suppress(OSError):
                     folder.rmdir()
+            if isinstance(error, OSError) and Path(error.filename or ".trackres").name.startswith("."):
+                error.filename = str(roots[0])  # nobody knows the journal
             raise
 
 
@@ -222,8 +224,7 @@ class _Replacement:
         try:
             return self._beside(member)
         except OSError as error:  # a full disk names none, and nobody knows the file beside
-            error.filename, error.filename2 = str(member.place), None
-            raise
+            raise OSError(error.errno, error.strerror, str(member.place)) from error
 
     def _beside(self, member: Member) -> _Entry:
         """Write the new file beside the old one, and give that one a second name."""

@@ -50,7 +50,8 @@ class Faults:
                 self.ours.discard(target)
                 real(target)
             if fails:
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                given = [str(target)] if name in OF_PATHS else []
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), *given)
             if name == "close":
                 return None
             done = real(target, *args, **kwargs)
