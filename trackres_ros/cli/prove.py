@@ -16,6 +16,8 @@ from trackres_ros import InputError
 from trackres_ros.cli import options
 from trackres_ros.cli.common import Commands, emit, needs, output_folder
 from trackres_ros.engine.interpreter import python
+from trackres_ros.files.file_sets import file_set
+from trackres_ros.files.own_files import write
 
 COUNT = click.IntRange(1, 100_000)
 MINUTES = 15.0
@@ -119,8 +121,8 @@ def _level_and_count(given: str, of: Mapping[str, int], count: int | None) -> tu
     return level, int(number) if equals else count or of[level]
 
 
-def _write_and_print(path: Path, text: str, as_json: bool) -> None:
-    path.write_text(text, encoding="utf-8")
+def _print(path: Path, text: str, as_json: bool) -> None:
+    """Print a page that was written."""
     emit({"written": str(path), "text": text}, as_json, lambda: text)
 
 
@@ -210,7 +212,11 @@ def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
     from trackres_ros.evaluation.field.run import try_all
 
     output_folder(output)
-    _write_and_print(output / "proof-real.md", write_page(data, try_all(data, output), try_bus(data), output), as_json)
+    tried = try_all(data, output), try_bus(data)
+    with file_set():
+        text = write_page(data, *tried, output)
+        write(output / "proof-real.md", text.encode())
+    _print(output / "proof-real.md", text, as_json)
 
 
 @prove_command.command("learning")
@@ -266,7 +272,9 @@ def prove_paper_command(output: Path, as_json: bool) -> None:
     from trackres_ros.evaluation.paper import diagnose_all, page
 
     output_folder(output)
-    _write_and_print(output / "paper-test.md", page(diagnose_all(output)), as_json)
+    text = page(diagnose_all(output))
+    write(output / "paper-test.md", text.encode())
+    _print(output / "paper-test.md", text, as_json)
 
 
 @prove_command.command("loop")
@@ -279,8 +287,11 @@ def prove_loop_command(output: Path, as_json: bool) -> None:
 
     output_folder(output)
     loop = close_loop(output)
-    draw(loop, output / "loop.png")
-    _write_and_print(output / "loop.md", page(loop, "loop.png"), as_json)
+    with file_set():
+        draw(loop, output / "loop.png")
+        text = page(loop, "loop.png")
+        write(output / "loop.md", text.encode())
+    _print(output / "loop.md", text, as_json)
 
 
 @prove_command.command("fleet")

@@ -81,6 +81,7 @@ class Application:
         self.keeper = StateKeeper(*file, steady_ns=steady_ns)
         self.active = self._withdrawn = False
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
+        self.on_published: Callable[[int, list[float], Reasons, int], None] | None = None  # stamp, numbers, reasons, time
         self.on_restored: Callable[[bytes, int], None] | None = None  # file of the state that the first speed found, arrival
         self.recording_notices: Callable[[], list[Notice]] = list
         self.guard = Guard(self._report_fault, steady_ns)
@@ -92,6 +93,7 @@ class Application:
         )
         self.messages = MessageHandler(self.inputs, reader, self.sources, self.clock, self.guard, self._step)
         self._publisher = OutputPublisher(self.outputs, self.estimator, transport)
+        self._publisher.on_estimate = self._keep_published
         self._service = ServiceManager()
         self.learning = LiveLearning(self.estimator, parameters.text("learning"), measured)
         self.session, self.began_with = self.keeper.load(self.estimator, self.learning)
@@ -225,6 +227,12 @@ class Application:
         goal, target, unfed = self._fed(steady, pace)
         self._show(unfed)
         self._publisher.publish(steady, pace, self._reasons_or_fault, goal, target)
+
+    def _keep_published(self, stamp: int, numbers: list[float], reasons: Reasons) -> None:
+        if self.on_published:
+            steady = self.clock.steady_ns()
+            at_ns = self.clock.recorded_ns(steady, self.clock.pace_ns(steady))
+            self.guard("recording", self.on_published, stamp, numbers, reasons, at_ns)
 
     def _fed(self, steady: int, pace: int) -> tuple[float, float, int]:
         """The session's feed-forward now and its target [Nm], and the reason why that is zero; see `between_steps.fed_now`."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from trackres_ros.estimator.columns import CHANNELS, WHEELS
 from trackres_ros.node.parameters import Parameters
-from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic, output_topics
+from trackres_ros.output.topics import PARAMETERS_TOPIC, OutputTopic, output_topics
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.companions import DIRECTION
@@ -121,11 +121,10 @@ def _by_topic(topics: Topics, roles: Sequence[str]) -> list[InputTopic]:
 
 def live_topics(vehicle: AnyVehicle, topics: Topics) -> tuple[OutputTopic, ...]:
     """All topics to publish, most urgent first; the residual and learned values only with a measured torque."""
-    feedforward, number, *others = output_topics(vehicle)
     measured = "torque" in topics
-    given = (topic for topic in others if topic.name != "torque_residual" or measured)
+    given = (topic for topic in output_topics(vehicle) if topic.name != "torque_residual" or measured)
     learned = (PARAMETERS_TOPIC,) if measured else ()
-    return (feedforward, number, ESTIMATE_TOPIC, *given, *learned, DIAGNOSTICS)
+    return (*given, *learned, DIAGNOSTICS)
 
 
 def input_quality(parameters: Parameters) -> Quality:

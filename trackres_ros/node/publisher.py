@@ -48,6 +48,7 @@ class OutputPublisher:
         self.failed: dict[str, str] = {}
         self.opened = False  # whether the topics below the node's own name are open
         self.sent = 0  # messages that the middleware took, statuses too
+        self.on_estimate: Callable[[int, list[float], Reasons], None] | None = None  # each that was published
         self._transport = transport
         self._taken_ns = 0
         self._unfaded, self._left = 0.0, 1.0  # as last published: the feed-forward before its fading, and the share left of it
@@ -121,6 +122,8 @@ class OutputPublisher:
                 hold = reasons(steady)
                 numbers.append(float(max((level for _, level in hold), default=Level.OK)))
             self._send(output, self._transport.publish, self.stamp_ns, numbers, hold)
+            if self.outputs[output] is ESTIMATE_TOPIC and self.on_estimate is not None:
+                self.on_estimate(self.stamp_ns, numbers, hold)
         self.published += 1
 
     def _elapsed_s(self, steady: int, pace: int) -> float:
