@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from trackres_ros.estimator.columns import CHANNELS, WHEELS
 from trackres_ros.node.parameters import Parameters
-from trackres_ros.output.topics import PARAMETERS_TOPIC, OutputTopic, output_topics
+from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic, output_topics
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.companions import DIRECTION
